@@ -1,0 +1,1 @@
+"""The physics engines that come with NMES. They are found by entry point, as anybody's are, never imported."""

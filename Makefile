@@ -1,0 +1,68 @@
+# Everything sets itself up: Python 3.11 or newer, git and make are enough.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test test-long lint format types imports layout bench constraints clean
+
+help:
+	@echo "make demo       serve, drive, record and reproduce the example worlds"
+	@echo "make test       lint, type-check and test"
+	@echo "make test-long  the same with the tests that take minutes"
+	@echo "make bench      print the benchmark table"
+	@echo "make format     mend what the linter can mend"
+	@echo "make clean      remove what was built, the environment too"
+
+setup: $(READY)
+
+# pip and setuptools first, pinned, so that the package is built by the setuptools that constraints.txt names.
+$(READY): pyproject.toml constraints.txt
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "NMES needs Python 3.11 or newer; this is " + sys.version.split()[0] + " (make PYTHON=/path/to/python3.11)")'
+	@echo "Setting up $(VENV) (about 2 GB, once)"
+	@$(PYTHON) -m venv $(VENV)
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check -c constraints.txt pip setuptools
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check -c constraints.txt --no-build-isolation -e '.[all,dev]'
+	@touch $@
+
+demo: $(READY)
+	@$(BIN)/python examples/demo.py
+
+test: lint
+	$(BIN)/pytest -n auto -m 'not long'
+
+test-long: lint
+	$(BIN)/pytest -n auto
+
+lint: $(READY) types imports
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: layout
+	$(BIN)/mypy -p nmes
+	$(BIN)/mypy tests examples benchmarks
+
+imports: layout
+	cd build/layout && PYTHONPATH=. ../../$(BIN)/lint-imports --config ../../pyproject.toml --no-logo
+
+# The package as it is once installed, for tools that do not follow setuptools' package-dir.
+layout: $(READY)
+	@$(BIN)/python tests/layout.py build/layout
+
+format: $(READY)
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: $(READY)
+	@$(BIN)/python benchmarks/bench.py
+
+# Pins the newest versions that fit pyproject.toml: names and versions only.
+constraints: $(READY)
+	$(BIN)/python -m pip install -q uv
+	$(BIN)/uv pip compile --universal --upgrade --all-extras --no-annotate --no-header --no-emit-index-url \
+		--no-emit-find-links -q pyproject.toml -o constraints.txt
+
+clean:
+	rm -rf $(VENV) build dist recordings *.egg-info .*_cache .hypothesis .coverage*
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,1 @@
+"""NMES, the Neural Morphogenetic Evolution System."""

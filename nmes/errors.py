@@ -1,0 +1,64 @@
+"""The errors that NMES raises, and the codes they carry.
+
+Every error has a stable `code` (the string that goes over the wire where the error reaches a client), a message
+for a person, and, where one value is to blame, a `path`: the JSON Pointer of that value without its leading
+slash (`mass`, `position/1`). This module imports nothing, so that every other may import it.
+"""
+
+from __future__ import annotations
+
+__all__ = [
+    "BackendNotFound",
+    "CommandFailed",
+    "Disconnected",
+    "NmesError",
+    "RecordingError",
+    "RejectedMessage",
+    "SimulationFault",
+    "WorldError",
+]
+
+
+class NmesError(Exception):
+    """Base of all errors of NMES."""
+
+    def __init__(self, code: str, message: str, path: str | None = None) -> None:
+        super().__init__(message)
+        self.code = code
+        self.message = message
+        self.path = path
+
+
+class RejectedMessage(NmesError):
+    """A frame that is not a valid command; the peer's fault, answered with an `error` reply."""
+
+
+class WorldError(NmesError):
+    """A valid command that the world refuses (an unknown cube, a limit reached); answered with an `error` reply."""
+
+
+class SimulationFault(NmesError):
+    """A physics engine that cannot go on; `body` is the offending body's number where it is known."""
+
+    def __init__(self, code: str, message: str, body: int | None = None) -> None:
+        super().__init__(code, message)
+        self.body = body
+
+
+class RecordingError(NmesError):
+    """A recording that cannot be written, or a file that cannot be read as one."""
+
+
+class BackendNotFound(NmesError):
+    """No installed physics engine has that name, or the one that has it cannot be loaded."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__("backend_not_found", message)
+
+
+class CommandFailed(NmesError):
+    """A server's `error` reply to a client's command, raised in the client."""
+
+
+class Disconnected(NmesError, ConnectionError):
+    """The connection to a server is closed; `code` says why, where the server gave a reason."""

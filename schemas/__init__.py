@@ -1,0 +1,1 @@
+"""JSON Schema files of the protocol's messages, read through `importlib.resources`."""
