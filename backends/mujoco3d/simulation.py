@@ -1,0 +1,764 @@
+"""A running MuJoCo scene that is edited while it lives.
+
+Edits only note what changed; the model is rebuilt once, at the next step, and the state carried over:
+
+- Structures that no edit touched keep their coordinates, velocities and warm start bit for bit, and their sleep.
+- Touched ones keep every joint's coordinate and the pose of their root. Their velocities are the ones that the tree
+  can have and that carry the bodies' momentum: the mass-weighted projection `M qvel = sum J^T p`, exact where the
+  motion fits the joints, and a perfectly inelastic catch where two moving bodies are joined.
+
+Between an edit and the next step queries answer from `_override` (new and moved bodies) or from the old model.
+
+Sleep is no part of what `mj_getState` returns, and a sleeping tree's derived quantities are not computed afresh; so
+whenever a state is installed they are all computed once, with everything awake, before the sleepers are put back.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import logging
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, replace
+from functools import cache
+from math import cos, sin
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+import orjson
+
+from nmes.backend import (
+    Array,
+    Backend,
+    BodySpec,
+    BodyState,
+    Contact,
+    JointParams,
+    JointSpec,
+    JointState,
+    Quaternion,
+    SceneSpec,
+    Simulation,
+    Vector,
+)
+from nmes.backends.mujoco3d.layout import Body, Forest, Joint, Layout, Slot, build, relative, span
+from nmes.errors import SimulationFault
+from nmes.rotation import conjugate, cross, multiply, normalize, rotate
+
+__all__ = ["MujocoBackend", "MujocoSimulation"]
+
+logger = logging.getLogger(__name__)
+
+ZERO: Vector = (0.0, 0.0, 0.0)
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+_AWAKE = -(1 + mujoco.mjMINAWAKE)  # tree_asleep of a tree that has just woken
+_WARNINGS = mujoco.mjtWarning
+_FAULTS = {
+    _WARNINGS.mjWARN_CONTACTFULL: ("contact_overflow", "the engine ran out of room for contacts"),
+    _WARNINGS.mjWARN_CNSTRFULL: ("constraint_overflow", "the engine ran out of room for constraints"),
+}
+_HUGE = 1e10  # mjMAXVAL: beyond this the engine calls a state bad
+# A servo closes 63% of a small error in 1/30 s, critically damped.
+_SERVO_RATE = 60.0
+
+# What MuJoCo prints of a diverging world goes to the log; the fault says it to the user.
+mujoco.set_mju_user_warning(lambda message: logger.debug("mujoco: %s", message))
+
+
+class MujocoBackend(Backend):
+    """MuJoCo, the first-class engine: cubes in 3D, all kinds of joints, sleep, exact snapshots."""
+
+    name = "mujoco"
+    dims = 3
+    capabilities = frozenset(
+        {
+            "joint.fixed",
+            "joint.hinge",
+            "joint.slide",
+            "joint.pin",
+            "motor",
+            "servo",
+            "limits",
+            "spring",
+            "friction",
+            "restitution",
+            "contacts",
+            "sleep",
+            "snapshot",
+        }
+    )
+
+    def version(self) -> str:
+        """Returns MuJoCo's version."""
+        return str(mujoco.__version__)
+
+    def fingerprint(self) -> dict[str, str]:
+        """Returns MuJoCo's version and the SHA-256 of its shared library."""
+        return {"engine": f"mujoco {mujoco.__version__}", "engine_sha256": _library_hash()}
+
+    def create(self, scene: SceneSpec) -> Simulation:
+        """Creates an empty scene."""
+        return MujocoSimulation(scene)
+
+
+@cache
+def _library_hash() -> str:
+    digest = hashlib.sha256()
+    for path in sorted(Path(mujoco.__file__).parent.glob("libmujoco*")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+class MujocoSimulation(Simulation):
+    """One scene. See `nmes.backend.Simulation` for what each call promises."""
+
+    def __init__(self, scene: SceneSpec) -> None:
+        self._scene = scene
+        self._bodies: dict[int, Body] = {}
+        self._joints: dict[int, Joint] = {}
+        self._override: dict[int, BodyState] = {}  # new and moved bodies, until the next step
+        self._touched: set[int] = set()  # bodies of which the structure was edited since the last step
+        self._stale_model = True
+        self._wake_all = False
+        self._force: dict[int, list[float]] = {}  # wrenches for the next step, by body
+        self._impulse: dict[int, list[float]] = {}
+        self._identity = 0  # XOR of the hashes of everything that the state arrays do not say
+        self._install(build(scene, {}, {}, Forest(), {}))
+
+    def _install(self, layout: Layout) -> None:
+        self._layout = layout
+        self._model = model = layout.model
+        self._data = data = mujoco.MjData(model)
+        self._read = False  # whether xpos, xquat, cvel belong to qpos, qvel
+        self._state = np.empty(mujoco.mj_stateSize(model, _STATE))
+        # Attribute access on MjData makes a new view each time; these are what a tick and a query need.
+        self._warnings = data.warning.number
+        self._calm = self._warnings.tobytes()
+        self._xfrc, self._xpos, self._xquat, self._cvel = data.xfrc_applied, data.xpos, data.xquat, data.cvel
+        self._asleep = data.tree_asleep
+
+    # -- structure ----------------------------------------------------------------------------------------------
+
+    def add_body(self, body: int, spec: BodySpec) -> None:
+        """Adds a body; the model follows at the next step."""
+        self._bodies[body] = Body(body, spec.size, spec.mass, spec.friction, spec.restitution, spec.frozen)
+        self._identity ^= _hash("body", body, self._bodies[body])
+        still = spec.frozen
+        self._override[body] = BodyState(
+            spec.position,
+            spec.quaternion,
+            ZERO if still else spec.linear_velocity,
+            ZERO if still else spec.angular_velocity,
+        )
+        self._edited(body)
+        self._wake_all |= spec.frozen
+
+    def remove_body(self, body: int) -> None:
+        """Removes a body; what slept on a frozen one wakes."""
+        self._identity ^= _hash("body", body, self._bodies[body])
+        self._wake_all |= self._bodies.pop(body).frozen
+        self._override.pop(body, None)
+        self._force.pop(body, None)
+        self._impulse.pop(body, None)
+        self._touched.discard(body)
+        self._stale_model = True
+
+    def add_joint(self, joint: int, spec: JointSpec) -> None:
+        """Joins two bodies as they stand now, which is the joint's zero."""
+        one, two = self.body_state(spec.body1), self.body_state(spec.body2)
+        back1, back2 = conjugate(one.quaternion), conjugate(two.quaternion)
+        self._joints[joint] = Joint(
+            number=joint,
+            kind=spec.kind,
+            body1=spec.body1,
+            body2=spec.body2,
+            anchor1=rotate(back1, _minus(spec.anchor, one.position)),
+            anchor2=rotate(back2, _minus(spec.anchor, two.position)),
+            axis2=rotate(back2, spec.axis),
+            zero=normalize(relative(one.quaternion, two.quaternion)),
+            params=spec.params,
+        )
+        self._identity ^= _hash_joint(self._joints[joint])
+        self._edited(spec.body1)
+        self._edited(spec.body2)
+
+    def remove_joint(self, joint: int) -> None:
+        """Cuts a joint."""
+        cut = self._joints.pop(joint)
+        self._identity ^= _hash_joint(cut)
+        self._edited(cut.body1)
+        self._edited(cut.body2)
+
+    def set_joint_params(self, joint: int, params: JointParams) -> None:
+        """Sets motor, spring and limits; the model is rebuilt only where a motor comes or goes."""
+        held = self._joints[joint]
+        if params == held.params:
+            return
+        self._identity ^= _hash_joint(held)
+        if (params.motor == "off") != (held.params.motor == "off"):
+            self._stale_model = True
+        held.params = params
+        self._identity ^= _hash_joint(held)
+        if joint in self._layout.joint:
+            self._write_params(held)
+            self._wake(self._layout.body[held.body1], self._layout.body[held.body2])
+
+    def set_frozen(self, body: int, frozen: bool) -> None:
+        """Makes a body part of the world, or lets it go at rest."""
+        state = self.body_state(body)
+        self._override[body] = BodyState(state.position, state.quaternion, ZERO, ZERO)
+        held = self._bodies[body]
+        self._identity ^= _hash("body", body, held)
+        held.frozen = frozen
+        self._identity ^= _hash("body", body, held)
+        self._edited(body)
+        for joint in self._joints.values():
+            if body in (joint.body1, joint.body2):
+                self._touched.update((joint.body1, joint.body2))
+        self._wake_all = True
+
+    def _edited(self, body: int) -> None:
+        self._touched.add(body)
+        self._stale_model = True
+
+    # -- state --------------------------------------------------------------------------------------------------
+
+    def set_body_state(self, body: int, state: BodyState) -> None:
+        """Moves a body; its structure takes up the new state at the next step."""
+        if self._bodies[body].frozen:
+            state = BodyState(state.position, state.quaternion, ZERO, ZERO)
+            self._stale_model = self._wake_all = True
+        self._override[body] = state
+        self._touched.add(body)
+
+    def apply(self, body: int, force: Vector, torque: Vector, impulse: Vector, angular_impulse: Vector) -> None:
+        """Notes what acts on the body during the next step."""
+        if self._bodies[body].frozen:
+            return
+        for pending, linear, angular in (
+            (self._force, force, torque),
+            (self._impulse, impulse, angular_impulse),
+        ):
+            if linear != ZERO or angular != ZERO:
+                held = pending.get(body)
+                given = [*linear, *angular]
+                pending[body] = given if held is None else [a + b for a, b in zip(held, given, strict=True)]
+
+    def body_state(self, body: int) -> BodyState:
+        """Returns one body's pose and velocity."""
+        held = self._override.get(body)
+        if held is not None:
+            return held
+        self._refresh()
+        index = self._layout.body[body]
+        x, y, z = self._xpos[index].tolist()
+        qw, qx, qy, qz = self._xquat[index].tolist()
+        if self._bodies[body].frozen:
+            return BodyState((x, y, z), (qx, qy, qz, qw), ZERO, ZERO)
+        wx, wy, wz, vx, vy, vz = self._cvel[index].tolist()
+        # cvel is the velocity at the tree's centre of mass; a box's own centre is its body frame's origin.
+        cx, cy, cz = self._data.subtree_com[self._model.body_rootid[index]].tolist()
+        rx, ry, rz = x - cx, y - cy, z - cz
+        return BodyState(
+            (x, y, z),
+            (qx, qy, qz, qw),
+            (vx + wy * rz - wz * ry, vy + wz * rx - wx * rz, vz + wx * ry - wy * rx),
+            (wx, wy, wz),
+        )
+
+    def states(self, bodies: Sequence[int]) -> Array:
+        """Returns a new array (n, 13)."""
+        out = np.empty((len(bodies), 13))
+        if not len(bodies):
+            return out
+        self._refresh()
+        where = self._layout.body
+        index = np.fromiter((where.get(body, 0) for body in bodies), np.intp, len(bodies))
+        position, spin = self._xpos[index], self._cvel[index, :3]
+        out[:, 0:3] = position
+        out[:, 3:7] = self._xquat[index][:, (1, 2, 3, 0)]
+        arm = position - self._data.subtree_com[self._model.body_rootid[index]]
+        out[:, 7:10] = self._cvel[index, 3:] + np.cross(spin, arm)
+        out[:, 10:13] = spin
+        out[self._model.body_treeid[index] < 0, 7:] = 0.0
+        if self._override:
+            for row, body in enumerate(bodies):
+                held = self._override.get(body)
+                if held is not None:
+                    out[row] = (*held.position, *held.quaternion, *held.linear_velocity, *held.angular_velocity)
+        return out
+
+    def _refresh(self) -> None:
+        """Makes poses and velocities those of the coordinates: a step leaves them one step behind."""
+        if not self._read:
+            mujoco.mj_kinematics(self._model, self._data)
+            mujoco.mj_comPos(self._model, self._data)
+            mujoco.mj_comVel(self._model, self._data)
+            self._read = True
+
+    def sleeping(self, body: int) -> bool:
+        """Tells whether the body's tree sleeps."""
+        index = self._layout.body.get(body)
+        if index is None or body in self._touched or self._bodies[body].frozen:
+            return False
+        tree = self._model.body_treeid[index]
+        return bool(tree >= 0 and self._asleep[tree] >= 0)
+
+    def joint_state(self, joint: int) -> JointState:
+        """Returns one joint's reading; before the joint's first step its position is zero."""
+        held = self._joints[joint]
+        one, two = self.body_state(held.body1), self.body_state(held.body2)
+        axis = rotate(two.quaternion, held.axis2)
+        arm1, arm2 = rotate(one.quaternion, held.anchor1), rotate(two.quaternion, held.anchor2)
+        anchor = _plus(one.position, arm1)
+        position = velocity = effort = 0.0
+        if held.kind in ("hinge", "slide"):
+            slot = self._layout.joint.get(joint)
+            if slot is not None:
+                position = float(self._data.qpos[slot.q])
+            if slot is not None and not self._touched:
+                velocity = float(self._data.qvel[slot.v])
+            elif held.kind == "hinge":
+                velocity = _dot(_minus(two.angular_velocity, one.angular_velocity), axis)
+            else:
+                tip1 = _plus(one.linear_velocity, cross(one.angular_velocity, _minus(_plus(two.position, arm2), one.position)))
+                tip2 = _plus(two.linear_velocity, cross(two.angular_velocity, arm2))
+                velocity = _dot(_minus(tip2, tip1), axis)
+            motor = self._layout.actuator.get(joint)
+            if motor is not None:
+                effort = float(self._data.actuator_force[motor])
+        return JointState(position, velocity, effort, anchor, axis)
+
+    def contacts(self, body: int) -> list[Contact]:
+        """Returns what the body touched in the last step."""
+        index = self._layout.body.get(body)
+        if index is None:
+            return []
+        data, owner = self._data, self._model.geom_bodyid
+        result = []
+        wrench = np.empty(6)
+        for i in np.flatnonzero((owner[data.contact.geom] == index).any(axis=1)).tolist():
+            contact = data.contact[i]
+            if contact.efc_address < 0:
+                continue
+            first, second = (int(owner[geom]) for geom in contact.geom)
+            mujoco.mj_contactForce(self._model, data, i, wrench)
+            # The frame's first axis points from the first geom to the second.
+            sign = 1.0 if second == index else -1.0
+            other = self._layout.number.get(first if second == index else second)
+            if other is not None and other not in self._bodies:
+                continue  # removed since
+            x, y, z = contact.pos.tolist()
+            nx, ny, nz = contact.frame[:3].tolist()
+            result.append(Contact(other, (x, y, z), (sign * nx, sign * ny, sign * nz), float(wrench[0])))
+        return result
+
+    # -- time ---------------------------------------------------------------------------------------------------
+
+    def step(self, substeps: int) -> None:
+        """Takes up all edits, then advances."""
+        if self._stale_model or self._touched:
+            self._rebuild()
+        model, data, xfrc = self._model, self._data, self._xfrc
+        acted = self._force or self._impulse
+        if acted:
+            for body, wrench in self._force.items():
+                xfrc[self._layout.body[body]] = wrench
+        try:
+            if self._impulse:
+                # An impulse is the force that gives it within the first engine step, so that it meets joints and
+                # contacts like any other force.
+                rate = 1.0 / self._scene.timestep
+                for body, wrench in self._impulse.items():
+                    xfrc[self._layout.body[body]] += np.multiply(wrench, rate)
+                mujoco.mj_step(model, data)
+                for body in self._impulse:
+                    xfrc[self._layout.body[body]] = self._force.get(body, 0.0)
+                substeps -= 1
+            if substeps:
+                mujoco.mj_step(model, data, substeps)
+        except mujoco.FatalError as error:
+            raise SimulationFault("engine_failed", f"MuJoCo: {error}") from error
+        finally:
+            if acted:
+                xfrc[:] = 0.0
+                self._force.clear()
+                self._impulse.clear()
+        self._read = False
+        if self._warnings.tobytes() != self._calm:
+            self._fail()
+
+    def _fail(self) -> None:
+        data = self._data
+        for warning, (code, message) in _FAULTS.items():
+            if self._warnings[warning]:
+                raise SimulationFault(code, message)
+        owner = self._model.dof_bodyid
+        for values, what in ((data.qvel, "velocity"), (data.qacc, "acceleration")):
+            bad = np.flatnonzero(~(np.abs(values) <= _HUGE))
+            if len(bad):
+                body = self._layout.number[int(owner[bad[0]])]
+                raise SimulationFault("diverged", f"the engine diverged: {what} out of bounds", body)
+        raise SimulationFault("diverged", "the engine diverged")
+
+    def digest(self) -> bytes:
+        """Returns the digest over MuJoCo's integration state, sleep, structure, and edits not yet taken up."""
+        mujoco.mj_getState(self._model, self._data, self._state, _STATE)
+        h = hashlib.blake2b(self._state, digest_size=16)
+        h.update(self._asleep)
+        h.update(self._identity.to_bytes(16, "little"))
+        if self._touched or self._force or self._impulse or self._stale_model:
+            h.update(repr((sorted(self._touched), self._override, self._force, self._impulse)).encode())
+        return h.digest()
+
+    def snapshot(self) -> bytes:
+        """Returns the whole state as JSON: structure, and MuJoCo's integration state and sleep in base64.
+
+        The live world then does what a restored one would: it takes up its edits, and computes its readings
+        (contacts, efforts) from the state alone.
+        """
+        if self._stale_model or self._touched:
+            self._rebuild()
+        self._settle(self._asleep.copy())
+        mujoco.mj_getState(self._model, self._data, self._state, _STATE)
+        return orjson.dumps(
+            {
+                "bodies": [asdict(body) for body in self._bodies.values()],
+                "joints": [asdict(joint) for joint in self._joints.values()],
+                "frozen_at": {
+                    str(body.number): [*(state := self.body_state(body.number)).position, *state.quaternion]
+                    for body in self._bodies.values()
+                    if body.frozen
+                },
+                "force": list(self._force.items()),
+                "impulse": list(self._impulse.items()),
+                "state": base64.b64encode(self._state.tobytes()).decode(),
+                "asleep": self._asleep.tolist(),
+            }
+        )
+
+    def restore(self, snapshot: bytes) -> None:
+        """Takes up a state that `snapshot` returned, in place of all that is here."""
+        held = orjson.loads(snapshot)
+        self._bodies, self._joints, self._identity = {}, {}, 0
+        for given in held["bodies"]:
+            body = Body(**{**given, "size": tuple(given["size"])})
+            self._bodies[body.number] = body
+            self._identity ^= _hash("body", body.number, body)
+        for given in held["joints"]:
+            params = given.pop("params")
+            if params["limits"] is not None:
+                params["limits"] = tuple(params["limits"])
+            vectors = {name: tuple(value) for name, value in given.items() if isinstance(value, list)}
+            joint = Joint(**{**given, **vectors}, params=JointParams(**params))
+            self._joints[joint.number] = joint
+            self._identity ^= _hash_joint(joint)
+        frozen_at = {int(n): (tuple(p[:3]), tuple(p[3:])) for n, p in held["frozen_at"].items()}
+        self._override.clear()
+        self._touched.clear()
+        self._stale_model = self._wake_all = False
+        self._force = {body: wrench for body, wrench in held["force"]}
+        self._impulse = {body: wrench for body, wrench in held["impulse"]}
+        forest = span(self._bodies, self._joints.values())
+        self._take(build(self._scene, self._bodies, self._joints, forest, frozen_at))
+        state = np.frombuffer(base64.b64decode(held["state"]))
+        mujoco.mj_setState(self._model, self._data, state.copy(), _STATE)
+        self._settle(np.array(held["asleep"], self._asleep.dtype))
+
+    # -- carrying the state over --------------------------------------------------------------------------------
+
+    def _rebuild(self) -> None:
+        """Takes up all edits since the last step: compiles where the structure changed, and installs the state."""
+        old, old_data = self._layout, self._data
+        states = {body: self.body_state(body) for body in self._affected()}
+        if self._stale_model:
+            forest = span(self._bodies, self._joints.values())
+            self._absorb_drift(forest, old, old_data)
+            frozen_at = {}
+            for body in self._bodies.values():
+                if body.frozen:
+                    state = self.body_state(body.number)
+                    frozen_at[body.number] = (state.position, state.quaternion)
+            try:
+                layout = build(self._scene, self._bodies, self._joints, forest, frozen_at)
+            except (ValueError, mujoco.FatalError) as error:
+                raise SimulationFault("engine_failed", f"MuJoCo cannot build this structure: {error}") from error
+        else:
+            layout = old
+        turns = {
+            number: relative(self.body_state(joint.body1).quaternion, self.body_state(joint.body2).quaternion)
+            for number, joint in self._joints.items()
+            if joint.kind == "pin" and (joint.body1 in states or joint.body2 in states)
+        }
+        sleep = {} if self._wake_all else self._sleep_by_key(states.keys())
+        self._take(layout)
+        self._carry(old, old_data, layout, states, turns)
+        self._override.clear()
+        self._touched.clear()
+        self._stale_model = self._wake_all = False
+        self._restore_sleep(sleep)
+
+    def _take(self, layout: Layout) -> None:
+        self._install(layout)
+        for joint in layout.joint_index:
+            self._write_params(self._joints[joint])
+
+    def _affected(self) -> set[int]:
+        """Returns the bodies of all structures that were edited; frozen bodies end a structure."""
+        neighbours: dict[int, list[int]] = {}
+        for joint in self._joints.values():
+            neighbours.setdefault(joint.body1, []).append(joint.body2)
+            neighbours.setdefault(joint.body2, []).append(joint.body1)
+        found = {body for body in self._touched if body in self._bodies}
+        stack = sorted(found)
+        while stack:
+            here = stack.pop()
+            if self._bodies[here].frozen:
+                continue
+            for other in neighbours.get(here, ()):
+                if other not in found:
+                    found.add(other)
+                    stack.append(other)
+        return {body for body in found if not self._bodies[body].frozen}
+
+    def _absorb_drift(self, forest: Forest, old: Layout, data: mujoco.MjData) -> None:
+        """Makes joints that close no loop any more start from where their bodies really are.
+
+        A loop is held by soft constraints, to within micrometres; a tree is exact. Without this a cube would jump by
+        that difference when another joint of its loop is cut.
+        """
+        loops = {joint.number for joint in old.forest.loops}
+        for _, joint in forest.parent.values():
+            if joint.number not in loops:
+                continue
+            self._identity ^= _hash_joint(joint)
+            one, two = self.body_state(joint.body1), self.body_state(joint.body2)
+            turn = relative(one.quaternion, two.quaternion)
+            back = conjugate(one.quaternion)
+            tip = _plus(rotate(back, _minus(two.position, one.position)), rotate(turn, joint.anchor2))
+            slot = old.joint.get(joint.number)
+            at = float(data.qpos[slot.q]) if slot is not None else 0.0
+            if joint.kind == "hinge":
+                joint.zero = normalize(multiply(turn, _about(joint.axis2, -at)))
+                joint.anchor1 = tip
+            elif joint.kind == "pin":
+                joint.anchor1 = tip
+            else:
+                joint.zero = normalize(turn)
+                axis1 = rotate(joint.zero, joint.axis2)
+                joint.anchor1 = (tip[0] - at * axis1[0], tip[1] - at * axis1[1], tip[2] - at * axis1[2])
+            self._identity ^= _hash_joint(joint)
+
+    def _carry(
+        self,
+        old: Layout,
+        old_data: mujoco.MjData,
+        new: Layout,
+        states: dict[int, BodyState],
+        turns: dict[int, Quaternion],
+    ) -> None:
+        """Fills the new data's coordinates, velocities and warm start.
+
+        `states` are the bodies of edited structures, `turns` how their ball joints stand (body2 seen from body1).
+        """
+        data = self._data
+        fields = [(data.qpos, old_data.qpos), (data.qvel, old_data.qvel), (data.qacc_warmstart, old_data.qacc_warmstart)]
+
+        def copy(to: Slot, by: Slot) -> None:
+            for (target, source), a, b, n in zip(
+                fields, (to.q, to.v, to.v), (by.q, by.v, by.v), (to.nq, to.nv, to.nv), strict=True
+            ):
+                target[a : a + n] = source[b : b + n]
+
+        jointed = False
+        for body, slot in new.free.items():
+            state = states.get(body)
+            if state is None:
+                copy(slot, old.free[body])
+                continue
+            x, y, z, w = state.quaternion
+            data.qpos[slot.q : slot.q + 7] = (*state.position, w, x, y, z)
+            data.qvel[slot.v : slot.v + 6] = (
+                *state.linear_velocity,
+                *rotate(conjugate(state.quaternion), state.angular_velocity),
+            )
+        for number, slot in new.joint.items():
+            joint, was = self._joints[number], old.joint.get(number)
+            if was is not None and joint.body1 not in states and joint.body2 not in states:
+                copy(slot, was)
+                continue
+            jointed = True
+            if joint.kind == "pin":
+                data.qpos[slot.q : slot.q + 4] = _ball(joint.zero, turns[number], slot.flipped)
+            elif was is not None:
+                data.qpos[slot.q] = old_data.qpos[was.q]
+        if jointed:
+            self._project(new, states)
+
+    def _project(self, new: Layout, states: dict[int, BodyState]) -> None:
+        """Gives edited trees the generalized velocity that carries their bodies' momentum."""
+        model, data = self._model, self._data
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        mujoco.mj_makeM(model, data)
+        mujoco.mj_factorM(model, data)
+        parts = [(new.body[body], body) for body in states]
+        parts += [(index, body) for index, body in new.twin.values() if body in states]
+        momentum = np.zeros(model.nv)
+        for index, body in sorted(parts):
+            state = states[body]
+            turn = data.ximat[index].reshape(3, 3)
+            spin = turn @ (model.body_inertia[index] * (turn.T @ np.array(state.angular_velocity)))
+            push = model.body_mass[index] * np.array(state.linear_velocity)
+            mujoco.mj_applyFT(model, data, push, spin, data.xipos[index], index, momentum)
+        velocity = np.zeros((1, model.nv))
+        mujoco.mj_solveM(model, data, velocity, momentum.reshape(1, -1))
+        for number, slot in new.joint.items():
+            joint = self._joints[number]
+            if joint.body1 in states or joint.body2 in states:
+                data.qvel[slot.v : slot.v + slot.nv] = velocity[0, slot.v : slot.v + slot.nv]
+        jointed = {joint.body1 for joint in self._joints.values()} | {joint.body2 for joint in self._joints.values()}
+        for body, slot in new.free.items():
+            if body in states and body in jointed:
+                data.qvel[slot.v : slot.v + 6] = velocity[0, slot.v : slot.v + 6]
+
+    # -- joint parameters ---------------------------------------------------------------------------------------
+
+    def _write_params(self, joint: Joint) -> None:
+        """Writes a joint's motor, spring and limits into the compiled model."""
+        model, params = self._model, joint.params
+        index, slot = self._layout.joint_index[joint.number], self._layout.joint[joint.number]
+        if joint.kind == "pin":
+            return
+        model.jnt_stiffness[index] = params.stiffness
+        model.dof_damping[slot.v] = params.damping
+        model.jnt_limited[index] = params.limits is not None
+        model.jnt_range[index] = params.limits or (0.0, 0.0)
+        motor = self._layout.actuator.get(joint.number)
+        if motor is None:
+            return
+        # What the two sides weigh against each other along this joint.
+        inertia = 1.0 / max(float(model.dof_invweight0[slot.v]), 1e-12)
+        gain, bias = np.zeros(model.actuator_gainprm.shape[1]), np.zeros(model.actuator_biasprm.shape[1])
+        target = 0.0
+        if params.motor == "velocity" and params.max_effort > 0.0:
+            # As stiff as can be without overshooting when the bound on the effort is what stops it: one step at the
+            # bound then ends within the band in which the drive is linear.
+            gain[0] = 2.0 * inertia / self._scene.timestep
+            bias[2] = -gain[0]
+            target = params.target_velocity
+        elif params.motor == "position" and params.max_effort > 0.0:
+            gain[0] = inertia * _SERVO_RATE * _SERVO_RATE
+            bias[1], bias[2] = -gain[0], -2.0 * inertia * _SERVO_RATE
+            target = params.target_position
+        model.actuator_gainprm[motor], model.actuator_biasprm[motor] = gain, bias
+        bound = max(params.max_effort, 1e-300)
+        model.actuator_forcerange[motor] = (-bound, bound)
+        self._data.ctrl[motor] = target
+
+    # -- sleep --------------------------------------------------------------------------------------------------
+
+    def _sleep_by_key(self, edited: Collection[int]) -> dict[int, int]:
+        """Returns what may be kept of `tree_asleep`, with trees named by the keys of their first bodies.
+
+        A negative value is the count-down of a tree that is awake; another is the key of the next tree of a sleeping
+        island. An island in which anything was edited or removed wakes.
+        """
+        layout, model, asleep = self._layout, self._model, self._asleep.tolist()
+        keys = [layout.key[int(index)] for index in model.tree_bodyadr]
+        gone = {
+            int(model.body_treeid[index])
+            for index, body in layout.number.items()
+            if body in edited or body not in self._bodies
+        }
+        for tree in sorted(gone):
+            while asleep[tree] >= 0:
+                tree, asleep[tree] = asleep[tree], _AWAKE
+                gone.add(tree)
+        return {
+            keys[tree]: keys[link] if link >= 0 else link for tree, link in enumerate(asleep) if tree not in gone
+        }
+
+    def _restore_sleep(self, kept: dict[int, int]) -> None:
+        """Puts back what `_sleep_by_key` returned, in a model that may have other trees."""
+        tree_of = {self._layout.key[int(index)]: tree for tree, index in enumerate(self._model.tree_bodyadr)}
+        asleep = np.full(len(self._asleep), _AWAKE, self._asleep.dtype)
+        for key, link in kept.items():
+            asleep[tree_of[key]] = link if link < 0 else tree_of[link]
+        if (asleep >= 0).any():
+            self._settle(asleep)
+        else:
+            self._asleep[:] = asleep
+
+    def _settle(self, asleep: npt.NDArray[np.int32]) -> None:
+        """Computes all that follows from the state, with everything awake, then puts trees to sleep as told."""
+        model, data, state = self._model, self._data, self._state
+        mujoco.mj_getState(model, data, state, _STATE)
+        mujoco.mj_setState(model, data, state, _STATE)  # wakes all
+        mujoco.mj_forward(model, data)
+        mujoco.mj_setState(model, data, state, _STATE)
+        self._asleep[:] = asleep
+        self._count_awake()
+        self._read = True
+
+    def _wake(self, *indices: int) -> None:
+        """Wakes the islands of these bodies (indices in the model)."""
+        woken = False
+        for index in indices:
+            tree = int(self._model.body_treeid[index])
+            while tree >= 0 and self._asleep[tree] >= 0:
+                tree, self._asleep[tree] = int(self._asleep[tree]), _AWAKE
+                woken = True
+        if woken:
+            self._count_awake()
+
+    def _count_awake(self) -> None:
+        """Makes MuJoCo's lists of what is awake agree with `tree_asleep`, as its own mj_updateSleep does."""
+        model, data = self._model, self._data
+        tree = self._asleep < 0
+        data.tree_awake[:] = tree
+        body_tree = model.body_treeid
+        body = np.where(body_tree < 0, -1, tree[body_tree] if len(tree) else 0)
+        data.body_awake[:] = body
+        awake = np.flatnonzero(body)
+        data.body_awake_ind[: len(awake)] = awake
+        parents = np.flatnonzero(body[model.body_parentid])
+        data.parent_awake_ind[: len(parents)] = parents
+        dofs = np.flatnonzero(tree[model.dof_treeid]) if len(tree) else np.empty(0, int)
+        data.dof_awake_ind[: len(dofs)] = dofs
+        data.ntree_awake, data.nbody_awake = int(tree.sum()), len(awake)
+        data.nparent_awake, data.nv_awake = len(parents), len(dofs)
+
+
+def _ball(zero: Quaternion, turn: Quaternion, flipped: bool) -> list[float]:
+    """The coordinate (w, x, y, z) of a ball joint: how the child is turned from its orientation at zero."""
+    x, y, z, w = normalize(multiply(zero, conjugate(turn)) if flipped else multiply(conjugate(zero), turn))
+    return [w, x, y, z]
+
+
+def _hash(*parts: object) -> int:
+    return int.from_bytes(hashlib.blake2b(repr(parts).encode(), digest_size=16).digest(), "little")
+
+
+def _hash_joint(joint: Joint) -> int:
+    # A motor's targets are in MuJoCo's state as controls; leaving them out here keeps setting one cheap.
+    return _hash("joint", replace(joint, params=replace(joint.params, target_velocity=0.0, target_position=0.0)))
+
+
+def _about(axis: Vector, angle: float) -> Quaternion:
+    s = sin(angle / 2.0)
+    return (axis[0] * s, axis[1] * s, axis[2] * s, cos(angle / 2.0))
+
+
+def _plus(a: Vector, b: Vector) -> Vector:
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+def _minus(a: Vector, b: Vector) -> Vector:
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+def _dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
