@@ -1,0 +1,127 @@
+"""Serves, drives, records and reproduces the example worlds, one after the other, and tables what came of it.
+
+Everything goes through the doors that users have: `nmes serve`, the example programs over TCP, `nmes replay`.
+`--keep DIR` leaves the recordings there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import secrets
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+HERE = Path(__file__).parent
+EXAMPLES = ["tier1_target", "tier2_grid", "tier2_pole", "tier3_swarm"]
+NMES = [str(Path(sys.executable).parent / "nmes")]
+TIMEOUT = 60.0  # s, for any one step
+
+
+class Failed(Exception):
+    """A step of the demo went wrong; says what the step printed."""
+
+
+@contextmanager
+def served(record_to: Path, *options: str) -> Iterator[dict[str, Any]]:
+    """Runs `nmes serve` on a free port; yields what it says when it is ready."""
+    password = secrets.token_urlsafe()
+    command = [*NMES, "serve", "--json", "--port", "0", "--record", str(record_to), *options]
+    with tempfile.TemporaryFile("w+") as log:
+        server = subprocess.Popen(
+            command, env={**os.environ, "NMES_PASSWORD": password}, stdout=subprocess.PIPE, stderr=log, text=True
+        )
+        try:
+            assert server.stdout is not None
+            ready = server.stdout.readline()
+            if ready:
+                yield {**json.loads(ready), "password": password}
+        finally:
+            server.send_signal(signal.SIGTERM)
+            server.communicate(timeout=TIMEOUT)
+        log.seek(0)
+        if not ready or server.returncode != 0:
+            raise Failed(f"nmes serve (exit {server.returncode})\n{log.read()}")
+
+
+def run(command: list[str], **environment: str) -> Any:
+    """Runs a command that prints JSON and returns what it printed; a missed aim is no failure."""
+    done = subprocess.run(
+        command, env={**os.environ, **environment}, capture_output=True, text=True, timeout=TIMEOUT, check=False
+    )
+    try:
+        return json.loads(done.stdout)
+    except ValueError:
+        raise Failed(f"{' '.join(command)} (exit {done.returncode})\n{done.stdout}{done.stderr}") from None
+
+
+def drive(example: str, record_to: Path) -> tuple[Any, Path]:
+    """Runs one example against a server of its own; returns its figures and the recording."""
+    with served(record_to, "--mode", "lockstep") as server:
+        script = [sys.executable, str(HERE / f"{example}.py"), "--json", "--port", str(server["port"])]
+        figures = run(script, NMES_PASSWORD=server["password"])
+    return figures, Path(server["recording"])
+
+
+def replay(recording: Path) -> Any:
+    """Runs a recording again; returns the report."""
+    return run([*NMES, "replay", str(recording), "--json"])
+
+
+def main() -> int:
+    """Runs the demo; returns 1 if an aim was missed or a recording was not reproduced."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--keep", type=Path, metavar="DIR", help="leave the recordings in this directory")
+    options = parser.parse_args()
+    console = Console()
+    table = Table("example", "measured", "", "ticks", "commands", "recording", "replay", title="nmes demo")
+    good = True
+    began = time.monotonic()
+    with ExitStack() as stack:
+        folder = options.keep or Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        columns = (TextColumn("{task.description:<34}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        progress = stack.enter_context(Progress(*columns, console=console))
+        task = progress.add_task("", total=2 * len(EXAMPLES))
+        for example in EXAMPLES:
+            progress.update(task, description=f"{example}: served and driven")
+            (folder / example).mkdir(parents=True, exist_ok=True)
+            figures, recording = drive(example, folder / example)
+            progress.update(task, advance=1, description=f"{example}: replayed")
+            report = replay(recording)
+            progress.advance(task)
+            reproduced = report["verdict"] == "reproduced"
+            good &= figures["ok"] and reproduced
+            table.add_row(
+                example,
+                "\n".join(f"{f['name']}: {f['value']:.3f} {f['unit']}" for f in figures["figures"]),
+                "[green]ok[/]" if figures["ok"] else "[red]missed[/]",
+                str(report["ticks"]),
+                str(report["commands"]),
+                f"{recording.stat().st_size / 1024:.0f} KiB",
+                f"[green]reproduced[/]\n{report['speed']:.0f} x real time"
+                if reproduced
+                else f"[red]{report['verdict']}[/]",
+                end_section=True,
+            )
+    console.print(table)
+    console.print(f"{time.monotonic() - began:.1f} s" + (f"; the recordings are in {folder}" if options.keep else ""))
+    return 0 if good else 1
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except Failed as error:
+        sys.exit(f"the demo failed:\n{error}")
