@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+
 from layout import PROJECT, ROOT, lay_out
 
 # Module, a line that it must not hold, and the contract that says so.

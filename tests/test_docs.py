@@ -1,0 +1,76 @@
+"""What the documents say exists, and what exists is documented."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import shlex
+
+import click
+import pytest
+
+from layout import ROOT
+from nmes.cli import SUBCOMMANDS
+
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+README = (ROOT / "README.md").read_text()
+CONSOLE = [
+    line.removeprefix("$ ").split("#")[0].strip()
+    for document in DOCUMENTS
+    for block in re.findall(r"^```console\n(.*?)^```", document.read_text(), flags=re.DOTALL | re.MULTILINE)
+    for line in block.splitlines()
+    if line.startswith("$ ")
+]
+
+
+def subcommand(name: str) -> click.Command:
+    command = importlib.import_module(f"nmes.cli.{name}").command
+    assert isinstance(command, click.Command)
+    return command
+
+
+def test_every_file_of_the_command_line_is_a_listed_subcommand() -> None:
+    assert {path.stem for path in (ROOT / "cli").glob("[!_]*.py")} == set(SUBCOMMANDS)
+
+
+@pytest.mark.parametrize("name", SUBCOMMANDS)
+def test_every_subcommand_is_documented(name: str) -> None:
+    command = subcommand(name)
+    assert f"`nmes {name}" in README or f"$ nmes {name}" in README
+    assert command.get_short_help_str(100) == SUBCOMMANDS[name]
+    for parameter in command.params:
+        if isinstance(parameter, click.Option):
+            assert parameter.help, f"nmes {name} {parameter.opts[-1]} has no help"
+
+
+@pytest.mark.parametrize("line", [line for line in CONSOLE if line.startswith("nmes ")])
+def test_commands_shown_exist(line: str) -> None:
+    _, name, *arguments = shlex.split(line)
+    assert name in SUBCOMMANDS
+    known = {option for parameter in subcommand(name).params for option in parameter.opts} | {"--help"}
+    used = {argument.split("=")[0] for argument in arguments if argument.startswith("-")}
+    assert used <= known
+
+
+def test_make_targets_shown_exist_and_are_listed() -> None:
+    makefile = (ROOT / "Makefile").read_text()
+    targets = set(re.findall(r"^([a-z-]+):", makefile, flags=re.MULTILINE))
+    phony = set(re.search(r"^\.PHONY: (.*)$", makefile, flags=re.MULTILINE)[1].split())  # type: ignore[index]
+    shown = {target for line in CONSOLE if line.startswith("make ") for target in line.split()[1:]}
+    helped = set(re.findall(r'@echo "make ([a-z-]+)', makefile))
+    assert shown and shown <= targets
+    assert helped <= targets
+    assert targets == phony
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_links_lead_somewhere(document: str) -> None:
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", (ROOT / document).read_text()):
+        if "://" not in target:
+            assert ((ROOT / document).parent / target).exists(), f"{document} links to {target}"
+
+
+def test_the_architecture_names_every_module() -> None:
+    text = (ROOT / "ARCHITECTURE.md").read_text()
+    for path in (ROOT / "nmes").glob("[!_]*.py"):
+        assert f"`nmes.{path.stem}`" in text, f"ARCHITECTURE.md does not name nmes.{path.stem}"
