@@ -458,14 +458,15 @@ class FrameSplitter:
         self._start = 0  # where the next frame begins
         self._scanned = 0  # no delimiter begins before this
 
-    def __len__(self) -> int:
-        """Returns how many bytes wait."""
+    @property
+    def waiting(self) -> int:
+        """How many bytes wait to become frames."""
         return len(self._buffer) - self._start
 
     def feed(self, data: bytes) -> list[bytes]:
         """Takes bytes and returns the frames that they complete, without the empty ones and white space around."""
         self.push(data)
-        return list(self)
+        return list(self.frames())
 
     def push(self, data: bytes) -> None:
         """Takes bytes without looking at them."""
@@ -475,8 +476,8 @@ class FrameSplitter:
             self._start = 0
         self._buffer += data
 
-    def __iter__(self) -> Iterator[bytes]:
-        """Returns the frames one by one; stopping half way leaves the rest for later."""
+    def frames(self) -> Iterator[bytes]:
+        """Yields the frames one by one; stopping half way leaves the rest for later."""
         while not self.exceeded:
             end = self._buffer.find(DELIMITER, self._scanned)
             if end < 0:
@@ -518,15 +519,15 @@ class Session:
         received: list[Auth | Request] = []
         self._splitter.push(data)
         if self._state == "open":
-            received += map(parse, self._splitter)
+            received += map(parse, self._splitter.frames())
         elif self._state == "new":
-            for frame in self._splitter:
+            for frame in self._splitter.frames():
                 received.append(self._read_auth(frame))
                 self._state = "waiting"
                 break
         if self._splitter.exceeded:
             self._violate(f"a frame is longer than {self._splitter.limit:,} bytes")
-        elif self._state == "waiting" and len(self._splitter) > self._limits.pending:
+        elif self._state == "waiting" and self._splitter.waiting > self._limits.pending:
             self._violate(f"more than {self._limits.pending:,} bytes came before the answer to auth")
         return received
 
