@@ -1,0 +1,604 @@
+"""The planar engine: pymunk (Chipmunk), for quick tests and experiments that stay in the XY plane.
+
+It hides how NMES's joints are put together from Chipmunk's constraints, and what Chipmunk does not do by itself: a
+motor along a line, joints between frozen bodies, faults instead of infinities. Motion along z and rotation about x
+and y do not exist: they are 0 in every answer and ignored in every argument.
+
+Invariants: one thread; everything is added to Chipmunk and iterated in an order that follows from the calls alone
+(its only table keyed by addresses holds cached contacts, whose order has no consequence; a test of a thousand
+programs in fresh processes holds it to that). There are no snapshots, for Chipmunk's contact cache cannot be saved;
+for the same reason a digest covers what can be read of the engine: whatever it does not cover (warm starts, idle
+times) moves a body, and so the digest, one step later.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+import itertools
+import math
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from hashlib import blake2b, sha256
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pymunk
+import pymunk.batch
+from pymunk._chipmunk_cffi import ffi
+
+from nmes.backend import (
+    Array,
+    Backend,
+    BodySpec,
+    BodyState,
+    Contact,
+    JointParams,
+    JointSpec,
+    JointState,
+    Quaternion,
+    SceneSpec,
+    Simulation,
+    Vector,
+)
+from nmes.errors import SimulationFault, WorldError
+
+__all__ = ["PymunkBackend"]
+
+TOO_FAR = 1e10  # m, m/s or rad/s: beyond it a simulation has diverged, as in MuJoCo
+OVERLAP = 0.0005  # m that touching bodies may overlap: without it contacts flicker
+SLEEP_SPEED, SLEEP_TIME = 0.005, 0.5  # m/s and s: what is slower for longer sleeps
+GROUND = 1e6, 1000.0  # m: half the ground's length, and how deep a body may be in it and still be pushed up
+CORRECTION = 0.2  # of a joint's position error that one engine step takes away
+SERVO_RATE = 15.0  # 1/s: a servo closes in like exp(-rate t), so it does not overshoot unless its effort is short
+FAR = 1e5  # m behind the anchor of a slide, where the rod that drives it along its axis is held
+FOREVER = 1e9  # rad or m: a target that no motor reaches
+ROW = pymunk.batch.BodyFields
+FIELDS = ROW.BODY_ID | ROW.POSITION | ROW.ANGLE | ROW.VELOCITY | ROW.ANGULAR_VELOCITY
+# Where Chipmunk keeps the signed impulse of these constraints, in doubles from their beginning: its accessor gives
+# the magnitude only, and the effort of a motor has a sign.
+SIGNED_IMPULSE = {pymunk.GearJoint: 18, pymunk.PinJoint: 25}
+
+Point = tuple[float, float]
+
+
+@dataclass(slots=True, eq=False)
+class _Body:
+    """A body, and what pushes it during the next step."""
+
+    number: int
+    spec: BodySpec
+    body: pymunk.Body
+    shape: pymunk.Shape
+    frozen: bool
+    joints: dict[int, _Joint] = field(default_factory=dict)
+    force: Point = (0.0, 0.0)
+    torque: float = 0.0
+    impulse: Point = (0.0, 0.0)
+    spin: float = 0.0
+
+
+@dataclass(slots=True, eq=False)
+class _Joint:
+    """A joint, and the constraints it is made of: those that are always there, and those that its parameters need.
+
+    Position is `sign * (angle2 - angle1 - zero)` about z, or the way of `anchor2` from `anchor1` along `axis`; anchors
+    and axis are in the bodies' frames (`anchor1` and `axis` in that of the first).
+    """
+
+    kind: str
+    one: _Body
+    two: _Body
+    anchor1: Point
+    anchor2: Point
+    axis: Point
+    sign: float
+    zero: float
+    params: JointParams = field(default_factory=JointParams)
+    structure: list[pymunk.Constraint] = field(default_factory=list)
+    limit: pymunk.RotaryLimitJoint | None = None
+    spring: pymunk.DampedRotarySpring | pymunk.DampedSpring | None = None
+    motor: pymunk.GearJoint | pymunk.PinJoint | None = None
+
+    def constraints(self) -> list[pymunk.Constraint]:
+        """Returns all constraints, in the order in which they are added to the space."""
+        return [*self.structure, *(c for c in (self.limit, self.spring, self.motor) if c is not None)]
+
+    def along(self, distance: float) -> Point:
+        """Returns a point on the axis of a slide, in the first body's frame."""
+        return self.anchor1[0] + self.axis[0] * distance, self.anchor1[1] + self.axis[1] * distance
+
+    def where(self) -> tuple[pymunk.Vec2d, pymunk.Vec2d]:
+        """Returns anchor and axis in world coordinates."""
+        return self.one.body.local_to_world(self.anchor1), pymunk.Vec2d(*self.axis).rotated(self.one.body.angle)
+
+    def measure(self) -> tuple[float, float]:
+        """Returns position and velocity."""
+        a, b = self.one.body, self.two.body
+        if self.kind != "slide":
+            return self.sign * (b.angle - a.angle - self.zero), self.sign * (b.angular_velocity - a.angular_velocity)
+        anchor, axis = self.where()
+        here = b.local_to_world(self.anchor2)
+        velocity = b.velocity_at_world_point(here) - a.velocity_at_world_point(here)
+        return axis.dot(here - anchor), axis.dot(velocity)
+
+    def drives(self) -> bool:
+        """Tells whether the motor still has something to do, so that the bodies must not fall asleep."""
+        if self.params.motor == "velocity":
+            return self.params.target_velocity != 0.0
+        return self.params.motor == "position" and abs(self.measure()[0] - self.params.target_position) > 1e-3
+
+
+class PymunkSimulation(Simulation):
+    """A Chipmunk space."""
+
+    def __init__(self, scene: SceneSpec) -> None:
+        self._timestep = scene.timestep
+        self._space = space = pymunk.Space()
+        space.gravity = scene.gravity[:2]
+        space.collision_slop = OVERLAP
+        space.idle_speed_threshold, space.sleep_time_threshold = SLEEP_SPEED, SLEEP_TIME
+        self._bodies: dict[int, _Body] = {}
+        self._joints: dict[int, _Joint] = {}
+        self._numbers: dict[pymunk.Shape, int] = {}
+        self._pushed: dict[int, _Body] = {}  # what something acts on in the next step
+        self._buffer = pymunk.batch.Buffer()
+        self._order_key = b""
+        self._order: npt.NDArray[np.intp] = np.zeros(0, dtype=np.intp)  # for each body its place in the engine's order
+        self._ranks: dict[int, int] | None = None  # each body's row; None: to be found
+        self._rows: Array | None = None  # x, y, angle, vx, vy, w of each body; None: to be read
+        self._making: bytes | None = None  # what the digest says of specs and parameters; None: to be packed
+        if scene.ground:
+            half, depth = GROUND
+            _add_scenery(space, [pymunk.Segment(space.static_body, (-half, -depth), (half, -depth), depth)])
+        _apply_options(space, scene.options)
+
+    # -- structure ----------------------------------------------------------------------------------------------
+
+    def add_body(self, body: int, spec: BodySpec) -> None:
+        width, height = spec.size[:2]
+        kind = pymunk.Body.STATIC if spec.frozen else pymunk.Body.DYNAMIC
+        b = pymunk.Body(spec.mass, _moment(spec), kind)
+        b.position = spec.position[:2]
+        b.angle = _angle(spec.quaternion)
+        if not spec.frozen:
+            b.velocity, b.angular_velocity = spec.linear_velocity[:2], spec.angular_velocity[2]
+        shape = pymunk.Poly.create_box(b, (width, height))
+        shape.friction, shape.elasticity = spec.friction, spec.restitution
+        self._space.add(b, shape)
+        self._bodies[body] = _Body(body, spec, b, shape, spec.frozen)
+        self._numbers[shape] = body
+        self._ranks = self._rows = self._making = None
+
+    def remove_body(self, body: int) -> None:
+        b = self._bodies.pop(body)
+        self._pushed.pop(body, None)
+        del self._numbers[b.shape]
+        self._space.remove(b.shape, b.body)
+        self._ranks = self._rows = self._making = None
+
+    def add_joint(self, joint: int, spec: JointSpec) -> None:
+        one, two = self._bodies[spec.body1], self._bodies[spec.body2]
+        a, b = one.body, two.body
+        j = _Joint(
+            kind=spec.kind,
+            one=one,
+            two=two,
+            anchor1=a.world_to_local(spec.anchor[:2]),
+            anchor2=b.world_to_local(spec.anchor[:2]),
+            axis=(0.0, 0.0),
+            sign=-1.0 if spec.kind != "slide" and spec.axis[2] < 0.0 else 1.0,
+            zero=b.angle - a.angle,
+        )
+        match spec.kind:
+            case "fixed":
+                j.structure = [pymunk.PivotJoint(a, b, j.anchor1, j.anchor2), pymunk.GearJoint(a, b, j.zero, 1.0)]
+            case "hinge" if abs(spec.axis[2]) < 1e-6:
+                raise WorldError("unsupported", "a planar world has hinges about z only", "axis")
+            case "hinge" | "pin" | "conetwist":
+                j.structure = [pymunk.PivotJoint(a, b, j.anchor1, j.anchor2)]
+            case "slide":
+                x, y = spec.axis[:2]
+                if math.hypot(x, y) < 1e-6:
+                    raise WorldError("unsupported", "a planar world has no slide along z", "axis")
+                j.axis = pymunk.Vec2d(x, y).normalized().rotated(-a.angle)
+                groove = pymunk.GrooveJoint(a, b, j.along(-FAR / 2), j.along(FAR / 2), j.anchor2)
+                j.structure = [groove, pymunk.GearJoint(a, b, j.zero, 1.0)]
+            case kind:
+                raise WorldError("unsupported", f"pymunk has no {kind!r} joints", "joint_type")
+        for constraint in j.structure:
+            constraint.error_bias = (1.0 - CORRECTION) ** (1.0 / self._timestep)
+        if spec.kind == "conetwist":
+            # In the plane it turns about z only: that is its twist when its axis is z, and else its swing.
+            j.axis = (0.0, 0.0) if abs(spec.axis[2]) > 0.5 else (1.0, 0.0)
+        self._joints[joint] = one.joints[joint] = two.joints[joint] = j
+        self._hang(j)
+        self.set_joint_params(joint, spec.params)
+
+    def remove_joint(self, joint: int) -> None:
+        j = self._joints.pop(joint)
+        self._unhang(j)
+        del j.one.joints[joint], j.two.joints[joint]
+        self._making = None
+
+    def set_joint_params(self, joint: int, params: JointParams) -> None:
+        j = self._joints[joint]
+        a, b, slides = j.one.body, j.two.body, j.kind == "slide"
+        bounds = params.limits
+        if bounds is not None and j.kind == "conetwist":
+            widest = bounds[0] if j.axis != (0.0, 0.0) else bounds[1]
+            bounds = -widest, widest
+        has_limit = bounds is not None and not slides
+        has_spring = params.stiffness != 0.0 or params.damping != 0.0
+        has_motor = params.motor != "off"
+        if [c is not None for c in (j.limit, j.spring, j.motor)] != [has_limit, has_spring, has_motor]:
+            # Whatever stays is kept, for a constraint remembers the impulse that it needed last.
+            rod = (a, b, j.along(-FAR), j.anchor2)
+            self._unhang(j)
+            j.limit = (j.limit or pymunk.RotaryLimitJoint(a, b, 0.0, 0.0)) if has_limit else None
+            if not has_spring:
+                j.spring = None
+            elif j.spring is None:
+                j.spring = pymunk.DampedSpring(*rod, FAR, 0, 0) if slides else pymunk.DampedRotarySpring(a, b, 0, 0, 0)
+            if not has_motor:
+                j.motor = None
+            elif j.motor is None:
+                j.motor = pymunk.PinJoint(*rod) if slides else pymunk.GearJoint(a, b, 0.0, 1.0)
+            for constraint in j.constraints():
+                constraint.collide_bodies = False
+            self._hang(j)
+        j.params = params
+        if j.limit is not None and bounds is not None:
+            j.limit.min, j.limit.max = sorted(j.zero + j.sign * bound for bound in bounds)
+            j.limit.error_bias = (1.0 - CORRECTION) ** (1.0 / self._timestep)
+        if slides:
+            groove = j.structure[0]
+            assert isinstance(groove, pymunk.GrooveJoint)
+            groove.groove_a, groove.groove_b = map(j.along, bounds or (-FAR / 2, FAR / 2))
+        if j.spring is not None:
+            j.spring.stiffness, j.spring.damping = params.stiffness, params.damping
+            if isinstance(j.spring, pymunk.DampedRotarySpring):
+                j.spring.rest_angle = -j.zero
+        if j.motor is not None:
+            _aim(j, j.motor)
+        self._making = None
+
+    def set_frozen(self, body: int, frozen: bool) -> None:
+        b = self._bodies[body]
+        if b.frozen == frozen:
+            return
+        # Taken apart and put together again: only that wakes what sleeps on it or hangs on it, either way.
+        for j in b.joints.values():
+            self._unhang(j)
+        self._space.remove(b.shape)
+        b.frozen = frozen
+        b.body.body_type = pymunk.Body.STATIC if frozen else pymunk.Body.DYNAMIC
+        if not frozen:
+            b.body.mass, b.body.moment = b.spec.mass, _moment(b.spec)
+        self._space.add(b.shape)
+        for j in b.joints.values():
+            self._hang(j)
+        self._calm(b)
+        self._rows = self._making = None
+
+    def _hang(self, j: _Joint) -> None:
+        """Adds a joint's constraints, unless both bodies are frozen, which Chipmunk cannot solve for."""
+        if not (j.one.frozen and j.two.frozen):
+            self._space.add(*j.constraints())
+
+    def _unhang(self, j: _Joint) -> None:
+        if not (j.one.frozen and j.two.frozen):
+            self._space.remove(*j.constraints())
+
+    # -- state --------------------------------------------------------------------------------------------------
+
+    def set_body_state(self, body: int, state: BodyState) -> None:
+        b = self._bodies[body]
+        b.body.position = state.position[:2]
+        # The way round that is nearer, and always the same way for half a turn: joints between bodies that are moved
+        # as a whole keep their turns.
+        turn = math.remainder(_angle(state.quaternion) - b.body.angle, math.tau)
+        b.body.angle += turn if turn > 1e-9 - math.pi else turn + math.tau
+        if b.frozen:
+            self._space.remove(b.shape)  # wakes what was in touch with it
+            self._space.add(b.shape)
+        else:
+            b.body.velocity, b.body.angular_velocity = state.linear_velocity[:2], state.angular_velocity[2]
+        self._rows = None
+
+    def apply(self, body: int, force: Vector, torque: Vector, impulse: Vector, angular_impulse: Vector) -> None:
+        b = self._bodies[body]
+        if b.frozen:
+            return
+        b.force = b.force[0] + force[0], b.force[1] + force[1]
+        b.impulse = b.impulse[0] + impulse[0], b.impulse[1] + impulse[1]
+        b.torque += torque[2]
+        b.spin += angular_impulse[2]
+        self._pushed[body] = b
+
+    def body_state(self, body: int) -> BodyState:
+        row = self.states([body])[0].tolist()
+        return BodyState(tuple(row[:3]), tuple(row[3:7]), tuple(row[7:10]), tuple(row[10:]))
+
+    def states(self, bodies: Sequence[int]) -> Array:
+        ranks = self._find_ranks()
+        rows = self._read()[[ranks[body] for body in bodies]]
+        states = np.zeros((len(bodies), 13))
+        states[:, 0:2] = rows[:, 0:2]
+        states[:, 5], states[:, 6] = np.sin(rows[:, 2] / 2), np.cos(rows[:, 2] / 2)
+        states[:, 7:9] = rows[:, 3:5]
+        states[:, 12] = rows[:, 5]
+        return states
+
+    def sleeping(self, body: int) -> bool:
+        return self._bodies[body].body.is_sleeping
+
+    def joint_state(self, joint: int) -> JointState:
+        j = self._joints[joint]
+        anchor, axis = j.where()
+        world_axis = (axis.x, axis.y, 0.0) if j.kind == "slide" else (0.0, 0.0, j.sign)
+        position, velocity = j.measure() if j.kind in ("hinge", "slide") else (0.0, 0.0)
+        effort = 0.0 if j.motor is None else j.sign * _signed_impulse(j.motor) / self._timestep
+        return JointState(position, velocity, effort, (anchor.x, anchor.y, 0.0), world_axis)
+
+    def contacts(self, body: int) -> list[Contact]:
+        found: list[Contact] = []
+
+        def note(arbiter: pymunk.Arbiter) -> None:
+            points, away = arbiter.contact_point_set, arbiter.normal
+            if points.points:
+                x, y = sum((p.point_a + p.point_b for p in points.points), pymunk.Vec2d(0, 0)) / (
+                    2 * len(points.points)
+                )
+                force = max(0.0, -arbiter.total_impulse.dot(away) / self._timestep)
+                other = self._numbers.get(arbiter.shapes[1])
+                found.append(Contact(other, (x, y, 0.0), (-away.x, -away.y, 0.0), force))
+
+        self._bodies[body].body.each_arbiter(note)
+        return sorted(found, key=lambda contact: (contact.other is None, contact.other or 0, contact.position))
+
+    # -- time ---------------------------------------------------------------------------------------------------
+
+    def step(self, substeps: int) -> None:
+        before = self._read()
+        for b in self._pushed.values():
+            b.body.velocity += pymunk.Vec2d(*b.impulse) / b.spec.mass
+            b.body.angular_velocity += b.spin / b.body.moment
+        for j in self._joints.values():
+            if j.motor is not None and j.drives():
+                j.motor.activate_bodies()
+        for _ in range(substeps):
+            for b in self._pushed.values():
+                b.body.force, b.body.torque = b.force, b.torque
+            self._space.step(self._timestep)
+            # After every engine step: an infinity must never come into the next, which could hang or abort on it.
+            self._rows = None
+            if not np.abs(self._fetch()).max(initial=0.0) < TOO_FAR:
+                extent = np.abs(np.nan_to_num(self._read(), nan=np.inf)).max(axis=1)
+                self._rows = before
+                worst = list(self._bodies)[int(np.argmax(extent))]
+                raise SimulationFault("diverged", "a body moves too fast or is too far away", worst)
+        for b in list(self._pushed.values()):
+            self._calm(b)
+
+    def digest(self) -> bytes:
+        if self._making is None:
+            self._making = b"".join(self._pack_making())
+        state = blake2b(self._making, digest_size=16)
+        state.update(self._read().tobytes())
+        state.update(
+            self._order.tobytes()
+        )  # the order in which the engine solves, and whatever fell asleep goes to its end
+        for b in self._pushed.values():
+            state.update(struct.pack("<7d", b.number, *b.force, b.torque, *b.impulse, b.spin))
+        for j in self._joints.values():
+            state.update(struct.pack(f"<{len(j.structure)}d", *(c.impulse for c in j.structure)))
+            if j.motor is not None:
+                state.update(struct.pack("<d", _signed_impulse(j.motor)))
+        return state.digest()
+
+    def close(self) -> None:
+        space = self._space
+        space.remove(*space.constraints)
+        space.remove(*space.shapes)
+        space.remove(*space.bodies)
+        for b in self._bodies.values():
+            b.joints.clear()
+        self._bodies.clear()
+        self._joints.clear()
+        self._numbers.clear()
+        self._pushed.clear()
+
+    def _calm(self, b: _Body) -> None:
+        """Forgets what acts on a body."""
+        self._pushed.pop(b.number, None)
+        b.force = b.impulse = (0.0, 0.0)
+        b.torque = b.spin = 0.0
+
+    def _find_ranks(self) -> dict[int, int]:
+        if self._ranks is None:
+            self._ranks = {number: rank for rank, number in enumerate(self._bodies)}
+            self._order_key = b""
+        return self._ranks
+
+    def _fetch(self) -> Array:
+        """Reads position, angle and velocities of all bodies, in the engine's order: a view until the next call."""
+        self._buffer.clear()
+        pymunk.batch.get_space_bodies(self._space, FIELDS, self._buffer)
+        return np.frombuffer(self._buffer.float_buf(), dtype=np.float64).reshape(-1, 6)
+
+    def _read(self) -> Array:
+        """Returns position, angle and velocities of all bodies, in order of creation."""
+        if self._rows is None:
+            rows = self._fetch()
+            ids = bytes(self._buffer.int_buf())
+            self._find_ranks()
+            if ids != self._order_key:
+                place = {id: i for i, id in enumerate(np.frombuffer(ids, dtype=np.uintp).tolist())}
+                self._order = np.array([place[b.body.id] for b in self._bodies.values()], dtype=np.intp)
+                self._order_key = ids
+            self._rows = rows[self._order]
+        return self._rows
+
+    def _pack_making(self) -> Iterator[bytes]:
+        for b in self._bodies.values():
+            spec = b.spec
+            yield struct.pack("<8d", b.number, *spec.size, spec.mass, spec.friction, spec.restitution, b.frozen)
+        for number, j in self._joints.items():
+            p = j.params
+            made = (number, j.one.number, j.two.number, *j.anchor1, *j.anchor2, *j.axis, j.sign, j.zero)
+            limits = p.limits or (math.nan, math.nan)
+            effort = (p.target_velocity, p.target_position, p.max_effort, p.stiffness, p.damping, *limits)
+            yield f"{j.kind} {p.motor}".encode() + struct.pack("<18d", *made, *effort)
+
+
+class PymunkBackend(Backend):
+    """The engine as `nmes serve --backend pymunk` finds it."""
+
+    name = "pymunk"
+    dims = 2
+    capabilities = frozenset(
+        {"joint.fixed", "joint.hinge", "joint.slide", "joint.pin", "joint.conetwist", "motor", "servo", "limits"}
+        | {"spring", "friction", "restitution", "contacts", "collisions", "sleep"}
+    )
+
+    def version(self) -> str:
+        """Returns pymunk's version."""
+        return pymunk.version
+
+    def fingerprint(self) -> dict[str, str]:
+        """Returns the versions of pymunk and of its Chipmunk, and the SHA-256 of the compiled engine."""
+        return {
+            "version": pymunk.version,
+            "chipmunk": pymunk.chipmunk_version,
+            "numpy": np.__version__,
+            "binary_sha256": _binary_hash(),
+        }
+
+    def create(self, scene: SceneSpec) -> PymunkSimulation:
+        """Creates a space with the scene's ground, obstacles and heightfield."""
+        return PymunkSimulation(scene)
+
+
+@functools.cache
+def _binary_hash() -> str:
+    (binary,) = Path(pymunk.__file__).parent.glob("_chipmunk.*")
+    return sha256(binary.read_bytes()).hexdigest()
+
+
+def _angle(quaternion: Quaternion) -> float:
+    """Returns the part of a rotation that is about z, between -pi and pi."""
+    return math.remainder(2.0 * math.atan2(quaternion[2], quaternion[3]), math.tau)
+
+
+def _moment(spec: BodySpec) -> float:
+    return spec.mass * (spec.size[0] ** 2 + spec.size[1] ** 2) / 12.0
+
+
+def _aim(j: _Joint, motor: pymunk.GearJoint | pymunk.PinJoint) -> None:
+    """Sets what a motor drives at: a position, or a position that is never reached at a bounded speed.
+
+    Both are position constraints with a bounded force, so the solver itself holds the bound.
+    """
+    p = j.params
+    if p.motor == "position":
+        target, motor.max_bias = p.target_position, math.inf
+    else:
+        target, motor.max_bias = math.copysign(FOREVER, p.target_velocity), abs(p.target_velocity)
+    motor.max_force = p.max_effort
+    motor.error_bias = math.exp(-SERVO_RATE)
+    if isinstance(motor, pymunk.PinJoint):
+        motor.distance = FAR + target
+    else:
+        motor.phase = j.zero + j.sign * target
+
+
+def _signed_impulse(motor: pymunk.GearJoint | pymunk.PinJoint) -> float:
+    """Returns the impulse of the last engine step on the second body."""
+    address = int(ffi.cast("uintptr_t", motor._constraint)) + 8 * SIGNED_IMPULSE[type(motor)]
+    return math.copysign(motor.impulse, ctypes.c_double.from_address(address).value)
+
+
+# -- scenery ----------------------------------------------------------------------------------------------------
+
+
+def _add_scenery(space: pymunk.Space, shapes: Sequence[pymunk.Shape]) -> None:
+    for shape in shapes:
+        # Chipmunk multiplies the values of the two surfaces: with 1 here, the body's own count.
+        shape.friction = shape.elasticity = 1.0
+        space.add(shape)
+
+
+def _apply_options(space: pymunk.Space, options: Mapping[str, Any]) -> None:
+    """Obeys the world config's `engine` object; docs/backends.md says what may be in it.
+
+    Raises:
+        WorldError: `invalid`, with the path of the value.
+    """
+    for name, value in options.items():
+        path = f"engine/{name}"
+        if name == "iterations":
+            if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= 1000:
+                raise WorldError("invalid", "iterations must be a whole number from 1 to 1000", path)
+            space.iterations = value
+        elif name == "obstacles":
+            for i, obstacle in enumerate(_list(value, path)):
+                _add_scenery(space, [_obstacle(space, obstacle, f"{path}/{i}")])
+        elif name == "heightfield":
+            _add_scenery(space, _heightfield(space, value, path))
+        else:
+            raise WorldError("invalid", f"pymunk has no setting {name!r}", path)
+
+
+def _obstacle(space: pymunk.Space, value: Any, path: str) -> pymunk.Shape:
+    """Returns a static box: `position` (x, y) and `size` (x, y) in m, `rotation` about z in rad."""
+    if not isinstance(value, Mapping) or not {"position", "size"} <= set(value) <= {"position", "size", "rotation"}:
+        raise WorldError("invalid", "an obstacle has position, size and, if turned, rotation", path)
+    x, y = _numbers(value["position"], 2, f"{path}/position")
+    width, height = (half / 2 for half in _numbers(value["size"], 2, f"{path}/size"))
+    (angle,) = _numbers([value.get("rotation", 0.0)], 1, f"{path}/rotation")
+    if min(width, height) < 5e-4:
+        raise WorldError("invalid", "an obstacle is at least 1 mm wide and high", f"{path}/size")
+    place = pymunk.Transform.translation(x, y) @ pymunk.Transform.rotation(angle)
+    corners = [place @ corner for corner in ((-width, -height), (width, -height), (width, height), (-width, height))]
+    return pymunk.Poly(space.static_body, corners)
+
+
+def _heightfield(space: pymunk.Space, value: Any, path: str) -> list[pymunk.Segment]:
+    """Returns thick segments with their upper surface on the given heights, `spacing` m apart, from x = `start`."""
+    if not isinstance(value, Mapping) or set(value) != {"start", "spacing", "heights"}:
+        raise WorldError("invalid", "a heightfield has start, spacing and heights", path)
+    start, spacing = _numbers([value["start"], value["spacing"]], 2, path)
+    heights = _numbers(value["heights"], None, f"{path}/heights")
+    if spacing < 1e-3 or len(heights) < 2:
+        raise WorldError("invalid", "a heightfield has a spacing of at least 1 mm and at least 2 heights", path)
+    points = np.column_stack([start + spacing * np.arange(len(heights)), heights])
+    ways = np.diff(points, axis=0)
+    up = np.column_stack([-ways[:, 1], ways[:, 0]]) / np.linalg.norm(ways, axis=1)[:, None]
+    before, after = np.vstack([up[:1], up]), np.vstack([up, up[-1:]])
+    radius = spacing / 4
+    middles = points - radius * (before + after) / (1.0 + np.sum(before * after, axis=1))[:, None]
+    ends = [(float(x), float(y)) for x, y in middles]
+    segments = [pymunk.Segment(space.static_body, a, b, radius) for a, b in itertools.pairwise(ends)]
+    for i, segment in enumerate(segments):  # so that boxes do not catch on the seams
+        segment.set_neighbors(ends[max(i - 1, 0)], ends[min(i + 2, len(ends) - 1)])
+    return segments
+
+
+def _list(value: Any, path: str) -> list[Any]:
+    if not isinstance(value, list | tuple):
+        raise WorldError("invalid", "this must be a list", path)
+    return list(value)
+
+
+def _numbers(value: Any, count: int | None, path: str) -> list[float]:
+    numbers = _list(value, path)
+    for number in numbers:
+        if isinstance(number, bool) or not isinstance(number, int | float) or not abs(number) <= 1e6:
+            raise WorldError("invalid", "these must be numbers from -1e6 to 1e6", path)
+    if count is not None and len(numbers) != count:
+        raise WorldError("invalid", f"there must be {count} numbers here", path)
+    return [float(number) for number in numbers]
