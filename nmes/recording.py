@@ -1,0 +1,521 @@
+"""Recordings: one world's history written down as it happens, and read again.
+
+A recording is an MCAP file (docs/recording-format.md) that holds a world's inputs in order: who came and went, every
+frame that clients sent, every tick with its digest, and the replies. A `Recorder` is the journal of a live world; a
+`Recording` reads such a file.
+
+Invariants:
+
+- File order is the order of the history, and a message's sequence number is its place in it.
+- What a client sent is kept byte for byte. Passwords never get here: a client joins after it was authenticated.
+- Recording does not change what a world does: it only asks for poses.
+- A SHA-256 chain runs over the metadata and every chunk, each chunk ending with its head, so that no byte of the
+  history can be changed, dropped or moved without breaking it.
+- A reader returns what comes before the first damage, and says where and what that is. It never guesses beyond it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from enum import StrEnum
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple, NoReturn
+
+import orjson
+
+from nmes import protocol, scene
+from nmes.errors import NmesError, RecordingError
+from nmes.fingerprint import fingerprint
+from nmes.mcapfile import MESSAGE_OVERHEAD, Block, DamagedFile, Message, Reader, Writer, split_chunk
+from nmes.protocol import Request
+from nmes.schemas import load
+from nmes.world import World
+
+__all__ = ["FORMAT", "PROFILE", "REFUSED_LIMIT", "Kind", "Record", "Recorder", "Recording", "Summary"]
+
+PROFILE = "nmes"
+FORMAT = "1"
+REFUSED_LIMIT = 64 << 10  # bytes of a refused frame that are kept
+_NS = 1_000_000_000
+_FLUSH_AFTER = _NS  # ns of wall time: nothing older than this waits while records come in
+_FLUSH_SIZE = 1 << 20  # bytes of records, about
+
+# What a client's records are kept under until they are packed: 4 * client + one of these. Our own are negative.
+_COMMAND, _REPLY, _REFUSED = 0, 1, 2
+_TICKS, _CLIENTS, _FAULTS, _POSES, _SCENE, _CHAIN = -1, -2, -3, -4, -5, -6
+_TOPICS = {_TICKS: "ticks", _CLIENTS: "clients", _FAULTS: "faults", _POSES: "/tf", _SCENE: "/scene", _CHAIN: "chain"}
+_END = "nmes.end"  # the metadata record that closes a file; _BEGINNING others open it
+_BEGINNING = 3
+_SEQUENCE_MASK = 0xFFFFFFFF  # MCAP's sequence numbers have 32 bits
+_CLIENT_TOPICS = {_COMMAND: "commands", _REPLY: "replies", _REFUSED: "refused"}
+
+
+class Kind(StrEnum):
+    """What a record tells."""
+
+    JOINED = "joined"
+    LEFT = "left"
+    COMMAND = "command"
+    REFUSED = "refused"
+    REPLY = "reply"
+    TICKS = "ticks"
+    FAULT = "fault"
+    POSES = "poses"
+    SCENE = "scene"
+
+
+class Record(NamedTuple):
+    """One message of a recording.
+
+    Attributes:
+        kind: What it tells.
+        sequence: Its place in the world's history.
+        time: Simulation time in ns.
+        wall: The recorder's clock, ns since 1970.
+        client: Whom it is about, if anybody.
+        data: Its bytes: verbatim for a command, a refused frame and a reply.
+    """
+
+    kind: Kind
+    sequence: int
+    time: int
+    wall: int
+    client: int | None
+    data: bytes
+
+    def json(self) -> dict[str, Any]:
+        """Returns the data of a record that is JSON."""
+        value = orjson.loads(self.data)
+        if not isinstance(value, dict):
+            raise ValueError("not an object")
+        return value
+
+
+# -- writing --------------------------------------------------------------------------------------------------------
+
+
+class _Channels(dict[int, int]):
+    """The numbers of a file's channels by key; one is registered when it is first asked for."""
+
+    def __init__(self, writer: Writer) -> None:
+        self._writer = writer
+        self._schemas: dict[str, int] = {}
+
+    def __missing__(self, key: int) -> int:
+        if key >= 0:
+            client, kind = divmod(key, 4)
+            topic = f"client/{client}/{_CLIENT_TOPICS[kind]}"
+            channel = (
+                self._writer.channel(topic, "application/octet-stream")
+                if kind == _REFUSED
+                else self._writer.channel(topic, "json", self._schema("command" if kind == _COMMAND else "reply"))
+            )
+        elif key in (_POSES, _SCENE):
+            name = scene.POSES_SCHEMA if key == _POSES else scene.SCENE_SCHEMA
+            channel = self._writer.channel(
+                _TOPICS[key], "protobuf", self._writer.schema(name, "protobuf", scene.descriptors(name))
+            )
+        else:
+            channel = self._writer.channel(_TOPICS[key], "json", self._schema(_TOPICS[key]))
+        self[key] = channel
+        return channel
+
+    def _schema(self, name: str) -> int:
+        if name not in self._schemas:
+            match name:
+                case "command" | "reply":
+                    schema = protocol.bundled_schema(name)
+                case _:
+                    schema = load(f"recording/{name}.json")
+            self._schemas[name] = self._writer.schema(f"nmes.{name}", "jsonschema", protocol.encode(schema))
+        return self._schemas[name]
+
+
+class Recorder:
+    """Writes a world's history to a file; it becomes the world's journal with `world.journal = recorder`.
+
+    Records gather in memory and are packed, chained and written by `flush`, which happens when a second has gone by
+    or a mebibyte is waiting; a host calls it too, for worlds in which nothing happens. While the world is faulted,
+    and after `close`, the file has its end and every MCAP reader can read it.
+
+    Args:
+        path: A file that does not exist yet.
+        world: The world to record, new and empty.
+        pose_rate: How often the poses are kept for viewers, in Hz of simulation time; 0 for never.
+
+    Raises:
+        RecordingError: The file cannot be created, or the world is not new. Every other method raises it when the
+            file cannot be written (`recording_failed`), and from then on.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], world: World, *, pose_rate: float = 10.0) -> None:
+        if world.frame or world.cubes():
+            raise RecordingError("recording_failed", "a recording begins with its world; this one has a past")
+        self.path = Path(path)
+        self._world = world
+        self._rate: int = world.config["tick_rate"]
+        self._pose_every = max(1, round(self._rate / pose_rate)) if pose_rate > 0 else 0
+        self._painter = scene.Painter(world)
+        self._writer = Writer(path, profile=PROFILE, library=f"nmes {version('nmes')}")
+        self._channels = _Channels(self._writer)
+        self._buffer: list[tuple[int, int, int, bytes]] = []  # key, frame, wall time, data
+        self._size = 0  # of what waits, in bytes
+        self._run: list[bytes] = []  # digests of the ticks since the last record
+        self._run_end = (0, 0)  # the frame and the wall time of the last of them
+        self._sequence = 0
+        self._flushed = time.time_ns()
+        self._error: RecordingError | None = None
+        try:
+            begin = [self._writer.metadata(name, values) for name, values in _metadata(world).items()]
+            self._head = _next_head(b"", b"".join(begin))
+        except RecordingError:
+            self._writer.close()
+            raise
+
+    # -- the journal -----------------------------------------------------------------------------------------------
+
+    def joined(self, client: int) -> None:
+        """Records that a client came."""
+        self._add(_CLIENTS, b'{"client":%d,"event":"joined"}' % client)
+
+    def left(self, client: int) -> None:
+        """Records that a client went."""
+        self._add(_CLIENTS, b'{"client":%d,"event":"left"}' % client)
+
+    def received(self, client: int, request: Request) -> None:
+        """Records a frame as it came; of a refused one no more than `REFUSED_LIMIT` bytes and a note."""
+        data = request.raw
+        if request.error is None:
+            self._add(4 * client + _COMMAND, data)
+            return
+        if len(data) > REFUSED_LIMIT:
+            data = data[:REFUSED_LIMIT] + b"... (%d bytes in all)" % len(data)
+        self._add(4 * client + _REFUSED, data)
+
+    def replied(self, client: int, request: Request, reply: bytes) -> None:
+        """Records a reply."""
+        self._add(4 * client + _REPLY, reply)
+
+    def ticked(self, frame: int, digest: bytes) -> None:
+        """Records a tick, and the poses when it is their turn."""
+        wall = time.time_ns()
+        self._run.append(digest)
+        self._run_end = frame, wall
+        self._size += 40
+        if self._pose_every and frame % self._pose_every == 0:
+            view = self._painter.view()
+            if view.scene is not None:
+                self._add(_SCENE, view.scene)
+            self._add(_POSES, view.poses)
+        elif self._size > _FLUSH_SIZE or not 0 <= wall - self._flushed < _FLUSH_AFTER:
+            self.flush()
+
+    def faulted(self, frame: int, code: str, message: str) -> None:
+        """Records that the world stopped, and gives the file its end."""
+        self._add(_FAULTS, orjson.dumps({"frame": frame, "code": code, "message": message}))
+        self.flush()
+
+    def _add(self, key: int, data: bytes) -> None:
+        wall = time.time_ns()
+        if self._run:
+            self._end_run()
+        self._buffer.append((key, self._world.frame, wall, data))
+        self._size += len(data) + 40
+        # The wall clock may be set back: that is a reason to flush too.
+        if self._size > _FLUSH_SIZE or not 0 <= wall - self._flushed < _FLUSH_AFTER:
+            self.flush()
+
+    def _end_run(self) -> None:
+        (frame, wall), digests = self._run_end, '","'.join([digest.hex() for digest in self._run])
+        first = frame - len(self._run) + 1
+        self._buffer.append((_TICKS, frame, wall, f'{{"frame":{first},"digests":["{digests}"]}}'.encode()))
+        self._run = []
+
+    # -- the file --------------------------------------------------------------------------------------------------
+
+    def flush(self) -> None:
+        """Hands everything recorded so far to the operating system."""
+        if self._error is not None:
+            raise self._error
+        self._flushed = time.time_ns()
+        try:
+            self._write_chunk()
+            if self._world.fault is not None:
+                self._seal()
+        except RecordingError as error:
+            self._fail(error)
+
+    def close(self) -> None:
+        """Flushes and gives the file its end. A second time it does nothing.
+
+        Raises:
+            RecordingError: The end cannot be written; the file is closed all the same.
+        """
+        if self._error is None:
+            try:
+                self._write_chunk()
+                self._seal()
+            except RecordingError as error:
+                self._fail(error)
+            self._error = RecordingError("recording_closed", f"the recording {self.path} is closed")
+            self._size = _FLUSH_SIZE + 1
+            self._writer.close()
+
+    def _fail(self, error: RecordingError) -> NoReturn:
+        self._error = error
+        self._size = _FLUSH_SIZE + 1  # so that the next record of any kind meets the error
+        self._writer.close()
+        raise error
+
+    def _write_chunk(self) -> None:
+        if self._run:
+            self._end_run()
+        if not self._buffer:
+            return
+        buffer, self._buffer, self._size = self._buffer, [], 0
+        frame, wall = buffer[-1][1:3]
+        channels, rate, half, sequence = self._channels, self._rate, self._rate // 2, self._sequence
+        self._writer.add(
+            [
+                (channels[key], place & _SEQUENCE_MASK, (frame * _NS + half) // rate, wall, data)
+                for place, (key, frame, wall, data) in enumerate(buffer, sequence)
+            ]
+        )
+        chain = channels[_CHAIN]
+        sequence += len(buffer)
+        self._head = _next_head(self._head, self._writer.open_chunk())
+        data = b'{"head":"%s"}' % self._head.hex().encode()
+        self._writer.add([(chain, sequence & _SEQUENCE_MASK, (frame * _NS + half) // rate, wall, data)])
+        self._sequence = sequence + 1
+        self._writer.flush()
+
+    def _seal(self) -> None:
+        end = {"head": self._head.hex(), "records": str(self._sequence), "closed": _now()}
+        self._writer.seal(_END, end)
+
+
+def _metadata(world: World) -> dict[str, dict[str, str]]:
+    return {
+        "nmes.recording": {
+            "format": FORMAT,
+            "nmes": version("nmes"),
+            "protocol": str(protocol.PROTOCOL_VERSION),
+            "schemas": protocol.schema_hash(),
+            "created": _now(),
+        },
+        "nmes.world": {"config": protocol.encode(world.config).decode(), "seed": str(world.config["seed"])},
+        "nmes.fingerprint": fingerprint(world.backend),
+    }
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="milliseconds")
+
+
+def _next_head(head: bytes, content: bytes) -> bytes:
+    chain = hashlib.sha256(head)
+    chain.update(content)
+    return chain.digest()
+
+
+# -- reading --------------------------------------------------------------------------------------------------------
+
+_CLIENT_TOPIC = re.compile(r"client/(\d{1,9})/(commands|replies|refused)")
+_CLIENT_KINDS = {"commands": Kind.COMMAND, "replies": Kind.REPLY, "refused": Kind.REFUSED}
+_KINDS = {"clients": Kind.JOINED, "ticks": Kind.TICKS, "faults": Kind.FAULT, "/tf": Kind.POSES, "/scene": Kind.SCENE}
+
+
+@dataclass(slots=True)
+class Summary:
+    """What a recording holds, counted.
+
+    Attributes:
+        clients: How many came.
+        commands: How many of each type were executed, also those that the world answered with an error.
+        refused: How many frames were no valid command.
+        errors: How many replies were errors.
+        ticks: How many there were, over all resets.
+        faults: How often the world stopped.
+        began: Wall clock of the first record, ns since 1970; None when there is none.
+        ended: The same of the last.
+    """
+
+    clients: int = 0
+    commands: Counter[str] = field(default_factory=Counter)
+    refused: int = 0
+    errors: int = 0
+    ticks: int = 0
+    faults: int = 0
+    began: int | None = None
+    ended: int | None = None
+
+    def _count(self, record: Record) -> None:
+        match record.kind:
+            case Kind.JOINED:
+                self.clients += 1
+            case Kind.COMMAND:
+                self.commands[record.json()["type"]] += 1
+            case Kind.REFUSED:
+                self.refused += 1
+            case Kind.REPLY:
+                self.errors += record.json()["type"] == "error"
+            case Kind.TICKS:
+                self.ticks += len(record.json()["digests"])
+            case Kind.FAULT:
+                self.faults += 1
+        self.began = record.wall if self.began is None else self.began
+        self.ended = record.wall
+
+
+class Recording:
+    """A recording to read.
+
+    Iterating yields its records in file order, as often as one likes, up to the damage if there is any.
+
+    Attributes:
+        path: The file.
+        metadata: Its metadata records by name (schemas/recording_metadata.json).
+        config: The world's complete config, seed included.
+        fingerprint: What the run's numbers depended on.
+        size: Of the file, in bytes.
+
+    Raises:
+        RecordingError: The file cannot be read as a recording at all: it is not one, or it is damaged before the
+            first record, or it is of a format that this version does not know.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self.path = Path(path)
+        self._reader = Reader(path)
+        self.size = self._reader.size
+        if self._reader.profile != PROFILE:
+            raise RecordingError(
+                "not_a_recording", f"{path} is an MCAP file of profile {self._reader.profile!r}, not {PROFILE!r}"
+            )
+        self._damage: DamagedFile | None = None
+        self._checked = False
+        self.metadata, self._head = self._begin()
+        about = self.metadata.get("nmes.recording", {})
+        if about.get("format", FORMAT) != FORMAT:
+            raise RecordingError(
+                "unknown_format", f"{path} is a recording of format {about['format']}; this nmes reads format {FORMAT}"
+            )
+        try:
+            protocol.validate_metadata(self.metadata)
+            self.config: dict[str, Any] = protocol.complete_config(orjson.loads(self.metadata["nmes.world"]["config"]))
+        except (NmesError, ValueError) as error:
+            raise RecordingError("not_a_recording", f"{path} does not say how its world began: {error}") from None
+        self.fingerprint = self.metadata["nmes.fingerprint"]
+
+    def _begin(self) -> tuple[dict[str, dict[str, str]], bytes]:
+        """Reads the metadata records ahead of the first chunk; returns them and the head of their chain."""
+        metadata, content = {}, b""
+        try:
+            for block in self._reader.blocks():
+                if block.metadata is None or block.metadata.name == _END:
+                    break
+                metadata[block.metadata.name] = block.metadata.metadata
+                content += block.content
+        except DamagedFile as error:
+            if len(metadata) < _BEGINNING:
+                reason = error.message
+                raise RecordingError("not_a_recording", f"{self.path} is cut in its beginning: {reason}") from error
+        return metadata, _next_head(b"", content)
+
+    @property
+    def damage(self) -> DamagedFile | None:
+        """Where the recording ends early and why, or None. Reads the whole file when nothing has done so yet."""
+        if not self._checked:
+            for _ in self.chunks():
+                pass
+        return self._damage
+
+    @property
+    def complete(self) -> bool:
+        """Whether the recording was closed properly and all of it is sound."""
+        return self.damage is None
+
+    def __iter__(self) -> Iterator[Record]:
+        for _, records in self.chunks():
+            yield from records
+
+    def chunks(self) -> Iterator[tuple[int, list[Record]]]:
+        """Yields the records in file order, a chunk at a time, with how far into the file (in bytes) that reaches."""
+        chain = _Chain(self._head)
+        end: dict[str, str] = {}
+        try:
+            for block in self._reader.blocks():
+                if block.metadata is None:
+                    yield block.offset + block.size, chain.records(block)
+                elif block.metadata.name == _END:
+                    end = block.metadata.metadata
+            if (end.get("head"), end.get("records")) != (chain.head.hex(), str(chain.sequence)):
+                raise DamagedFile(self.size, "the file's closing metadata do not belong to its records")
+        except DamagedFile as error:
+            self._damage = error
+        self._checked = True
+
+    def summary(self) -> Summary:
+        """Counts what is in the recording, by reading all of it."""
+        result = Summary()
+        for record in self:
+            result._count(record)
+        return result
+
+
+class _Chain:
+    """Reads chunk after chunk, each of which must continue the hash chain and the count of those before it."""
+
+    def __init__(self, head: bytes) -> None:
+        self.head = head
+        self.sequence = 0
+        self._kinds: dict[int, tuple[Kind | None, int | None]] = {}  # by channel; None: not known to this version
+
+    def records(self, block: Block) -> list[Record]:
+        """Returns the records of the next chunk.
+
+        Raises:
+            DamagedFile: It is not what the recorder wrote after the chunks before it.
+        """
+        try:
+            messages = self._messages(block.content)
+            self.head = _next_head(self.head, block.content[: -MESSAGE_OVERHEAD - len(messages[-1].data)])
+            if orjson.loads(messages[-1].data) != {"head": self.head.hex()}:
+                raise ValueError("it does not continue the hash chain")
+            self.sequence += len(messages)
+            return [record for record in map(self._record, messages) if record is not None]
+        except (ValueError, KeyError, TypeError, IndexError) as error:
+            first = f"records from number {self.sequence} on"
+            message = f"the chunk at byte {block.offset} ({first}) is not as it was recorded: {error}"
+            raise DamagedFile(block.offset, message) from error
+
+    def _messages(self, content: bytes) -> list[Message]:
+        messages: list[Message] = []
+        for item in split_chunk(content):
+            if isinstance(item, Message):
+                if item.sequence != (self.sequence + len(messages)) & _SEQUENCE_MASK:
+                    raise ValueError(f"record {item.sequence} is out of its place")
+                messages.append(item)
+            elif match := _CLIENT_TOPIC.fullmatch(item.topic):
+                self._kinds[item.id] = _CLIENT_KINDS[match[2]], int(match[1])
+            else:
+                self._kinds[item.id] = _KINDS.get(item.topic), None
+        return messages
+
+    def _record(self, message: Message) -> Record | None:
+        number, sequence, log_time, publish_time, data = message
+        kind, client = self._kinds[number]
+        if kind is None:
+            return None
+        if kind is Kind.JOINED:  # stands for its channel, on which clients leave too
+            about = orjson.loads(data)
+            kind, client = Kind(about["event"]), int(about["client"])
+        return Record(kind, sequence, log_time, publish_time, client, data)
