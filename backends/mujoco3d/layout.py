@@ -108,7 +108,7 @@ class Layout:
     joint: dict[int, Slot] = field(default_factory=dict)  # joint number -> coordinates
     joint_index: dict[int, int] = field(default_factory=dict)
     actuator: dict[int, int] = field(default_factory=dict)  # joint number -> actuator
-    twin: dict[int, tuple[int, int]] = field(default_factory=dict)  # joint number -> (index of twin, body it stands for)
+    twin: dict[int, tuple[int, int]] = field(default_factory=dict)  # joint number -> (index, body it stands for)
     share: dict[int, float] = field(default_factory=dict)  # body number -> part of its mass that it kept itself
 
 

@@ -323,7 +323,8 @@ class MujocoSimulation(Simulation):
             elif held.kind == "hinge":
                 velocity = _dot(_minus(two.angular_velocity, one.angular_velocity), axis)
             else:
-                tip1 = _plus(one.linear_velocity, cross(one.angular_velocity, _minus(_plus(two.position, arm2), one.position)))
+                arm1 = _minus(_plus(two.position, arm2), one.position)
+                tip1 = _plus(one.linear_velocity, cross(one.angular_velocity, arm1))
                 tip2 = _plus(two.linear_velocity, cross(two.angular_velocity, arm2))
                 velocity = _dot(_minus(tip2, tip1), axis)
             motor = self._layout.actuator.get(joint)
@@ -564,7 +565,11 @@ class MujocoSimulation(Simulation):
         `states` are the bodies of edited structures, `turns` how their ball joints stand (body2 seen from body1).
         """
         data = self._data
-        fields = [(data.qpos, old_data.qpos), (data.qvel, old_data.qvel), (data.qacc_warmstart, old_data.qacc_warmstart)]
+        fields = [
+            (data.qpos, old_data.qpos),
+            (data.qvel, old_data.qvel),
+            (data.qacc_warmstart, old_data.qacc_warmstart),
+        ]
 
         def copy(to: Slot, by: Slot) -> None:
             for (target, source), a, b, n in zip(
@@ -671,15 +676,13 @@ class MujocoSimulation(Simulation):
         gone = {
             int(model.body_treeid[index])
             for index, body in layout.number.items()
-            if body in edited or body not in self._bodies
+            if (body in edited or body not in self._bodies) and model.body_treeid[index] >= 0
         }
         for tree in sorted(gone):
-            while asleep[tree] >= 0:
-                tree, asleep[tree] = asleep[tree], _AWAKE
-                gone.add(tree)
-        return {
-            keys[tree]: keys[link] if link >= 0 else link for tree, link in enumerate(asleep) if tree not in gone
-        }
+            while (following := asleep[tree]) >= 0:
+                asleep[tree] = _AWAKE
+                gone.add(tree := following)
+        return {keys[tree]: keys[link] if link >= 0 else link for tree, link in enumerate(asleep) if tree not in gone}
 
     def _restore_sleep(self, kept: dict[int, int]) -> None:
         """Puts back what `_sleep_by_key` returned, in a model that may have other trees."""
@@ -696,7 +699,8 @@ class MujocoSimulation(Simulation):
         """Computes all that follows from the state, with everything awake, then puts trees to sleep as told."""
         model, data, state = self._model, self._data, self._state
         mujoco.mj_getState(model, data, state, _STATE)
-        mujoco.mj_setState(model, data, state, _STATE)  # wakes all
+        self._asleep[:] = _AWAKE
+        self._count_awake()
         mujoco.mj_forward(model, data)
         mujoco.mj_setState(model, data, state, _STATE)
         self._asleep[:] = asleep
@@ -708,9 +712,9 @@ class MujocoSimulation(Simulation):
         woken = False
         for index in indices:
             tree = int(self._model.body_treeid[index])
-            while tree >= 0 and self._asleep[tree] >= 0:
-                tree, self._asleep[tree] = int(self._asleep[tree]), _AWAKE
-                woken = True
+            while tree >= 0 and (following := int(self._asleep[tree])) >= 0:
+                self._asleep[tree] = _AWAKE
+                tree, woken = following, True
         if woken:
             self._count_awake()
 

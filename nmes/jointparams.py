@@ -1,0 +1,106 @@
+"""The adjustable parameters of a joint: the wire's names, units and rules, and what an engine is told.
+
+Hides how the wire's parameters depend on each other (a target switches the motor on, the bound on the motor's
+effort has two units, a position target makes the motor a servo), so that no engine needs to know.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+from nmes.backend import JointParams
+from nmes.errors import WorldError
+
+__all__ = ["CAPABILITY", "adjust", "default_params", "engine_params"]
+
+Params = dict[str, Any]
+
+CAPABILITY = {
+    "motor_target_velocity": "motor",
+    "motor_max_impulse": "motor",
+    "motor_max_force": "motor",
+    "motor_enabled": "motor",
+    "target_position": "servo",
+    "stiffness": "spring",
+    "damping": "spring",
+    "limit_lower": "limits",
+    "limit_upper": "limits",
+    "limit_enabled": "limits",
+}
+"""The parameters that `set_joint_param` knows, and the capability that an engine must have for each."""
+
+_SWITCHES = frozenset({"motor_enabled", "limit_enabled"})
+_NOT_NEGATIVE = frozenset({"motor_max_impulse", "motor_max_force", "stiffness", "damping"})
+_DEFAULT_MAX_IMPULSE = 1.0  # N m s or N s per engine step
+
+
+def default_params(engine_step: float) -> Params:
+    """Returns the parameters of a new joint; `engine_step` is the length of one engine step in s."""
+    return {
+        "motor_target_velocity": 0.0,
+        "motor_max_impulse": _DEFAULT_MAX_IMPULSE,
+        "motor_max_force": _DEFAULT_MAX_IMPULSE / engine_step,
+        "motor_enabled": False,
+        "target_position": None,
+        "stiffness": 0.0,
+        "damping": 0.0,
+        "limit_lower": 0.0,
+        "limit_upper": 0.0,
+        "limit_enabled": False,
+    }
+
+
+def adjust(
+    params: Mapping[str, Any], given: Mapping[str, float | bool], engine_step: float, path: str | None
+) -> Params:
+    """Returns the parameters with the given ones set, all of them or none.
+
+    Args:
+        params: What the joint has now.
+        given: New values, in the order in which they act.
+        engine_step: Length of one engine step, s.
+        path: The field to blame; None where each parameter is a field of its own name.
+
+    Raises:
+        WorldError: `invalid`: of the wrong type, negative, or the limits are the wrong way round.
+    """
+    result = dict(params)
+    for name, value in given.items():
+        field = path or name
+        if isinstance(value, bool) != (name in _SWITCHES):
+            wanted = "true or false" if name in _SWITCHES else "a number"
+            raise WorldError("invalid", f"{field}: {name} must be {wanted}, not {value}", field)
+        if name in _NOT_NEGATIVE and value < 0:
+            raise WorldError("invalid", f"{field}: {name} must not be negative, but is {value}", field)
+        result[name] = value if isinstance(value, bool) else float(value)
+        if name == "motor_target_velocity":
+            result["motor_enabled"], result["target_position"] = True, None
+        elif name == "target_position":
+            result["motor_enabled"] = True
+        elif name == "motor_max_impulse":  # per engine step, the deployed clients' unit
+            result["motor_max_force"] = float(value) / engine_step
+        elif name == "motor_max_force":
+            result["motor_max_impulse"] = float(value) * engine_step
+    if result["limit_enabled"] and result["limit_lower"] > result["limit_upper"]:
+        lower, upper = result["limit_lower"], result["limit_upper"]
+        field = path or "limits"
+        raise WorldError("invalid", f"{field}: limit_lower {lower} is above limit_upper {upper}", field)
+    return result
+
+
+def engine_params(params: Mapping[str, Any]) -> JointParams:
+    """Returns the same for an engine."""
+    result = JointParams(
+        target_velocity=params["motor_target_velocity"],
+        max_effort=params["motor_max_force"],
+        stiffness=params["stiffness"],
+        damping=params["damping"],
+        limits=(params["limit_lower"], params["limit_upper"]) if params["limit_enabled"] else None,
+    )
+    if not params["motor_enabled"]:
+        return result
+    if params["target_position"] is None:
+        return replace(result, motor="velocity")
+    return replace(result, motor="position", target_position=params["target_position"])

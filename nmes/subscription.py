@@ -1,0 +1,81 @@
+"""What one client wants to be told unasked, and which cubes have moved since it was last told.
+
+Hides the bookkeeping of the `state` event: a subscriber is sent only the cubes that moved past its thresholds since
+they were last sent to it, each of them at least once, and the names of those that are gone. Vectorised: a thousand
+cubes cost one comparison of arrays. The World decides when an event is due.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from nmes.backend import Array
+from nmes.rotation import euler_from_quaternion
+
+__all__ = ["Subscription", "moving_part"]
+
+
+@dataclass(slots=True)
+class Subscription:
+    """One client's subscription. `every` is in ticks, the thresholds in m and rad."""
+
+    events: tuple[str, ...]
+    every: int
+    position_threshold: float
+    rotation_threshold: float
+    _version: int = -1  # of the structure that the names and poses below belong to
+    _names: list[str] = field(default_factory=list)
+    _sent: Array = field(default_factory=lambda: np.empty((0, 7)))  # poses as last sent; NaN: never
+    _removed: list[str] = field(default_factory=list)
+
+    def changes(self, version: int, names: Sequence[str], states: Array) -> tuple[list[dict[str, Any]], list[str]]:
+        """Returns the cubes to send now, and the names of those that are gone; both count as sent.
+
+        Args:
+            version: Changes whenever `names` does.
+            names: The cubes, in order of creation.
+            states: Their states, shape (n, 13) as `Simulation.states` gives them.
+        """
+        if self._version != version:
+            self._align(version, names)
+        poses, sent = states[:, :7], self._sent
+        distance = np.sqrt(np.sum((poses[:, :3] - sent[:, :3]) ** 2, axis=1))
+        # The chord between two unit quaternions: exactly 0 when nothing turned, unlike the arc cosine of their dot.
+        chord = np.minimum(
+            np.sqrt(np.sum((poses[:, 3:] - sent[:, 3:]) ** 2, axis=1)),
+            np.sqrt(np.sum((poses[:, 3:] + sent[:, 3:]) ** 2, axis=1)),
+        )
+        angle = 4.0 * np.arcsin(np.minimum(1.0, chord / 2.0))
+        # Written as "not within", so that NaN (never sent) counts as moved.
+        moved = np.flatnonzero(~((distance <= self.position_threshold) & (angle <= self.rotation_threshold)))
+        sent[moved] = poses[moved]
+        removed, self._removed = self._removed, []
+        return [moving_part(names[i], states[i].tolist()) for i in moved.tolist()], removed
+
+    def _align(self, version: int, names: Sequence[str]) -> None:
+        """Brings what was sent in line with the cubes that there are now."""
+        rows = {name: i for i, name in enumerate(self._names)}
+        sent = np.full((len(names), 7), np.nan)
+        for i, name in enumerate(names):
+            row = rows.pop(name, None)
+            if row is not None:
+                sent[i] = self._sent[row]
+        self._removed += [name for name, row in rows.items() if not np.isnan(self._sent[row, 0])]
+        self._names, self._sent, self._version = list(names), sent, version
+
+
+def moving_part(name: str, state: Sequence[float]) -> dict[str, Any]:
+    """Returns the moving part of a cube's info, from the 13 numbers of its state."""
+    x, y, z, w = state[3:7]
+    return {
+        "cube_name": name,
+        "position": state[0:3],
+        "rotation": euler_from_quaternion((x, y, z, w)),
+        "quaternion": state[3:7],
+        "linear_velocity": state[7:10],
+        "angular_velocity": state[10:13],
+    }
