@@ -84,7 +84,8 @@ def describe(schema: Mapping[str, Any]) -> str:
     if "const" in schema:
         return json.dumps(schema["const"])
     if "enum" in schema:
-        return " or ".join(json.dumps(choice) for choice in schema["enum"])
+        choices = [json.dumps(choice) for choice in schema["enum"]]
+        return " or ".join(choices) if len(choices) < 4 else "one of " + ", ".join(choices)
     for alternatives in ("anyOf", "oneOf"):
         if any("const" in choice or "type" in choice for choice in schema.get(alternatives, ())):
             return " or ".join(describe(choice) for choice in schema[alternatives])
