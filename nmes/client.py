@@ -30,6 +30,8 @@ __all__ = ["AsyncClient", "Client"]
 
 # A world of 10,000 cubes is a reply of some megabytes; a server is trusted more than its clients are.
 REPLY_LIMIT = 256 << 20
+# Read at once. More is slower: for more than 128 KiB the memory is asked of the system, each time.
+READ = 64 << 10
 # Events that nobody takes are forgotten from the oldest on, so that who subscribes and never looks stays small.
 EVENT_BACKLOG = 10_000
 
@@ -298,7 +300,7 @@ class Client(_Base, BlockingCommands):
             if not self._selector.select(left):
                 raise self._late()
             try:
-                data = self._socket.recv(1 << 18)
+                data = self._socket.recv(READ)
             except BlockingIOError:
                 continue
             except OSError:
@@ -416,7 +418,7 @@ class AsyncClient(_Base, AsyncCommands):
             raise self._late() from error
 
 
-class _Link(asyncio.Protocol):
+class _Link(asyncio.BufferedProtocol):
     """Carries bytes between a socket and a conversation, and says when there is news."""
 
     transport: asyncio.Transport
@@ -424,14 +426,18 @@ class _Link(asyncio.Protocol):
     def __init__(self, client: AsyncClient, conversation: _Conversation) -> None:
         self._client = client
         self._conversation = conversation
+        self._buffer = memoryview(bytearray(READ))
         self.news = asyncio.Event()
         self.closed = asyncio.Event()
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self.transport = cast(asyncio.Transport, transport)
 
-    def data_received(self, data: bytes) -> None:
-        self._conversation.hear(data)
+    def get_buffer(self, sizehint: int) -> memoryview:
+        return self._buffer
+
+    def buffer_updated(self, nbytes: int) -> None:
+        self._conversation.hear(bytes(self._buffer[:nbytes]))
         self.news.set()
         self._client.deliver()
 

@@ -43,6 +43,7 @@ CATCH_UP = 0.25  # s: a realtime world that fell further behind than this lets t
 FLUSH = 0.5  # s: how often recordings are flushed; a second is promised, and a slice or a long step may come between
 LINGER = 2.0  # s: how long a connection that we end may take to read our last words and hang up
 SPARE = 64  # connections over the limit that are told so; any more are dropped without a word
+READ = 256 << 10  # bytes that are read at once; fresh memory for each read would cost more than all of asyncio
 CHUNK = 256 << 10  # bytes of replies that are handed to the socket before the rest of a read is executed
 
 
@@ -102,15 +103,15 @@ class HostedWorld:
 
     def settle(self) -> None:
         """Ends a slice: hands output to the sockets, and sets the clock by what the commands changed."""
-        speaking, self._speaking = self._speaking, []
-        for connection in speaking:
-            connection.flush()
         world = self.world
         if world.fault is not self._fault_logged:
             # Its clients were told; whoever runs the host must learn of it too.
             self._fault_logged = fault = world.fault
             if fault is not None:
                 logger.error("world %r stopped at frame %d: %s: %s", self.name, fault.frame, fault.code, fault.message)
+        speaking, self._speaking = self._speaking, []
+        for connection in speaking:
+            connection.flush()
         if self._clock is not None or world.running:
             self._wind()
 
@@ -184,7 +185,7 @@ class HostedWorld:
                 logger.error("the recording %s could not be completed: %s", self.recording, error.message)
 
 
-class Connection(asyncio.Protocol):
+class Connection(asyncio.BufferedProtocol):
     """One socket: its authentication, its requests, its output, and when it has to go."""
 
     _transport: asyncio.Transport
@@ -229,12 +230,16 @@ class Connection(asyncio.Protocol):
             self._closing = True
             self._transport.abort()
 
-    def data_received(self, data: bytes) -> None:
+    def get_buffer(self, sizehint: int) -> memoryview:
+        """Lends the host's one buffer: it is read into and emptied without anything else happening in between."""
+        return self._host.buffer
+
+    def buffer_updated(self, nbytes: int) -> None:
         """Executes what came, and answers it in one write."""
         if self._closing:
             return
         try:
-            messages = self._session.receive(data)
+            messages = self._session.receive(bytes(self._host.buffer[:nbytes]))
             if self._world is None:
                 messages = self._authenticate(messages)
             if messages:
@@ -477,6 +482,7 @@ class Host:
         self.limits = limits or Limits()
         self.auth_delay = auth_delay
         self.worlds: dict[str, HostedWorld] = {}
+        self.buffer = memoryview(bytearray(READ))
         self._password = _digest(password)
         self._record_to = record_to
         self._servers: list[asyncio.Server] = []
