@@ -325,7 +325,10 @@ def _did_you_mean(name: str | int, known: Iterable[str]) -> str:
 
 
 def _short(value: Any) -> str:
-    text = encode(value).decode()
+    return _cut(encode(value).decode())
+
+
+def _cut(text: str) -> str:
     return text if len(text) <= _MENTIONED else text[: _MENTIONED - 3] + "..."
 
 
@@ -386,7 +389,7 @@ def request_from(command: Mapping[str, Any]) -> Request:
     """Makes a request of a Python caller's command, which is judged as if it had come over the wire. Never raises."""
     try:
         raw = encode(command)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, RecursionError) as error:
         return Request(b"", None, RejectedMessage("bad_json", f"this cannot be written as JSON: {error}"))
     return parse(raw)
 
@@ -403,7 +406,7 @@ def _parse_json(raw: bytes) -> Any:
             raw.decode()
         except UnicodeDecodeError as broken:
             return RejectedMessage("bad_frame", f"invalid UTF-8 at byte {broken.start}")
-        return RejectedMessage("bad_json", f"not strict JSON: {error}")
+        return RejectedMessage("bad_json", f"not strict JSON: {_cut(str(error))}")  # it may repeat a key of any length
     if len(raw) > 2 * NESTING and _too_deep(raw, value):
         return RejectedMessage("bad_json", f"nested more than {NESTING} deep")
     return value
@@ -413,14 +416,14 @@ def _too_deep(raw: bytes, value: Any) -> bool:
     if raw.count(b"[") + raw.count(b"{") <= NESTING:
         return False
     level: list[Any] = [value]
-    for _ in range(NESTING + 1):
+    for _ in range(NESTING):
         level = [
             inner
             for outer in level
             if isinstance(outer, (list, dict))
             for inner in (outer.values() if isinstance(outer, dict) else outer)
         ]
-    return bool(level)
+    return any(isinstance(inner, (list, dict)) for inner in level)
 
 
 def _check(command: dict[str, Any], path: str = "") -> RejectedMessage | None:

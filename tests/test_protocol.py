@@ -1,0 +1,697 @@
+"""The wire protocol: strictness, framing, dialects; laws as property tests, cases as examples."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import json
+import math
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from nmes import protocol
+from nmes.errors import RejectedMessage, WorldError
+from nmes.protocol import (
+    COMMANDS,
+    DELIMITER,
+    NO_ID,
+    Auth,
+    FrameSplitter,
+    Limits,
+    Request,
+    Session,
+    decode,
+    encode,
+    parse,
+)
+
+PING = b'{"type":"ping"}'
+AUTH = b'{"type":"auth","password":"open sesame"}'
+WELCOME = {"type": "auth_success", "protocol": 1}
+SMALL = Limits(frame=64, auth_frame=48, pending=10_000)
+
+json_values = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-(10**30), 10**30)
+    | st.floats(allow_nan=False, allow_infinity=False)
+    | st.text(st.characters(exclude_categories=["Cs"]))
+    | st.just(DELIMITER.decode()),
+    lambda inner: (
+        st.lists(inner, max_size=4) | st.dictionaries(st.text(st.characters(exclude_categories=["Cs"])), inner)
+    ),
+    max_leaves=8,
+)
+
+
+def code(raw: bytes) -> str | None:
+    """The code of the error with which a frame is refused."""
+    request = parse(raw)
+    assert (request.command is None) != (request.error is None)
+    return request.error and request.error.code
+
+
+def blame(command: dict[str, Any]) -> tuple[str, str | None]:
+    """Code and field of the error with which a command is refused."""
+    error = parse(encode(command)).error
+    assert error is not None
+    return error.code, error.path
+
+
+def opened(first: bytes = AUTH, limits: Limits | None = None) -> Session:
+    """A session past its auth."""
+    session = Session(limits)
+    assert len(session.receive(first + DELIMITER)) == 1
+    session.accept(WELCOME)
+    return session
+
+
+# -- one message: laws ------------------------------------------------------------------------------------------------
+
+
+@given(json_values, json_values)
+def test_what_is_encoded_is_parsed_again_and_never_holds_a_delimiter(identity: Any, extra: Any) -> None:
+    command = {"type": "ping", "id": identity, "extra": extra}
+    raw = encode(command)
+    assert b"<" not in raw
+    request = parse(raw)
+    assert request.command == command and request.error is None
+    assert request.raw == raw and request.type == "ping" and request.id == identity
+    assert decode(raw) == command == json.loads(raw)
+    assert protocol.request_from(command).command == command
+
+
+@given(st.data())
+def test_validity_is_what_the_reference_implementation_of_json_schema_says(data: st.DataObject) -> None:
+    name = data.draw(st.sampled_from(sorted(COMMANDS.keys() - {"batch"})))
+    command = copy.deepcopy(COMMANDS[name].schema["examples"][0])
+    # Anything anywhere, and often a number near a bound.
+    bounds = st.sampled_from([-1e15, -1e6, -1e5, 0, 1e-6, 1e-3, 1, 10, 1000, 10_000, 1e5, 1e6, 1e9, 1e15, 2**53, 2**63])
+    near = st.builds(lambda bound, step: bound * (1 + step), bounds, st.sampled_from([0, -1e-12, 1e-12, -0.5, 1e-3]))
+    value = data.draw(json_values | near | st.lists(near, min_size=2, max_size=4) | bounds.map(int))
+    field = data.draw(st.sampled_from(sorted(COMMANDS[name].schema["properties"].keys() - {"type"})))
+    old = command.get(field)
+    if isinstance(old, list) and old and data.draw(st.booleans()):
+        old[data.draw(st.integers(0, len(old) - 1))] = value
+    else:
+        command[field] = value
+    if any(isinstance(item, str) and item.endswith("\n") for item in (value, *(value if type(value) is list else ()))):
+        return  # Python's `$` also matches before a last newline; the standard's does not
+    expected = jsonschema.Draft202012Validator(COMMANDS[name].schema).is_valid(command)
+    request = parse(encode(command))
+    assert (request.error is None) == expected, request.error
+    if request.error is not None:
+        assert request.error.code == "invalid"
+        assert request.error.path is not None and request.error.path.split("/")[0] == field
+        assert request.error.message.startswith(f"{request.error.path}: ")
+        assert len(request.error.message) < 500
+
+
+@given(st.binary() | st.text().map(str.encode) | json_values.map(encode))
+@example(b"")
+@example(b"\xef\xbb\xbf" + PING)
+@example(b'{"type":{"type":[]}}')
+@example(b'{"type":"batch","commands":[1]}')
+@example(b'{"type":"batch","commands":[{"type":["batch"]}]}')
+@example(b"[" * 100_000)
+@example(b'{"a":' * 100_000)
+def test_no_bytes_make_parse_raise(raw: bytes) -> None:
+    request = parse(raw)
+    assert (request.command is None) != (request.error is None)
+    if request.error is not None:
+        assert request.error.code in protocol.ERROR_CODES
+        assert len(request.error.message) < 500
+        encode(protocol.error_reply(request.error, request.type))
+
+
+# -- one message: strict JSON -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "number", ["1e400", "-1e400", "1E+0400", "1e0000000400", "9" * 400, "0." + "9" * 4, "9" * 5000]
+)
+@pytest.mark.parametrize(
+    "frame",
+    [
+        '{"type":"ping","unknown":%s}',
+        '{"type":"ping","id":%s}',
+        '{"type":"ping","a":{"b":[[{"c":%s}]]}}',
+        '{"type":"apply_force","force":[0,%s,0]}',
+        '{"type":"spawn_cube","mass":%s}',
+        '{"type":"batch","commands":[{"type":"ping","x":%s}]}',
+    ],
+)
+def test_no_number_is_infinite_as_a_double(frame: str, number: str) -> None:
+    request = parse((frame % number).encode())
+    if number.startswith("0."):
+        assert request.error is None
+    else:
+        assert request.error is not None and request.error.code == "bad_json"
+
+
+def test_a_long_whole_number_is_kept_exactly_where_it_is_allowed() -> None:
+    long = int("7" * 300)
+    raw = b'{"type":"ping","id":%d}' % long
+    request = parse(raw)
+    assert request.id == long
+    assert encode({"id": request.id}) == b'{"id":%d}' % long
+    assert blame({"type": "spawn_cube", "mass": long}) == ("invalid", "mass")
+    assert blame({"type": "step", "ticks": long}) == ("invalid", "ticks")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "NaN", "Infinity", "-Infinity", "01", "1.", ".5", "+1", "-", "0x10", "1e", "'a'", "tru", "[1,]", '{"a":1,}',
+        "{a:1}",
+        '"\x01"', r'"\x41"', r'"\u12"', "// comment", '{"a":1,"a":2}', r'{"a":1,"\u0061":2}', '{"b":[{"a":1,"a":1}]}',
+        r'"\ud800"', r'"\udc00"', r'"\ud800x"', r'"\ud800\u0041"', r'{"\ud800":1}', "1 2", "",
+    ],
+)  # fmt: skip
+def test_json_is_strict(text: str) -> None:
+    assert code(b'{"type":"ping","x":%s}' % text.encode()) == "bad_json"
+
+
+@pytest.mark.parametrize(
+    "text", [r'"\ud83d\ude00"', '"\x7f"', r'"\u0000"', "-0", "1E5", "1e-400", '"\\t"', " [ [ ],{}]\t"]
+)
+def test_json_is_not_stricter_than_that(text: str) -> None:
+    assert code(b'{"type":"ping","x":%s}' % text.encode()) is None
+
+
+def test_duplicate_type_is_no_way_round_the_schema() -> None:
+    assert code(b'{"type":"ping","type":"spawn_cube","mass":-1}') == "bad_json"
+
+
+@pytest.mark.parametrize("broken", [b"\xff", b"\xc0\xaf", b"\xed\xa0\x80", b"\xf5\x80\x80\x80", b"\xe2\x82"])
+@pytest.mark.parametrize("frame", [b'{"type":"ping","x":"%s"}', b'{"%s":1}', b'{"type":"ping"}%s', b"%s"])
+def test_invalid_utf_8_is_a_bad_frame(frame: bytes, broken: bytes) -> None:
+    assert code(frame % broken) == "bad_frame"
+
+
+@pytest.mark.parametrize("raw", [b"[]", b'"ping"', b"1", b"null", b"true", b'[{"type":"ping"}]'])
+def test_json_that_is_no_object_is_a_bad_frame(raw: bytes) -> None:
+    assert code(raw) == "bad_frame"
+
+
+@pytest.mark.parametrize(
+    ("opening", "innermost", "closing"),
+    [(b"[", b"[]", b"]"), (b"[", b"[1]", b"]"), (b'{"a":', b"{}", b"}"), (b'{"a":', b'{"a":1}', b"}")],
+)
+def test_nesting_of_200_is_read_and_of_201_is_not(opening: bytes, innermost: bytes, closing: bytes) -> None:
+    def nested(depth: int) -> bytes:
+        between = depth - 2  # beside the message itself and the innermost
+        return b'{"type":"ping","id":' + opening * between + innermost + closing * between + b"}"
+
+    request = parse(nested(200))
+    assert request.error is None
+    assert encode({"type": "pong", "id": request.id}).count(opening[:1]) >= 199
+    assert encode({"type": "batch_result", "results": [{"type": "pong", "id": request.id}]})
+    assert code(nested(201)) == code(nested(202)) == code(nested(5000)) == "bad_json"
+
+
+def test_width_is_not_depth() -> None:
+    assert code(b'{"type":"ping","x":[' + b"[]," * 5000 + b'"' + b"[" * 500 + b'"]}') is None
+
+
+def test_an_error_message_repeats_little_of_what_came() -> None:
+    for raw in (
+        b'{"%s":1,"%s":2}' % (b"k" * 9999, b"k" * 9999),
+        b'{"type":"%s"}' % (b"k" * 9999),
+        b'{"type":"spawn_cube","mass":"%s"}' % (b"k" * 9999),
+        b'{"type":"spawn_cube","cube_name":"%s"}' % (b"\xf0\x9f\x98\x80" * 9999),
+    ):
+        error = parse(raw).error
+        assert error is not None and len(error.message) < 300
+
+
+# -- one message: schemas ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_example_of_each_command_is_valid(name: str) -> None:
+    command = COMMANDS[name].schema["examples"][0]
+    request = parse(encode(command))
+    assert request.command == command and request.type == name and request.id is NO_ID
+
+
+@pytest.mark.parametrize(("name", "field"), [(n, f) for n, c in COMMANDS.items() for f in c.schema["required"][1:]])
+def test_a_missing_field_is_named(name: str, field: str) -> None:
+    command = {**COMMANDS[name].schema["examples"][0], "id": None}
+    del command[field]
+    request = parse(encode(command))
+    assert request.error is not None
+    assert (request.error.code, request.error.path) == ("invalid", field)
+    assert request.error.message.startswith(f"{field}: is missing; expected ")
+    assert request.type == name and request.id is None
+
+
+@pytest.mark.parametrize(
+    ("command", "field", "message"),
+    [
+        ({"type": "spawn_cube", "mass": 0}, "mass", "mass: expected a number from 0.000001 to 1,000,000,000 kg, got 0"),
+        ({"type": "spawn_cube", "mass": 0, "position": [0, "x", 0]}, "position/1", None),
+        ({"type": "spawn_cube", "color": [0, 0, 9], "mass": 0}, "color/2", None),
+        ({"type": "spawn_cube", "mass": True}, "mass", None),
+        ({"type": "spawn_cube", "mass": "1"}, "mass", None),
+        ({"type": "spawn_cube", "mass": None}, "mass", None),
+        (
+            {"type": "spawn_cube", "position": [0, "x", 0]},
+            "position/1",
+            'position/1: expected a number from -1,000,000 to 1,000,000 m, got "x"',
+        ),
+        ({"type": "spawn_cube", "position": [0, 1]}, "position", None),
+        ({"type": "spawn_cube", "position": {"x": 0, "y": 1, "z": 0}}, "position", None),
+        ({"type": "spawn_cube", "position": [0, 1000000.0000001, 0]}, "position/1", None),
+        ({"type": "spawn_cube", "size": [1, 0, 1]}, "size", None),
+        ({"type": "spawn_cube", "color": [0, 0.5, 1, 1.01]}, "color/3", None),
+        ({"type": "spawn_cube", "color": [0, 0, 0, 0, 0]}, "color", None),
+        ({"type": "spawn_cube", "rotation": [0, 0, 0, 0]}, "rotation", None),
+        ({"type": "spawn_cube", "rotation": [0, 0]}, "rotation", None),
+        ({"type": "spawn_cube", "cube_name": ""}, "cube_name", None),
+        ({"type": "spawn_cube", "cube_name": "a b"}, "cube_name", None),
+        ({"type": "spawn_cube", "cube_name": "a\n"}, "cube_name", None),
+        ({"type": "spawn_cube", "cube_name": "a\u200bb"}, "cube_name", None),
+        ({"type": "spawn_cube", "cube_name": "a" * 129}, "cube_name", None),
+        ({"type": "spawn_cube", "cube_name": "a" * 124, "is_base": True}, "cube_name", None),
+        ({"type": "spawn_cube", "is_base": 1}, "is_base", "is_base: expected true or false, got 1"),
+        (
+            {"type": "create_joint", "cube1": "a", "cube2": "b", "joint_type": "weld"},
+            "joint_type",
+            'joint_type: expected one of "fixed", "hinge", "slide", "slider", "pin", "conetwist", got "weld"',
+        ),
+        (
+            {"type": "create_joint", "cube1": "a", "cube2": "b", "joint_type": "hinge", "axis": [0, 0, 0.0]},
+            "axis",
+            None,
+        ),
+        ({"type": "set_joint_param", "joint_name": "j", "param_name": "damping", "value": -1}, "value", None),
+        ({"type": "set_joint_param", "joint_name": "j", "param_name": "limit_enabled", "value": 1}, "value", None),
+        ({"type": "set_joint_param", "joint_name": "j", "param_name": "target_position", "value": True}, "value", None),
+        ({"type": "set_joint_param", "joint_name": "j", "param_name": "target_position", "value": 2e6}, "value", None),
+        ({"type": "set_joint_param", "joint_name": "j", "param_name": "colour", "value": 1}, "param_name", None),
+        ({"type": "step", "ticks": 0}, "ticks", "ticks: expected a whole number from 1 to 10,000 ticks, got 0"),
+        ({"type": "step", "ticks": 1.5}, "ticks", None),
+        ({"type": "reset", "seed": 2**63}, "seed", None),
+        ({"type": "subscribe", "events": ["tick", "tock"]}, "events/1", None),
+        ({"type": "subscribe", "events": []}, "events", None),
+        ({"type": "subscribe", "events": ["tick", "tick"]}, "events", None),
+        ({"type": "get_world_state", "cubes": ["a", 7]}, "cubes/1", None),
+        ({"type": "batch", "commands": {"type": "ping"}}, "commands", None),
+        ({"type": "batch", "commands": ["ping"]}, "commands/0", None),
+        ({"type": "batch", "commands": [{"type": "ping"}, {}]}, "commands/1/type", None),
+        ({"type": "batch", "commands": [{"type": "ping"}, {"type": 1}]}, "commands/1/type", None),
+        ({"type": "batch", "commands": [{"type": "batch", "commands": []}]}, "commands/0/type", None),
+        (
+            {"type": "batch", "commands": [{"type": "ping"}, {"type": "apply_force", "force": [0, 0, "x"]}]},
+            "commands/1/force/2",
+            None,
+        ),
+        ({"type": "batch", "commands": [{"type": "apply_force"}]}, "commands/0/force", None),
+        ({"type": None}, "type", "type: expected a string, got null"),
+        ({"type": ["ping"]}, "type", None),
+        ({"no": "type"}, "type", "type: is missing"),
+    ],
+)
+def test_an_ill_typed_field_is_named(command: dict[str, Any], field: str, message: str | None) -> None:
+    assert blame(command) == ("invalid", field)
+    error = parse(encode(command)).error
+    assert error is not None and (message is None or error.message == message)
+
+
+@pytest.mark.parametrize("kind", ["fly", "", "PING", "pong", "auth", "ping ", "spawn_creature"])
+def test_unknown_types(kind: str) -> None:
+    request = parse(encode({"type": kind, "id": 3}))
+    assert request.error is not None and request.error.code == "unknown_type" and request.error.path == "type"
+    assert request.type == kind and request.id == 3
+    assert blame({"type": "batch", "commands": [{"type": kind}]}) == ("unknown_type", "commands/0/type")
+
+
+def test_unknown_types_that_are_nearly_right_get_a_hint() -> None:
+    error = parse(b'{"type":"spawn_cubes"}').error
+    assert error is not None and error.message == 'there is no command "spawn_cubes"; did you mean spawn_cube?'
+
+
+def test_whole_numbers_are_ints_even_when_written_as_1_0() -> None:
+    command = parse(b'{"type":"batch","commands":[{"type":"step","ticks":3.0},{"type":"step","ticks":2}]}').command
+    assert command is not None
+    assert [type(inner["ticks"]) for inner in command["commands"]] == [int, int]
+
+
+def test_names_of_all_scripts_are_allowed() -> None:
+    for name in ("cube_1_0badcafe", "würfel", "立方体", "😀", "a" * 128, "<???DONE???---"):
+        assert code(encode({"type": "despawn_cube", "cube_name": name})) is None
+
+
+def test_python_callers_are_judged_like_peers() -> None:
+    request = protocol.request_from({"type": "apply_force", "force": np.array([0.0, 1.5, 0.0]), "id": ("a", 1)})
+    assert request.command == {"type": "apply_force", "force": [0.0, 1.5, 0.0], "id": ["a", 1]}
+    circular: list[Any] = []
+    circular.append(circular)
+    for impossible in (object(), "\ud800", circular, {1, 2}):
+        error = protocol.request_from({"type": "ping", "id": impossible}).error
+        assert error is not None and error.code == "bad_json"
+    error = protocol.request_from({"type": "spawn_cube", "mass": math.nan}).error
+    assert error is not None and (error.code, error.path) == ("invalid", "mass")
+
+
+def test_defaults_are_told() -> None:
+    assert COMMANDS["spawn_cube"].defaults["position"] == [0, 1, 0]
+    assert COMMANDS["subscribe"].defaults["every"] == 1
+
+
+# -- other messages ---------------------------------------------------------------------------------------------------
+
+
+def test_error_replies_tell_what_is_known() -> None:
+    error = RejectedMessage("invalid", "mass: no", "mass")
+    assert protocol.error_reply(error, "spawn_cube") == {
+        "type": "error", "code": "invalid", "message": "mass: no", "command": "spawn_cube", "field": "mass",
+    }  # fmt: skip
+    bare = protocol.error_reply(WorldError("internal", "oh"))
+    assert bare == {"type": "error", "code": "internal", "message": "oh"}
+    protocol.validate_reply(bare)
+
+
+@pytest.mark.parametrize("name", protocol.REPLIES)
+def test_replies_are_checked_for_what_they_must_hold(name: str) -> None:
+    schema = protocol.REPLIES[name].schema
+    reply = schema["examples"][0]
+    protocol.validate_reply({**reply, "id": [1], "another": "field"})
+    for field in schema["required"]:
+        with pytest.raises(RejectedMessage):
+            protocol.validate_reply({key: value for key, value in reply.items() if key != field})
+
+
+def test_replies_inside_a_batch_are_checked_and_nan_is_no_number() -> None:
+    good = {"type": "stepped", "frame": 1, "t": 0.5}
+    protocol.validate_reply({"type": "batch_result", "results": [good]})
+    with pytest.raises(RejectedMessage) as caught:
+        protocol.validate_reply(
+            {"type": "batch_result", "results": [good, {"type": "stepped", "frame": 1, "t": math.nan}]}
+        )
+    assert caught.value.path == "results/1/t"
+
+
+def test_events_are_checked() -> None:
+    protocol.validate_event({"type": "tick", "t": 0.5, "frame": 30})
+    with pytest.raises(RejectedMessage):
+        protocol.validate_event({"type": "tick", "t": 0.5})
+    with pytest.raises(RejectedMessage):
+        protocol.validate_event({"type": "pong"})
+
+
+def test_bundles_stand_alone_and_judge_as_the_parts_do() -> None:
+    commands = jsonschema.Draft202012Validator(dict(protocol.bundled_schema("command")))
+    replies = jsonschema.Draft202012Validator(dict(protocol.bundled_schema("reply")))
+    commands.check_schema(commands.schema)
+    assert "x-message" not in json.dumps(commands.schema)
+    for command in COMMANDS.values():
+        assert commands.is_valid(command.schema["examples"][0])
+    for reply in protocol.REPLIES.values():
+        assert replies.is_valid(reply.schema["examples"][0])
+    assert not commands.is_valid({"type": "step", "ticks": 0})
+    assert not commands.is_valid({"type": "batch", "commands": [{"type": "step", "ticks": 0}]})
+    assert not replies.is_valid({"type": "batch_result", "results": [{"type": "stepped"}]})
+
+
+def test_a_config_is_completed_without_touching_the_given_one() -> None:
+    given_config = {"seed": 7.0, "limits": {"joints": 5}, "engine": {"solver": "any"}}
+    before = copy.deepcopy(given_config)
+    config = protocol.complete_config(given_config)
+    assert given_config == before
+    assert config == {
+        "name": "main", "backend": "mujoco", "seed": 7, "tick_rate": 60, "substeps": 4, "gravity": [0, -9.81, 0],
+        "mode": "realtime", "rate": 1, "friction": 1, "restitution": 0, "limits": {"cubes": 10_000, "joints": 5},
+        "scene": {"type": "flat"}, "engine": {"solver": "any"},
+    }  # fmt: skip
+    assert type(config["seed"]) is int
+    assert protocol.complete_config(config) == config
+    config["gravity"][1] = config["limits"]["cubes"] = 1
+    assert protocol.complete_config({})["gravity"] == [0, -9.81, 0]
+    assert protocol.complete_config({})["limits"]["cubes"] == 10_000
+
+
+@pytest.mark.parametrize(
+    ("config", "field"),
+    [
+        ({"tickrate": 60}, "tickrate"),
+        ({"limits": {"cube": 5}}, "limits/cube"),
+        ({"tick_rate": 0}, "tick_rate"),
+        ({"gravity": [0, -9.81]}, "gravity"),
+        ({"scene": {"type": "moon"}}, "scene/type"),
+        ({"name": "a b"}, "name"),
+        ({"seed": -1}, "seed"),
+    ],
+)
+def test_a_bad_config_is_refused(config: dict[str, Any], field: str) -> None:
+    with pytest.raises(RejectedMessage) as caught:
+        protocol.complete_config(config)
+    assert (caught.value.code, caught.value.path) == ("invalid", field)
+
+
+def test_a_config_that_is_no_json_is_refused() -> None:
+    with pytest.raises(RejectedMessage):
+        protocol.complete_config({"engine": {"x": object()}})
+
+
+def test_decode_wants_an_object() -> None:
+    for raw in (b"[]", b"", b"{", b"auth_success"):
+        with pytest.raises(ValueError):
+            decode(raw)
+
+
+# -- frames -----------------------------------------------------------------------------------------------------------
+
+pieces = st.lists(
+    st.sampled_from(
+        [DELIMITER, DELIMITER, PING, AUTH, b"<???", b"DONE???---", b"<", b"-", b"\r\n ", b"x" * 40, b"{", b"\xff"]
+    )
+    | st.binary(max_size=20),
+    max_size=30,
+)
+
+
+def cut(data: st.DataObject, stream: bytes) -> list[bytes]:
+    places = data.draw(st.lists(st.integers(0, len(stream)), max_size=20))
+    ends = [0, *sorted(places), len(stream)]
+    return [stream[start:end] for start, end in itertools.pairwise(ends)]
+
+
+@given(pieces, st.integers(0, 60), st.data())
+def test_how_a_stream_is_cut_does_not_change_its_frames(stream: list[bytes], limit: int, data: st.DataObject) -> None:
+    whole = b"".join(stream)
+    # What frames are, said again in the simplest way.
+    *complete, rest = whole.split(DELIMITER)
+    fitting = next((i for i, frame in enumerate(complete) if len(frame) > limit), len(complete))
+    expected = [frame.strip(b" \t\r\n") for frame in complete[:fitting]]
+    exceeded = fitting < len(complete) or len(rest) > limit + len(DELIMITER) - 1
+    for parts in ([whole], cut(data, whole), [whole[i : i + 1] for i in range(len(whole))]):
+        splitter = FrameSplitter(limit)
+        assert [frame for part in parts for frame in splitter.feed(part)] == [frame for frame in expected if frame]
+        assert splitter.exceeded == exceeded
+        assert exceeded or splitter.waiting == len(rest)
+
+
+@pytest.mark.parametrize("offset", range(1, 14))
+def test_a_delimiter_cut_at_any_inner_offset_ends_its_frame(offset: int) -> None:
+    session = opened()
+    assert session.receive(PING + DELIMITER[:offset]) == []
+    (request,) = session.receive(DELIMITER[offset:] + PING)
+    assert isinstance(request, Request) and request.raw == PING
+    assert len(session.receive(DELIMITER)) == 1
+
+
+@pytest.mark.parametrize("offset", range(1, 14))
+def test_the_beginning_of_a_delimiter_is_no_delimiter(offset: int) -> None:
+    splitter = FrameSplitter()
+    assert splitter.feed(b"a" + DELIMITER[:offset]) == []
+    assert splitter.feed(DELIMITER + b"b" + DELIMITER) == [b"a" + DELIMITER[:offset], b"b"]
+
+
+def test_a_thousand_coalesced_messages_come_out_in_order() -> None:
+    stream = b"".join(b'{"type":"ping","id":%d}' % i + DELIMITER for i in range(1000))
+    received = opened().receive(stream)
+    assert [request.id for request in received] == list(range(1000))
+
+
+def test_white_space_and_empty_frames_are_ignored() -> None:
+    session = opened()
+    received = session.receive(DELIMITER + b" \r\n\t" + DELIMITER * 2 + b"\n " + PING + b"\r\n" + DELIMITER + b"\n")
+    assert [request.raw for request in received if isinstance(request, Request)] == [PING]
+    assert session.violation is None
+
+
+def test_a_delimiter_inside_a_string_gives_errors_and_the_stream_goes_on() -> None:
+    received = opened().receive(b'{"type":"ping","id":"a<???DONE???---b"}' + DELIMITER + PING + DELIMITER)
+    codes = [request.error and request.error.code for request in received]
+    assert codes == ["bad_json", "bad_json", None]
+
+
+def test_a_frame_of_the_limit_passes_and_one_byte_more_does_not() -> None:
+    limits = Limits(frame=200, auth_frame=100)
+    session = opened(AUTH.ljust(100), limits)
+    earlier = session.receive(PING.ljust(200) + DELIMITER + PING.ljust(201) + DELIMITER + PING + DELIMITER)
+    assert len(earlier) == 1 and session.violation is not None
+    assert session.violation.code == "frame_too_large" and "200" in session.violation.message
+    assert session.receive(PING + DELIMITER) == []
+    before_auth = Session(limits)
+    assert before_auth.receive(AUTH.ljust(101) + DELIMITER) == []
+    assert before_auth.violation is not None and before_auth.violation.code == "frame_too_large"
+
+
+def test_a_frame_that_never_ends_is_not_gathered_for_ever() -> None:
+    session = opened(limits=Limits(frame=200))
+    for _ in range(300):
+        session.receive(b"x")
+    assert session.violation is not None
+    unknown = Session(SMALL)
+    unknown.receive(b" " * 100)
+    assert unknown.violation is not None
+
+
+def test_the_limit_before_auth_is_not_applied_to_what_follows_auth() -> None:
+    session = Session(Limits(auth_frame=100))
+    assert len(session.receive(AUTH + DELIMITER + PING.ljust(500) + DELIMITER)) == 1
+    assert session.violation is None
+    session.accept(WELCOME)
+    assert len(session.receive(b"")) == 1
+
+
+# -- sessions ---------------------------------------------------------------------------------------------------------
+
+
+@given(pieces, st.sampled_from([AUTH, b"open sesame", b"{", b""]), st.booleans(), st.data())
+@settings(max_examples=200)
+def test_no_stream_makes_a_session_raise_and_cutting_it_changes_nothing(
+    stream: list[bytes], first: bytes, welcome: bool, data: st.DataObject
+) -> None:
+    whole = first + DELIMITER + b"".join(stream)
+
+    def run(parts: list[bytes]) -> tuple[list[Any], str | None]:
+        session, out = Session(SMALL), []
+        for part in parts:
+            received = session.receive(part)
+            while received:
+                out += received
+                if isinstance(received[0], Auth) and welcome:
+                    session.accept(WELCOME)
+                received = session.receive(b"") if isinstance(received[0], Auth) else []
+        return [getattr(item, "raw", item and type(item)) for item in out], session.violation and session.violation.code
+
+    assert run([whole]) == run(cut(data, whole)) == run([whole[i : i + 1] for i in range(len(whole))])
+
+
+def test_auth_in_the_json_dialect() -> None:
+    session = Session()
+    (auth,) = session.receive(b'{"type":"auth","password":"open sesame","world":"moon","id":null,"x":1}' + DELIMITER)
+    assert isinstance(auth, Auth)
+    assert auth == Auth("json", "open sesame", "moon", None, None)
+    assert "sesame" not in repr(auth)
+    assert session.receive(PING + DELIMITER) == []
+    assert session.accept(WELCOME) == encode({**WELCOME, "id": None}) + DELIMITER
+    (request,) = session.receive(b"")
+    assert isinstance(request, Request) and request.raw == PING
+    assert session.reply(request, b'{"type":"pong"}') == b'{"type":"pong"}' + DELIMITER
+    assert session.event(b'{"type":"tick"}') == b'{"type":"tick"}' + DELIMITER
+
+
+def test_auth_in_the_raw_dialect() -> None:
+    session = Session()
+    (auth,) = session.receive("  sésame \n".encode() + DELIMITER)
+    assert auth == Auth("raw", "sésame")
+    assert session.accept(WELCOME) == b"auth_success" + DELIMITER
+    refused = Session()
+    refused.receive(b"wrong" + DELIMITER)
+    assert refused.refuse(RejectedMessage("auth_failed", "no")) == b"auth_failed" + DELIMITER
+    assert refused.receive(PING + DELIMITER) == []
+
+
+@pytest.mark.parametrize(
+    ("first", "dialect", "code"),
+    [
+        (PING, "json", "auth_failed"),
+        (b'{"password":"x"}', "json", "auth_failed"),
+        (b'{"type":"auth"}', "json", "invalid"),
+        (b'{"type":"auth","password":7}', "json", "invalid"),
+        (b'{"type":"auth","password":"x","world":7}', "json", "invalid"),
+        (b'{"type":"auth","password":"x","password":"y"}', "json", "bad_json"),
+        (b"{", "json", "bad_json"),
+        (b'{"\xff":1}', "json", "bad_frame"),
+        (b"\xff", "raw", "auth_failed"),
+    ],
+)
+def test_a_first_frame_that_is_no_auth(first: bytes, dialect: str, code: str) -> None:
+    session = Session()
+    (auth,) = session.receive(first + DELIMITER)
+    assert isinstance(auth, Auth) and auth.dialect == dialect
+    assert auth.error is not None and auth.error.code == code
+    answer = session.refuse(auth.error)
+    if dialect == "json":
+        reply = decode(answer.removesuffix(DELIMITER))
+        protocol.validate_reply(reply)
+        assert reply["code"] == code and reply["command"] == "auth"
+    else:
+        assert answer == b"auth_failed" + DELIMITER
+
+
+def test_a_password_is_never_repeated() -> None:
+    session = Session()
+    (auth,) = session.receive(b'{"type":"auth","password":["open sesame"],"id":1}' + DELIMITER)
+    assert isinstance(auth, Auth) and auth.error is not None
+    assert "sesame" not in auth.error.message and "sesame" not in repr(auth)
+    assert decode(session.refuse(auth.error).removesuffix(DELIMITER))["id"] == 1
+
+
+def test_who_floods_before_the_answer_to_auth_is_stopped() -> None:
+    session = Session(Limits(pending=500))
+    session.receive(AUTH + DELIMITER)
+    session.receive(b"x" * 500)
+    assert session.violation is None
+    session.receive(b"x")
+    assert session.violation is not None and session.violation.code == "frame_too_large"
+
+
+@pytest.mark.parametrize("first", [AUTH, b"open sesame"])
+def test_an_open_session_ends_with_an_error_in_json(first: bytes) -> None:
+    session = opened(first)
+    answer = session.refuse(RejectedMessage("slow_consumer", "read faster"))
+    assert decode(answer.removesuffix(DELIMITER)) == {
+        "type": "error",
+        "code": "slow_consumer",
+        "message": "read faster",
+    }
+    assert session.receive(PING + DELIMITER) == []
+
+
+def test_a_session_refused_before_its_first_frame_ends_with_an_error_in_json() -> None:
+    answer = Session().refuse(RejectedMessage("auth_timeout", "too late"))
+    assert decode(answer.removesuffix(DELIMITER))["code"] == "auth_timeout"
+
+
+def test_the_raw_dialect_is_silent_after_these_commands_and_no_others() -> None:
+    raw, json_dialect = opened(b"open sesame"), opened()
+    silent = set()
+    for name, command in COMMANDS.items():
+        for frame in (encode(command.schema["examples"][0]), encode({"type": name, "cube_name": 7})):
+            (request,) = raw.receive(frame + DELIMITER)
+            assert isinstance(request, Request)
+            if not raw.reply(request, b"{}"):
+                silent.add(name)
+            assert json_dialect.reply(request, b"{}") == b"{}" + DELIMITER
+    assert silent == {"spawn_cube", "despawn_cube", "apply_force", "apply_physics", "freeze_cube"}
+    for frame in (b"{", b"\xff", b'{"type":"fly"}', b'{"type":["spawn_cube"]}'):
+        (request,) = raw.receive(frame + DELIMITER)
+        assert isinstance(request, Request) and raw.reply(request, b"{}") == b"{}" + DELIMITER
+
+
+def test_silence_is_kept_for_commands_that_are_not_valid() -> None:
+    session = opened(b"open sesame")
+    (request,) = session.receive(b'{"type":"apply_force","force":"up"}' + DELIMITER)
+    assert isinstance(request, Request) and request.error is not None
+    assert session.reply(request, b"{}") == b""
