@@ -29,6 +29,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any, NamedTuple, NoReturn
 
+import jsonschema_rs
 import orjson
 
 from nmes import protocol, scene
@@ -46,7 +47,7 @@ FORMAT = "1"
 REFUSED_LIMIT = 64 << 10  # bytes of a refused frame that are kept
 _NS = 1_000_000_000
 _FLUSH_AFTER = _NS  # ns of wall time: nothing older than this waits while records come in
-_FLUSH_SIZE = 1 << 20  # bytes of records, about
+_FLUSH_SIZE = 256 << 10  # bytes of records, about: as many as the processor's caches still hold
 
 # What a client's records are kept under until they are packed: 4 * client + one of these. Our own are negative.
 _COMMAND, _REPLY, _REFUSED = 0, 1, 2
@@ -82,6 +83,7 @@ class Record(NamedTuple):
         wall: The recorder's clock, ns since 1970.
         client: Whom it is about, if anybody.
         data: Its bytes: verbatim for a command, a refused frame and a reply.
+        about: What those of our own say (who came or went, ticks, faults): their JSON, as its schema says. Else None.
     """
 
     kind: Kind
@@ -90,13 +92,7 @@ class Record(NamedTuple):
     wall: int
     client: int | None
     data: bytes
-
-    def json(self) -> dict[str, Any]:
-        """Returns the data of a record that is JSON."""
-        value = orjson.loads(self.data)
-        if not isinstance(value, dict):
-            raise ValueError("not an object")
-        return value
+    about: dict[str, Any] | None = None
 
 
 # -- writing --------------------------------------------------------------------------------------------------------
@@ -143,7 +139,7 @@ class Recorder:
     """Writes a world's history to a file; it becomes the world's journal with `world.journal = recorder`.
 
     Records gather in memory and are packed, chained and written by `flush`, which happens when a second has gone by
-    or a mebibyte is waiting; a host calls it too, for worlds in which nothing happens. While the world is faulted,
+    or 256 KiB are waiting; a host calls it too, for worlds in which nothing happens. While the world is faulted,
     and after `close`, the file has its end and every MCAP reader can read it.
 
     Args:
@@ -284,10 +280,8 @@ class Recorder:
         frame, wall = buffer[-1][1:3]
         channels, rate, half, sequence = self._channels, self._rate, self._rate // 2, self._sequence
         self._writer.add(
-            [
-                (channels[key], place & _SEQUENCE_MASK, (frame * _NS + half) // rate, wall, data)
-                for place, (key, frame, wall, data) in enumerate(buffer, sequence)
-            ]
+            (channels[key], place & _SEQUENCE_MASK, (frame * _NS + half) // rate, wall, data)
+            for place, (key, frame, wall, data) in enumerate(buffer, sequence)
         )
         chain = channels[_CHAIN]
         sequence += len(buffer)
@@ -331,6 +325,12 @@ def _next_head(head: bytes, content: bytes) -> bytes:
 _CLIENT_TOPIC = re.compile(r"client/(\d{1,9})/(commands|replies|refused)")
 _CLIENT_KINDS = {"commands": Kind.COMMAND, "replies": Kind.REPLY, "refused": Kind.REFUSED}
 _KINDS = {"clients": Kind.JOINED, "ticks": Kind.TICKS, "faults": Kind.FAULT, "/tf": Kind.POSES, "/scene": Kind.SCENE}
+_SHAPES = {
+    kind: jsonschema_rs.Draft202012Validator(load(f"recording/{topic}.json"))
+    for topic, kind in _KINDS.items()
+    if not topic.startswith("/")
+}
+_ERROR = b'{"type":"error",'  # how the world's encoder begins an error
 
 
 @dataclass(slots=True)
@@ -344,7 +344,7 @@ class Summary:
         errors: How many replies were errors.
         ticks: How many there were, over all resets.
         faults: How often the world stopped.
-        began: Wall clock of the first record, ns since 1970; None when there is none.
+        began: Wall clock of the first record, ns since 1970; 0 when there is none.
         ended: The same of the last.
     """
 
@@ -354,24 +354,24 @@ class Summary:
     errors: int = 0
     ticks: int = 0
     faults: int = 0
-    began: int | None = None
-    ended: int | None = None
+    began: int = 0
+    ended: int = 0
 
     def _count(self, record: Record) -> None:
-        match record.kind:
-            case Kind.JOINED:
+        match record:
+            case Record(kind=Kind.JOINED):
                 self.clients += 1
-            case Kind.COMMAND:
-                self.commands[record.json()["type"]] += 1
-            case Kind.REFUSED:
+            case Record(kind=Kind.COMMAND):
+                self.commands[protocol.parse(record.data).type or "invalid"] += 1
+            case Record(kind=Kind.REFUSED):
                 self.refused += 1
-            case Kind.REPLY:
-                self.errors += record.json()["type"] == "error"
-            case Kind.TICKS:
-                self.ticks += len(record.json()["digests"])
-            case Kind.FAULT:
+            case Record(kind=Kind.REPLY):
+                self.errors += record.data.startswith(_ERROR)
+            case Record(kind=Kind.TICKS, about={"digests": digests}):
+                self.ticks += len(digests)
+            case Record(kind=Kind.FAULT):
                 self.faults += 1
-        self.began = record.wall if self.began is None else self.began
+        self.began = self.began or record.wall
         self.ended = record.wall
 
 
@@ -460,7 +460,8 @@ class Recording:
             if (end.get("head"), end.get("records")) != (chain.head.hex(), str(chain.sequence)):
                 raise DamagedFile(self.size, "the file's closing metadata do not belong to its records")
         except DamagedFile as error:
-            self._damage = error
+            read = f"read up to record {chain.sequence - 1}" if chain.sequence else "no record can be read"
+            self._damage = DamagedFile(error.offset, f"{error.message}; {read}", cut=error.cut)
         self._checked = True
 
     def summary(self) -> Summary:
@@ -490,11 +491,11 @@ class _Chain:
             self.head = _next_head(self.head, block.content[: -MESSAGE_OVERHEAD - len(messages[-1].data)])
             if orjson.loads(messages[-1].data) != {"head": self.head.hex()}:
                 raise ValueError("it does not continue the hash chain")
+            records = [record for record in map(self._record, messages) if record is not None]
             self.sequence += len(messages)
-            return [record for record in map(self._record, messages) if record is not None]
+            return records
         except (ValueError, KeyError, TypeError, IndexError) as error:
-            first = f"records from number {self.sequence} on"
-            message = f"the chunk at byte {block.offset} ({first}) is not as it was recorded: {error}"
+            message = f"the chunk at byte {block.offset} is not as it was recorded: {error}"
             raise DamagedFile(block.offset, message) from error
 
     def _messages(self, content: bytes) -> list[Message]:
@@ -515,7 +516,12 @@ class _Chain:
         kind, client = self._kinds[number]
         if kind is None:
             return None
+        shape = _SHAPES.get(kind)
+        if shape is None:
+            return Record(kind, sequence, log_time, publish_time, client, data)
+        about = orjson.loads(data)
+        if not shape.is_valid(about):
+            raise ValueError(f"record {sequence} does not have the shape of {kind}")
         if kind is Kind.JOINED:  # stands for its channel, on which clients leave too
-            about = orjson.loads(data)
-            kind, client = Kind(about["event"]), int(about["client"])
-        return Record(kind, sequence, log_time, publish_time, client, data)
+            kind, client = Kind(about["event"]), about["client"]
+        return Record(kind, sequence, log_time, publish_time, client, data, about)

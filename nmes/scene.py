@@ -17,12 +17,13 @@ from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
 from nmes.world import World
 
-__all__ = ["POSES_SCHEMA", "ROOT", "SCENE_SCHEMA", "Painter", "View", "decode_poses", "descriptors"]
+__all__ = ["POSES_SCHEMA", "POSE_FIELDS", "ROOT", "SCENE_SCHEMA", "Painter", "View", "decode_poses", "descriptors"]
 
 ROOT = "world origin"  # no cube can have a name with white space in it
 POSES_SCHEMA = FrameTransforms.DESCRIPTOR.full_name
 SCENE_SCHEMA = SceneUpdate.DESCRIPTOR.full_name
 
+POSE_FIELDS = (*(f"position/{i}" for i in range(3)), *(f"quaternion/{i}" for i in range(4)))
 Pose = tuple[float, float, float, float, float, float, float]  # position, quaternion (x, y, z, w)
 
 

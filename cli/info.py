@@ -1,0 +1,93 @@
+"""`nmes info`: show what a recording holds."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from typing import Any
+
+import click
+import orjson
+from rich.filesize import decimal
+
+from nmes.errors import RecordingError
+from nmes.recording import Recording
+
+__all__ = ["RecordingFile", "command"]
+
+
+class RecordingFile(click.ParamType):
+    """A command line argument that names a recording; one that cannot be read is wrong usage."""
+
+    name = "file"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Recording:
+        """Opens it."""
+        try:
+            return Recording(value)
+        except RecordingError as error:
+            self.fail(error.message, param, ctx)
+
+
+@click.command("info")
+@click.argument("recording", metavar="FILE", type=RecordingFile())
+@click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
+def command(recording: Recording, as_json: bool) -> None:
+    """Show what a recording holds.
+
+    The world, its seed and engine, clients, commands by type, ticks and duration, and whether the file is whole.
+    """
+    about = _about(recording)
+    if as_json:
+        click.echo(orjson.dumps(about, option=orjson.OPT_INDENT_2))
+        return
+    rows = _rows(about)
+    width = max(len(name) for name, _ in rows)
+    for name, value in rows:
+        click.echo(f"{name:<{width}}  {value}")
+
+
+def _about(recording: Recording) -> dict[str, Any]:
+    summary, damage, config = recording.summary(), recording.damage, recording.config
+    return {
+        "file": str(recording.path),
+        "world": config["name"],
+        "seed": config["seed"],
+        "config": config,
+        "fingerprint": recording.fingerprint,
+        "created": recording.metadata["nmes.recording"]["created"],
+        "format": recording.metadata["nmes.recording"]["format"],
+        "clients": summary.clients,
+        "commands": dict(summary.commands.most_common()),
+        "refused": summary.refused,
+        "errors": summary.errors,
+        "ticks": summary.ticks,
+        "faults": summary.faults,
+        "sim_seconds": summary.ticks / config["tick_rate"],
+        "wall_seconds": (summary.ended - summary.began) / 1e9,
+        "size": recording.size,
+        "complete": damage is None,
+        "damage": None if damage is None else {"message": damage.message, "offset": damage.offset, "cut": damage.cut},
+    }
+
+
+def _rows(about: dict[str, Any]) -> list[tuple[str, str]]:
+    fingerprint, damage = about["fingerprint"], about["damage"]
+    engine = [fingerprint["backend"], fingerprint.get("engine.version", ""), f"nmes {fingerprint['nmes']}"]
+    created = datetime.fromisoformat(about["created"]).astimezone(UTC)
+    commands = sum(about["commands"].values())
+    rows = [
+        ("world", f"{about['world']}, seed {about['seed']}"),
+        ("engine", ", ".join(part for part in engine if part)),
+        ("machine", ", ".join(fingerprint[name] for name in ("cpu", "simd", "libc", "python"))),
+        ("created", f"{created:%Y-%m-%d %H:%M:%S} UTC"),
+        ("duration", f"{about['sim_seconds']:,.2f} s of simulation in {about['wall_seconds']:,.2f} s"),
+        ("ticks", f"{about['ticks']:,}"),
+        ("clients", f"{about['clients']:,}"),
+        ("commands", f"{commands:,}, and {about['refused']:,} refused frames; {about['errors']:,} errors"),
+    ]
+    rows += [(f"  {name}", f"{count:,}") for name, count in about["commands"].items()]
+    if about["faults"]:
+        rows.append(("faults", f"{about['faults']:,}"))
+    rows.append(("size", decimal(about["size"])))
+    rows.append(("complete", "yes" if damage is None else f"no: {damage['message']}"))
+    return rows

@@ -1,0 +1,431 @@
+"""Running a recording again, and finding the first thing that comes out differently.
+
+A fresh world is fed the recorded inputs in file order. Its journal is not a recorder but a checker: whatever the world
+tells it must be the next record of the file, byte for byte for replies, digest for digest for ticks. A `step` ticks
+inside its command, as it did when it was recorded; a tick that the file holds and no command makes is the clock's,
+and is made here. So there is one list of expectations, and the world walks through it.
+
+Invariants:
+
+- Everything recorded is either fed or compared; nothing is skipped in silence.
+- The verdict `reproduced` is only given on an equal fingerprint.
+- What is reported as divergence is the first one; nothing after it is compared but to show its effect.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
+from typing import Any, Literal
+
+import orjson
+
+from nmes import protocol
+from nmes.backend import load_backend
+from nmes.errors import BackendNotFound, RejectedMessage
+from nmes.fingerprint import differences, fingerprint
+from nmes.protocol import NO_ID, Request
+from nmes.recording import REFUSED_LIMIT, Kind, Record, Recording
+from nmes.scene import POSE_FIELDS, Painter, decode_poses
+from nmes.world import World
+
+__all__ = ["Difference", "Divergence", "ReplayReport", "replay"]
+
+Progress = Callable[[int, int], None]
+Verdict = Literal["reproduced", "diverged", "not_comparable"]
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One value that differs: where it is, what was recorded, what came out now, and by how much if it is a number."""
+
+    cube: str | None
+    field: str
+    expected: Any
+    actual: Any
+
+    @property
+    def amount(self) -> float | None:
+        """The distance between two numbers."""
+        values = (self.expected, self.actual)
+        if any(isinstance(value, bool) or not isinstance(value, int | float) for value in values):
+            return None
+        return abs(float(self.actual) - float(self.expected))
+
+
+@dataclass(slots=True)
+class Divergence:
+    """The first difference between a recording and its replay.
+
+    Attributes:
+        kind: What differs: a tick's `digest`, a `reply`, the `poses`, a `fault`, a `client`'s number, or the `order`
+            in which things happen.
+        frame: Where the world was.
+        record: The number of the record in the recording.
+        message: All of it in a sentence.
+        client: Whose command it was, of a reply.
+        command: That command's type.
+        value: The first value that shows it, if any does. Digests do not: for them it is the first recorded reply or
+            pose that comes out differently from then on.
+        seen: The frame at which that value was seen.
+    """
+
+    kind: str
+    frame: int
+    record: int
+    message: str
+    client: int | None = None
+    command: str | None = None
+    value: Difference | None = None
+    seen: int | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns it as plain data, with the fields of the value among the others."""
+        plain = asdict(self)
+        del plain["value"]
+        if self.value is not None:
+            plain |= {**asdict(self.value), "difference": self.value.amount}
+        return plain
+
+
+@dataclass(slots=True)
+class ReplayReport:
+    """What a replay came to.
+
+    Attributes:
+        verdict: `not_comparable` stands whenever the fingerprints differ, whatever came out.
+        ticks: How many ticks were compared and equal.
+        commands: How many frames of clients were executed and answered the same.
+        sim_seconds: The simulation time of those ticks, s.
+        wall_seconds: How long it took, s.
+        divergence: The first difference, if there is any.
+        differences: The items of the fingerprint that differ: recorded, here.
+        damage: Why the recording ends early, if it does.
+        cut: Whether it just ends there, as after a crash, rather than being damaged.
+    """
+
+    verdict: Verdict
+    ticks: int = 0
+    commands: int = 0
+    sim_seconds: float = 0.0
+    wall_seconds: float = 0.0
+    divergence: Divergence | None = None
+    differences: dict[str, tuple[str, str]] = field(default_factory=dict)
+    damage: str | None = None
+    cut: bool = False
+
+    @property
+    def speed(self) -> float:
+        """How many times faster than real time it was."""
+        return self.sim_seconds / self.wall_seconds if self.wall_seconds else 0.0
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns it as plain data."""
+        return {
+            "verdict": self.verdict,
+            "ticks": self.ticks,
+            "commands": self.commands,
+            "sim_seconds": self.sim_seconds,
+            "wall_seconds": self.wall_seconds,
+            "speed": self.speed,
+            "divergence": None if self.divergence is None else self.divergence.to_json(),
+            "differences": self.differences,
+            "damage": self.damage,
+            "cut": self.cut,
+        }
+
+
+def replay(
+    recording: Recording | str | os.PathLike[str], *, anyway: bool = False, progress: Progress | None = None
+) -> ReplayReport:
+    """Runs a recording again in a fresh world.
+
+    Args:
+        recording: The recording, or its file.
+        anyway: Run it also where the fingerprint differs, to see how far it agrees.
+        progress: Called now and then with how many bytes of the file are done, and its size.
+
+    Raises:
+        RecordingError: The file cannot be read as a recording.
+        BackendNotFound: Its engine is not there, and it was to be run `anyway`.
+    """
+    if not isinstance(recording, Recording):
+        recording = Recording(recording)
+    unlike = _differences(recording)
+    if unlike and not anyway:
+        return ReplayReport("not_comparable", differences=unlike)
+    began = time.perf_counter()
+    run = _Run(recording, progress)
+    run.play()
+    took = time.perf_counter() - began
+    damage = recording.damage
+    return ReplayReport(
+        verdict="not_comparable" if unlike else "diverged" if run.divergence else "reproduced",
+        ticks=run.ticks,
+        commands=run.commands,
+        sim_seconds=run.ticks / recording.config["tick_rate"],
+        wall_seconds=took,
+        divergence=run.divergence,
+        differences=unlike,
+        damage=damage.message if damage else None,
+        cut=damage.cut if damage else False,
+    )
+
+
+def _differences(recording: Recording) -> dict[str, tuple[str, str]]:
+    try:
+        backend = load_backend(recording.config["backend"])
+    except BackendNotFound:
+        return {"backend": (recording.config["backend"], "not installed")}
+    return differences(recording.fingerprint, fingerprint(backend))
+
+
+class _Tape:
+    """The recorded history, record by record, with a look ahead; it ends where the recording does."""
+
+    def __init__(self, recording: Recording, progress: Progress | None) -> None:
+        self._queue: deque[Record] = deque()
+        self._chunks = self._read(recording, progress)
+
+    def _read(self, recording: Recording, progress: Progress | None) -> Iterator[None]:
+        for reached, records in recording.chunks():
+            self._queue.extend(records)
+            if progress is not None:
+                progress(reached, recording.size)
+            yield
+
+    def peek(self, ahead: int = 0) -> Record | None:
+        """Returns the next record, or a later one, without taking it."""
+        while len(self._queue) <= ahead:
+            try:
+                next(self._chunks)
+            except StopIteration:
+                return None
+        return self._queue[ahead]
+
+    def take(self) -> None:
+        """Goes on to the next record."""
+        self._queue.popleft()
+
+
+class _Run:
+    """One replay: it feeds a world, and it is that world's journal, which compares."""
+
+    def __init__(self, recording: Recording, progress: Progress | None) -> None:
+        self.ticks = 0
+        self.commands = 0
+        self.divergence: Divergence | None = None
+        self._tape = _Tape(recording, progress)
+        self._world = World(recording.config, journal=self)
+        self._painter = Painter(self._world)
+        self._digests: list[str] = []  # of the run of ticks at hand, the next one last
+        self._over = False  # whether there is nothing more to be learnt
+        self._told = 0  # how often the world told us something: it must, whatever it is fed
+
+    def play(self) -> None:
+        """Feeds the world the whole recording, or as much as it takes to see where it parts."""
+        world, tape = self._world, self._tape
+        clients: set[int] = set()
+        try:
+            while not self._over and (record := tape.peek()) is not None:
+                told = self._told
+                match record.kind:
+                    case Kind.TICKS | Kind.FAULT:
+                        world.tick()
+                    case Kind.JOINED:
+                        clients.add(world.join())
+                    case Kind.LEFT if record.client in clients:
+                        clients.remove(record.client)
+                        world.leave(record.client)
+                    case Kind.COMMAND | Kind.REFUSED if record.client in clients:
+                        world.handle(record.client, self._request(record))
+                if told == self._told:
+                    self._diverge("order", record, f"the recording has {_describe(record)}; nothing such happens now")
+                    self._over = True
+        finally:
+            world.close()
+
+    def _request(self, record: Record) -> Request:
+        if record.kind is Kind.COMMAND or 0 < len(record.data) <= REFUSED_LIMIT:
+            return protocol.parse(record.data)
+        # What was refused was not kept as a whole; it changed nothing, so its recorded error stands for it.
+        reply = self._tape.peek(1)
+        told = _json(reply.data) if reply is not None and reply.kind is Kind.REPLY else {}
+        told = told if isinstance(told, dict) else {}
+        error = RejectedMessage(str(told.get("code", "")), str(told.get("message", "")), told.get("field"))
+        return Request(record.data, None, error, told.get("command"), told.get("id", NO_ID))
+
+    # -- the journal -----------------------------------------------------------------------------------------------
+
+    def joined(self, client: int) -> None:
+        """A client came."""
+        self._client(Kind.JOINED, client)
+
+    def left(self, client: int) -> None:
+        """A client went."""
+        self._client(Kind.LEFT, client)
+
+    def _client(self, kind: Kind, client: int) -> None:
+        record = self._expect(kind)
+        if record is not None and record.client != client:
+            self._diverge("client", record, f"client {record.client} {kind}; now it has number {client}")
+            self._over = True
+
+    def received(self, client: int, request: Request) -> None:
+        """A frame is executed next: the one that was just fed."""
+        self._told += 1
+        self._tape.take()
+
+    def replied(self, client: int, request: Request, reply: bytes) -> None:
+        """A frame was answered."""
+        record = self._expect(Kind.REPLY)
+        if record is None:
+            return
+        if record.data == reply and record.client == client:
+            self.commands += self.divergence is None
+            return
+        shown = _difference(_json(record.data), _json(reply))
+        if self.divergence is not None:
+            self._show(shown)
+            return
+        message = f"client {client}'s {request.type or 'refused frame'} is answered differently"
+        self._diverge("reply", record, message, client, request.type)
+        self._show(shown or Difference(None, "", record.data.decode(errors="replace"), reply.decode(errors="replace")))
+
+    def ticked(self, frame: int, digest: bytes) -> None:
+        """The world reached a frame."""
+        self._told += 1
+        record = self._tape.peek()
+        if record is None or self._over:
+            return
+        if record.kind is not Kind.TICKS or record.about is None:
+            self._diverge("order", record, f"the recording has {_describe(record)}; now the world ticks")
+            self._over = True
+            return
+        if not self._digests:
+            self._digests = record.about["digests"][::-1]
+        expected = record.about["frame"] + len(record.about["digests"]) - len(self._digests)
+        same = self._digests.pop() == digest.hex() and expected == frame
+        if not self._digests:
+            self._tape.take()
+        if same:
+            self.ticks += self.divergence is None
+        elif self.divergence is None:
+            what = "its digest differs" if expected == frame else f"it was tick {expected}"
+            self._diverge("digest", record, f"tick {frame} does not come out as recorded: {what}")
+        if not self._digests:
+            self._look()
+
+    def faulted(self, frame: int, code: str, message: str) -> None:
+        """The world stopped."""
+        record = self._expect(Kind.FAULT)
+        if record is not None and record.about != {"frame": frame, "code": code, "message": message}:
+            self._diverge("fault", record, f"the recording has {_describe(record)}; now: {code}: {message}")
+            self._over = True
+
+    def _expect(self, kind: Kind) -> Record | None:
+        """Takes the next record, which must be of a kind; None where there is nothing to compare with."""
+        self._told += 1
+        record = self._tape.peek()
+        if record is None or self._over:
+            return None
+        if record.kind is not kind or self._digests:
+            self._diverge("order", record, f"the recording has {_describe(record)}; now comes: {kind}")
+            self._over = True
+            return None
+        self._tape.take()
+        return record
+
+    def _look(self) -> None:
+        """Compares what the recording shows to viewers at this frame, if anything."""
+        if (first := self._tape.peek()) is None or first.kind not in (Kind.SCENE, Kind.POSES):
+            return
+        recorded: dict[Kind, bytes | None] = {}
+        for kind in (Kind.SCENE, Kind.POSES):
+            record = self._tape.peek()
+            if record is not None and record.kind is kind:
+                recorded[kind] = record.data
+                self._tape.take()
+        if Kind.POSES not in recorded:
+            return  # cut between the two
+        view = self._painter.view()
+        if (recorded.get(Kind.SCENE), recorded[Kind.POSES]) != view:
+            self._diverge("poses", first, f"at frame {self._world.frame} viewers are shown something else")
+            self._show(_pose_difference(recorded[Kind.POSES] or b"", view.poses))
+
+    # -- what differs ----------------------------------------------------------------------------------------------
+
+    def _diverge(
+        self, kind: str, record: Record, message: str, client: int | None = None, command: str | None = None
+    ) -> None:
+        if self.divergence is None:
+            self.divergence = Divergence(kind, self._world.frame, record.sequence, message, client, command)
+
+    def _show(self, value: Difference | None) -> None:
+        """Shows the divergence by a value; there is nothing more to be learnt then."""
+        if value is not None and self.divergence is not None:
+            self.divergence.value, self.divergence.seen = value, self._world.frame
+            self._over = True
+
+
+def _describe(record: Record) -> str:
+    about = record.about or {}
+    match record.kind:
+        case Kind.JOINED | Kind.LEFT:
+            return f"that client {record.client} {record.kind}"
+        case Kind.TICKS:
+            return f"ticks from frame {about['frame']} on"
+        case Kind.FAULT:
+            return f"a fault at frame {about['frame']} ({about['code']}: {about['message']})"
+        case Kind.COMMAND | Kind.REFUSED | Kind.REPLY:
+            return f"client {record.client}'s {record.kind} (record {record.sequence})"
+    return f"a picture of the scene (record {record.sequence})"
+
+
+def _json(data: bytes) -> Any:
+    try:
+        return orjson.loads(data)
+    except ValueError:
+        return None
+
+
+def _difference(expected: Any, actual: Any, cube: str | None = None, path: str = "") -> Difference | None:
+    """Returns the first value in which two JSON documents differ; its path begins at the cube that it is about."""
+    if isinstance(expected, dict) and isinstance(actual, dict):
+        name = expected.get("cube_name")
+        if isinstance(name, str) and name == actual.get("cube_name"):
+            cube, path = name, ""
+        for key in {**expected, **actual}:
+            if key not in expected or key not in actual:
+                return Difference(cube, f"{path}{key}", expected.get(key), actual.get(key))
+            if found := _difference(expected[key], actual[key], cube, f"{path}{key}/"):
+                return found
+        return None
+    if isinstance(expected, list) and isinstance(actual, list):
+        for i, (one, other) in enumerate(zip(expected, actual, strict=False)):
+            if found := _difference(one, other, cube, f"{path}{i}/"):
+                return found
+        if len(expected) == len(actual):
+            return None
+        return Difference(cube, path.rstrip("/"), f"{len(expected)} items", f"{len(actual)} items")
+    # As text, so that 0.0 and -0.0 are two things, as they are to the engine.
+    if orjson.dumps(expected) == orjson.dumps(actual):
+        return None
+    return Difference(cube, path.rstrip("/"), expected, actual)
+
+
+def _pose_difference(recorded: bytes, now: bytes) -> Difference | None:
+    """Returns the value in which the poses of two transforms messages differ most."""
+    expected, actual = decode_poses(recorded), decode_poses(now)
+    if list(expected) != list(actual):
+        return Difference(None, "cubes", list(expected), list(actual))
+    found = [
+        Difference(cube, name, one, other)
+        for cube in expected
+        for name, one, other in zip(POSE_FIELDS, expected[cube], actual[cube], strict=True)
+        if one != other
+    ]
+    return max(found, key=lambda difference: difference.amount or 0.0, default=None)
