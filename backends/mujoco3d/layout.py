@@ -237,8 +237,8 @@ def build(
         layout.free[number] = Slot(int(model.jnt_qposadr[hinge.id]), 7, int(model.jnt_dofadr[hinge.id]), 6)
     for number, hinge in made.items():
         nq, nv = _COORDINATES[joints[number].kind]
-        q, v = int(model.jnt_qposadr[hinge.id]), int(model.jnt_dofadr[hinge.id])
-        layout.joint[number] = Slot(q, nq, v, nv, number in flipped)
+        at, dof = int(model.jnt_qposadr[hinge.id]), int(model.jnt_dofadr[hinge.id])
+        layout.joint[number] = Slot(at, nq, dof, nv, number in flipped)
         layout.joint_index[number] = hinge.id
     for number, actuator in actuators.items():
         layout.actuator[number] = actuator.id
@@ -254,6 +254,7 @@ def _options(spec: mujoco.MjSpec, scene: SceneSpec, bodies: int) -> None:
     option.gravity = list(scene.gravity)
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # motors and dampers stay stable at any gain
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    option.impratio = 10.0  # friction that holds: at 1 a cube creeps down a slope that should hold it
     disable, enable = mujoco.mjtDisableBit, mujoco.mjtEnableBit
     # AUTORESET: on its own MuJoCo puts a diverged world silently back to its start. FILTERPARENT: only jointed cubes
     # are kept from colliding, and those we name.
@@ -301,8 +302,8 @@ def _close(
     """Closes a loop: a ball by one connection, a fixed joint by a weld, the others by a twin welded to its cube."""
     if joint.kind == "pin":
         # Sites, since between bodies the compiler would take the second anchor from the poses at coordinate zero.
-        for body, anchor in ((joint.body1, joint.anchor1), (joint.body2, joint.anchor2)):
-            handles[body].add_site(name=f"s{joint.number}_{body}", pos=anchor)
+        for end, anchor in ((joint.body1, joint.anchor1), (joint.body2, joint.anchor2)):
+            handles[end].add_site(name=f"s{joint.number}_{end}", pos=anchor)
         spec.add_equality(
             type=mujoco.mjtEq.mjEQ_CONNECT,
             objtype=mujoco.mjtObj.mjOBJ_SITE,
@@ -314,9 +315,8 @@ def _close(
         return
     if joint.kind == "fixed":
         first, second = f"b{joint.body1}", f"b{joint.body2}"
-        arm = rotate(joint.zero, joint.anchor2)
-        position = [joint.anchor1[i] - arm[i] for i in range(3)]
-        data = [*joint.anchor2, *position, *_wxyz(joint.zero), 1.0, 0.0]
+        # The anchor in the frame of the second body, then in that of the first, then how the second is turned in it.
+        data = [*joint.anchor2, *joint.anchor1, *_wxyz(joint.zero), 1.0, 0.0]
     else:
         number = _stands_for(joint, bodies)
         turned = number == joint.body1

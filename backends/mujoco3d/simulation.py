@@ -63,6 +63,11 @@ _HUGE = 1e10  # mjMAXVAL: beyond this the engine calls a state bad
 # A servo closes 63% of a small error in 1/30 s, critically damped.
 _SERVO_RATE = 60.0
 
+# Bodies that an edit left deep inside each other (deeper than this part of their shortest edge) are not driven apart
+# faster than this (m/s and rad/s), where the contact springs alone would shoot them off.
+_DEEP = 0.01
+_PARTING_SPEED = 3.0
+
 # What MuJoCo prints of a diverging world goes to the log; the fault says it to the user.
 mujoco.set_mju_user_warning(lambda message: logger.debug("mujoco: %s", message))
 
@@ -120,6 +125,7 @@ class MujocoSimulation(Simulation):
         self._joints: dict[int, Joint] = {}
         self._override: dict[int, BodyState] = {}  # new and moved bodies, until the next step
         self._touched: set[int] = set()  # bodies of which the structure was edited since the last step
+        self._parting: set[int] = set()  # edited bodies that may be deep inside others
         self._stale_model = True
         self._wake_all = False
         self._force: dict[int, list[float]] = {}  # wrenches for the next step, by body
@@ -163,6 +169,7 @@ class MujocoSimulation(Simulation):
         self._force.pop(body, None)
         self._impulse.pop(body, None)
         self._touched.discard(body)
+        self._parting.discard(body)
         self._stale_model = True
 
     def add_joint(self, joint: int, spec: JointSpec) -> None:
@@ -275,13 +282,17 @@ class MujocoSimulation(Simulation):
             return out
         self._refresh()
         where = self._layout.body
-        index = np.fromiter((where.get(body, 0) for body in bodies), np.intp, len(bodies))
-        position, spin = self._xpos[index], self._cvel[index, :3]
+        index = np.array([where.get(body, 0) for body in bodies], np.intp)
+        position, velocity = self._xpos[index], self._cvel[index]
         out[:, 0:3] = position
         out[:, 3:7] = self._xquat[index][:, (1, 2, 3, 0)]
-        arm = position - self._data.subtree_com[self._model.body_rootid[index]]
-        out[:, 7:10] = self._cvel[index, 3:] + np.cross(spin, arm)
-        out[:, 10:13] = spin
+        x, y, z = (position - self._data.subtree_com[self._model.body_rootid[index]]).T
+        wx, wy, wz = velocity[:, :3].T
+        out[:, 7:10] = velocity[:, 3:]
+        out[:, 7] += wy * z - wz * y  # numpy.cross costs as much as all the rest
+        out[:, 8] += wz * x - wx * z
+        out[:, 9] += wx * y - wy * x
+        out[:, 10:13] = velocity[:, :3]
         out[self._model.body_treeid[index] < 0, 7:] = 0.0
         if self._override:
             for row, body in enumerate(bodies):
@@ -334,26 +345,27 @@ class MujocoSimulation(Simulation):
 
     def contacts(self, body: int) -> list[Contact]:
         """Returns what the body touched in the last step."""
-        index = self._layout.body.get(body)
-        if index is None:
+        index, data = self._layout.body.get(body), self._data
+        if index is None or not data.ncon:
             return []
-        data, owner = self._data, self._model.geom_bodyid
+        contact = data.contact
+        owners = self._model.geom_bodyid[contact.geom].tolist()  # the bodies that touch
+        touching = [(i, first, second) for i, (first, second) in enumerate(owners) if first == index or second == index]
+        if not touching:
+            return []
+        # One list each is faster than an array's element for each contact.
+        solved, points, frames = contact.efc_address.tolist(), contact.pos.tolist(), contact.frame[:, :3].tolist()
         result = []
         wrench = np.empty(6)
-        for i in np.flatnonzero((owner[data.contact.geom] == index).any(axis=1)).tolist():
-            contact = data.contact[i]
-            if contact.efc_address < 0:
-                continue
-            first, second = (int(owner[geom]) for geom in contact.geom)
+        for i, first, second in touching:
+            other = self._layout.number.get(first if second == index else second)
+            if solved[i] < 0 or (other is not None and other not in self._bodies):
+                continue  # not in force, or removed since
             mujoco.mj_contactForce(self._model, data, i, wrench)
             # The frame's first axis points from the first geom to the second.
             sign = 1.0 if second == index else -1.0
-            other = self._layout.number.get(first if second == index else second)
-            if other is not None and other not in self._bodies:
-                continue  # removed since
-            x, y, z = contact.pos.tolist()
-            nx, ny, nz = contact.frame[:3].tolist()
-            result.append(Contact(other, (x, y, z), (sign * nx, sign * ny, sign * nz), float(wrench[0])))
+            nx, ny, nz = frames[i]
+            result.append(Contact(other, tuple(points[i]), (sign * nx, sign * ny, sign * nz), wrench.item(0)))
         return result
 
     # -- time ---------------------------------------------------------------------------------------------------
@@ -362,7 +374,7 @@ class MujocoSimulation(Simulation):
         """Takes up all edits, then advances."""
         if self._stale_model or self._touched:
             self._rebuild()
-        model, data, xfrc = self._model, self._data, self._xfrc
+        xfrc = self._xfrc
         acted = self._force or self._impulse
         if acted:
             for body, wrench in self._force.items():
@@ -374,12 +386,12 @@ class MujocoSimulation(Simulation):
                 rate = 1.0 / self._scene.timestep
                 for body, wrench in self._impulse.items():
                     xfrc[self._layout.body[body]] += np.multiply(wrench, rate)
-                mujoco.mj_step(model, data)
+                self._advance(1)
                 for body in self._impulse:
                     xfrc[self._layout.body[body]] = self._force.get(body, 0.0)
                 substeps -= 1
             if substeps:
-                mujoco.mj_step(model, data, substeps)
+                self._advance(substeps)
         except mujoco.FatalError as error:
             raise SimulationFault("engine_failed", f"MuJoCo: {error}") from error
         finally:
@@ -390,6 +402,32 @@ class MujocoSimulation(Simulation):
         self._read = False
         if self._warnings.tobytes() != self._calm:
             self._fail()
+
+    def _advance(self, steps: int) -> None:
+        while self._parting and steps:
+            self._part_gently()
+            steps -= 1
+        if steps:
+            mujoco.mj_step(self._model, self._data, steps)
+
+    def _part_gently(self) -> None:
+        """Takes one engine step in which trees that an edit left deep inside others gain little speed."""
+        model, data = self._model, self._data
+        before = data.qvel.copy()
+        mujoco.mj_step(model, data)
+        bodies = model.geom_bodyid[data.contact.geom]
+        edges = np.where(model.geom_size > 0.0, 2.0 * model.geom_size, np.inf).min(axis=1)  # a plane has none
+        depth = _DEEP * edges[data.contact.geom].min(axis=1)
+        trees = model.body_treeid[bodies[data.contact.dist < -depth]]
+        watched = {int(model.body_treeid[self._layout.body[body]]) for body in self._parting}
+        parting = {tree for pair in trees.tolist() if watched.intersection(pair) for tree in pair if tree >= 0}
+        for tree in sorted(parting):
+            dofs = slice(model.tree_dofadr[tree], model.tree_dofadr[tree] + model.tree_dofnum[tree])
+            bound = max(_PARTING_SPEED, float(np.abs(before[dofs]).max()))
+            speed = float(np.abs(data.qvel[dofs]).max())
+            if speed > bound:
+                data.qvel[dofs] *= bound / speed
+        self._parting = {body for body, index in self._layout.body.items() if int(model.body_treeid[index]) in parting}
 
     def _fail(self) -> None:
         data = self._data
@@ -407,11 +445,13 @@ class MujocoSimulation(Simulation):
     def digest(self) -> bytes:
         """Returns the digest over MuJoCo's integration state, sleep, structure, and edits not yet taken up."""
         mujoco.mj_getState(self._model, self._data, self._state, _STATE)
-        h = hashlib.blake2b(self._state, digest_size=16)
-        h.update(self._asleep)
+        h = hashlib.blake2b(self._state.data, digest_size=16)
+        h.update(self._asleep.data)
         h.update(self._identity.to_bytes(16, "little"))
         if self._touched or self._force or self._impulse or self._stale_model:
             h.update(repr((sorted(self._touched), self._override, self._force, self._impulse)).encode())
+        if self._parting:
+            h.update(repr(sorted(self._parting)).encode())
         return h.digest()
 
     def snapshot(self) -> bytes:
@@ -435,6 +475,7 @@ class MujocoSimulation(Simulation):
                 },
                 "force": list(self._force.items()),
                 "impulse": list(self._impulse.items()),
+                "parting": sorted(self._parting),
                 "state": base64.b64encode(self._state.tobytes()).decode(),
                 "asleep": self._asleep.tolist(),
             }
@@ -462,6 +503,7 @@ class MujocoSimulation(Simulation):
         self._stale_model = self._wake_all = False
         self._force = {body: wrench for body, wrench in held["force"]}
         self._impulse = {body: wrench for body, wrench in held["impulse"]}
+        self._parting = set(held["parting"])
         forest = span(self._bodies, self._joints.values())
         self._take(build(self._scene, self._bodies, self._joints, forest, frozen_at))
         state = np.frombuffer(base64.b64decode(held["state"]))
@@ -496,6 +538,7 @@ class MujocoSimulation(Simulation):
         sleep = {} if self._wake_all else self._sleep_by_key(states.keys())
         self._take(layout)
         self._carry(old, old_data, layout, states, turns)
+        self._parting.update(body for body in states if body in self._touched)
         self._override.clear()
         self._touched.clear()
         self._stale_model = self._wake_all = False
