@@ -29,6 +29,7 @@ import numpy.typing as npt
 from nmes.errors import BackendNotFound
 
 __all__ = [
+    "CAPABILITIES",
     "Backend",
     "BodySpec",
     "BodyState",
@@ -47,6 +48,13 @@ Quaternion = tuple[float, float, float, float]  # x, y, z, w
 Array = npt.NDArray[np.float64]
 
 ENTRY_POINT_GROUP = "nmes.backends"
+
+CAPABILITIES = frozenset(
+    {"joint.fixed", "joint.hinge", "joint.slide", "joint.pin", "joint.conetwist"}  # kinds of joints
+    | {"motor", "servo", "spring", "limits"}  # what hinges and slides have; `limits` are also a conetwist's
+    | {"collisions", "friction", "restitution", "contacts"}  # between bodies; on the ground; and whether it tells
+    | {"sleep", "snapshot"}
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,9 +275,7 @@ class Backend(ABC):
     Attributes:
         name: What users call it (`mujoco`).
         dims: 3, or 2 for an engine of the XY plane.
-        capabilities: Of `joint.fixed`, `joint.hinge`, `joint.slide`, `joint.pin`, `joint.conetwist`, `motor`,
-            `servo`, `limits`, `spring`, `friction`, `restitution`, `contacts`, `sleep`, `snapshot`: what it can
-            do. The World answers everything else with `unsupported`.
+        capabilities: Of `CAPABILITIES`, what it can do. The World answers everything else with `unsupported`.
     """
 
     name: str

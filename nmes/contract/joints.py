@@ -1,0 +1,246 @@
+"""What joints do to bodies, for each kind of joint that a backend promises."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from nmes.backend import JointParams, JointSpec
+from nmes.contract.base import (
+    KINDS,
+    SUBSTEPS,
+    TICK,
+    ZERO,
+    Checks,
+    G,
+    about_z,
+    box,
+    carried,
+    close,
+    joint,
+    kinetic,
+    momenta,
+    parted,
+    run,
+    vector,
+)
+
+
+class JointChecks(Checks):
+    """Joints: held, read, driven, cut."""
+
+    def test_holds_joints_together(self) -> None:
+        """A thrown pair stays joined, keeps its momenta and gains no energy, for each kind of joint."""
+        for kind in KINDS:
+            if not self.can(f"joint.{kind}"):
+                continue
+            sim = self.space()
+            specs = {0: box((-0.5, 0.0, 0.0), mass=1.0), 1: box((0.5, 0.0, 0.0), mass=2.0)}
+            for body, spec in specs.items():
+                sim.add_body(body, spec)
+            limits = (-3.0, 3.0) if kind == "slide" and self.can("limits") else None
+            sim.add_joint(0, joint(kind, 0.0, limits))
+            sim.apply(0, ZERO, ZERO, (0.0, 1.0, 0.0), (0.0, 0.0, 0.2))
+            sim.apply(1, ZERO, ZERO, (0.5, -2.0, 0.0), ZERO)
+            sim.step(SUBSTEPS)
+            energy = kinetic(sim, specs)
+            before = np.array((0.5, -1.0, 0.0, 0.0, 0.0, -0.5 * 1.0 - 0.5 * 2.0 + 0.2))
+            for _ in range(round(5.0 / TICK)):
+                sim.step(SUBSTEPS)
+                gap = parted(sim, kind)
+                assert gap <= self.joint_error, f"{kind}: the halves are {gap} m apart"
+            after = momenta(sim, specs)
+            scale = float(np.linalg.norm(before))
+            close(after[:3], before[:3], max(self.momentum_error, 1e-6) * scale, f"{kind}: momentum")
+            close(after[3:], before[3:], 0.02 * scale, f"{kind}: angular momentum")
+            assert kinetic(sim, specs) <= energy * (1 + self.energy_error), f"{kind}: gained energy"
+
+    def test_keeps_momentum_when_joined(self) -> None:
+        """Two bodies that are joined while they fly apart go on together with the momenta that they had."""
+        for kind in KINDS:
+            if not self.can(f"joint.{kind}"):
+                continue
+            sim = self.space()
+            specs = {
+                0: box((-0.5, 0.0, 0.0), mass=1.0, linear_velocity=(0.0, 1.0, 0.0), angular_velocity=(0.0, 0.0, 1.0)),
+                1: box((0.5, 0.0, 0.0), mass=2.0, linear_velocity=(0.5, -1.0, 0.0)),
+            }
+            for body, spec in specs.items():
+                sim.add_body(body, spec)
+            before, energy = momenta(sim, specs), kinetic(sim, specs)
+            sim.add_joint(0, joint(kind, 0.0))
+            run(sim, 0.2)
+            after, scale = momenta(sim, specs), float(np.linalg.norm(before))
+            close(after[:3], before[:3], max(self.momentum_error, 1e-6) * scale, f"{kind}: momentum")
+            close(after[3:], before[3:], 0.02 * scale, f"{kind}: angular momentum")
+            assert kinetic(sim, specs) <= energy * (1 + self.energy_error), f"{kind}: gained energy"
+
+    def test_keeps_momentum_when_cut(self) -> None:
+        """A spinning pair that is cut flies apart with the momenta that it had."""
+        for kind in KINDS:
+            if not self.can(f"joint.{kind}"):
+                continue
+            sim = self.space()
+            specs = {
+                0: box((-0.5, 0.0, 0.0), linear_velocity=(0.0, -1.0, 0.0), angular_velocity=(0.0, 0.0, 2.0)),
+                1: box((0.5, 0.0, 0.0), linear_velocity=(0.0, 1.0, 0.0), angular_velocity=(0.0, 0.0, 2.0)),
+            }
+            for body, spec in specs.items():
+                sim.add_body(body, spec)
+            sim.add_joint(0, joint(kind, 0.0))
+            run(sim, 0.25)
+            before, rows = momenta(sim, specs), sim.states([0, 1])
+            sim.remove_joint(0)
+            close(sim.states([0, 1]).ravel(), rows.ravel(), 1e-9, f"{kind}: states right after the cut")
+            sim.step(1)
+            close(momenta(sim, specs), before, 1e-6 * float(np.linalg.norm(before)), f"{kind}: momenta")
+            run(sim, 2.0)
+            apart = float(np.linalg.norm(np.diff(sim.states([0, 1])[:, :3], axis=0)))
+            assert apart > 1.5, f"{kind}: {apart} m from each other 2 s after the cut"
+
+    def test_lets_joined_bodies_overlap(self) -> None:
+        """Jointed bodies do not collide with each other."""
+        kind = self.a_joint("fixed", "hinge")
+        sim = self.space()
+        sim.add_body(0, box(ZERO))
+        sim.add_body(1, box((0.5, 0.0, 0.0)))
+        sim.add_joint(0, JointSpec(kind, 0, 1, (0.25, 0.0, 0.0), (0.0, 0.0, 1.0)))
+        run(sim, 1.0)
+        close(sim.states([0, 1])[:, 0], (0.0, 0.5), 1e-6, "places of overlapping joined bodies")
+
+    def test_reads_joints(self) -> None:
+        """Position and velocity of hinge and slide: zero where they are made, signed by their axis, wherever rooted."""
+        for kind, sign in (("hinge", 1), ("hinge", -1), ("slide", 1), ("slide", -1)):
+            if not self.can(f"joint.{kind}"):
+                continue
+            sim = self.pair()
+            axis = (0.0, 0.0, float(sign)) if kind == "hinge" else (float(sign), 0.0, 0.0)
+            sim.set_frozen(0, True)
+            sim.add_joint(0, replace(joint(kind), axis=axis))
+            reading = sim.joint_state(0)
+            close(reading.anchor, (0.0, 3.0, 0.0), 1e-6, f"{kind}: anchor")
+            close(reading.axis, axis, 1e-6, f"{kind}: axis")
+            assert reading.position == 0.0 and reading.velocity == 0.0 and reading.effort == 0.0, reading
+            push = (0.0, 0.4, 0.0) if kind == "hinge" else (0.4, 0.0, 0.0)
+            sim.apply(1, ZERO, ZERO, push, ZERO)
+            run(sim, 0.5)
+            reading, row = sim.joint_state(0), sim.states([1])[0]
+            motion, speed = (2 * math.asin(row[5]), row[12]) if kind == "hinge" else (row[0] - 0.5, row[7])
+            assert motion > 0.05, f"{kind}: hardly moves"
+            close([reading.position], [sign * motion], 1e-3, f"{kind}: position")
+            close([reading.velocity], [sign * speed], 1e-3, f"{kind}: velocity")
+            sim.set_frozen(1, True)
+            sim.set_frozen(0, False)
+            close([sim.joint_state(0).position], [sign * motion], 1e-3, f"{kind}: position, rooted elsewhere")
+            sim.step(SUBSTEPS)
+            close([sim.joint_state(0).position], [sign * motion], 1e-2, f"{kind}: position, rooted elsewhere")
+
+    def test_swings_a_pendulum(self) -> None:
+        """A pendulum's period is that of its inertia."""
+        self.need("joint.hinge")
+        sim = self.sim(ground=False)
+        lean = 0.1
+        arm = box((0.5 * math.sin(lean), 9.5 - 0.5 * math.cos(lean), 0.0), size=(0.2, 1.0, 0.2))
+        sim.add_body(0, box((0.0, 10.0, 0.0), frozen=True))
+        sim.add_body(1, replace(arm, quaternion=about_z(lean)))
+        sim.add_joint(0, JointSpec("hinge", 0, 1, (0.0, 9.5, 0.0), (0.0, 0.0, 1.0)))
+        inertia = (0.2**2 + 1.0**2) / 12 + 0.5**2
+        wanted = math.tau * math.sqrt(inertia / (G * 0.5)) * (1 + lean**2 / 16)
+        self.swings(sim, lambda: sim.states([1])[0, 0], wanted, "pendulum")
+
+    def test_hangs_a_mass_on_a_spring(self) -> None:
+        """A known mass on a known spring, along a slide and about a hinge, swings as it should; damping damps it."""
+        self.need("spring")
+        for kind, inertia in (("slide", 1.0), ("hinge", 1 / 6)):
+            if not self.can(f"joint.{kind}"):
+                continue
+            stiffness = 40.0 * inertia
+            sim = self.machine(kind, JointParams(stiffness=stiffness))
+            self.drive(sim, kind, 0.5 * inertia)
+            period = math.tau * math.sqrt(inertia / stiffness)
+            self.swings(sim, lambda s=sim: s.joint_state(0).position, period, f"{kind} spring")  # type: ignore[misc]
+            sim = self.machine(kind, JointParams(damping=2.0 * inertia))
+            self.drive(sim, kind, 0.5 * inertia)
+            run(sim, 0.5)
+            speed = sim.joint_state(0).velocity
+            close([speed], [0.5 * math.exp(-1.0)], 0.02, f"{kind}: velocity after damping")
+
+    def test_drives_motors(self) -> None:
+        """A motor accelerates as its effort allows, reaches its velocity, and never applies more than its bound."""
+        self.need("motor")
+        for kind, inertia in (("hinge", 1 / 6), ("slide", 1.0)):
+            if not self.can(f"joint.{kind}"):
+                continue
+            for target in (3.0, -3.0):
+                effort = 12.0 * inertia
+                sim = self.machine(kind, JointParams("velocity", target_velocity=target, max_effort=effort))
+                run(sim, 0.1)
+                reading = sim.joint_state(0)
+                sign = math.copysign(1.0, target)
+                close([reading.velocity], [sign * 1.2], 1.2 * 2 * self.motor_error, f"{kind}: speed on the way")
+                close([reading.effort], [sign * effort], effort * self.motor_error, f"{kind}: effort on the way")
+                for _ in range(60):
+                    sim.step(SUBSTEPS)
+                    applied = abs(sim.joint_state(0).effort)
+                    assert applied <= effort * 1.000001, f"{kind}: applies {applied} of at most {effort}"
+                reading = sim.joint_state(0)
+                close([reading.velocity], [target], 3.0 * self.motor_error, f"{kind}: speed reached")
+                row = sim.states([1])[0]
+                close([row[12] if kind == "hinge" else row[7]], [target], 3.0 * self.motor_error, f"{kind}: motion")
+                sim.set_joint_params(0, JointParams())
+                run(sim, 0.2)
+                after = sim.joint_state(0)
+                close([after.velocity, after.effort], [reading.velocity, 0.0], 1e-3, f"{kind}: coasting")
+
+    def test_holds_servos(self) -> None:
+        """A servo goes to its position and holds it there against gravity, with the effort that this takes."""
+        self.need("servo")
+        for kind in ("hinge", "slide"):
+            if not self.can(f"joint.{kind}"):
+                continue
+            sim = self.machine(kind, JointParams(), gravity=(0.0, -G, 0.0), hanging=True)
+            for target in (0.5, -0.3):
+                sim.set_joint_params(0, JointParams("position", target_position=target, max_effort=60.0))
+                run(sim, 3.0)
+                reading = sim.joint_state(0)
+                close([reading.position], [target], max(self.motor_error, 0.02), f"{kind}: position held")
+                close([reading.velocity], [0.0], 0.01, f"{kind}: velocity while holding")
+                weight = G * 0.5 * math.cos(target) if kind == "hinge" else G
+                close([reading.effort], [weight], 0.05 * G, f"{kind}: effort while holding")
+
+    def test_stops_at_limits(self) -> None:
+        """What falls stops at the joint's limit; lifting the limit lets it go on."""
+        self.need("limits")
+        for kind in ("hinge", "slide"):
+            if not self.can(f"joint.{kind}"):
+                continue
+            sim = self.machine(kind, JointParams(limits=(-0.4, 0.3)), gravity=(0.0, -G, 0.0), hanging=True)
+            run(sim, 4.0)
+            close([sim.joint_state(0).position], [-0.4], 0.02, f"{kind}: position at the limit")
+            sim.set_joint_params(0, JointParams())
+            run(sim, 0.3)
+            assert sim.joint_state(0).position < -0.5, f"{kind}: held by a limit that is gone"
+
+    def test_holds_loops(self) -> None:
+        """A 3x3 grid of cubes with 12 hinges drops, holds together and comes to rest."""
+        self.need("joint.hinge")
+        sim = self.sim()
+        for i in range(9):
+            sim.add_body(i, box((1.2 * (i % 3), 1.0 + 1.2 * (i // 3), 0.0)))
+        pairs = [(i, i + 1) for i in range(9) if i % 3 < 2] + [(i, i + 3) for i in range(6)]
+        rows = sim.states(range(9))
+        for number, (one, two) in enumerate(pairs):
+            middle = (rows[one, :3] + rows[two, :3]) / 2
+            sim.add_joint(number, JointSpec("hinge", one, two, vector(middle), (0.0, 0.0, 1.0)))
+        arms = [(sim.body_state(a), sim.body_state(b), sim.joint_state(n).anchor) for n, (a, b) in enumerate(pairs)]
+        run(sim, 10.0)
+        worst = 0.0
+        for (one, two), (start1, start2, anchor) in zip(pairs, arms, strict=True):
+            here = carried(start1, sim.body_state(one), anchor)
+            there = carried(start2, sim.body_state(two), anchor)
+            worst = max(worst, float(np.linalg.norm(here - there)))
+        assert worst <= self.joint_error, f"the halves of a hinge are {worst} m apart"
+        fastest = float(np.abs(sim.states(range(9))[:, 7:]).max())
+        assert fastest < 0.1, f"still moves at {fastest} m/s or rad/s after 10 s"
