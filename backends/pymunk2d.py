@@ -55,12 +55,15 @@ GROUND = 1e6, 1000.0  # m: half the ground's length, and how deep a body may be 
 CORRECTION = 0.2  # of a joint's position error that one engine step takes away
 SERVO_RATE = 15.0  # 1/s: a servo closes in like exp(-rate t), so it does not overshoot unless its effort is short
 FAR = 1e5  # m behind the anchor of a slide, where the rod that drives it along its axis is held
+NUDGE = 1e-7  # m by which bodies in exactly the same place are moved apart
 FOREVER = 1e9  # rad or m: a target that no motor reaches
 ROW = pymunk.batch.BodyFields
 FIELDS = ROW.BODY_ID | ROW.POSITION | ROW.ANGLE | ROW.VELOCITY | ROW.ANGULAR_VELOCITY
 # Where Chipmunk keeps the signed impulse of these constraints, in doubles from their beginning: its accessor gives
 # the magnitude only, and the effort of a motor has a sign.
 SIGNED_IMPULSE = {pymunk.GearJoint: 18, pymunk.PinJoint: 25}
+
+KINDS = ("fixed", "hinge", "slide", "pin", "conetwist")
 
 Point = tuple[float, float]
 
@@ -96,16 +99,75 @@ class _Joint:
     anchor2: Point
     axis: Point
     sign: float
+    twists: bool
     zero: float
-    params: JointParams = field(default_factory=JointParams)
+    params: JointParams
     structure: list[pymunk.Constraint] = field(default_factory=list)
-    limit: pymunk.RotaryLimitJoint | None = None
     spring: pymunk.DampedRotarySpring | pymunk.DampedSpring | None = None
     motor: pymunk.GearJoint | pymunk.PinJoint | None = None
 
     def constraints(self) -> list[pymunk.Constraint]:
-        """Returns all constraints, in the order in which they are added to the space."""
-        return [*self.structure, *(c for c in (self.limit, self.spring, self.motor) if c is not None)]
+        """Returns all constraints, in the order in which they are added to the space; none while it is not built."""
+        return [*self.structure, *(c for c in (self.spring, self.motor) if c is not None)]
+
+    def needs(self) -> tuple[bool, bool, bool]:
+        """Tells which of limit, spring and motor the parameters need."""
+        p = self.params
+        return p.limits is not None, p.stiffness != 0.0 or p.damping != 0.0, p.motor != "off"
+
+    def build(self) -> None:
+        """Makes the constraints."""
+        a, b, slides = self.one.body, self.two.body, self.kind == "slide"
+        has_limit, has_spring, has_motor = self.needs()
+        rod = (a, b, self.along(-FAR), self.anchor2)  # lies along the axis of a slide
+        if slides:
+            groove = pymunk.GrooveJoint(a, b, self.anchor1, self.along(1.0), self.anchor2)
+            self.structure = [groove, pymunk.GearJoint(a, b, self.zero, 1.0)]
+        else:
+            self.structure = [pymunk.PivotJoint(a, b, self.anchor1, self.anchor2)]
+            if self.kind == "fixed":
+                self.structure.append(pymunk.GearJoint(a, b, self.zero, 1.0))
+            elif has_limit:
+                self.structure.append(pymunk.RotaryLimitJoint(a, b, 0.0, 0.0))
+        if has_spring:
+            rest = -self.zero
+            self.spring = (
+                pymunk.DampedSpring(*rod, FAR, 0.0, 0.0) if slides else pymunk.DampedRotarySpring(a, b, rest, 0.0, 0.0)
+            )
+        if has_motor:
+            self.motor = pymunk.PinJoint(*rod) if slides else pymunk.GearJoint(a, b, 0.0, 1.0)
+        for constraint in self.constraints():
+            constraint.collide_bodies = False
+        self.adjust()
+
+    def adjust(self) -> None:
+        """Sets the constraints to the parameters."""
+        p = self.params
+        bounds = p.limits
+        if bounds is not None and self.kind == "conetwist":
+            # It can only turn about z, which is its twist where its axis is z, and else its swing.
+            widest = bounds[1] if self.twists else bounds[0]
+            bounds = -widest, widest
+        for constraint in self.structure:
+            if isinstance(constraint, pymunk.GrooveJoint):
+                constraint.groove_a, constraint.groove_b = map(self.along, bounds or (-FAR / 2, FAR / 2))
+            elif isinstance(constraint, pymunk.RotaryLimitJoint) and bounds is not None:
+                constraint.min, constraint.max = sorted(self.zero + self.sign * bound for bound in bounds)
+        if self.spring is not None:
+            self.spring.stiffness, self.spring.damping = p.stiffness, p.damping
+        if self.motor is not None:
+            # A position constraint of bounded force, so that the solver itself holds the bound: to a position, or to
+            # one that is never reached, at a bounded speed.
+            if p.motor == "position":
+                target, self.motor.max_bias = p.target_position, math.inf
+            else:
+                target, self.motor.max_bias = math.copysign(FOREVER, p.target_velocity), abs(p.target_velocity)
+            self.motor.max_force = p.max_effort
+            self.motor.error_bias = math.exp(-SERVO_RATE)
+            if isinstance(self.motor, pymunk.PinJoint):
+                self.motor.distance = FAR + target
+            else:
+                self.motor.phase = self.zero + self.sign * target
 
     def along(self, distance: float) -> Point:
         """Returns a point on the axis of a slide, in the first body's frame."""
@@ -144,6 +206,7 @@ class PymunkSimulation(Simulation):
         self._bodies: dict[int, _Body] = {}
         self._joints: dict[int, _Joint] = {}
         self._numbers: dict[pymunk.Shape, int] = {}
+        self._placed: dict[int, _Body] = {}  # what was put somewhere since the last step
         self._pushed: dict[int, _Body] = {}  # what something acts on in the next step
         self._buffer = pymunk.batch.Buffer()
         self._order_key = b""
@@ -169,12 +232,13 @@ class PymunkSimulation(Simulation):
         shape = pymunk.Poly.create_box(b, (width, height))
         shape.friction, shape.elasticity = spec.friction, spec.restitution
         self._space.add(b, shape)
-        self._bodies[body] = _Body(body, spec, b, shape, spec.frozen)
+        self._bodies[body] = self._placed[body] = _Body(body, spec, b, shape, spec.frozen)
         self._numbers[shape] = body
         self._ranks = self._rows = self._making = None
 
     def remove_body(self, body: int) -> None:
         b = self._bodies.pop(body)
+        self._placed.pop(body, None)
         self._pushed.pop(body, None)
         del self._numbers[b.shape]
         self._space.remove(b.shape, b.body)
@@ -183,40 +247,27 @@ class PymunkSimulation(Simulation):
     def add_joint(self, joint: int, spec: JointSpec) -> None:
         one, two = self._bodies[spec.body1], self._bodies[spec.body2]
         a, b = one.body, two.body
+        along, about = pymunk.Vec2d(*spec.axis[:2]), spec.axis[2]
+        if spec.kind not in KINDS:
+            raise WorldError("unsupported", f"pymunk has no {spec.kind!r} joints", "joint_type")
+        if spec.kind == "hinge" and abs(about) < 1e-6:
+            raise WorldError("unsupported", "a planar world has hinges about z only", "axis")
+        if spec.kind == "slide" and along.length < 1e-6:
+            raise WorldError("unsupported", "a planar world has no slide along z", "axis")
         j = _Joint(
             kind=spec.kind,
             one=one,
             two=two,
             anchor1=a.world_to_local(spec.anchor[:2]),
             anchor2=b.world_to_local(spec.anchor[:2]),
-            axis=(0.0, 0.0),
-            sign=-1.0 if spec.kind != "slide" and spec.axis[2] < 0.0 else 1.0,
+            axis=along.normalized().rotated(-a.angle),
+            sign=-1.0 if spec.kind != "slide" and about < 0.0 else 1.0,
+            twists=abs(about) > 0.5,
             zero=b.angle - a.angle,
+            params=spec.params,
         )
-        match spec.kind:
-            case "fixed":
-                j.structure = [pymunk.PivotJoint(a, b, j.anchor1, j.anchor2), pymunk.GearJoint(a, b, j.zero, 1.0)]
-            case "hinge" if abs(spec.axis[2]) < 1e-6:
-                raise WorldError("unsupported", "a planar world has hinges about z only", "axis")
-            case "hinge" | "pin" | "conetwist":
-                j.structure = [pymunk.PivotJoint(a, b, j.anchor1, j.anchor2)]
-            case "slide":
-                x, y = spec.axis[:2]
-                if math.hypot(x, y) < 1e-6:
-                    raise WorldError("unsupported", "a planar world has no slide along z", "axis")
-                j.axis = pymunk.Vec2d(x, y).normalized().rotated(-a.angle)
-                groove = pymunk.GrooveJoint(a, b, j.along(-FAR / 2), j.along(FAR / 2), j.anchor2)
-                j.structure = [groove, pymunk.GearJoint(a, b, j.zero, 1.0)]
-            case kind:
-                raise WorldError("unsupported", f"pymunk has no {kind!r} joints", "joint_type")
-        for constraint in j.structure:
-            constraint.error_bias = (1.0 - CORRECTION) ** (1.0 / self._timestep)
-        if spec.kind == "conetwist":
-            # In the plane it turns about z only: that is its twist when its axis is z, and else its swing.
-            j.axis = (0.0, 0.0) if abs(spec.axis[2]) > 0.5 else (1.0, 0.0)
         self._joints[joint] = one.joints[joint] = two.joints[joint] = j
         self._hang(j)
-        self.set_joint_params(joint, spec.params)
 
     def remove_joint(self, joint: int) -> None:
         j = self._joints.pop(joint)
@@ -226,44 +277,13 @@ class PymunkSimulation(Simulation):
 
     def set_joint_params(self, joint: int, params: JointParams) -> None:
         j = self._joints[joint]
-        a, b, slides = j.one.body, j.two.body, j.kind == "slide"
-        bounds = params.limits
-        if bounds is not None and j.kind == "conetwist":
-            widest = bounds[0] if j.axis != (0.0, 0.0) else bounds[1]
-            bounds = -widest, widest
-        has_limit = bounds is not None and not slides
-        has_spring = params.stiffness != 0.0 or params.damping != 0.0
-        has_motor = params.motor != "off"
-        if [c is not None for c in (j.limit, j.spring, j.motor)] != [has_limit, has_spring, has_motor]:
-            # Whatever stays is kept, for a constraint remembers the impulse that it needed last.
-            rod = (a, b, j.along(-FAR), j.anchor2)
-            self._unhang(j)
-            j.limit = (j.limit or pymunk.RotaryLimitJoint(a, b, 0.0, 0.0)) if has_limit else None
-            if not has_spring:
-                j.spring = None
-            elif j.spring is None:
-                j.spring = pymunk.DampedSpring(*rod, FAR, 0, 0) if slides else pymunk.DampedRotarySpring(a, b, 0, 0, 0)
-            if not has_motor:
-                j.motor = None
-            elif j.motor is None:
-                j.motor = pymunk.PinJoint(*rod) if slides else pymunk.GearJoint(a, b, 0.0, 1.0)
-            for constraint in j.constraints():
-                constraint.collide_bodies = False
-            self._hang(j)
+        needed = j.needs()
         j.params = params
-        if j.limit is not None and bounds is not None:
-            j.limit.min, j.limit.max = sorted(j.zero + j.sign * bound for bound in bounds)
-            j.limit.error_bias = (1.0 - CORRECTION) ** (1.0 / self._timestep)
-        if slides:
-            groove = j.structure[0]
-            assert isinstance(groove, pymunk.GrooveJoint)
-            groove.groove_a, groove.groove_b = map(j.along, bounds or (-FAR / 2, FAR / 2))
-        if j.spring is not None:
-            j.spring.stiffness, j.spring.damping = params.stiffness, params.damping
-            if isinstance(j.spring, pymunk.DampedRotarySpring):
-                j.spring.rest_angle = -j.zero
-        if j.motor is not None:
-            _aim(j, j.motor)
+        if j.needs() == needed:
+            j.adjust()  # what stays remembers the impulse that it needed last
+        else:
+            self._unhang(j)
+            self._hang(j)
         self._making = None
 
     def set_frozen(self, body: int, frozen: bool) -> None:
@@ -285,13 +305,17 @@ class PymunkSimulation(Simulation):
         self._rows = self._making = None
 
     def _hang(self, j: _Joint) -> None:
-        """Adds a joint's constraints, unless both bodies are frozen, which Chipmunk cannot solve for."""
+        """Makes a joint's constraints, unless both bodies are frozen, which Chipmunk cannot solve for."""
         if not (j.one.frozen and j.two.frozen):
+            j.build()
+            for constraint in j.structure:
+                constraint.error_bias = (1.0 - CORRECTION) ** (1.0 / self._timestep)
             self._space.add(*j.constraints())
+        self._making = None
 
     def _unhang(self, j: _Joint) -> None:
-        if not (j.one.frozen and j.two.frozen):
-            self._space.remove(*j.constraints())
+        self._space.remove(*j.constraints())
+        j.structure, j.spring, j.motor = [], None, None
 
     # -- state --------------------------------------------------------------------------------------------------
 
@@ -307,6 +331,7 @@ class PymunkSimulation(Simulation):
             self._space.add(b.shape)
         else:
             b.body.velocity, b.body.angular_velocity = state.linear_velocity[:2], state.angular_velocity[2]
+        self._placed[body] = b
         self._rows = None
 
     def apply(self, body: int, force: Vector, torque: Vector, impulse: Vector, angular_impulse: Vector) -> None:
@@ -364,6 +389,7 @@ class PymunkSimulation(Simulation):
 
     def step(self, substeps: int) -> None:
         before = self._read()
+        self._part_the_concentric()
         for b in self._pushed.values():
             b.body.velocity += pymunk.Vec2d(*b.impulse) / b.spec.mass
             b.body.angular_velocity += b.spin / b.body.moment
@@ -410,7 +436,25 @@ class PymunkSimulation(Simulation):
         self._bodies.clear()
         self._joints.clear()
         self._numbers.clear()
+        self._placed.clear()
         self._pushed.clear()
+
+    def _part_the_concentric(self) -> None:
+        """Moves bodies that were put exactly onto others a little: Chipmunk knows no way out for those."""
+        if not self._placed:
+            return
+        taken = {tuple(b.body.position) for number, b in self._bodies.items() if number not in self._placed}
+        for b in self._placed.values():
+            place = start = b.body.position
+            turn = 0.0
+            while tuple(place) in taken:
+                turn += 2.4  # the golden angle: no two ways out are alike
+                place = start + pymunk.Vec2d(NUDGE * turn, 0.0).rotated(turn)
+            if place is not start and not b.frozen:
+                b.body.position = place
+            taken.add(tuple(place))
+        self._placed.clear()
+        self._rows = None
 
     def _calm(self, b: _Body) -> None:
         """Forgets what acts on a body."""
@@ -496,24 +540,6 @@ def _angle(quaternion: Quaternion) -> float:
 
 def _moment(spec: BodySpec) -> float:
     return spec.mass * (spec.size[0] ** 2 + spec.size[1] ** 2) / 12.0
-
-
-def _aim(j: _Joint, motor: pymunk.GearJoint | pymunk.PinJoint) -> None:
-    """Sets what a motor drives at: a position, or a position that is never reached at a bounded speed.
-
-    Both are position constraints with a bounded force, so the solver itself holds the bound.
-    """
-    p = j.params
-    if p.motor == "position":
-        target, motor.max_bias = p.target_position, math.inf
-    else:
-        target, motor.max_bias = math.copysign(FOREVER, p.target_velocity), abs(p.target_velocity)
-    motor.max_force = p.max_effort
-    motor.error_bias = math.exp(-SERVO_RATE)
-    if isinstance(motor, pymunk.PinJoint):
-        motor.distance = FAR + target
-    else:
-        motor.phase = j.zero + j.sign * target
 
 
 def _signed_impulse(motor: pymunk.GearJoint | pymunk.PinJoint) -> float:
