@@ -10,7 +10,20 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Coroutine, Mapping, Sequence
-from typing import Any, Concatenate, Generic, Literal, NotRequired, ParamSpec, Self, TypedDict, TypeVar, cast, overload
+from typing import (
+    Any,
+    Concatenate,
+    Generic,
+    Literal,
+    NotRequired,
+    ParamSpec,
+    Protocol,
+    Self,
+    TypedDict,
+    TypeVar,
+    cast,
+    overload,
+)
 
 from nmes.errors import CommandFailed
 
@@ -18,8 +31,17 @@ __all__ = ["AsyncCommands", "BlockingCommands", "Commands", "Event", "Pending", 
 
 P = ParamSpec("P")
 R = TypeVar("R")
-Vector = Sequence[float]
 Names = list[str]
+
+
+class Array(Protocol):
+    """What numpy's arrays and scalars have in common."""
+
+    def tolist(self) -> Any:
+        """Returns the plain numbers."""
+
+
+Vector = Sequence[float] | Array
 
 
 # -- what replies and events hold (the schemas say it in full; a test compares) ---------------------------------------

@@ -353,13 +353,14 @@ class Connection(asyncio.BufferedProtocol):
         if self._output_size + self._transport.get_write_buffer_size() > self._limits.pending:
             # The world is in the middle of telling its clients, so this one goes when the slice ends.
             self._overflowed = True
-            if self._world is not None:
-                self._world.speak(self)
+            assert self._world is not None
+            self._world.speak(self)
         else:
             self._put(self._session.event(event))
 
     def _put(self, data: bytes) -> None:
-        if not self._output and self._world is not None:
+        if not self._output:
+            assert self._world is not None
             self._world.speak(self)
         self._output.append(data)
         self._output_size += len(data)
@@ -533,6 +534,11 @@ class Host:
     def accepts(self, password: str) -> bool:
         """Compares a password in a time that does not depend on how much of it is right."""
         return hmac.compare_digest(self._password, _digest(password))
+
+    @property
+    def connections(self) -> int:
+        """How many connections there are, those that are ending included."""
+        return len(self._connections)
 
     def admit(self, connection: Connection) -> int:
         """Counts a connection in; returns how many there are."""

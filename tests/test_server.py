@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+import nmes.server
 from nmes import protocol
 from nmes.errors import Disconnected, NmesError, RecordingError, WorldError
 from nmes.protocol import DELIMITER, Limits
@@ -201,6 +202,14 @@ def test_an_idle_client_is_closed_and_a_ping_keeps_one_open() -> None:
         assert time.monotonic() - began >= 1.0
 
 
+def test_a_client_that_does_not_hang_up_when_told_to_go_is_hung_up_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(nmes.server, "LINGER", 0.1)
+    with served() as server, server.peer(None) as peer:
+        peer.send(b"guess" + DELIMITER)
+        assert peer.frame() == b"auth_failed"
+        until(lambda: server.call(lambda: server.host.connections) == 0)
+
+
 def test_too_many_connections() -> None:
     with served(limits=Limits(connections=2)) as server:
         with server.peer(), server.peer(None) as second, server.peer(None) as third:
@@ -216,6 +225,12 @@ def _can_connect(server: Served) -> bool:
     with server.peer(None) as peer:
         peer.say({"type": "auth", "password": PASSWORD})
         return bool(peer.hear()["type"] == "auth_success")
+
+
+def test_a_crowd_is_dropped_without_a_word(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(nmes.server, "SPARE", 0)
+    with served(limits=Limits(connections=1)) as server, server.peer(), server.peer(None) as second:
+        assert second.rest() == []
 
 
 def _never_reads(server: Served, *messages: dict[str, Any]) -> Peer:
@@ -461,6 +476,30 @@ def test_closing_tells_subscribers_and_completes_the_recording(tmp_path: Path) -
             Peer(server.port)
     (path,) = tmp_path.iterdir()
     assert Recording(path).complete
+
+
+def test_closing_in_the_middle_of_what_a_client_that_left_had_asked_for(tmp_path: Path) -> None:
+    with served(record_to=tmp_path) as server:
+        with server.peer("raw") as peer:
+            peer.say(*[{"type": "step", "ticks": 200}] * 300)
+        until(lambda: server.call(lambda: server.hosted.world.frame) > 0)
+    (path,) = tmp_path.iterdir()
+    assert Recording(path).complete
+
+
+def test_a_recording_that_cannot_be_completed_is_logged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    close = Recorder.close
+
+    def full(self: Recorder) -> None:
+        close(self)
+        raise RecordingError("recording_failed", "the disk is full")
+
+    monkeypatch.setattr(Recorder, "close", full)
+    with served(record_to=tmp_path):
+        pass
+    assert "could not be completed: the disk is full" in caplog.text
 
 
 async def test_an_address_that_is_taken(server: Served) -> None:
