@@ -30,11 +30,16 @@ class Figure:
         """Whether the aim was reached."""
         return self.at_least <= self.value <= self.at_most
 
-    def __str__(self) -> str:
+    @property
+    def aim(self) -> str:
+        """The range in words."""
         low = f"at least {self.at_least:g}" if self.at_least > -inf else ""
         high = f"at most {self.at_most:g}" if self.at_most < inf else ""
-        aim = " and ".join(filter(None, (low, high)))
-        return f"{self.name:<28} {self.value:9.3f} {self.unit:<4} {'ok' if self.ok else 'MISSED'} ({aim})"
+        return " and ".join(filter(None, (low, high)))
+
+    def __str__(self) -> str:
+        verdict = f"{'ok' if self.ok else 'MISSED'} ({self.aim})" if self.aim else ""
+        return f"{self.name:<28} {self.value:9.3f} {self.unit:<4} {verdict}".rstrip()
 
 
 Connect = Callable[[], nmes.Client]

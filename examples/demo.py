@@ -24,6 +24,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from common import Figure
+
 HERE = Path(__file__).parent
 EXAMPLES = ["tier1_target", "tier2_grid", "tier2_pole", "tier3_swarm"]
 NMES = [str(Path(sys.executable).parent / "nmes")]
@@ -80,13 +82,26 @@ def replay(recording: Path) -> Any:
     return run([*NMES, "replay", str(recording), "--json"])
 
 
+def rows(example: str, figures: Any, recording: Path, report: Any) -> Iterator[tuple[str, ...]]:
+    """Yields an example's part of the table."""
+    yield f"[bold]{example}[/]", "", "", ""
+    for figure in (Figure(**row) for row in figures["figures"]):
+        color = "green" if figure.ok else "red"
+        yield f"  {figure.name}", f"[{color}]{figure.value:.3f}[/]", figure.unit, figure.aim
+    size = recording.stat().st_size / 1024
+    yield "  recorded", f"{size:.0f}", "KiB", f"{report['ticks']} ticks, {report['commands']} commands"
+    color = "green" if report["verdict"] == "reproduced" else "red"
+    yield "  replayed", f"[{color}]{report['verdict']}[/]", "", f"{report['speed']:.0f} x real time"
+
+
 def main() -> int:
     """Runs the demo; returns 1 if an aim was missed or a recording was not reproduced."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--keep", type=Path, metavar="DIR", help="leave the recordings in this directory")
     options = parser.parse_args()
     console = Console()
-    table = Table("example", "measured", "", "ticks", "commands", "recording", "replay", title="nmes demo")
+    table = Table("", "measured", "", "aim")
+    table.columns[1].justify = "right"
     good = True
     began = time.monotonic()
     with ExitStack() as stack:
@@ -101,20 +116,10 @@ def main() -> int:
             progress.update(task, advance=1, description=f"{example}: replayed")
             report = replay(recording)
             progress.advance(task)
-            reproduced = report["verdict"] == "reproduced"
-            good &= figures["ok"] and reproduced
-            table.add_row(
-                example,
-                "\n".join(f"{f['name']}: {f['value']:.3f} {f['unit']}" for f in figures["figures"]),
-                "[green]ok[/]" if figures["ok"] else "[red]missed[/]",
-                str(report["ticks"]),
-                str(report["commands"]),
-                f"{recording.stat().st_size / 1024:.0f} KiB",
-                f"[green]reproduced[/]\n{report['speed']:.0f} x real time"
-                if reproduced
-                else f"[red]{report['verdict']}[/]",
-                end_section=True,
-            )
+            for row in rows(example, figures, recording, report):
+                table.add_row(*row)
+            table.add_section()
+            good &= figures["ok"] and report["verdict"] == "reproduced"
     console.print(table)
     console.print(f"{time.monotonic() - began:.1f} s" + (f"; the recordings are in {folder}" if options.keep else ""))
     return 0 if good else 1

@@ -12,7 +12,7 @@ from common import Connect, Figure, main
 
 EDGE = 0.4  # m
 SPACING = 0.5  # m: the hinges sit in the gaps
-BEND = 0.25  # rad, of each joint at most
+BEND = 0.2  # rad, of each joint at most
 PERIOD = 120  # ticks
 TICKS = 3 * PERIOD
 GAIN = 8.0  # rad/s of motor for each rad of error

@@ -1,0 +1,91 @@
+"""The example programs do what they say, over TCP, and their recordings are reproduced. They run as users run them."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from layout import ROOT
+
+sys.path.insert(0, str(ROOT / "examples"))
+
+import demo
+
+# What each must measure: a range for each figure. Stated here too, so that nobody relaxes an example unseen.
+AIMS = {
+    "tier1_target": {"distance at the start": (7.0, 7.5), "final distance": (0.0, 0.1), "final speed": (0.0, 0.05)},
+    "tier2_grid": {"hinges": (12, 12), "hop height": (0.6, 1.0), "height after landing": (0.0, 0.1)},
+    "tier2_pole": {
+        "swing to the left": (0.5, 2.0),
+        "swing to the right": (0.5, 2.0),
+        "lowest tip, of upright": (0.6, 1.0),
+        "base moved by": (0.0, 1e-9),
+    },
+    "tier3_swarm": {
+        "spread at the start": (1.1, 1.3),
+        "spread once driven apart": (3.0, 5.0),
+        "cubes rammed": (5, 5),
+        "least knocked away": (0.2, 100.0),
+    },
+}
+
+
+def test_all_examples_are_tested() -> None:
+    assert {path.stem for path in (ROOT / "examples").glob("tier*.py")} == set(AIMS) == set(demo.EXAMPLES)
+
+
+@pytest.mark.parametrize("example", AIMS)
+def test_an_example_measures_what_it_says_and_is_reproduced(example: str, tmp_path: Path) -> None:
+    figures, recording = demo.drive(example, tmp_path)
+    assert figures["ok"], figures
+    measured = {figure["name"]: figure["value"] for figure in figures["figures"]}
+    assert set(measured) == set(AIMS[example])
+    for name, (low, high) in AIMS[example].items():
+        assert low <= measured[name] <= high, f"{name}: {measured[name]}"
+    report = demo.replay(recording)
+    assert report["verdict"] == "reproduced", report
+
+
+def test_an_example_gives_the_same_figures_every_time(tmp_path: Path) -> None:
+    runs: list[Any] = []
+    for number in ("1", "2"):
+        (tmp_path / number).mkdir()
+        runs.append(demo.drive("tier3_swarm", tmp_path / number)[0])
+    assert runs[0] == runs[1]
+
+
+def test_an_example_that_misses_its_aim_says_so(tmp_path: Path) -> None:
+    with demo.served(tmp_path, "--mode", "lockstep", "--backend", "ballistic") as server:
+        # A controller of the wrong sign drives the cube away.
+        script = "import tier1_target as t, common; t.STIFFNESS = -t.STIFFNESS; common.main(t.measure, t.__doc__)"
+        options = ["--port", str(server["port"]), "--password", server["password"]]
+        done = subprocess.run(
+            [sys.executable, "-c", script, *options], cwd=ROOT / "examples", capture_output=True, text=True, check=False
+        )
+    assert done.returncode == 1
+    assert "MISSED (at most 0.1)" in done.stdout
+
+
+def test_an_example_without_a_server_gives_a_message() -> None:
+    script = [sys.executable, str(ROOT / "examples" / "tier1_target.py"), "--port", "1", "--password", "x", "--json"]
+    done = subprocess.run(script, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "unreachable" in done.stderr and "Traceback" not in done.stderr
+
+
+def test_the_demo_reproduces_everything(tmp_path: Path) -> None:
+    script = [sys.executable, str(ROOT / "examples" / "demo.py"), "--keep", str(tmp_path)]
+    done = subprocess.run(script, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert done.stdout.count("reproduced") == len(AIMS)
+    for recording in tmp_path.rglob("*.mcap"):
+        info = subprocess.run(
+            [*demo.NMES, "info", str(recording), "--json"], capture_output=True, text=True, check=True
+        )
+        assert json.loads(info.stdout)
+    assert len(list(tmp_path.rglob("*.mcap"))) == len(AIMS)
