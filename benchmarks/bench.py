@@ -1,0 +1,77 @@
+"""Runs the benchmarks, prints a table, and writes the figures with their details to a JSON file.
+
+All figures are ratios within this run, or rates that stand beside such ratios: a slow machine is slow to both sides.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import sys
+import time
+from dataclasses import asdict
+from importlib.metadata import version
+from math import inf
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.table import Table
+
+import roundtrip
+import ticking
+
+SUITES = {"roundtrip": roundtrip.figures, "ticking": ticking.figures}
+
+
+def machine() -> dict[str, Any]:
+    """Says where this was measured."""
+    cpu = platform.processor()
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        cpu = next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        pass
+    versions = {name: version(name) for name in ("nmes", "mujoco", "numpy")}
+    return {
+        "cpu": cpu,
+        "cores": os.cpu_count(),
+        "system": platform.platform(),
+        "python": platform.python_version(),
+    } | versions
+
+
+def main() -> int:
+    """Returns 1 if an aim was missed."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("suite", nargs="*", choices=[*SUITES, []], help="which to run; all when left out")
+    parser.add_argument("--output", type=Path, default=Path("build/bench.json"), help="where the JSON goes")
+    options = parser.parse_args()
+    console = Console()
+    here = machine()
+    table = Table("figure", "measured", "aim", "", caption=f"{here['cpu']}, {here['cores']} cores")
+    for column in (1, 2):
+        table.columns[column].justify = "right"
+    results = []
+    with console.status("measuring") as status:
+        for name in options.suite or SUITES:
+            status.update(f"measuring: {name}")
+            for figure in SUITES[name]():
+                value = f"{figure.value:,.0f}" if figure.value >= 1000 else f"{figure.value:.2f}"
+                mark = "" if not figure.aim else "[green]ok[/]" if figure.ok else "[red]missed[/]"
+                table.add_row(figure.name, f"{value} {figure.unit}", figure.aim, mark)
+                # JSON has no infinity: a bound that is not there is left out.
+                row = {key: value for key, value in asdict(figure).items() if value not in (inf, -inf)}
+                results.append({"suite": name, **row, "ok": figure.ok})
+    console.print(table)
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    document = {"machine": here, "time": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()), "figures": results}
+    options.output.write_text(json.dumps(document, indent=2) + "\n")
+    console.print(f"details: {options.output}")
+    return 0 if all(result["ok"] for result in results) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
