@@ -14,7 +14,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from nmes import protocol
+from nmes import protocol, schemas
 from nmes.errors import RejectedMessage, WorldError
 from nmes.protocol import (
     COMMANDS,
@@ -461,8 +461,18 @@ def test_a_bad_config_is_refused(config: dict[str, Any], field: str) -> None:
 
 
 def test_a_config_that_is_no_json_is_refused() -> None:
-    with pytest.raises(RejectedMessage):
-        protocol.complete_config({"engine": {"x": object()}})
+    configs: list[Any] = [{"engine": {"x": object()}}, [], "main", None]
+    for config in configs:
+        with pytest.raises(RejectedMessage):
+            protocol.complete_config(config)
+
+
+def test_metadata_is_checked() -> None:
+    (metadata,) = schemas.load("recording_metadata.json")["examples"]
+    protocol.validate_metadata(metadata)
+    with pytest.raises(RejectedMessage) as caught:
+        protocol.validate_metadata({**metadata, "nmes.world": {"config": "{}"}})
+    assert caught.value.path == "nmes.world/seed"
 
 
 def test_decode_wants_an_object() -> None:
