@@ -8,13 +8,14 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 import programs
 from nmes import World
-from nmes.backend import BodySpec, BodyState, JointParams, JointSpec, SceneSpec, Simulation, Vector
+from nmes.backend import Array, BodySpec, BodyState, JointParams, JointSpec, SceneSpec, Simulation, Vector
 from nmes.backends.mujoco3d import MujocoBackend, MujocoSimulation
 from nmes.errors import SimulationFault
 from nmes.rotation import quaternion_from_euler, rotate
@@ -46,7 +47,12 @@ def box(
     return BodySpec(size, mass, friction, restitution, position, q, velocity, spin, frozen)
 
 
-def momentum(simulation: Simulation, masses: dict[int, float], edge: float = 1.0) -> tuple[np.ndarray, np.ndarray]:
+def vector(values: npt.ArrayLike) -> Vector:
+    x, y, z = np.asarray(values, float).tolist()
+    return (x, y, z)
+
+
+def momentum(simulation: Simulation, masses: dict[int, float], edge: float = 1.0) -> tuple[Array, Array]:
     linear, angular = np.zeros(3), np.zeros(3)
     for body, mass in masses.items():
         state = simulation.body_state(body)
@@ -84,17 +90,18 @@ def grid(simulation: Simulation, height: float = 0.5) -> tuple[dict[int, JointSp
     where = {1 + 3 * i + k: (1.1 * i, height, 1.1 * k) for i in range(3) for k in range(3)}
     for body, position in where.items():
         simulation.add_body(body, box(position))
-    joints, made = {}, {}
+    joints: dict[int, JointSpec] = {}
+    made: dict[int, tuple[Vector, Vector]] = {}
     for body, position in where.items():
         for other, axis in ((body + 3, (0.0, 0.0, 1.0)), (body + 1, (1.0, 0.0, 0.0))):
             if other in where and (other == body + 3 or body % 3):
                 far = where[other]
-                anchor = tuple((a + b) / 2 for a, b in zip(position, far, strict=True))
+                anchor = vector(np.add(position, far) / 2)
                 number = len(joints) + 1
-                spec = JointSpec("hinge", body, other, anchor, axis)  # type: ignore[arg-type]
+                spec = JointSpec("hinge", body, other, anchor, axis)
                 simulation.add_joint(number, spec)
                 joints[number] = spec
-                made[number] = tuple(np.subtract(anchor, p) for p in (position, far))  # type: ignore[assignment]
+                made[number] = (vector(np.subtract(anchor, position)), vector(np.subtract(anchor, far)))
     return joints, made
 
 
@@ -319,12 +326,13 @@ def test_every_kind_of_joint_closes_a_loop(kind: str) -> None:
     corners = [(0.0, 5.0, 0.0), (1.5, 5.0, 0.0), (1.5, 3.5, 0.0), (0.0, 3.5, 0.0)]
     for body, corner in enumerate(corners, 1):
         simulation.add_body(body, box(corner, frozen=body == 1))
-    joints, made = {}, {}
+    joints: dict[int, JointSpec] = {}
+    made: dict[int, tuple[Vector, Vector]] = {}
     for number, (a, b, k) in enumerate([(1, 2, "hinge"), (2, 3, "hinge"), (3, 4, "hinge"), (4, 1, kind)], 1):
         here, there = corners[a - 1], corners[b - 1]
-        anchor = tuple((p + q) / 2 for p, q in zip(here, there, strict=True))
-        joints[number] = JointSpec(k, a, b, anchor, (0.0, 1.0, 0.0) if k == "slide" else (0.0, 0.0, 1.0))  # type: ignore[arg-type]
-        made[number] = tuple(np.subtract(anchor, p) for p in (here, there))  # type: ignore[assignment]
+        anchor = vector(np.add(here, there) / 2)
+        joints[number] = JointSpec(k, a, b, anchor, (0.0, 1.0, 0.0) if k == "slide" else (0.0, 0.0, 1.0))
+        made[number] = (vector(np.subtract(anchor, here)), vector(np.subtract(anchor, there)))
         simulation.add_joint(number, joints[number])
     for _ in range(300):
         simulation.step(4)
@@ -376,7 +384,7 @@ def test_an_edit_keeps_the_pose_and_velocity_of_a_tree(number: int) -> None:
                 i + 1,
                 i + 2,
                 (1.2 * i + 0.6, 9.0, 0.0),
-                tuple((axis / np.linalg.norm(axis)).tolist()),  # type: ignore[arg-type]
+                vector(axis / np.linalg.norm(axis)),
                 params if kind in ("hinge", "slide") else JointParams(),
             ),
         )
@@ -398,7 +406,7 @@ def test_an_edit_keeps_the_pose_and_velocity_of_a_tree(number: int) -> None:
 
 
 def test_an_edit_leaves_other_structures_bit_for_bit() -> None:
-    def settle(edit: bool) -> np.ndarray:
+    def settle(edit: bool) -> Array:
         simulation = scene()
         for i in range(4):
             simulation.add_body(i + 1, box((3.0 * i, 2.0, 0.0), euler=(0.1 * i, 0.2, 0.3)))

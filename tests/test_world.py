@@ -71,7 +71,7 @@ def test_a_reply_echoes_the_id_that_the_command_had(drive: Driver, given_id: Any
 def test_every_reply_is_of_the_shape_that_its_schema_states(drive: Driver) -> None:
     a, b = drive.spawn(position=[0, 2, 0]), drive.spawn(position=[1.1, 2, 0])
     joint = drive.joint(a, b)
-    sent = [
+    sent: list[Reply] = [
         {"type": "get_cube_list"},
         {"type": "get_cube_info", "cube_name": a},
         {"type": "get_cube_state"},
@@ -262,13 +262,14 @@ def test_a_batch_is_applied_in_order_and_a_failing_part_leaves_the_rest(drive: D
 def test_modes_decide_who_may_step(drive: Driver) -> None:
     assert drive.ok("step", ticks=3) == {"type": "stepped", "frame": 3, "t": 3 / 60}
     drive.ok("set_mode", mode="realtime", rate=2)
-    assert drive.world.running and drive.world.rate == 2
+    running = [drive.world.running]
     drive.refused("wrong_mode", "step")
     drive.ok("pause")
-    assert not drive.world.running
+    running.append(drive.world.running)
     assert drive.ok("step")["frame"] == 4
     drive.ok("resume")
-    assert drive.world.running
+    running.append(drive.world.running)
+    assert running == [True, False, True] and drive.world.rate == 2
     drive.world.tick()
     assert drive.world.frame == 5
 
