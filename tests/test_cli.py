@@ -1,0 +1,226 @@
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+import pytest
+from click.testing import CliRunner, Result
+
+from layout import ROOT
+from nmes import Client
+from nmes.cli import SUBCOMMANDS, main
+from nmes.errors import RecordingError
+from nmes.recording import Kind, Recording
+from serving import PATIENCE
+
+NMES = str(Path(sys.executable).parent / "nmes")
+DOCUMENT = (ROOT / "docs" / "cli.md").read_text()
+
+
+def run(*arguments: str, **environment: str | None) -> Result:
+    """Runs a command in this process."""
+    return CliRunner().invoke(main, arguments, env={"NMES_PASSWORD": None, **environment})
+
+
+@contextmanager
+def process(*arguments: str, **environment: str) -> Iterator[subprocess.Popen[str]]:
+    """Runs a command as users do."""
+    inherited = {name: value for name, value in os.environ.items() if name != "NMES_PASSWORD"}
+    with subprocess.Popen(
+        [NMES, *arguments],
+        env={**inherited, **environment},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as running:
+        try:
+            yield running
+        finally:
+            running.kill()
+
+
+def ready(server: subprocess.Popen[str]) -> dict[str, Any]:
+    """Returns what `nmes serve --json` says when it is ready."""
+    assert server.stdout is not None
+    line = server.stdout.readline()
+    assert line, server.communicate(timeout=PATIENCE)
+    said = json.loads(line)
+    assert isinstance(said, dict)
+    return said
+
+
+# -- the command line as a whole --------------------------------------------------------------------------------------
+
+
+def test_help_lists_all_and_loads_none_of_them() -> None:
+    code = "import sys; from nmes.cli import main; main(['--help'], standalone_mode=False); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=PATIENCE)
+    for name, about in SUBCOMMANDS.items():
+        assert re.search(rf"^  {name} +{re.escape(about)}$", done.stdout, flags=re.MULTILINE)
+    loaded = set(done.stdout.splitlines()[-1].split())
+    assert not loaded & {"numpy", "mujoco", "mcap", "asyncio", "jsonschema_rs", "nmes.server", "nmes.cli.serve"}
+
+
+def test_version() -> None:
+    result = run("--version")
+    assert result.exit_code == 0
+    assert re.fullmatch(r"\S+ \d+\.\d+\.\d+\n", result.output)
+
+
+def test_an_unknown_subcommand_is_wrong_usage() -> None:
+    assert run("fly").exit_code == 2
+
+
+def test_errors_are_one_line_and_exit_1(monkeypatch: pytest.MonkeyPatch) -> None:
+    @click.command()
+    def failing() -> None:
+        raise RecordingError("damaged", "it ends at byte 7")
+
+    monkeypatch.setitem(SUBCOMMANDS, "failing", "Fail.")
+    module = type(sys)("nmes.cli.failing")
+    monkeypatch.setattr(module, "command", failing, raising=False)
+    monkeypatch.setitem(sys.modules, "nmes.cli.failing", module)
+    result = run("failing")
+    assert (result.exit_code, result.output) == (1, "Error: it ends at byte 7\n")
+
+
+@pytest.mark.parametrize("name", SUBCOMMANDS)
+def test_every_option_is_documented(name: str) -> None:
+    command = main.get_command(click.Context(main), name)
+    assert command is not None
+    part = DOCUMENT.split(f"\n## nmes {name}\n")[1].split("\n## ")[0]
+    said = set(re.findall(r"--[a-z-]+", part))
+    options = {option for parameter in command.params for option in parameter.opts if option.startswith("--")}
+    assert options <= said
+    assert {option for option in said if f"`{option}" in part} <= options
+
+
+# -- nmes serve -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_everything_properly(tmp_path: Path, number: int) -> None:
+    options = ["--json", "--port", "0", "--backend", "ballistic", "--mode", "fast", "--seed", "7", "--record"]
+    with process("serve", *options, str(tmp_path), NMES_PASSWORD="secret in the environment") as server:
+        said = ready(server)
+        port = said.pop("port")
+        recording = Path(said.pop("recording"))
+        assert said == {
+            "host": "127.0.0.1",
+            "password_source": "environment",
+            "world": "main",
+            "backend": "ballistic",
+            "mode": "fast",
+            "rate": 1.0,
+            "seed": 7,
+        }
+        with Client(port=port, password="secret in the environment", timeout=PATIENCE) as client:
+            client.spawn_cube("a")
+            client.subscribe(events=["tick"], every=1_000_000)
+            server.send_signal(number)
+            assert [event["type"] for event in client.events() if event["type"] != "tick"] == ["world_closed"]
+        out, log = server.communicate(timeout=PATIENCE)
+        assert server.returncode == 0, log
+        assert "secret" not in out + log
+    assert recording.parent == tmp_path
+    assert Recording(recording).complete
+    assert sum(record.kind is Kind.COMMAND for record in Recording(recording)) == 2
+    assert b"secret" not in recording.read_bytes()
+
+
+def test_it_says_for_people_what_it_does(tmp_path: Path) -> None:
+    with process("serve", "--port", "0", "--backend", "ballistic", "--record", str(tmp_path)) as server:
+        assert server.stdout is not None
+        lines = [server.stdout.readline() for _ in range(5)]
+        text = "".join(lines)
+        assert re.match(r"World 'main': ballistic \S+, realtime x 1, seed 0\nListening on 127\.0\.0\.1:\d+\n", text)
+        password = re.search(r"^Password: (\S+)  \(made up for this run\)$", text, flags=re.MULTILINE)
+        port = re.search(r":(\d+)$", lines[1])
+        assert password and port
+        assert f"Recording to {tmp_path}/main-" in text
+        with Client(port=int(port[1]), password=password[1], timeout=PATIENCE) as client:
+            assert client.ping()
+        server.terminate()
+        out, log = server.communicate(timeout=PATIENCE)
+        assert re.fullmatch(r"Stopped at frame \d+\n", out)
+        assert server.returncode == 0, log
+
+
+def test_a_config_file_and_options_that_win_over_it(tmp_path: Path) -> None:
+    (tmp_path / "world.json").write_text('{"name": "arena", "backend": "ballistic", "seed": 3, "tick_rate": 100}')
+    (tmp_path / "password").write_text("secret of a file\nsecond line\n")
+    options = ["--config", str(tmp_path / "world.json"), "--password-file", str(tmp_path / "password")]
+    with process("serve", "--json", "--port", "0", "--no-record", "--seed", "4", *options) as server:
+        said = ready(server)
+        assert said["recording"] is None
+        assert said["password_source"] == "file"
+        assert "password" not in said
+        with Client(port=said["port"], password="secret of a file", world="arena", timeout=PATIENCE) as client:
+            config = client.get_world_info()["config"]
+        assert (config["name"], config["seed"], config["tick_rate"]) == ("arena", 4, 100)
+        server.terminate()
+        assert server.wait(PATIENCE) == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "config", "says"),
+    [
+        (["--host", "0.0.0.0"], None, "0.0.0.0 can be reached from elsewhere: give a password"),
+        (["--host", "example.org"], None, "give a password"),
+        (["--password", ""], None, "is empty"),
+        (["--password", "a", "--password-file", "world.json"], "{}", "not both"),
+        (["--password-file", "nowhere"], None, "nowhere"),
+        (["--mode", "slow"], None, "slow"),
+        (["--rate", "0"], None, "rate"),
+        (["--port", "65536"], None, "65536"),
+        (["--config", "nowhere.json"], None, "nowhere.json"),
+        (["--config", "world.json"], "{", "world.json: "),
+        (["--config", "world.json"], "[]", "a world config is a JSON object"),
+        (["--config", "world.json"], '{"substeps": 0}', "substeps: "),
+        (["--config", "world.json"], '{"limits": {"cubes": "many"}}', "limits/cubes: "),
+        (["--config", "world.json"], '{"gravitiy": [0, 0, 0]}', "gravitiy: "),
+    ],
+)
+def test_wrong_usage_exits_2_and_names_what_is_wrong(
+    options: list[str], config: str | None, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if config is not None:
+        Path("world.json").write_text(config)
+    result = run("serve", "--no-record", "--port", "0", "--backend", "ballistic", *options)
+    assert result.exit_code == 2, result.output
+    assert says in result.output
+    assert result.exception is None or isinstance(result.exception, SystemExit)
+
+
+def test_an_unreadable_password_file(tmp_path: Path) -> None:
+    (tmp_path / "password").write_bytes(b"\xff")
+    result = run("serve", "--no-record", "--password-file", str(tmp_path / "password"))
+    assert result.exit_code == 2
+    (tmp_path / "password").write_bytes(b"")
+    assert run("serve", "--no-record", "--password-file", str(tmp_path / "password")).exit_code == 2
+
+
+def test_what_cannot_be_done_exits_1_with_one_line(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        result = run("serve", "--no-record", "--backend", "ballistic", "--port", port)
+    assert result.exit_code == 1
+    assert re.fullmatch(rf"Error: cannot listen on 127\.0\.0\.1:{port}: .+\n", result.output)
+    result = run("serve", "--no-record", "--backend", "mojoco")
+    assert result.exit_code == 1
+    assert result.output.startswith("Error: ") and "did you mean 'mujoco'" in result.output
+    (tmp_path / "file").touch()
+    result = run("serve", "--backend", "ballistic", "--port", "0", "--record", str(tmp_path / "file" / "below"))
+    assert result.exit_code == 1
+    assert result.output.startswith("Error: cannot make ")
