@@ -12,24 +12,19 @@ from rich.filesize import decimal
 from nmes.errors import RecordingError
 from nmes.recording import Recording
 
-__all__ = ["RecordingFile", "command"]
+__all__ = ["command", "open_recording"]
 
 
-class RecordingFile(click.ParamType):
-    """A command line argument that names a recording; one that cannot be read is wrong usage."""
-
-    name = "file"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Recording:
-        """Opens it."""
-        try:
-            return Recording(value)
-        except RecordingError as error:
-            self.fail(error.message, param, ctx)
+def open_recording(_: click.Context, parameter: click.Parameter, value: str) -> Recording:
+    """Opens the file that an argument names; one that cannot be read is wrong usage."""
+    try:
+        return Recording(value)
+    except RecordingError as error:
+        raise click.BadParameter(error.message, param=parameter) from error
 
 
 @click.command("info")
-@click.argument("recording", metavar="FILE", type=RecordingFile())
+@click.argument("recording", metavar="FILE", callback=open_recording)
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
 def command(recording: Recording, as_json: bool) -> None:
     """Show what a recording holds.

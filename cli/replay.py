@@ -9,7 +9,7 @@ import orjson
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from nmes.cli.info import RecordingFile
+from nmes.cli.info import open_recording
 from nmes.recording import Recording
 from nmes.replay import Divergence, ReplayReport, replay
 
@@ -19,7 +19,7 @@ _LONG = 1 << 20  # bytes of recording from which on it is worth showing how far 
 
 
 @click.command("replay")
-@click.argument("recording", metavar="FILE", type=RecordingFile())
+@click.argument("recording", metavar="FILE", callback=open_recording)
 @click.option("--anyway", is_flag=True, help="Run it also where engine or machine differ, to see how far it agrees.")
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
 def command(recording: Recording, anyway: bool, as_json: bool) -> None:

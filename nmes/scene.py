@@ -59,7 +59,7 @@ class Painter:
         for (timestamp, position, rotation), pose in zip(self._handles, _rounded(states), strict=True):
             timestamp.seconds, timestamp.nanos = seconds, nanos
             position.x, position.y, position.z, rotation.x, rotation.y, rotation.z, rotation.w = pose
-        return View(scene, self._transforms.SerializeToString())
+        return View(scene, bytes(self._transforms.SerializeToString()))
 
     def _changed(self, names: list[str], seconds: int, nanos: int) -> bytes | None:
         self._version = self._world.structure_version
@@ -85,7 +85,7 @@ class Painter:
         for name in names:
             transform = self._transforms.transforms.add(parent_frame_id=ROOT, child_frame_id=name)
             self._handles.append((transform.timestamp, transform.translation, transform.rotation))
-        return update.SerializeToString()
+        return bytes(update.SerializeToString())
 
 
 def _rounded(states: Any) -> list[Pose]:
