@@ -208,10 +208,12 @@ class BallisticSimulation(Simulation):
         acceleration = _add(self._scene.gravity, force, 1.0 / mass)
         shift = _add(_add(ZERO, velocity, h), acceleration, h * h / 2)
         velocity = _add(velocity, acceleration, h)
-        if len(cluster) > 1 or first.angular != ZERO or first.torque != ZERO:
+        spins = any(b.angular != ZERO or b.torque != ZERO for b in cluster)
+        if spins or (len(cluster) > 1 and any(b.force != ZERO or b.linear != first.linear for b in cluster)):
             self._turn(cluster, mass, velocity, h)
         else:
-            first.linear = velocity
+            for b in cluster:
+                b.linear = velocity
         for b in cluster:
             b.position, b.ground_force = _add(b.position, shift), 0.0
         depth = max(_reach(b) - b.position[1] for b in cluster)

@@ -44,7 +44,8 @@ class Checks:
         slide_error: Relative, of the way that a body slides down a slope.
         joint_error: m by which a joint's halves may part while it moves.
         motor_error: Relative, of a motor's speed, a servo's position and an effort reading.
-        momentum_error: Relative, of total momentum through a collision, a joint or a cut.
+        momentum_error: Relative, of total momentum through a collision.
+        joint_momentum_error: Relative, of the total momentum of a jointed pair in free flight for 5 s.
         energy_error: Relative, by which energy may grow.
         crowd: How many bodies appear in one point and must part.
         crowd_speed: m/s that none of them may exceed.
@@ -61,6 +62,7 @@ class Checks:
     joint_error: ClassVar[float] = 0.005
     motor_error: ClassVar[float] = 0.02
     momentum_error: ClassVar[float] = 1e-6
+    joint_momentum_error: ClassVar[float] = 1e-6
     energy_error: ClassVar[float] = 0.01
     crowd: ClassVar[int] = 20
     crowd_speed: ClassVar[float] = 30.0

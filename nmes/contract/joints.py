@@ -53,7 +53,7 @@ class JointChecks(Checks):
                 assert gap <= self.joint_error, f"{kind}: the halves are {gap} m apart"
             after = momenta(sim, specs)
             scale = float(np.linalg.norm(before))
-            close(after[:3], before[:3], max(self.momentum_error, 1e-6) * scale, f"{kind}: momentum")
+            close(after[:3], before[:3], self.joint_momentum_error * scale, f"{kind}: momentum")
             close(after[3:], before[3:], 0.02 * scale, f"{kind}: angular momentum")
             assert kinetic(sim, specs) <= energy * (1 + self.energy_error), f"{kind}: gained energy"
 
@@ -73,7 +73,7 @@ class JointChecks(Checks):
             sim.add_joint(0, joint(kind, 0.0))
             run(sim, 0.2)
             after, scale = momenta(sim, specs), float(np.linalg.norm(before))
-            close(after[:3], before[:3], max(self.momentum_error, 1e-6) * scale, f"{kind}: momentum")
+            close(after[:3], before[:3], self.joint_momentum_error * scale, f"{kind}: momentum")
             close(after[3:], before[3:], 0.02 * scale, f"{kind}: angular momentum")
             assert kinetic(sim, specs) <= energy * (1 + self.energy_error), f"{kind}: gained energy"
 

@@ -142,8 +142,9 @@ class TrustChecks(Checks):
         self.need("snapshot")
         for seed in range(3):
             program = random_program(self.backend(), seed)
-            # Not at a boundary between ticks only: whatever waits for the next step is state too.
-            for cut in (len(program) // 3, 2 * len(program) // 3):
+            # Right after forces were applied: what waits for the next step is state too.
+            applied = [number + 1 for number, (name, _) in enumerate(program) if name == "apply"]
+            for cut in (*applied[1:3], len(program) * 2 // 3):
                 sim = self.sim()
                 execute(sim, program[:cut])
                 saved, digest = sim.snapshot(), sim.digest()
