@@ -40,8 +40,8 @@ lint: $(READY) types imports
 	$(BIN)/ruff format --check .
 
 types: layout
-	$(BIN)/mypy -p nmes
-	$(BIN)/mypy tests examples benchmarks
+	$(BIN)/mypy --cache-dir build/mypy -p nmes
+	$(BIN)/mypy --cache-dir build/mypy tests examples benchmarks
 
 imports: layout
 	cd build/layout && PYTHONPATH=. ../../$(BIN)/lint-imports --config ../../pyproject.toml --no-logo

@@ -28,10 +28,10 @@ def measure(connect: Connect) -> list[Figure]:
         for i in range(1, 5):
             y = EDGE / 2 + i * SPACING
             cube = client.spawn_cube(f"pole_{i}", position=[0, y, 0], size=EDGE, mass=0.5)["spawned"]
-            joint = client.create_joint(
+            hinge = client.create_joint(
                 below, cube, "hinge", position=[0, y - SPACING / 2, 0], axis=[0, 0, 1], motor_max_force=200.0
             )
-            joints.append(joint["joint_name"])
+            joints.append(hinge["joint_name"])
             below = cube
         upright = client.get_cube_state(below)["position"][1]
         left = right = 0.0

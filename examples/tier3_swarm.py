@@ -56,15 +56,15 @@ def measure(connect: Connect) -> list[Figure]:
         )["spawned"]
         rammed: set[str] = set()
         for _ in range(HUNT):
-            seen = hunter.get_cube_info(ram)
-            rammed |= {touch["cube_name"] for touch in seen["contacts"]} & set(prey)
+            info = hunter.get_cube_info(ram)
+            rammed |= set(prey) & {touch["cube_name"] for touch in info["contacts"]}
             left = [name for name in prey if name not in rammed]
             if not left:
                 break
-            here = np.array(seen["position"])
+            here = np.array(info["position"])
             nearest = min(positions(hunter, left) - here, key=lambda way: float(np.linalg.norm(way)))
             wanted = 6.0 * nearest / float(np.linalg.norm(nearest))
-            hunter.apply_physics(force=limited(40.0 * (wanted - np.array(seen["linear_velocity"])), HUNTER_PUSH))
+            hunter.apply_physics(force=limited(40.0 * (wanted - np.array(info["linear_velocity"])), HUNTER_PUSH))
             hunter.step()
         hunter.step(60)
         knocked = np.linalg.norm(positions(leader, prey) - start, axis=1)
