@@ -165,6 +165,7 @@ class Writer:
 
     def add(self, messages: Iterable[tuple[int, int, int, int, bytes]]) -> None:
         """Adds messages to the open chunk, each a tuple of the fields of `Message`."""
+        messages = list(messages)  # making them may add channels to the chunk, which then come first
         # The hot path of every recording: one pack and a few appends a message.
         opcode, fields, size, pack = int(Opcode.MESSAGE), _MESSAGE_FIELDS, _MESSAGE.size, _MESSAGE.pack
         parts, index, position = self._parts, self._index, self._position

@@ -69,7 +69,7 @@ def busy(world: World, client: int) -> None:
     send(world, client, type="get_world_state")
 
 
-def rewrite(source: Path, target: Path, edit: Edit, *, chained: bool = True) -> Path:
+def rewrite(source: Path, target: Path, edit: Edit, *, chained: bool = True, missing: int = 0) -> Path:
     """Writes a recording again with its messages edited, all checksums in order.
 
     Args:
@@ -77,6 +77,7 @@ def rewrite(source: Path, target: Path, edit: Edit, *, chained: bool = True) -> 
         target: The new file.
         edit: What becomes of the messages, those of the chain left out.
         chained: Whether the hash chain is made anew too; otherwise its old heads are kept.
+        missing: How many records more than there are the closing metadata speak of.
     """
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
@@ -111,7 +112,8 @@ def rewrite(source: Path, target: Path, edit: Edit, *, chained: bool = True) -> 
     head = hashlib.sha256(chain.digest() + writer.open_chunk()).hexdigest()
     last = orjson.dumps({"head": head}) if chained else heads[0]
     writer.add([(numbers["chain"], len(edited), edited[-1].log_time, 0, last)])
-    writer.seal("nmes.end", {"head": orjson.loads(last)["head"], "records": str(len(edited) + 1), "closed": "now"})
+    records = str(len(edited) + 1 + missing)
+    writer.seal("nmes.end", {"head": orjson.loads(last)["head"], "records": records, "closed": "now"})
     writer.close()
     return target
 

@@ -14,9 +14,12 @@ from typing import Any
 import jsonschema_rs
 import orjson
 import pytest
+import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.data_stream import ReadDataStream
 from mcap.reader import NonSeekingReader, make_reader
+from mcap.records import Chunk, MessageIndex
 from mcap.writer import Writer as McapWriter
 from mcap_protobuf.decoder import DecoderFactory
 
@@ -185,12 +188,23 @@ def test_mcap_readers_read_it(busy_file: Path) -> None:
             else:
                 assert channel.message_encoding == ("protobuf" if schema else "application/octet-stream")
         assert {"client/1/commands", "client/1/replies", "client/2/refused", "ticks", "clients"} <= set(by_topic)
-        for topic, count in by_topic.items():  # by the message indexes
+        for topic, count in by_topic.items():
             assert len(list(reader.iter_messages(topics=[topic]))) == count
         assert {item.name for item in reader.iter_metadata()} == {
             *Recording(busy_file).metadata,
             "nmes.end",
         }
+        for chunk in summary.chunk_indexes:
+            for channel_id, offset in chunk.message_index_offsets.items():
+                file.seek(offset + 9)
+                index = MessageIndex.read(ReadDataStream(file))
+                assert index.channel_id == channel_id
+                expected = by_topic[summary.channels[channel_id].topic]
+                assert len(index.records) == expected  # there is one chunk
+                file.seek(chunk.chunk_start_offset + 9)
+                content = zstandard.decompress(Chunk.read(ReadDataStream(file)).data)
+                for time, at in index.records:
+                    assert struct.unpack_from("<BQHIQ", content, at)[::2] == (5, channel_id, time)
     with busy_file.open("rb") as file:
         assert len(list(NonSeekingReader(file, validate_crcs=True).iter_messages())) == len(messages)
 
@@ -363,14 +377,15 @@ def test_lengths_are_not_believed(busy_file: Path, tmp_path: Path) -> None:
         lie.write_bytes(header + struct.pack("<BQ", 6, length) + b"x" * 100)
         with pytest.raises(RecordingError, match="the file ends at byte"):
             Recording(lie)
-    # A chunk whose unpacked size is a lie, in its record and in the packed data alike.
+    # A chunk whose unpacked size is a lie, in its record and in the packed data, or in the latter alone.
     bomb = b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 2**40) + b"\x00" * 50
-    chunk = struct.pack("<QQQII4sQ", 0, 0, 2**40, 0, 4, b"zstd", len(bomb)) + bomb
     good = busy_file.read_bytes()
     first = next(block for block in Reader(busy_file).blocks() if block.metadata is None)
-    lie.write_bytes(good[: first.offset] + struct.pack("<BQ", 6, len(chunk)) + chunk)
-    damage = Recording(lie).damage
-    assert damage is not None and "says that it holds 1099511627776 bytes" in damage.message
+    for size, reason in ((2**40, "says that it holds 1099511627776 bytes"), (100, "does not match its checksum")):
+        chunk = struct.pack("<QQQII4sQ", 0, 0, size, 0, 4, b"zstd", len(bomb)) + bomb
+        lie.write_bytes(good[: first.offset] + struct.pack("<BQ", 6, len(chunk)) + chunk)
+        damage = Recording(lie).damage
+        assert damage is not None and reason in damage.message
 
 
 def test_what_is_no_recording_is_refused_with_a_reason(tmp_path: Path) -> None:
@@ -414,6 +429,13 @@ def test_a_changed_record_breaks_the_chain(busy_file: Path, tmp_path: Path) -> N
     path = rewrite(busy_file, tmp_path / "x.mcap", lambda lines: [*lines[:5], *lines[6:]], chained=False)
     damage = Recording(path).damage
     assert damage is not None and "does not continue the hash chain" in damage.message
+
+
+def test_what_is_missing_at_the_end_is_told(busy_file: Path, tmp_path: Path) -> None:
+    recording = Recording(rewrite(busy_file, tmp_path / "x.mcap", lambda lines: lines[:-4], missing=4))
+    damage = recording.damage
+    assert damage is not None and "closing metadata do not belong to its records" in damage.message
+    assert list(recording)
 
 
 def test_changed_metadata_break_the_chain(busy_file: Path, tmp_path: Path) -> None:
@@ -500,6 +522,18 @@ def test_a_failing_write_faults_the_world_and_leaves_what_was_written(tmp_path: 
     assert [item for item in told_by(recording) if item[0] == "tick"][-1][1] == frame
 
 
+def test_a_failing_flush_stops_the_world_at_its_next_input(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    world = World({"backend": "ballistic", "mode": "lockstep"})
+    recorder = world.journal = Recorder(path, world)
+    client = world.join()
+    with files_no_longer_than(path.stat().st_size + 10), pytest.raises(RecordingError, match="File too large"):
+        recorder.flush()
+    world.tick()
+    assert world.fault is not None and world.fault.code == "recording_failed"
+    assert send(world, client, type="spawn_cube")["code"] == "world_faulted"
+
+
 def test_an_end_that_cannot_be_written_is_told(tmp_path: Path) -> None:
     world = World({"backend": "ballistic", "mode": "lockstep"})
     recorder = world.journal = Recorder(tmp_path / "x.mcap", world)
@@ -531,6 +565,7 @@ def test_what_is_written_is_read(tmp_path_factory: pytest.TempPathFactory, progr
             writer.add([(channels[i], *expected[-1][1:])])
         if then == "flush":
             writer.flush()
+            assert not batch or path.stat().st_size == writer.size  # an end that was there is gone
         elif then == "seal":
             writer.seal("last", {"n": str(len(expected))})
     writer.seal("last", {"n": str(len(expected))})
