@@ -16,6 +16,7 @@ __all__ = ["main"]
 
 # Each subcommand with what `nmes --help` says of it (a test compares): importing them all takes seconds.
 SUBCOMMANDS = {
+    "backends": "List the physics engines that are installed.",
     "info": "Show what a recording holds.",
     "replay": "Run a recording again and compare.",
     "serve": "Host a world that clients drive over TCP.",

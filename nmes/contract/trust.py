@@ -123,7 +123,7 @@ class TrustChecks(Checks):
         digests: dict[bytes, str] = {}
         for name, sim in self._variants():
             digest = sim.digest()
-            assert isinstance(digest, bytes) and len(digest) == 16, f"{name}: not 16 bytes: {digest!r}"
+            assert len(digest) == 16, f"{name}: not 16 bytes: {digest!r}"
             assert digest == sim.digest(), f"{name}: asked twice, two digests"
             assert digest not in digests, f"the digest does not see {name} (it is that of {digests[digest]})"
             digests[digest] = name
