@@ -18,11 +18,10 @@ import functools
 import itertools
 import math
 import struct
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from hashlib import blake2b, sha256
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -214,10 +213,19 @@ class PymunkSimulation(Simulation):
         self._ranks: dict[int, int] | None = None  # each body's row; None: to be found
         self._rows: Array | None = None  # x, y, angle, vx, vy, w of each body; None: to be read
         self._making: bytes | None = None  # what the digest says of specs and parameters; None: to be packed
+        for option, value in scene.options.items():
+            if option != "iterations":
+                raise WorldError("invalid", f"pymunk has no setting {option!r}", f"engine/{option}")
+            if isinstance(value, bool) or not isinstance(value, int) or not 1 <= value <= 1000:
+                raise WorldError("invalid", "iterations: must be a whole number from 1 to 1000", "engine/iterations")
+            space.iterations = value
         if scene.ground:
             half, depth = GROUND
             _add_scenery(space, [pymunk.Segment(space.static_body, (-half, -depth), (half, -depth), depth)])
-        _apply_options(space, scene.options)
+        if scene.heightfield is not None:
+            _add_scenery(space, _landscape(space, scene.heightfield.profile()))
+        corners = [box.section() for box in scene.boxes]
+        _add_scenery(space, [pymunk.Poly(space.static_body, section) for section in corners if section])
 
     # -- structure ----------------------------------------------------------------------------------------------
 
@@ -507,6 +515,7 @@ class PymunkBackend(Backend):
     capabilities = frozenset(
         {"joint.fixed", "joint.hinge", "joint.slide", "joint.pin", "joint.conetwist", "motor", "servo", "limits"}
         | {"spring", "friction", "restitution", "contacts", "collisions", "sleep"}
+        | {"scene.obstacles", "scene.heightfield"}
     )
 
     def version(self) -> str:
@@ -558,73 +567,16 @@ def _add_scenery(space: pymunk.Space, shapes: Sequence[pymunk.Shape]) -> None:
         space.add(shape)
 
 
-def _apply_options(space: pymunk.Space, options: Mapping[str, Any]) -> None:
-    """Obeys the world config's `engine` object; docs/backends.md says what may be in it.
-
-    Raises:
-        WorldError: `invalid`, with the path of the value.
-    """
-    for name, value in options.items():
-        path = f"engine/{name}"
-        if name == "iterations":
-            if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= 1000:
-                raise WorldError("invalid", "iterations must be a whole number from 1 to 1000", path)
-            space.iterations = value
-        elif name == "obstacles":
-            for i, obstacle in enumerate(_list(value, path)):
-                _add_scenery(space, [_obstacle(space, obstacle, f"{path}/{i}")])
-        elif name == "heightfield":
-            _add_scenery(space, _heightfield(space, value, path))
-        else:
-            raise WorldError("invalid", f"pymunk has no setting {name!r}", path)
-
-
-def _obstacle(space: pymunk.Space, value: Any, path: str) -> pymunk.Shape:
-    """Returns a static box: `position` (x, y) and `size` (x, y) in m, `rotation` about z in rad."""
-    if not isinstance(value, Mapping) or not {"position", "size"} <= set(value) <= {"position", "size", "rotation"}:
-        raise WorldError("invalid", "an obstacle has position, size and, if turned, rotation", path)
-    x, y = _numbers(value["position"], 2, f"{path}/position")
-    width, height = (half / 2 for half in _numbers(value["size"], 2, f"{path}/size"))
-    (angle,) = _numbers([value.get("rotation", 0.0)], 1, f"{path}/rotation")
-    if min(width, height) < 5e-4:
-        raise WorldError("invalid", "an obstacle is at least 1 mm wide and high", f"{path}/size")
-    place = pymunk.Transform.translation(x, y) @ pymunk.Transform.rotation(angle)
-    corners = [place @ corner for corner in ((-width, -height), (width, -height), (width, height), (-width, height))]
-    return pymunk.Poly(space.static_body, corners)
-
-
-def _heightfield(space: pymunk.Space, value: Any, path: str) -> list[pymunk.Segment]:
-    """Returns thick segments with their upper surface on the given heights, `spacing` m apart, from x = `start`."""
-    if not isinstance(value, Mapping) or set(value) != {"start", "spacing", "heights"}:
-        raise WorldError("invalid", "a heightfield has start, spacing and heights", path)
-    start, spacing = _numbers([value["start"], value["spacing"]], 2, path)
-    heights = _numbers(value["heights"], None, f"{path}/heights")
-    if spacing < 1e-3 or len(heights) < 2:
-        raise WorldError("invalid", "a heightfield has a spacing of at least 1 mm and at least 2 heights", path)
-    points = np.column_stack([start + spacing * np.arange(len(heights)), heights])
-    ways = np.diff(points, axis=0)
+def _landscape(space: pymunk.Space, points: Sequence[Point]) -> list[pymunk.Segment]:
+    """Returns thick segments whose upper sides are the line through the points."""
+    line = np.array(points)
+    ways = np.diff(line, axis=0)
     up = np.column_stack([-ways[:, 1], ways[:, 0]]) / np.linalg.norm(ways, axis=1)[:, None]
     before, after = np.vstack([up[:1], up]), np.vstack([up, up[-1:]])
-    radius = spacing / 4
-    middles = points - radius * (before + after) / (1.0 + np.sum(before * after, axis=1))[:, None]
+    radius = float(ways[:, 0].min()) / 4
+    middles = line - radius * (before + after) / (1.0 + np.sum(before * after, axis=1))[:, None]
     ends = [(float(x), float(y)) for x, y in middles]
     segments = [pymunk.Segment(space.static_body, a, b, radius) for a, b in itertools.pairwise(ends)]
     for i, segment in enumerate(segments):  # so that boxes do not catch on the seams
         segment.set_neighbors(ends[max(i - 1, 0)], ends[min(i + 2, len(ends) - 1)])
     return segments
-
-
-def _list(value: Any, path: str) -> list[Any]:
-    if not isinstance(value, list | tuple):
-        raise WorldError("invalid", "this must be a list", path)
-    return list(value)
-
-
-def _numbers(value: Any, count: int | None, path: str) -> list[float]:
-    numbers = _list(value, path)
-    for number in numbers:
-        if isinstance(number, bool) or not isinstance(number, int | float) or not abs(number) <= 1e6:
-            raise WorldError("invalid", "these must be numbers from -1e6 to 1e6", path)
-    if count is not None and len(numbers) != count:
-        raise WorldError("invalid", f"there must be {count} numbers here", path)
-    return [float(number) for number in numbers]
