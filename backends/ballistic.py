@@ -36,6 +36,7 @@ from nmes.backend import (
     Vector,
 )
 from nmes.errors import SimulationFault, WorldError
+from nmes.rotation import multiply, normalize
 
 __all__ = ["BallisticBackend"]
 
@@ -236,7 +237,7 @@ class BallisticSimulation(Simulation):
         angular = matrix @ yielding @ matrix.T @ (spin + torque * h)
         for b in cluster:
             arm = matrix @ np.subtract(b.position, centre)
-            b.position, b.quaternion = _vector(centre + arm), _product(turn, b.quaternion)
+            b.position, b.quaternion = _vector(centre + arm), normalize(multiply(turn, b.quaternion))
             b.linear, b.angular = _vector(velocity + np.cross(angular, arm)), _vector(angular)
 
     def _land(self, cluster: list[_Body], depth: float, velocity: Vector, fall: float, mass: float, h: float) -> None:
@@ -311,16 +312,6 @@ def _rotation(velocity: Array, time: float) -> Quaternion:
     speed = math.hypot(*velocity)
     factor = math.sin(speed * time / 2) / speed if speed else 0.0
     return (*_vector(velocity * factor), math.cos(speed * time / 2))
-
-
-def _product(a: Quaternion, b: Quaternion) -> Quaternion:
-    """Returns the rotation `b`, then `a`, kept of unit length."""
-    (ax, ay, az, aw), (bx, by, bz, bw) = a, b
-    x, y = aw * bx + ax * bw + ay * bz - az * by, aw * by - ax * bz + ay * bw + az * bx
-    z = aw * bz + ax * by - ay * bx + az * bw
-    w = aw * bw - ax * bx - ay * by - az * bz
-    length = math.hypot(x, y, z, w)
-    return x / length, y / length, z / length, w / length
 
 
 def _inertia(b: _Body) -> Array:
