@@ -28,7 +28,7 @@ KINDS = {
     "query": 6,
     "reset": 0.2,
 }
-JOINT_TYPES = ["fixed", "hinge", "slide", "pin", "hinge"]
+JOINT_TYPES = ["fixed", "hinge", "slide", "pin", "hinge", "conetwist"]
 PARAMS: list[tuple[str, Callable[[float], float | bool]]] = [
     ("motor_target_velocity", lambda u: 6 * u - 3),
     ("target_position", lambda u: 2 * u - 1),
@@ -77,18 +77,18 @@ def commands(world: World, step: Draw, queries: bool = True) -> list[Command]:
     if kind == "despawn":
         return [{"type": "despawn_cube", "cube_name": cube}]
     if kind == "join":
-        axis = [u[3] - 0.5, u[4] - 0.5, u[5] + 0.1]
-        return [
-            {
-                "type": "create_joint",
-                "cube1": cube,
-                "cube2": pick(cubes, u[1]),
-                "joint_type": pick(JOINT_TYPES, u[2]),
-                "axis": axis,
-            }
-        ]
-    if kind == "push":
         command: Command = {
+            "type": "create_joint",
+            "cube1": cube,
+            "cube2": pick(cubes, u[1]),
+            "joint_type": pick(JOINT_TYPES, u[2]),
+            "axis": [u[3] - 0.5, u[4] - 0.5, u[5] + 0.1],
+        }
+        if command["joint_type"] == "conetwist" and u[6] < 0.6:
+            command["limits"] = [0.2 + u[7], u[8]]
+        return [command]
+    if kind == "push":
+        command = {
             "type": "apply_physics",
             "cube_name": cube,
             "force": [20 * u[1] - 10, 20 * u[2], 20 * u[3] - 10],

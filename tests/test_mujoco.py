@@ -268,6 +268,49 @@ def test_a_servo_goes_to_its_target_and_holds_a_load_there() -> None:
     assert reading.effort == pytest.approx(0.6 * math.cos(reading.position) * G, rel=0.01)
 
 
+@pytest.mark.parametrize("flipped", [False, True])
+@pytest.mark.parametrize("loop", [False, True])
+def test_a_conetwist_swings_within_a_cone_and_twists_within_its_limit(flipped: bool, loop: bool) -> None:
+    simulation = scene()
+    simulation.add_body(1, box((0.0, 5.0, 0.0), frozen=True))
+    simulation.add_body(2, box((0.0, 3.8, 0.0)))
+    if loop:  # an older joint takes the tree's place: the cone closes a loop and is welded to its cube by a twin
+        simulation.add_body(3, box((0.0, 5.0, 9.0), size=(0.1, 0.1, 0.1), frozen=True))
+        simulation.add_joint(1, JointSpec("pin", 3, 2, (0.0, 4.4, 0.0), (1.0, 0.0, 0.0)))
+    ends = (2, 1) if flipped else (1, 2)
+    params = JointParams(limits=(0.4, 0.3))
+    simulation.add_joint(2, JointSpec("conetwist", *ends, (0.0, 4.4, 0.0), (0.0, -1.0, 0.0), params))
+    swing = twist = 0.0
+    directions = set()
+    for tick in range(600):
+        push = (20 * math.sin(tick / 20), 0.0, 15 * math.cos(tick / 33))
+        simulation.apply(2, push, (0.0, 2.0 * math.sin(tick / 25), 0.0), NONE, NONE)
+        simulation.step(4)
+        axis = rotate(simulation.body_state(2).quaternion, (0.0, -1.0, 0.0))
+        swing = max(swing, math.acos(-axis[1]))
+        twist = max(twist, abs(simulation.joint_state(2).position))
+        if -axis[1] < math.cos(0.35):
+            directions.add((axis[0] > 0, axis[2] > 0))
+    assert swing == pytest.approx(0.4, abs=0.06) and twist == pytest.approx(0.3, abs=0.08)
+    assert len(directions) == 4
+
+
+def test_a_ball_that_gets_limits_stays_where_it_is() -> None:
+    simulation = scene()
+    simulation.add_body(1, box((0.0, 5.0, 0.0), frozen=True))
+    simulation.add_body(2, box((0.0, 3.8, 0.0)))
+    simulation.add_joint(1, JointSpec("conetwist", 1, 2, (0.0, 4.4, 0.0), (0.0, -1.0, 0.0)))
+    simulation.apply(2, NONE, NONE, (0.3, 0.0, 0.2), (0.0, 0.05, 0.0))
+    for _ in range(10):
+        simulation.step(4)
+    before, reading = simulation.states([2]), simulation.joint_state(1)
+    for limits in ((0.8, 0.8), (1.0, 0.5), None):
+        simulation.set_joint_params(1, JointParams(limits=limits))
+        simulation.snapshot()
+        assert simulation.states([2]) == pytest.approx(before, abs=1e-9)
+        assert simulation.joint_state(1).position == pytest.approx(reading.position, abs=1e-9)
+
+
 def test_limits_hold() -> None:
     simulation = scene()
     simulation.add_body(1, box((0.0, 5.0, 0.0), frozen=True))
@@ -371,7 +414,7 @@ def test_an_edit_keeps_the_pose_and_velocity_of_a_tree(number: int) -> None:
     """A chain under motors; then its root freezes, so that the tree runs the other way: nothing may jump."""
     source = np.random.default_rng(number)
     simulation = scene()
-    kinds = source.choice(["hinge", "slide", "pin", "fixed"], 4)
+    kinds = source.choice(["hinge", "slide", "pin", "fixed", "conetwist"], 4)
     for i in range(5):
         simulation.add_body(i + 1, box((1.2 * i, 9.0, 0.0)))
     for i, kind in enumerate(kinds.tolist()):
@@ -385,7 +428,9 @@ def test_an_edit_keeps_the_pose_and_velocity_of_a_tree(number: int) -> None:
                 i + 2,
                 (1.2 * i + 0.6, 9.0, 0.0),
                 vector(axis / np.linalg.norm(axis)),
-                params if kind in ("hinge", "slide") else JointParams(),
+                {"hinge": params, "slide": params, "conetwist": JointParams(limits=(0.6, 0.4))}.get(
+                    kind, JointParams()
+                ),
             ),
         )
     for _ in range(20):

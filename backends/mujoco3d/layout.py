@@ -16,6 +16,7 @@ stable: adding a joint never takes another one out of the tree.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 from math import log, pi, sqrt
@@ -23,23 +24,24 @@ from math import log, pi, sqrt
 import mujoco
 
 from nmes.backend import JointParams, Quaternion, SceneSpec, Vector
-from nmes.rotation import conjugate, multiply, rotate
+from nmes.rotation import conjugate, cross, multiply, rotate
 
-__all__ = ["Body", "Forest", "Joint", "Layout", "Slot", "build", "span"]
+__all__ = ["Body", "Forest", "Joint", "Layout", "Slot", "across", "build", "relative", "span"]
 
 # Body frame of the ground plane: MuJoCo's planes face z, ours faces y.
 _FACE_UP = [sqrt(0.5), -sqrt(0.5), 0.0, 0.0]
 _KINDS = {
     "hinge": mujoco.mjtJoint.mjJNT_HINGE,
     "slide": mujoco.mjtJoint.mjJNT_SLIDE,
-    "pin": mujoco.mjtJoint.mjJNT_BALL,
+    "ball": mujoco.mjtJoint.mjJNT_BALL,
 }
-_COORDINATES = {"hinge": (1, 1), "slide": (1, 1), "pin": (4, 3)}  # nq, nv of a joint
+_COORDINATES = {"hinge": (1, 1), "slide": (1, 1), "ball": (4, 3), "cone": (3, 3)}  # nq, nv by form
+_TWINNED = frozenset({"hinge", "slide", "cone"})  # forms that close a loop by way of a twin
 # Contact softness (MuJoCo's solref, solimp): a contact at rest settles in about 0.02 s.
 _CONTACT_TIME = 0.02
 # Loops are closed as stiffly as the time step allows.
 _LOOP_SOLIMP = [0.95, 0.999, 0.0005, 0.5, 2.0]
-_MEBIBYTE = 1 << 20
+_KIBIBYTE = 1 << 10
 
 
 @dataclass(slots=True)
@@ -73,6 +75,17 @@ class Joint:
     axis2: Vector
     zero: Quaternion
     params: JointParams
+
+    @property
+    def form(self) -> str:
+        """What it is in the model: `fixed`, `hinge`, `slide`, `ball`, or `cone`, a ball with limits.
+
+        A cone is three hinges, two that swing the axis and one that twists about it, so that swing and twist have
+        limits of their own; it has no freedom to lose while the swing stays under a right angle.
+        """
+        if self.kind in ("pin", "conetwist"):
+            return "ball" if self.params.limits is None else "cone"
+        return self.kind
 
 
 @dataclass(slots=True)
@@ -109,7 +122,7 @@ class Layout:
     joint_index: dict[int, int] = field(default_factory=dict)
     actuator: dict[int, int] = field(default_factory=dict)  # joint number -> actuator
     twin: dict[int, tuple[int, int]] = field(default_factory=dict)  # joint number -> (index, body it stands for)
-    share: dict[int, float] = field(default_factory=dict)  # body number -> part of its mass that it kept itself
+    swing: dict[int, int] = field(default_factory=dict)  # joint number of a cone -> the tendon that bounds its swing
 
 
 def span(bodies: dict[int, Body], joints: Iterable[Joint]) -> Forest:
@@ -168,84 +181,204 @@ def build(
     frozen_at: dict[int, tuple[Vector, Quaternion]],
 ) -> Layout:
     """Compiles the model. `frozen_at` gives the poses of the frozen bodies."""
-    spec = mujoco.MjSpec()
-    _options(spec, scene, len(bodies))
-    if scene.ground:
-        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], quat=_FACE_UP)
+    return _Builder(scene, bodies, joints, forest).build(frozen_at)
 
-    twins_of: dict[int, int] = {}
-    for joint in forest.loops:
-        if joint.kind in ("hinge", "slide"):
-            twins_of[_stands_for(joint, bodies)] = twins_of.get(_stands_for(joint, bodies), 0) + 1
-    share = {number: 1.0 / (1 + twins_of.get(number, 0)) for number in bodies}
 
-    handles: dict[int, mujoco.MjsBody] = {}
-    free: dict[int, mujoco.MjsJoint] = {}
-    made: dict[int, mujoco.MjsJoint] = {}
-    twins: dict[int, mujoco.MjsBody] = {}
-    flipped: set[int] = set()
-    for number in forest.order:
-        body = bodies[number]
-        link = forest.parent.get(number)
+class _Builder:
+    """One model in the making."""
+
+    def __init__(self, scene: SceneSpec, bodies: dict[int, Body], joints: dict[int, Joint], forest: Forest) -> None:
+        self.scene, self.bodies, self.joints, self.forest = scene, bodies, joints, forest
+        self.spec = mujoco.MjSpec()
+        self.handles: dict[int, mujoco.MjsBody] = {}
+        self.free: dict[int, mujoco.MjsJoint] = {}
+        self.made: dict[int, mujoco.MjsJoint] = {}  # joint number -> its (first) joint in the model
+        self.twins: dict[int, mujoco.MjsBody] = {}
+        self.flipped: set[int] = set()
+        self.swings: dict[int, mujoco.MjsTendon] = {}
+        twins = Counter(self._stands_for(joint) for joint in forest.loops if joint.form in _TWINNED)
+        self.share = {number: 1.0 / (1 + twins[number]) for number in bodies}
+
+    def build(self, frozen_at: dict[int, tuple[Vector, Quaternion]]) -> Layout:
+        spec = self.spec
+        _options(spec, self.scene, len(self.bodies))
+        if self.scene.ground:
+            spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], quat=_FACE_UP)
+        for number in self.forest.order:
+            self._add(self.bodies[number], frozen_at.get(number))
+        for joint in self.forest.loops:
+            self._close(joint)
+        for joint in self.joints.values():
+            spec.add_exclude(bodyname1=f"b{joint.body1}", bodyname2=f"b{joint.body2}")
+        actuators = {
+            number: spec.add_actuator(
+                name=f"m{number}",
+                trntype=mujoco.mjtTrn.mjTRN_JOINT,
+                target=f"j{number}",
+                biastype=mujoco.mjtBias.mjBIAS_AFFINE,
+                forcelimited=True,
+                forcerange=[-1.0, 1.0],
+            )
+            for number in self.made
+            if self.joints[number].params.motor != "off"
+        }
+        model = spec.compile()
+        layout = Layout(model, self.forest)
+        for number, handle in self.handles.items():
+            layout.body[number] = handle.id
+            layout.number[handle.id], layout.key[handle.id] = number, 2 * number
+        for number, free in self.free.items():
+            layout.free[number] = Slot(int(model.jnt_qposadr[free.id]), 7, int(model.jnt_dofadr[free.id]), 6)
+        for number, made in self.made.items():
+            nq, nv = _COORDINATES[self.joints[number].form]
+            at, dof = int(model.jnt_qposadr[made.id]), int(model.jnt_dofadr[made.id])
+            layout.joint[number] = Slot(at, nq, dof, nv, number in self.flipped)
+            layout.joint_index[number] = made.id
+        for number, actuator in actuators.items():
+            layout.actuator[number] = actuator.id
+        for number, swing in self.swings.items():
+            layout.swing[number] = swing.id
+        for number, twin in self.twins.items():
+            layout.twin[number] = (twin.id, self._stands_for(self.joints[number]))
+            layout.number[twin.id], layout.key[twin.id] = layout.twin[number][1], 2 * number + 1
+        return layout
+
+    def _add(self, body: Body, frozen_at: tuple[Vector, Quaternion] | None) -> None:
+        """Adds a body to its tree, or begins a tree with it."""
+        number = body.number
+        link = self.forest.parent.get(number)
         if link is not None:
             parent, joint = link
-            if number == joint.body1:
-                flipped.add(joint.number)
-            handle, hinge = _attach(handles[parent], joint, number == joint.body1, f"b{number}")
-            if hinge is not None:
-                made[joint.number] = hinge
-        elif body.frozen:
-            position, q = frozen_at[number]
-            handle = spec.worldbody.add_body(name=f"b{number}", pos=position, quat=_wxyz(q))
+            handle = self._attach(joint, parent, f"b{number}")
+        elif frozen_at is not None:
+            position, q = frozen_at
+            handle = self.spec.worldbody.add_body(name=f"b{number}", pos=position, quat=_wxyz(q))
         else:
-            handle = spec.worldbody.add_body(name=f"b{number}")
-            free[number] = handle.add_freejoint()
-        handles[number] = handle
+            handle = self.spec.worldbody.add_body(name=f"b{number}")
+            self.free[number] = handle.add_freejoint()
+        self.handles[number] = handle
         handle.add_geom(
             type=mujoco.mjtGeom.mjGEOM_BOX,
             size=[edge / 2 for edge in body.size],
-            mass=body.mass * share[number],
+            mass=body.mass * self.share[number],
             friction=[body.friction, 0.005, 0.0001],
-            solref=_bounce(body.restitution, scene.timestep),
+            solref=_bounce(body.restitution, self.scene.timestep),
             priority=1,  # over the ground, which has no surface of its own
         )
 
-    solref = [2.0 * scene.timestep, 1.0]
-    for joint in forest.loops:
-        _close(spec, joint, bodies, handles, made, twins, flipped, share, solref)
-    for joint in joints.values():
-        spec.add_exclude(bodyname1=f"b{joint.body1}", bodyname2=f"b{joint.body2}")
-    actuators = {
-        number: spec.add_actuator(
-            name=f"m{number}",
-            trntype=mujoco.mjtTrn.mjTRN_JOINT,
-            target=f"j{number}",
-            biastype=mujoco.mjtBias.mjBIAS_AFFINE,
-            forcelimited=True,
-            forcerange=[-1.0, 1.0],
+    def _attach(self, joint: Joint, parent: int, name: str) -> mujoco.MjsBody:
+        """Adds a child to `parent`, at coordinate zero, with the joint in it."""
+        flipped = parent == joint.body2
+        axis1 = rotate(joint.zero, joint.axis2)
+        if flipped:
+            self.flipped.add(joint.number)
+            turn, at_parent, at_child, axis_parent, axis = (
+                conjugate(joint.zero),
+                joint.anchor2,
+                joint.anchor1,
+                joint.axis2,
+                axis1,
+            )
+        else:
+            turn, at_parent, at_child, axis_parent, axis = (
+                joint.zero,
+                joint.anchor1,
+                joint.anchor2,
+                axis1,
+                joint.axis2,
+            )
+        arm = rotate(turn, at_child)
+        child = self.handles[parent].add_body(
+            name=name, pos=[at_parent[i] - arm[i] for i in range(3)], quat=_wxyz(turn)
         )
-        for number in made
-        if joints[number].params.motor != "off"
-    }
+        # A coordinate is the motion of body2 relative to body1; where body1 is what moves, it moves the other way.
+        sign = -1.0 if flipped else 1.0
+        if joint.form == "cone":
+            u, w = across(joint.axis2)
+            axes = [u, w, joint.axis2]
+            if flipped:
+                axes = [rotate(joint.zero, one) for one in reversed(axes)]
+            hinges = [
+                child.add_joint(
+                    name=f"j{joint.number}" if i == 0 else f"j{joint.number}_{i}",
+                    type=mujoco.mjtJoint.mjJNT_HINGE,
+                    pos=at_child,
+                    axis=[sign * x for x in one],
+                )
+                for i, one in enumerate(axes)
+            ]
+            self.made[joint.number] = hinges[0]
+            self._swing(joint, self.handles[parent], at_parent, axis_parent, child, at_child, axis)
+        elif joint.form != "fixed":
+            self.made[joint.number] = child.add_joint(
+                name=f"j{joint.number}", type=_KINDS[joint.form], pos=at_child, axis=[sign * x for x in axis]
+            )
+        return child
 
-    model = spec.compile()
-    layout = Layout(model, forest, share=share)
-    for number, handle in handles.items():
-        layout.body[number] = handle.id
-        layout.number[handle.id], layout.key[handle.id] = number, 2 * number
-    for number, hinge in free.items():
-        layout.free[number] = Slot(int(model.jnt_qposadr[hinge.id]), 7, int(model.jnt_dofadr[hinge.id]), 6)
-    for number, hinge in made.items():
-        nq, nv = _COORDINATES[joints[number].kind]
-        at, dof = int(model.jnt_qposadr[hinge.id]), int(model.jnt_dofadr[hinge.id])
-        layout.joint[number] = Slot(at, nq, dof, nv, number in flipped)
-        layout.joint_index[number] = hinge.id
-    for number, actuator in actuators.items():
-        layout.actuator[number] = actuator.id
-    for number, twin in twins.items():
-        layout.twin[number] = (twin.id, _stands_for(joints[number], bodies))
-        layout.number[twin.id], layout.key[twin.id] = layout.twin[number][1], 2 * number + 1
-    return layout
+    def _swing(
+        self,
+        joint: Joint,
+        parent: mujoco.MjsBody,
+        at_parent: Vector,
+        axis_parent: Vector,
+        child: mujoco.MjsBody,
+        at_child: Vector,
+        axis_child: Vector,
+    ) -> None:
+        """Bounds a cone's swing by a tendon between the tips of its axis in either body: the chord of the angle."""
+        tendon = self.spec.add_tendon(name=f"w{joint.number}", limited=True, range=[0.0, 1.0])
+        for end, body, at, axis in (("p", parent, at_parent, axis_parent), ("c", child, at_child, axis_child)):
+            name = f"w{joint.number}{end}"
+            body.add_site(name=name, pos=[at[i] + axis[i] for i in range(3)])
+            tendon.wrap_site(name)
+        self.swings[joint.number] = tendon
+
+    def _stands_for(self, joint: Joint) -> int:
+        """The body whose mass a loop joint's twin shares: body2, unless that one is frozen and has no mass to share."""
+        return joint.body1 if self.bodies[joint.body2].frozen else joint.body2
+
+    def _close(self, joint: Joint) -> None:
+        """Closes a loop: a ball by one connection, a fixed joint by a weld, the others by a twin welded to its cube."""
+        softness = {"solref": [2.0 * self.scene.timestep, 1.0], "solimp": _LOOP_SOLIMP}
+        if joint.form == "ball":
+            # Sites, since between bodies the compiler would take the second anchor from the poses at coordinate zero.
+            names = []
+            for end, anchor in ((joint.body1, joint.anchor1), (joint.body2, joint.anchor2)):
+                names.append(f"s{joint.number}_{end}")
+                self.handles[end].add_site(name=names[-1], pos=anchor)
+            self.spec.add_equality(
+                type=mujoco.mjtEq.mjEQ_CONNECT,
+                objtype=mujoco.mjtObj.mjOBJ_SITE,
+                name1=names[0],
+                name2=names[1],
+                **softness,
+            )
+            return
+        if joint.form == "fixed":
+            first, second = f"b{joint.body1}", f"b{joint.body2}"
+            # The anchor in the frame of the second body, then in that of the first, then how the second is turned.
+            data = [*joint.anchor2, *joint.anchor1, *_wxyz(joint.zero), 1.0, 0.0]
+        else:
+            body = self.bodies[self._stands_for(joint)]
+            parent = joint.body2 if body.number == joint.body1 else joint.body1
+            first, second = f"t{joint.number}", f"b{body.number}"
+            twin = self._attach(joint, parent, first)
+            mass = body.mass * self.share[body.number]
+            x, y, z = (edge * edge for edge in body.size)
+            twin.explicitinertial = True
+            twin.ipos, twin.iquat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
+            twin.mass = mass
+            twin.inertia = [mass * (y + z) / 12.0, mass * (x + z) / 12.0, mass * (x + y) / 12.0]
+            self.twins[joint.number] = twin
+            data = [0.0] * 6 + [1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
+        self.spec.add_equality(
+            type=mujoco.mjtEq.mjEQ_WELD,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            name1=first,
+            name2=second,
+            data=data,
+            **softness,
+        )
 
 
 def _options(spec: mujoco.MjSpec, scene: SceneSpec, bodies: int) -> None:
@@ -260,89 +393,8 @@ def _options(spec: mujoco.MjSpec, scene: SceneSpec, bodies: int) -> None:
     # are kept from colliding, and those we name.
     option.disableflags |= disable.mjDSBL_AUTORESET | disable.mjDSBL_FILTERPARENT
     option.enableflags |= enable.mjENBL_SLEEP
-    # The arena is address space until it is used; the default for a big scene is too small to compile.
-    spec.memory = max(_MEBIBYTE // 2, min(bodies * _MEBIBYTE, 2048 * _MEBIBYTE)) if bodies > 4 else _MEBIBYTE // 2
-
-
-def _stands_for(joint: Joint, bodies: dict[int, Body]) -> int:
-    """The body whose mass a loop joint's twin shares: body2, unless that one is frozen and has no mass to share."""
-    return joint.body1 if bodies[joint.body2].frozen else joint.body2
-
-
-def _attach(
-    parent: mujoco.MjsBody, joint: Joint, flipped: bool, name: str
-) -> tuple[mujoco.MjsBody, mujoco.MjsJoint | None]:
-    """Adds a child at coordinate zero, with the joint in it; body2 under body1, or the other way round if flipped."""
-    if flipped:
-        turn, at_parent, at_child = conjugate(joint.zero), joint.anchor2, joint.anchor1
-        axis = rotate(joint.zero, joint.axis2)
-        # The coordinate is the motion of body2 relative to body1; here body1 moves, the other way.
-        axis = (-axis[0], -axis[1], -axis[2])
-    else:
-        turn, at_parent, at_child, axis = joint.zero, joint.anchor1, joint.anchor2, joint.axis2
-    arm = rotate(turn, at_child)
-    position = [at_parent[i] - arm[i] for i in range(3)]
-    child = parent.add_body(name=name, pos=position, quat=_wxyz(turn))
-    if joint.kind == "fixed":
-        return child, None
-    return child, child.add_joint(name=f"j{joint.number}", type=_KINDS[joint.kind], pos=at_child, axis=axis)
-
-
-def _close(
-    spec: mujoco.MjSpec,
-    joint: Joint,
-    bodies: dict[int, Body],
-    handles: dict[int, mujoco.MjsBody],
-    made: dict[int, mujoco.MjsJoint],
-    twins: dict[int, mujoco.MjsBody],
-    flipped: set[int],
-    share: dict[int, float],
-    solref: list[float],
-) -> None:
-    """Closes a loop: a ball by one connection, a fixed joint by a weld, the others by a twin welded to its cube."""
-    if joint.kind == "pin":
-        # Sites, since between bodies the compiler would take the second anchor from the poses at coordinate zero.
-        for end, anchor in ((joint.body1, joint.anchor1), (joint.body2, joint.anchor2)):
-            handles[end].add_site(name=f"s{joint.number}_{end}", pos=anchor)
-        spec.add_equality(
-            type=mujoco.mjtEq.mjEQ_CONNECT,
-            objtype=mujoco.mjtObj.mjOBJ_SITE,
-            name1=f"s{joint.number}_{joint.body1}",
-            name2=f"s{joint.number}_{joint.body2}",
-            solref=solref,
-            solimp=_LOOP_SOLIMP,
-        )
-        return
-    if joint.kind == "fixed":
-        first, second = f"b{joint.body1}", f"b{joint.body2}"
-        # The anchor in the frame of the second body, then in that of the first, then how the second is turned in it.
-        data = [*joint.anchor2, *joint.anchor1, *_wxyz(joint.zero), 1.0, 0.0]
-    else:
-        number = _stands_for(joint, bodies)
-        turned = number == joint.body1
-        twin, hinge = _attach(handles[joint.body2 if turned else joint.body1], joint, turned, f"t{joint.number}")
-        assert hinge is not None
-        body = bodies[number]
-        mass = body.mass * share[number]
-        x, y, z = (edge * edge for edge in body.size)
-        twin.explicitinertial = True
-        twin.ipos, twin.iquat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
-        twin.mass = mass
-        twin.inertia = [mass * (y + z) / 12.0, mass * (x + z) / 12.0, mass * (x + y) / 12.0]
-        made[joint.number], twins[joint.number] = hinge, twin
-        if turned:
-            flipped.add(joint.number)
-        first, second = f"t{joint.number}", f"b{number}"
-        data = [0.0] * 6 + [1.0, 0.0, 0.0, 0.0, 1.0, 0.0]
-    spec.add_equality(
-        type=mujoco.mjtEq.mjEQ_WELD,
-        objtype=mujoco.mjtObj.mjOBJ_BODY,
-        name1=first,
-        name2=second,
-        data=data,
-        solref=solref,
-        solimp=_LOOP_SOLIMP,
-    )
+    # Room for every cube to overlap every other (measured: 6 KiB a pair and direction); address space until it is used.
+    spec.memory = min(512 * _KIBIBYTE + bodies * bodies * 7 * _KIBIBYTE, 2048 * 1024 * _KIBIBYTE)
 
 
 def _bounce(restitution: float, timestep: float) -> list[float]:
@@ -362,6 +414,15 @@ def _bounce(restitution: float, timestep: float) -> list[float]:
 
 def _wxyz(q: Quaternion) -> list[float]:
     return [q[3], q[0], q[1], q[2]]
+
+
+def across(axis: Vector) -> tuple[Vector, Vector]:
+    """Returns two directions that make a right-handed frame with a unit axis, always the same for the same axis."""
+    least = min(range(3), key=lambda i: abs(axis[i]))
+    u = cross(axis, (float(least == 0), float(least == 1), float(least == 2)))
+    length = sqrt(u[0] * u[0] + u[1] * u[1] + u[2] * u[2])
+    u = (u[0] / length, u[1] / length, u[2] / length)
+    return u, cross(axis, u)
 
 
 def relative(q1: Quaternion, q2: Quaternion) -> Quaternion:

@@ -21,7 +21,7 @@ import logging
 from collections.abc import Collection, Sequence
 from dataclasses import asdict, replace
 from functools import cache
-from math import cos, sin
+from math import asin, atan2, cos, pi, sin
 from pathlib import Path
 
 import mujoco
@@ -43,7 +43,7 @@ from nmes.backend import (
     Simulation,
     Vector,
 )
-from nmes.backends.mujoco3d.layout import Body, Forest, Joint, Layout, Slot, build, relative, span
+from nmes.backends.mujoco3d.layout import Body, Forest, Joint, Layout, Slot, across, build, relative, span
 from nmes.errors import SimulationFault
 from nmes.rotation import conjugate, cross, multiply, normalize, rotate
 
@@ -59,7 +59,9 @@ _FAULTS = {
     _WARNINGS.mjWARN_CONTACTFULL: ("contact_overflow", "the engine ran out of room for contacts"),
     _WARNINGS.mjWARN_CNSTRFULL: ("constraint_overflow", "the engine ran out of room for constraints"),
 }
+_FEW = 5  # bodies: up to so many, one by one is faster than by arrays
 _HUGE = 1e10  # mjMAXVAL: beyond this the engine calls a state bad
+_WIDEST_SWING = 1.4  # rad: a cone's two swinging hinges fall together at a right angle
 # A servo closes 63% of a small error in 1/30 s, critically damped.
 _SERVO_RATE = 60.0
 
@@ -83,12 +85,14 @@ class MujocoBackend(Backend):
             "joint.hinge",
             "joint.slide",
             "joint.pin",
+            "joint.conetwist",
             "motor",
             "servo",
             "limits",
             "spring",
             "friction",
             "restitution",
+            "collisions",
             "contacts",
             "sleep",
             "snapshot",
@@ -204,11 +208,15 @@ class MujocoSimulation(Simulation):
         if params == held.params:
             return
         self._identity ^= _hash_joint(held)
+        form = held.form
         if (params.motor == "off") != (held.params.motor == "off"):
             self._stale_model = True
         held.params = params
+        if held.form != form:  # a ball gets or loses its limits
+            self._edited(held.body1)
+            self._edited(held.body2)
         self._identity ^= _hash_joint(held)
-        if joint in self._layout.joint:
+        if joint in self._layout.joint and held.form == form:
             self._write_params(held)
             self._wake(self._layout.body[held.body1], self._layout.body[held.body2])
 
@@ -271,14 +279,16 @@ class MujocoSimulation(Simulation):
         return BodyState(
             (x, y, z),
             (qx, qy, qz, qw),
-            (vx + wy * rz - wz * ry, vy + wz * rx - wx * rz, vz + wx * ry - wy * rx),
+            (vx + (wy * rz - wz * ry), vy + (wz * rx - wx * rz), vz + (wx * ry - wy * rx)),
             (wx, wy, wz),
         )
 
     def states(self, bodies: Sequence[int]) -> Array:
         """Returns a new array (n, 13)."""
         out = np.empty((len(bodies), 13))
-        if not len(bodies):
+        if len(bodies) <= _FEW:
+            for row, state in enumerate(map(self.body_state, bodies)):
+                out[row] = (*state.position, *state.quaternion, *state.linear_velocity, *state.angular_velocity)
             return out
         self._refresh()
         where = self._layout.body
@@ -325,7 +335,12 @@ class MujocoSimulation(Simulation):
         arm1, arm2 = rotate(one.quaternion, held.anchor1), rotate(two.quaternion, held.anchor2)
         anchor = _plus(one.position, arm1)
         position = velocity = effort = 0.0
-        if held.kind in ("hinge", "slide"):
+        if held.kind == "conetwist":
+            turn = multiply(conjugate(held.zero), relative(one.quaternion, two.quaternion))
+            position = 2.0 * atan2(_dot(turn[:3], held.axis2), turn[3])
+            position = (position + pi) % (2.0 * pi) - pi
+            velocity = _dot(_minus(two.angular_velocity, one.angular_velocity), axis)
+        elif held.kind in ("hinge", "slide"):
             slot = self._layout.joint.get(joint)
             if slot is not None:
                 position = float(self._data.qpos[slot.q])
@@ -533,7 +548,7 @@ class MujocoSimulation(Simulation):
         turns = {
             number: relative(self.body_state(joint.body1).quaternion, self.body_state(joint.body2).quaternion)
             for number, joint in self._joints.items()
-            if joint.kind == "pin" and (joint.body1 in states or joint.body2 in states)
+            if joint.form in ("ball", "cone") and (joint.body1 in states or joint.body2 in states)
         }
         sleep = {} if self._wake_all else self._sleep_by_key(states.keys())
         self._take(layout)
@@ -587,7 +602,7 @@ class MujocoSimulation(Simulation):
             if joint.kind == "hinge":
                 joint.zero = normalize(multiply(turn, _about(joint.axis2, -at)))
                 joint.anchor1 = tip
-            elif joint.kind == "pin":
+            elif joint.form in ("ball", "cone"):
                 joint.anchor1 = tip
             else:
                 joint.zero = normalize(turn)
@@ -638,8 +653,10 @@ class MujocoSimulation(Simulation):
                 copy(slot, was)
                 continue
             jointed = True
-            if joint.kind == "pin":
+            if joint.form == "ball":
                 data.qpos[slot.q : slot.q + 4] = _ball(joint.zero, turns[number], slot.flipped)
+            elif joint.form == "cone":
+                data.qpos[slot.q : slot.q + 3] = _cone(joint, turns[number], slot.flipped)
             elif was is not None:
                 data.qpos[slot.q] = old_data.qpos[was.q]
         if jointed:
@@ -678,7 +695,17 @@ class MujocoSimulation(Simulation):
         """Writes a joint's motor, spring and limits into the compiled model."""
         model, params = self._model, joint.params
         index, slot = self._layout.joint_index[joint.number], self._layout.joint[joint.number]
-        if joint.kind == "pin":
+        if joint.form == "ball":
+            return
+        if joint.form == "cone":
+            assert params.limits is not None
+            swing, twist = params.limits
+            # In the order of the tree the twist comes last, or first where the tree runs from body2 to body1.
+            twisting = index if slot.flipped else index + 2
+            model.jnt_limited[twisting] = True
+            model.jnt_range[twisting] = (-twist, twist)
+            chord = 2.0 * sin(min(max(swing, 0.0), _WIDEST_SWING) / 2.0)
+            model.tendon_range[self._layout.swing[joint.number]] = (0.0, max(chord, 1e-6))
             return
         model.jnt_stiffness[index] = params.stiffness
         model.dof_damping[slot.v] = params.damping
@@ -783,6 +810,18 @@ def _ball(zero: Quaternion, turn: Quaternion, flipped: bool) -> list[float]:
     """The coordinate (w, x, y, z) of a ball joint: how the child is turned from its orientation at zero."""
     x, y, z, w = normalize(multiply(zero, conjugate(turn)) if flipped else multiply(conjugate(zero), turn))
     return [w, x, y, z]
+
+
+def _cone(joint: Joint, turn: Quaternion, flipped: bool) -> list[float]:
+    """The coordinates of a cone, in the order of its hinges: how far it is swung about two axes, and twisted."""
+    x, y, z, w = normalize(multiply(conjugate(joint.zero), turn))
+    u, v = across(joint.axis2)
+    # The same rotation with the axis as x, u as y and v as z: Ry(a) Rz(b) Rx(twist).
+    x, y, z = (_dot((x, y, z), one) for one in (joint.axis2, u, v))
+    b = asin(max(-1.0, min(1.0, 2.0 * (x * y + z * w))))
+    a = atan2(2.0 * (y * w - x * z), 1.0 - 2.0 * (y * y + z * z))
+    twist = atan2(2.0 * (x * w - y * z), 1.0 - 2.0 * (x * x + z * z))
+    return [twist, b, a] if flipped else [a, b, twist]
 
 
 def _hash(*parts: object) -> int:
