@@ -20,10 +20,11 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+import engines
 import roundtrip
 import ticking
 
-SUITES = {"roundtrip": roundtrip.figures, "ticking": ticking.figures}
+SUITES = {"roundtrip": roundtrip.figures, "ticking": ticking.figures, "engines": engines.figures}
 
 
 def machine() -> dict[str, Any]:
@@ -34,7 +35,7 @@ def machine() -> dict[str, Any]:
         cpu = next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
     except (OSError, StopIteration):
         pass
-    versions = {name: version(name) for name in ("nmes", "mujoco", "numpy")}
+    versions = {name: version(name) for name in ("nmes", "mujoco", "numpy", "pymunk")}
     return {
         "cpu": cpu,
         "cores": os.cpu_count(),
