@@ -6,7 +6,7 @@ import random
 import resource
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -305,6 +305,28 @@ def test_what_was_flushed_survives_a_crash(tmp_path: Path) -> None:
         assert "after its last whole record; read up to record" in recording.damage.message
         assert [item for item in told_by(recording) if item[0] == "tick"][-1][1] == world.frame
     recorder.close()
+
+
+def test_nothing_waits_longer_than_a_second_while_records_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 1_800_000_000 * 10**9
+    monkeypatch.setattr("nmes.recording.time.time_ns", lambda: now)
+    path = tmp_path / "x.mcap"
+    world = World({"backend": "ballistic"})
+    world.journal = Recorder(path, world, pose_rate=0)
+    client = world.join()
+    inputs: list[Callable[[], object]] = [world.tick, lambda: send(world, client, type="ping")]
+    for happen in inputs:
+        for later in (1_000_000_000, -5):  # clocks are set back, too
+            size = path.stat().st_size
+            happen()
+            now += 999_999_999
+            happen()
+            assert path.stat().st_size == size
+            now += later - 999_999_999
+            happen()
+            assert path.stat().st_size > size
+    assert list(Recording(path))[-1].kind is Kind.COMMAND
+    world.journal.close()
 
 
 def test_a_file_cut_anywhere_is_read_up_to_the_cut(tmp_path: Path) -> None:

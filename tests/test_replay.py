@@ -139,6 +139,13 @@ def test_faults_are_reproduced_in_commands_and_by_the_clock(tmp_path: Path) -> N
     assert Recording(path).summary().faults == 2
     assert replay(path).verdict == "reproduced"
 
+    def edit(lines: list[Line]) -> list[Line]:
+        at = first(lines, "faults")
+        return changed(lines, at, lines[at].data.replace(b"diverged", b"exploded"))
+
+    found = divergence(path, tmp_path, edit)
+    assert found.kind == "fault" and "exploded" in found.message
+
 
 def test_refused_frames_that_were_not_kept_whole_are_reproduced(tmp_path: Path) -> None:
     def play(world: World, client: int) -> None:
