@@ -35,6 +35,7 @@ def fingerprint(backend: Backend) -> dict[str, str]:
     return {
         "nmes": version("nmes"),
         "backend": backend.name,
+        "engine.version": backend.version(),
         **{f"engine.{name}": value for name, value in sorted(backend.fingerprint().items())},
         **_machine(),
     }
