@@ -3,16 +3,23 @@
 from __future__ import annotations
 
 import math
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from layout import ROOT
 from nmes import World
 from nmes.backend import BodyState, Heightfield, JointParams, JointSpec, SceneSpec, StaticBox
 from nmes.backends.pymunk2d import PymunkBackend, PymunkSimulation
 from nmes.contract.base import TIMESTEP, UPRIGHT, ZERO, about_z, box, close, run
 from nmes.errors import WorldError
+
+sys.path.insert(0, str(ROOT / "examples"))
+
+import demo
 
 Z = (0.0, 0.0, 1.0)
 X = (1.0, 0.0, 0.0)
@@ -194,3 +201,13 @@ def test_a_world_runs_on_it() -> None:
     assert reply["type"] == "error"
     with pytest.raises(WorldError):
         World({"backend": "pymunk", "engine": {"solver": "newton"}})
+
+
+@pytest.mark.parametrize("example", ["tier2_pole"])  # the one that stays in the plane
+def test_an_example_in_the_plane_runs_unchanged(example: str, tmp_path: Path) -> None:
+    with demo.served(tmp_path, "--mode", "lockstep", "--backend", "pymunk") as server:
+        script = [sys.executable, str(ROOT / "examples" / f"{example}.py"), "--json", "--port", str(server["port"])]
+        figures = demo.run(script, NMES_PASSWORD=server["password"])
+    assert figures["ok"], figures
+    report = demo.replay(Path(server["recording"]))
+    assert report["verdict"] == "reproduced", report
