@@ -9,23 +9,23 @@ import shutil
 import signal
 import subprocess
 import sys
-import sysconfig
 import venv
+from importlib.metadata import distribution
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
 
 from layout import PROJECT, ROOT
 
-# Run by the new environment's Python: imports all of nmes, and prints where it lies and what it made Python load.
+# Run by the new environment's Python: imports all of nmes, and prints where it lies.
 IMPORT_ALL = """
-import importlib, json, pkgutil, sys
+import importlib, json, pkgutil
 import nmes
 names = [module.name for module in pkgutil.walk_packages(nmes.__path__, "nmes.")]
 for name in names:
     importlib.import_module(name)
-files = [module.__file__ for module in list(sys.modules.values()) if getattr(module, "__file__", None)]
-print(json.dumps({"modules": ["nmes", *names], "root": nmes.__file__, "files": files}))
+print(json.dumps({"modules": ["nmes", *names], "root": nmes.__file__}))
 """
 
 DRIVE = """
@@ -41,10 +41,9 @@ with nmes.Client(port=int(sys.argv[1]), password="wheel") as client:
 
 @pytest.fixture(scope="module")
 def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The `bin` folder of a virtual environment that has the wheel, and sees the other packages of this one.
+    """The `bin` folder of a virtual environment that has the wheel and what a plain install of it brings, no more.
 
-    Paths that a .pth file adds are not searched for .pth files, so the editable install of this environment is not
-    among them: what is imported as nmes comes from the wheel.
+    Dependencies are links to this environment's, so that nothing is fetched; nmes itself comes from the wheel.
     """
     folder = tmp_path_factory.mktemp("wheel")
     source = folder / "source"
@@ -60,8 +59,31 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
     python = home / "bin" / "python"
     subprocess.run([*pip, "--python", str(python), "install", "-q", "--no-deps", str(wheel)], check=True)
     (packages,) = home.glob("lib/python3*/site-packages")
-    (packages / "elsewhere.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    for dependency in dependencies():
+        installed = distribution(dependency)
+        for entry in {file.parts[0] for file in installed.files or () if file.parts[0] not in ("..", "__pycache__")}:
+            if not (packages / entry).exists():
+                (packages / entry).symlink_to(str(installed.locate_file(entry)))
     return python.parent
+
+
+def dependencies() -> set[str]:
+    """Returns the distributions that a plain install brings, as pyproject.toml and they themselves declare it."""
+    found: set[str] = set()
+    todo = [(Requirement(line), "") for line in PROJECT["project"]["dependencies"]]
+    while todo:
+        requirement, extra = todo.pop()
+        if requirement.marker is None or requirement.marker.evaluate({"extra": extra}):
+            name = normal(requirement.name)
+            if name not in found or requirement.extras:
+                found.add(name)
+                lines = distribution(name).requires or []
+                todo += [(Requirement(line), wanted) for line in lines for wanted in ("", *requirement.extras)]
+    return found
+
+
+def normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
 
 
 def run(environment: Path, *command: str, cwd: Path) -> str:
@@ -73,63 +95,15 @@ def run(environment: Path, *command: str, cwd: Path) -> str:
     return done.stdout
 
 
-@pytest.fixture(scope="module")
-def imported(environment: Path) -> dict[str, object]:
-    found: dict[str, object] = json.loads(run(environment, "python", "-I", "-c", IMPORT_ALL, cwd=environment))
-    return found
-
-
-def test_every_module_is_in_the_wheel(environment: Path, imported: dict[str, object]) -> None:
-    assert str(imported["root"]).startswith(str(environment.parent))
+def test_every_module_is_in_the_wheel_and_can_be_imported(environment: Path, tmp_path: Path) -> None:
+    found = json.loads(run(environment, "python", "-I", "-c", IMPORT_ALL, cwd=tmp_path))
+    assert Path(found["root"]).is_relative_to(environment.parent)
     expected = set()
     for package, folder in PROJECT["tool"]["setuptools"]["package-dir"].items():
         for file in (ROOT / folder).rglob("*.py"):
             parts = file.relative_to(ROOT / folder).with_suffix("").parts
             expected.add(".".join((package, *(part for part in parts if part != "__init__"))))
-    assert set(imported["modules"]) == expected  # type: ignore[call-overload]
-
-
-def test_the_base_install_names_all_that_is_imported(imported: dict[str, object]) -> None:
-    # The new environment sees the packages of this one, the extras and the tools too: those must not be needed.
-    needed = closure("nmes")
-    packages = Path(sysconfig.get_path("purelib"))
-    from importlib.metadata import packages_distributions
-
-    owners = packages_distributions()
-    for file in imported["files"]:  # type: ignore[attr-defined]
-        if Path(file).is_relative_to(packages):
-            top = Path(file).relative_to(packages).parts[0].split(".")[0]
-            if top in owners:
-                assert {normal(owner) for owner in owners[top]} & needed, f"{file} belongs to no declared dependency"
-
-
-def closure(distribution: str) -> set[str]:
-    """Returns the names of all distributions that a plain install of one brings."""
-    from importlib.metadata import PackageNotFoundError, requires
-
-    from packaging.requirements import Requirement
-
-    found: set[str] = set()
-    todo = [(distribution, frozenset[str]())]
-    while todo:
-        name, extras = todo.pop()
-        if normal(name) in found and not extras:
-            continue
-        found.add(normal(name))
-        try:
-            lines = requires(name) or []
-        except PackageNotFoundError:
-            continue
-        for requirement in map(Requirement, lines):
-            marker = requirement.marker
-            if marker is None or any(marker.evaluate({"extra": extra}) for extra in ("", *extras)):
-                if normal(requirement.name) not in found:
-                    todo.append((requirement.name, frozenset(requirement.extras)))
-    return found
-
-
-def normal(name: str) -> str:
-    return re.sub(r"[-_.]+", "-", name).lower()
+    assert set(found["modules"]) == expected
 
 
 def test_an_installed_wheel_serves_and_replays(environment: Path, tmp_path: Path) -> None:
