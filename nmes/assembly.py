@@ -16,15 +16,17 @@ from hashlib import blake2b
 from math import hypot, inf
 from typing import Any
 
-from nmes import jointparams, protocol
+import numpy as np
+
+from nmes import jointparams, protocol, scenery
 from nmes.backend import (
     Array,
     Backend,
     BodySpec,
     BodyState,
+    CameraSpec,
     JointSpec,
     Quaternion,
-    SceneSpec,
     Simulation,
     Vector,
 )
@@ -73,6 +75,7 @@ class Joint:
     cube1: Cube
     cube2: Cube
     params: JsonObject  # the wire's parameters, all of them
+    skeleton: str | int | None = None
 
 
 class Assembly:
@@ -83,6 +86,9 @@ class Assembly:
         config: The world's complete config.
         seed: What names are drawn from.
         version: The first structure version; it increases with every change of cubes, joints or frozenness.
+
+    Raises:
+        WorldError: The engine cannot make the config's scene, or does not know its settings.
     """
 
     def __init__(self, backend: Backend, config: Mapping[str, Any], seed: int, version: int) -> None:
@@ -116,6 +122,14 @@ class Assembly:
     def joints(self) -> list[Joint]:
         """Returns the joints in order of creation."""
         return list(self._joints.values())
+
+    def skeletons(self) -> list[JsonObject]:
+        """Returns the skeletons in order of their oldest bones, as `world_info` has them."""
+        bones: dict[str | int, list[str]] = {}
+        for joint in self._joints.values():
+            if joint.skeleton is not None:
+                bones.setdefault(joint.skeleton, []).append(joint.name)
+        return [{"snake_id": snake, "bones": names} for snake, names in bones.items()]
 
     def name_of(self, body: int) -> str | None:
         """Returns the name of a body of the engine, or None if it is no cube of ours."""

@@ -27,18 +27,24 @@ import numpy as np
 import numpy.typing as npt
 
 from nmes.errors import BackendNotFound
+from nmes.rotation import rotate
 
 __all__ = [
     "CAPABILITIES",
+    "Arena",
     "Backend",
     "BodySpec",
     "BodyState",
+    "CameraSpec",
     "Contact",
+    "Heightfield",
     "JointParams",
     "JointSpec",
     "JointState",
+    "Planet",
     "SceneSpec",
     "Simulation",
+    "StaticBox",
     "entry_points_by_name",
     "load_backend",
 ]
@@ -53,19 +59,107 @@ CAPABILITIES = frozenset(
     {"joint.fixed", "joint.hinge", "joint.slide", "joint.pin", "joint.conetwist"}  # kinds of joints
     | {"motor", "servo", "spring", "limits"}  # what hinges and slides have; `limits` are also a conetwist's
     | {"collisions", "friction", "restitution", "contacts"}  # between bodies; on the ground; and whether it tells
+    | {"scene.obstacles", "scene.heightfield", "scene.planets", "scene.arena"}  # what a SceneSpec may hold
+    | {"sensors.inertial", "sensors.range", "camera"}  # what else than contacts a body can feel and see
     | {"sleep", "snapshot"}
 )
+
+
+@dataclass(frozen=True, slots=True)
+class StaticBox:
+    """An immovable box of scenery: full edge lengths `size` (m). It takes on the surface of whatever touches it."""
+
+    size: Vector
+    position: Vector
+    quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
+
+    def section(self) -> list[tuple[float, float]]:
+        """Returns the corners (x, y) of the slice that the plane z = 0 cuts out, for engines of that plane.
+
+        They are in no particular order, and none where the box does not reach the plane.
+        """
+        (dx, dy, dz), (px, py, pz) = self.size, self.position
+        signs = [(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
+        arms = [rotate(self.quaternion, (x * dx, y * dy, z * dz)) for x, y, z in signs]
+        corners = [(px + x, py + y, pz + z) for x, y, z in arms]
+        cut = []
+        for i, (one, a) in enumerate(zip(signs, corners, strict=True)):
+            for other, b in zip(signs[i + 1 :], corners[i + 1 :], strict=True):
+                is_edge = sum(p != q for p, q in zip(one, other, strict=True)) == 1
+                if is_edge and (a[2] < 0.0) != (b[2] < 0.0):
+                    part = a[2] / (a[2] - b[2])
+                    cut.append((a[0] + part * (b[0] - a[0]), a[1] + part * (b[1] - a[1])))
+        return cut
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Heightfield:
+    """A landscape over a rectangle whose middle is the origin. Beyond its edges there is nothing.
+
+    Attributes:
+        size: Extent along x and z, m.
+        heights: Array (rows along z, columns along x) of heights y in m, at equal distances from the edges at -size/2
+            to those at +size/2. In between the surface is made of triangles.
+    """
+
+    size: tuple[float, float]
+    heights: Array
+
+    def profile(self) -> list[tuple[float, float]]:
+        """Returns the points (x, y) of the surface in the plane z = 0, for engines of that plane."""
+        rows, columns = self.heights.shape
+        middle = (rows - 1) / 2.0
+        low = int(middle)
+        part = middle - low
+        line = self.heights[low] if part == 0.0 else (self.heights[low] + self.heights[low + 1]) / 2.0
+        step = self.size[0] / (columns - 1)
+        return [(step * i - self.size[0] / 2.0, height) for i, height in enumerate(line.tolist())]
+
+
+@dataclass(frozen=True, slots=True)
+class Planet:
+    """An immovable ball, m."""
+
+    position: Vector
+    radius: float
+
+
+@dataclass(frozen=True, slots=True)
+class Arena:
+    """An arena by name, which the engine's own library makes: the same for the same values.
+
+    Attributes:
+        name: `bowl`, `corridor`, `gaps`, `walls` or `maze`.
+        seed: What is drawn follows from it.
+        length: Of a corridor, along x, m.
+        width: Of a corridor, m.
+        cells: Of a maze, along each side; odd.
+    """
+
+    name: str
+    seed: int
+    length: float
+    width: float
+    cells: int
 
 
 @dataclass(frozen=True, slots=True)
 class SceneSpec:
     """What a scene is before any body is in it.
 
+    Scenery never moves, and contacts with it report no partner. The World asks an engine only for scenery that its
+    capabilities promise.
+
     Attributes:
         timestep: Length of one engine step, s.
         gravity: Acceleration of free fall, m/s^2.
         max_bodies: How many bodies may exist at once; a hint for memory.
         ground: Whether the flat ground y = 0 is there.
+        boxes: Obstacles (`scene.obstacles`).
+        heightfield: A landscape (`scene.heightfield`).
+        planets: Balls (`scene.planets`). Where there are any, each body falls towards the centre of the nearest one,
+            as strongly as `gravity` says, at any distance.
+        arena: An arena (`scene.arena`).
         options: The world config's `engine` object: settings of one engine, which it validates itself.
     """
 
@@ -73,6 +167,10 @@ class SceneSpec:
     gravity: Vector = (0.0, -9.81, 0.0)
     max_bodies: int = 10_000
     ground: bool = True
+    boxes: tuple[StaticBox, ...] = ()
+    heightfield: Heightfield | None = None
+    planets: tuple[Planet, ...] = ()
+    arena: Arena | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -177,6 +275,25 @@ class Contact:
     position: Vector
     normal: Vector
     force: float
+
+
+@dataclass(frozen=True, slots=True)
+class CameraSpec:
+    """A view of the scene.
+
+    Attributes:
+        width: Of the image, pixels.
+        height: Of the image, pixels.
+        fov: Vertical field of view, rad.
+        position: World, m.
+        quaternion: World. A camera looks along its own -z, with its own y upwards.
+    """
+
+    width: int
+    height: int
+    fov: float
+    position: Vector
+    quaternion: Quaternion
 
 
 class Simulation(ABC):

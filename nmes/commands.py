@@ -146,6 +146,7 @@ class CubeState(CubeMotion):
 
 class Touch(TypedDict):
     cube_name: str | None
+    face: Literal["+x", "-x", "+y", "-y", "+z", "-z"]
     position: list[float]
     normal: list[float]
     force: float
@@ -162,6 +163,23 @@ class CubeInfo(CubeMotion):
     sleeping: bool
     joints: Names
     contacts: list[Touch]
+    accelerometer: NotRequired[list[float]]
+    gyro: NotRequired[list[float]]
+    ranges: NotRequired[list[float | None]]
+
+
+class CameraImage(TypedDict):
+    type: Literal["camera_image"]
+    cube_name: str
+    width: int
+    height: int
+    image: str
+
+
+class SensedMotion(CubeMotion):
+    contacts: NotRequired[list[Touch]]
+    accelerometer: NotRequired[list[float]]
+    gyro: NotRequired[list[float]]
 
 
 class WorldState(TypedDict):

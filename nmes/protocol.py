@@ -139,6 +139,7 @@ class CommandSchema(MessageSchema):
         reply: Type of its reply.
         required: Whether every conforming server must have it (section 5).
         silent: Whether the raw dialect leaves it unanswered.
+        bare: Whether in the raw dialect its reply has neither `type` nor `id`.
         defaults: Default values by field.
         integers: Fields that hold a whole number.
         batches: Fields that hold an array of commands.
@@ -147,6 +148,7 @@ class CommandSchema(MessageSchema):
     reply: str
     required: bool
     silent: bool
+    bare: bool
     defaults: Mapping[str, Any]
     integers: tuple[str, ...]
     batches: tuple[str, ...]
@@ -165,6 +167,7 @@ def _command(kind: str, schema: Schema) -> CommandSchema:
         reply=schema["x-reply"],
         required=schema["x-required"],
         silent=schema["x-silent"],
+        bare=schema.get("x-bare", False),
         defaults={name: part["default"] for name, part in fields if "default" in part},
         integers=tuple(name for name, part in fields if part.get("type") == "integer"),
         batches=tuple(name for name, part in fields if part.get("items", {}).get("x-message") == "command"),
@@ -246,15 +249,30 @@ def complete_config(config: Mapping[str, Any]) -> dict[str, Any]:
     return _completed(_CONFIG.schema, plain)
 
 
-def _completed(schema: Schema, value: dict[str, Any]) -> dict[str, Any]:
+def _completed(schema: Schema, value: dict[str, Any], path: str = "") -> dict[str, Any]:
+    """Fills in defaults. A property with `x-when` exists only where `type` is one of those; then it must."""
     complete = dict(value)
     for name, part in schema.get("properties", {}).items():
+        here, kinds = path + name, part.get("x-when")
+        if kinds is not None and complete["type"] not in kinds:
+            if name in value:
+                raise RejectedMessage("invalid", f"{here}: only where type is {' or '.join(kinds)}", here)
+            continue
         if name not in complete:
-            complete[name] = json.loads(json.dumps(part["default"]))  # a copy, all the way down
+            if "default" in part:
+                complete[name] = json.loads(json.dumps(part["default"]))  # a copy, all the way down
+            elif kinds is not None:
+                raise RejectedMessage("invalid", f"{here}: is missing; expected {describe(part)}", here)
+            else:
+                continue
         if part.get("type") == "object":
-            complete[name] = _completed(part, complete[name])
+            complete[name] = _completed(part, complete[name], f"{here}/")
         elif part.get("type") == "integer":
             complete[name] = int(complete[name])
+        elif part.get("items", {}).get("type") == "object":
+            complete[name] = [
+                _completed(part["items"], item, f"{here}/{index}/") for index, item in enumerate(complete[name])
+            ]
     return complete
 
 
@@ -580,8 +598,13 @@ class Session:
 
     def reply(self, request: Request, reply: bytes) -> bytes:
         """Returns the bytes to send for an encoded reply: none where the raw dialect is silent."""
-        if self.dialect == "raw" and request.type in COMMANDS and COMMANDS[request.type].silent:
+        command = COMMANDS.get(request.type) if self.dialect == "raw" and request.type is not None else None
+        if command is not None and command.silent:
             return b""
+        if command is not None and command.bare:
+            message = decode(reply)
+            if message["type"] == command.reply:
+                reply = encode({key: value for key, value in message.items() if key not in ("type", "id")})
         return reply + DELIMITER
 
     def event(self, event: bytes) -> bytes:

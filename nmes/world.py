@@ -24,7 +24,7 @@ from typing import Any, ClassVar, Protocol
 from nmes import protocol
 from nmes.assembly import Assembly, Cube, identity
 from nmes.backend import Array, Backend, Simulation, Vector, load_backend
-from nmes.errors import NmesError, RecordingError, SimulationFault, WorldError
+from nmes.errors import NmesError, RecordingError, RejectedMessage, SimulationFault, WorldError
 from nmes.protocol import Request
 from nmes.subscription import Subscription
 
@@ -88,7 +88,7 @@ class World:
         emit: Called with a client's number and an encoded event (no delimiter) for each event to a subscriber.
 
     Raises:
-        RejectedMessage: The config is not valid; `path` names the field.
+        RejectedMessage: The config is not valid, or asks for what the engine cannot do; `path` names the field.
         BackendNotFound: No such engine.
     """
 
@@ -110,7 +110,10 @@ class World:
         self._substeps: int = self.config["substeps"]
         self._clients: dict[int, _Client] = {}
         self._next_client = 1
-        self._begin(self.config["seed"], version=0)
+        try:
+            self._begin(self.config["seed"], version=0)
+        except WorldError as error:
+            raise RejectedMessage(error.code, error.message, error.path) from error
 
     def _begin(self, seed: int, version: int) -> None:
         """Makes the empty world of frame 0."""
@@ -413,7 +416,8 @@ class World:
             cubes = [assembly.cube(name) for name in assembly.names()]
         else:
             cubes = [assembly.cube(name, f"cubes/{i}") for i, name in enumerate(names)]
-        return {"type": "world_state", "frame": self.frame, "t": self.time, "cubes": assembly.moving(cubes)}
+        moving = assembly.moving(cubes, sensors=bool(c.get("sensors")))
+        return {"type": "world_state", "frame": self.frame, "t": self.time, "cubes": moving}
 
     def _get_world_info(self, client: _Client, c: JsonObject) -> JsonObject:
         fault = self.fault
@@ -440,6 +444,7 @@ class World:
                 "clients": len(self._clients),
             },
             "limits": self.config["limits"],
+            "skeletons": self._assembly.skeletons(),
             "capabilities": self.capabilities(),
             "fault": None if fault is None else {"code": fault.code, "frame": fault.frame, "message": fault.message},
         }

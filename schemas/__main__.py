@@ -65,6 +65,8 @@ def _rows(schema: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, str, st
         need = "required" if name in schema.get("required", ()) else "optional"
         if "default" in part and part.get("type") != "object":
             need = f"default {json.dumps(part['default'])}"
+        if "x-when" in part:
+            need = "for " + ", ".join(part["x-when"]) + need.replace("optional", "").replace("default", "; default")
         # The codes of an error have a table of their own.
         value = "a code, see below" if "oneOf" in part else describe(part).replace("|", "\\|")
         yield prefix + name, need, value, part.get("description", "")

@@ -433,7 +433,7 @@ def test_a_config_is_completed_without_touching_the_given_one() -> None:
     assert config == {
         "name": "main", "backend": "mujoco", "seed": 7, "tick_rate": 60, "substeps": 4, "gravity": [0, -9.81, 0],
         "mode": "realtime", "rate": 1, "friction": 1, "restitution": 0, "limits": {"cubes": 10_000, "joints": 5},
-        "scene": {"type": "flat"}, "engine": {"solver": "any"},
+        "scene": {"type": "flat", "obstacles": []}, "engine": {"solver": "any"},
     }  # fmt: skip
     assert type(config["seed"]) is int
     assert protocol.complete_config(config) == config
