@@ -1,7 +1,6 @@
 """Serves, drives, records and reproduces the example worlds, one after the other, and tables what came of it.
 
 Everything goes through the doors that users have: `nmes serve`, the example programs over TCP, `nmes replay`.
-`--keep DIR` leaves the recordings there.
 """
 
 from __future__ import annotations
@@ -16,7 +15,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -97,22 +96,20 @@ def rows(example: str, figures: Any, recording: Path, report: Any) -> Iterator[t
 def main() -> int:
     """Runs the demo; returns 1 if an aim was missed or a recording was not reproduced."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--keep", type=Path, metavar="DIR", help="leave the recordings in this directory")
+    default = HERE.parent / "recordings"
+    parser.add_argument("--record", type=Path, default=default, metavar="DIR", help="directory for the recordings")
     options = parser.parse_args()
     console = Console()
     table = Table("", "measured", "", "aim")
     table.columns[1].justify = "right"
     good = True
     began = time.monotonic()
-    with ExitStack() as stack:
-        folder = options.keep or Path(stack.enter_context(tempfile.TemporaryDirectory()))
-        columns = (TextColumn("{task.description:<34}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-        progress = stack.enter_context(Progress(*columns, console=console))
+    columns = (TextColumn("{task.description:<34}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console) as progress:
         task = progress.add_task("", total=2 * len(EXAMPLES))
         for example in EXAMPLES:
             progress.update(task, description=f"{example}: served and driven")
-            (folder / example).mkdir(parents=True, exist_ok=True)
-            figures, recording = drive(example, folder / example)
+            figures, recording = drive(example, options.record / example)
             progress.update(task, advance=1, description=f"{example}: replayed")
             report = replay(recording)
             progress.advance(task)
@@ -121,7 +118,8 @@ def main() -> int:
             table.add_section()
             good &= figures["ok"] and report["verdict"] == "reproduced"
     console.print(table)
-    console.print(f"{time.monotonic() - began:.1f} s" + (f"; the recordings are in {folder}" if options.keep else ""))
+    where = os.path.relpath(options.record)
+    console.print(f"{time.monotonic() - began:.1f} s. The recordings are in {where}: try nmes info, and nmes replay.")
     return 0 if good else 1
 
 

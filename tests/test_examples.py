@@ -79,7 +79,7 @@ def test_an_example_without_a_server_gives_a_message() -> None:
 
 
 def test_the_demo_reproduces_everything(tmp_path: Path) -> None:
-    script = [sys.executable, str(ROOT / "examples" / "demo.py"), "--keep", str(tmp_path)]
+    script = [sys.executable, str(ROOT / "examples" / "demo.py"), "--record", str(tmp_path)]
     done = subprocess.run(script, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert done.stdout.count("reproduced") == len(AIMS)
