@@ -24,12 +24,11 @@ from math import log, pi, sqrt
 import mujoco
 
 from nmes.backend import JointParams, Quaternion, SceneSpec, Vector
+from nmes.backends.mujoco3d.scenery import Scenery, set_options
 from nmes.rotation import conjugate, cross, multiply, rotate
 
 __all__ = ["Body", "Forest", "Joint", "Layout", "Slot", "across", "build", "relative", "span"]
 
-# Body frame of the ground plane: MuJoCo's planes face z, ours faces y.
-_FACE_UP = [sqrt(0.5), -sqrt(0.5), 0.0, 0.0]
 _KINDS = {
     "hinge": mujoco.mjtJoint.mjJNT_HINGE,
     "slide": mujoco.mjtJoint.mjJNT_SLIDE,
@@ -175,13 +174,14 @@ def span(bodies: dict[int, Body], joints: Iterable[Joint]) -> Forest:
 
 def build(
     scene: SceneSpec,
+    scenery: Scenery,
     bodies: dict[int, Body],
     joints: dict[int, Joint],
     forest: Forest,
     frozen_at: dict[int, tuple[Vector, Quaternion]],
 ) -> Layout:
     """Compiles the model. `frozen_at` gives the poses of the frozen bodies."""
-    return _Builder(scene, bodies, joints, forest).build(frozen_at)
+    return _Builder(scene, bodies, joints, forest).build(scenery, frozen_at)
 
 
 class _Builder:
@@ -199,11 +199,10 @@ class _Builder:
         twins = Counter(self._stands_for(joint) for joint in forest.loops if joint.form in _TWINNED)
         self.share = {number: 1.0 / (1 + twins[number]) for number in bodies}
 
-    def build(self, frozen_at: dict[int, tuple[Vector, Quaternion]]) -> Layout:
+    def build(self, scenery: Scenery, frozen_at: dict[int, tuple[Vector, Quaternion]]) -> Layout:
         spec = self.spec
         _options(spec, self.scene, len(self.bodies))
-        if self.scene.ground:
-            spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[0, 0, 1], quat=_FACE_UP)
+        scenery.add(spec)
         for number in self.forest.order:
             self._add(self.bodies[number], frozen_at.get(number))
         for joint in self.forest.loops:
@@ -384,7 +383,7 @@ class _Builder:
 def _options(spec: mujoco.MjSpec, scene: SceneSpec, bodies: int) -> None:
     option = spec.option
     option.timestep = scene.timestep
-    option.gravity = list(scene.gravity)
+    option.gravity = [0.0, 0.0, 0.0] if scene.planets else list(scene.gravity)
     option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST  # motors and dampers stay stable at any gain
     option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
     option.impratio = 10.0  # friction that holds: at 1 a cube creeps down a slope that should hold it
@@ -393,6 +392,7 @@ def _options(spec: mujoco.MjSpec, scene: SceneSpec, bodies: int) -> None:
     # are kept from colliding, and those we name.
     option.disableflags |= disable.mjDSBL_AUTORESET | disable.mjDSBL_FILTERPARENT
     option.enableflags |= enable.mjENBL_SLEEP
+    set_options(option, scene.options)
     # Room for every cube to overlap every other (measured: 6 KiB a pair and direction); address space until it is used.
     spec.memory = min(512 * _KIBIBYTE + bodies * bodies * 7 * _KIBIBYTE, 2048 * 1024 * _KIBIBYTE)
 

@@ -44,6 +44,7 @@ from nmes.backend import (
     Vector,
 )
 from nmes.backends.mujoco3d.layout import Body, Forest, Joint, Layout, Slot, across, build, relative, span
+from nmes.backends.mujoco3d.scenery import Scenery
 from nmes.errors import SimulationFault
 from nmes.rotation import conjugate, cross, multiply, normalize, rotate
 
@@ -94,6 +95,10 @@ class MujocoBackend(Backend):
             "restitution",
             "collisions",
             "contacts",
+            "scene.arena",
+            "scene.heightfield",
+            "scene.obstacles",
+            "scene.planets",
             "sleep",
             "snapshot",
         }
@@ -134,8 +139,9 @@ class MujocoSimulation(Simulation):
         self._wake_all = False
         self._force: dict[int, list[float]] = {}  # wrenches for the next step, by body
         self._impulse: dict[int, list[float]] = {}
-        self._identity = 0  # XOR of the hashes of everything that the state arrays do not say
-        self._install(build(scene, {}, {}, Forest(), {}))
+        self._scenery = Scenery(scene)
+        self._identity = self._scenery.identity  # XOR of the hashes of everything that the state arrays do not say
+        self._install(build(scene, self._scenery, {}, {}, Forest(), {}))
 
     def _install(self, layout: Layout) -> None:
         self._layout = layout
@@ -419,11 +425,25 @@ class MujocoSimulation(Simulation):
             self._fail()
 
     def _advance(self, steps: int) -> None:
+        if self._scenery.attracts:
+            self._advance_attracted(steps)
+            return
         while self._parting and steps:
             self._part_gently()
             steps -= 1
         if steps:
             mujoco.mj_step(self._model, self._data, steps)
+
+    def _advance_attracted(self, steps: int) -> None:
+        """Takes engine steps in a field of gravity that is another at every place: a force on each body, each step."""
+        applied = self._xfrc.copy()
+        for _ in range(steps):
+            self._scenery.pull(self._model, self._data, applied)
+            if self._parting:
+                self._part_gently()
+            else:
+                mujoco.mj_step(self._model, self._data)
+        self._xfrc[:] = applied
 
     def _part_gently(self) -> None:
         """Takes one engine step in which trees that an edit left deep inside others gain little speed."""
@@ -499,7 +519,7 @@ class MujocoSimulation(Simulation):
     def restore(self, snapshot: bytes) -> None:
         """Takes up a state that `snapshot` returned, in place of all that is here."""
         held = orjson.loads(snapshot)
-        self._bodies, self._joints, self._identity = {}, {}, 0
+        self._bodies, self._joints, self._identity = {}, {}, self._scenery.identity
         for given in held["bodies"]:
             body = Body(**{**given, "size": tuple(given["size"])})
             self._bodies[body.number] = body
@@ -520,7 +540,7 @@ class MujocoSimulation(Simulation):
         self._impulse = {body: wrench for body, wrench in held["impulse"]}
         self._parting = set(held["parting"])
         forest = span(self._bodies, self._joints.values())
-        self._take(build(self._scene, self._bodies, self._joints, forest, frozen_at))
+        self._take(build(self._scene, self._scenery, self._bodies, self._joints, forest, frozen_at))
         state = np.frombuffer(base64.b64decode(held["state"]))
         mujoco.mj_setState(self._model, self._data, state.copy(), _STATE)
         self._settle(np.array(held["asleep"], self._asleep.dtype))
@@ -540,7 +560,7 @@ class MujocoSimulation(Simulation):
                     state = self.body_state(body.number)
                     frozen_at[body.number] = (state.position, state.quaternion)
             try:
-                layout = build(self._scene, self._bodies, self._joints, forest, frozen_at)
+                layout = build(self._scene, self._scenery, self._bodies, self._joints, forest, frozen_at)
             except (ValueError, mujoco.FatalError) as error:
                 raise SimulationFault("engine_failed", f"MuJoCo cannot build this structure: {error}") from error
         else:
@@ -771,6 +791,8 @@ class MujocoSimulation(Simulation):
         mujoco.mj_getState(model, data, state, _STATE)
         self._asleep[:] = _AWAKE
         self._count_awake()
+        if self._scenery.attracts:
+            self._scenery.pull(model, data, 0.0)  # the state has no forces in it: these go again
         mujoco.mj_forward(model, data)
         mujoco.mj_setState(model, data, state, _STATE)
         self._asleep[:] = asleep

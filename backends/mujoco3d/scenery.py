@@ -1,0 +1,183 @@
+"""What stands still in a MuJoCo scene, what pulls at bodies there, and how the solver is set.
+
+It hides MuJoCo's own way up: its planes and heightfields face z, ours face y. The model is built anew whenever its
+structure changes, so all that can be known before is computed once, in a Scenery, and adding it is cheap.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from math import hypot, sqrt
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from nmes.backend import Heightfield, Quaternion, SceneSpec
+from nmes.backends.mujoco3d.arenas import Part, parts
+from nmes.errors import WorldError
+
+__all__ = ["Scenery", "set_options"]
+
+_FACE_UP: Quaternion = (-sqrt(0.5), 0.0, 0.0, sqrt(0.5))
+_UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
+_GREY = (0.5, 0.5, 0.5, 1.0)
+_GREEN = (0.35, 0.45, 0.3, 1.0)
+_BASE = 1.0  # m: how thick a landscape is under its lowest point
+
+_SOLVERS = {
+    "newton": mujoco.mjtSolver.mjSOL_NEWTON,
+    "cg": mujoco.mjtSolver.mjSOL_CG,
+    "pgs": mujoco.mjtSolver.mjSOL_PGS,
+}
+_CONES = {"elliptic": mujoco.mjtCone.mjCONE_ELLIPTIC, "pyramidal": mujoco.mjtCone.mjCONE_PYRAMIDAL}
+_INTEGRATORS = {
+    "implicitfast": mujoco.mjtIntegrator.mjINT_IMPLICITFAST,
+    "implicit": mujoco.mjtIntegrator.mjINT_IMPLICIT,
+    "euler": mujoco.mjtIntegrator.mjINT_EULER,
+    "rk4": mujoco.mjtIntegrator.mjINT_RK4,
+}
+
+
+class Scenery:
+    """The static part of one scene.
+
+    Attributes:
+        identity: A number that stands for all of it, 0 for the bare flat ground.
+        attracts: Whether planets pull at bodies, in place of the engine's own gravity.
+    """
+
+    def __init__(self, scene: SceneSpec) -> None:
+        made = [*_ground(scene), *_obstacles(scene), *(parts(scene.arena) if scene.arena is not None else ())]
+        # What is converted here is not converted at every build.
+        self._geoms = [
+            {
+                "type": part.type,
+                "size": list(part.size)[:3],
+                "pos": list(part.position),
+                "quat": [part.quaternion[3], *part.quaternion[:3]],
+                "rgba": list(part.color),
+            }
+            for part in made
+        ]
+        self._fields = {
+            i: (part.size, part.heights.shape, part.heights.astype(np.float32).ravel())
+            for i, part in enumerate(made)
+            if part.heights is not None
+        }
+        self.attracts = bool(scene.planets)
+        self._centres = np.array([planet.position for planet in scene.planets]).reshape(-1, 3)
+        self._strength = hypot(*scene.gravity)
+        digest = hashlib.blake2b(repr((self._geoms, scene.planets)).encode(), digest_size=16)
+        for _, _, heights in self._fields.values():
+            digest.update(heights.tobytes())
+        plain = scene.ground and len(made) == 1
+        self.identity = 0 if plain else int.from_bytes(digest.digest(), "little")
+
+    def add(self, spec: mujoco.MjSpec) -> None:
+        """Adds all of it to the world body of a model that is being built."""
+        for i, geom in enumerate(self._geoms):
+            field = self._fields.get(i)
+            if field is None:
+                spec.worldbody.add_geom(**geom)
+                continue
+            size, (rows, columns), heights = field
+            name = f"heights{i}"
+            spec.add_hfield(name=name, nrow=rows, ncol=columns, size=list(size), userdata=heights)
+            spec.worldbody.add_geom(**{**geom, "size": [0.0, 0.0, 0.0]}, hfieldname=name)
+
+    def pull(self, model: Any, data: Any, applied: Any) -> None:
+        """Sets the wrenches on all bodies to `applied` and their weights towards the planet nearest to each.
+
+        Kinematics are computed first: after a step, or after a query, they belong to different moments.
+        """
+        mujoco.mj_kinematics(model, data)
+        away = data.xipos[:, None, :] - self._centres[None, :, :]
+        distance = np.sqrt((away * away).sum(axis=2))
+        bodies = np.arange(len(away))
+        nearest = distance.argmin(axis=1)
+        mass = np.where(model.body_treeid >= 0, model.body_mass, 0.0)
+        weight = -self._strength * mass / np.maximum(distance[bodies, nearest], 1e-9)
+        data.xfrc_applied[:] = applied
+        data.xfrc_applied[:, :3] += weight[:, None] * away[bodies, nearest]
+
+
+def _ground(scene: SceneSpec) -> list[Part]:
+    found = []
+    if scene.ground:
+        plane = mujoco.mjtGeom.mjGEOM_PLANE
+        found.append(Part(plane, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), _FACE_UP, _GREY))
+    if scene.heightfield is not None:
+        found.append(_landscape(scene.heightfield))
+    return found
+
+
+def _landscape(field: Heightfield) -> Part:
+    # Turned upright, MuJoCo's rows run against our z. It takes heights from 0 to 1 and stretches them.
+    heights = field.heights[::-1]
+    low, high = float(heights.min()), float(heights.max())
+    rise = max(high - low, 1e-6)  # a level one must have some thickness, too
+    size = (field.size[0] / 2.0, field.size[1] / 2.0, rise, _BASE)
+    return Part(mujoco.mjtGeom.mjGEOM_HFIELD, size, (0.0, low, 0.0), _FACE_UP, _GREEN, (heights - low) / rise)
+
+
+def _obstacles(scene: SceneSpec) -> list[Part]:
+    box, ball = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE
+    return [
+        Part(box, (b.size[0] / 2.0, b.size[1] / 2.0, b.size[2] / 2.0), b.position, b.quaternion, _GREY)
+        for b in scene.boxes
+    ] + [Part(ball, (planet.radius, 0.0, 0.0), planet.position, _UPRIGHT, _GREEN) for planet in scene.planets]
+
+
+# -- settings ---------------------------------------------------------------------------------------------------------
+
+
+def set_options(option: Any, settings: Mapping[str, Any]) -> None:
+    """Sets a model's options as the world config's `engine` object says; docs/scenes.md lists what may be in it.
+
+    Raises:
+        WorldError: `invalid`, with the path of the value.
+    """
+    sleep = settings.get("sleep", True)
+    for name, value in settings.items():
+        if name == "solver":
+            option.solver = _choice(name, value, _SOLVERS)
+        elif name == "cone":
+            option.cone = _choice(name, value, _CONES)
+        elif name == "integrator":
+            option.integrator = _choice(name, value, _INTEGRATORS)
+            if value == "rk4" and sleep is True:
+                raise _invalid("integrator", "rk4 cannot let bodies sleep: set sleep to false with it")
+        elif name == "iterations":
+            if type(value) is not int or not 1 <= value <= 10_000:
+                raise _invalid(name, "expected a whole number from 1 to 10,000")
+            option.iterations = value
+        elif name == "tolerance":
+            option.tolerance = _number(name, value, 0.0, 1.0)
+        elif name == "impratio":
+            option.impratio = _number(name, value, 0.01, 1000.0)
+        elif name == "sleep":
+            if type(value) is not bool:
+                raise _invalid(name, "expected true or false")
+            if not value:
+                option.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+        else:
+            known = "solver, iterations, tolerance, cone, impratio, integrator, sleep"
+            raise _invalid(name, f"there is no such setting of mujoco; there are {known}")
+
+
+def _choice(name: str, value: Any, choices: Mapping[str, Any]) -> Any:
+    if not isinstance(value, str) or value not in choices:
+        raise _invalid(name, f"expected one of {', '.join(choices)}")
+    return choices[value]
+
+
+def _number(name: str, value: Any, low: float, high: float) -> float:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
+        raise _invalid(name, f"expected a number from {low:g} to {high:g}")
+    return float(value)
+
+
+def _invalid(name: str, message: str) -> WorldError:
+    return WorldError("invalid", f"engine/{name}: {message}", f"engine/{name}")
