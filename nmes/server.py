@@ -252,13 +252,10 @@ class Connection(asyncio.BufferedProtocol):
             self._end(NmesError("internal", "the server failed; see its log"))
 
     def eof_received(self) -> bool:
-        """Hangs up once everything is answered."""
+        """Hangs up: everything is answered, for while something waits nothing is read."""
         self._ended = True
-        if self._closing:
-            return False
-        if not self._backlog:
-            self._end(None)
-        return True
+        self._end(None)
+        return False
 
     def connection_lost(self, error: Exception | None) -> None:
         """Leaves the world, when the rest of what the peer had asked for is done."""
@@ -339,8 +336,6 @@ class Connection(asyncio.BufferedProtocol):
             self._leave()
         elif session.violation is not None:
             self._end(session.violation)
-        elif self._ended:
-            self._end(None)
         else:
             self._transport.resume_reading()
 

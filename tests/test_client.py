@@ -163,7 +163,10 @@ def test_every_command_works_once() -> None:
         c = Checked(client)
         assert c.ping() == {"type": "pong"}
         assert c.spawn_cube("a", position=[0, 2, 0], size=0.5, mass=2, is_base=True)["spawned"] == "a_BASE"
-        assert c.spawn_cube("b", position=np.array([1, 2, 0]), list=False) == {"type": "cube_list", "spawned": "b"}
+        assert c.spawn_cube("b", position=np.array([1, 2, 0]), mass=None, list=False) == {
+            "type": "cube_list",
+            "spawned": "b",
+        }
         joint = c.create_joint("a_BASE", "b", "hinge", axis=[0, 0, 1], limits=[-1, 1])["joint_name"]
         assert c.set_joint_param(joint, "motor_target_velocity", np.float64(1.5))["value"] == 1.5
         assert [j["joint_name"] for j in c.get_joint_list()["joints"]] == [joint]
@@ -360,6 +363,15 @@ def test_a_lost_connection_says_why(answer: bytes, code: str) -> None:
         with pytest.raises(Disconnected) as lost:
             asyncio.run(by_await(port))
         assert lost.value.code == code
+
+
+@pytest.mark.parametrize("last_word", [b"", b'{"type":"error","code":"slow_consumer","message":""}' + DELIMITER])
+def test_a_connection_lost_while_sending(last_word: bytes) -> None:
+    with scripted(lambda end: end.send(last_word)) as port:
+        with Client(port=port, password="x", timeout=PATIENCE) as client:
+            with pytest.raises(Disconnected), client.pipeline() as many:
+                for _ in range(100_000):
+                    many.ping()
 
 
 def test_a_server_that_never_answers_auth() -> None:
