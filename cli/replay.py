@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 import click
 import orjson
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
+from nmes.cli._drift import plot, show
 from nmes.cli.info import open_recording
+from nmes.drift import measure_drift
 from nmes.recording import Recording
 from nmes.replay import Divergence, ReplayReport, replay
 
@@ -20,17 +25,26 @@ _LONG = 1 << 20  # bytes of recording from which on it is worth showing how far 
 
 @click.command("replay")
 @click.argument("recording", metavar="FILE", callback=open_recording)
+@click.option("--backend", metavar="NAME", help="Run it on this engine instead, and show how far each cube drifts.")
+@click.option("--plot", "plot_to", type=click.Path(dir_okay=False, path_type=Path), help="Write the drift to an SVG.")
 @click.option("--anyway", is_flag=True, help="Run it also where engine or machine differ, to see how far it agrees.")
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
-def command(recording: Recording, anyway: bool, as_json: bool) -> None:
+def command(recording: Recording, backend: str | None, plot_to: Path | None, anyway: bool, as_json: bool) -> None:
     """Run a recording again and compare.
 
     The recorded commands and ticks are fed to a fresh world, and every tick's digest and every reply is compared with
     what was recorded. Prints the verdict, or the first difference.
 
+    With --backend it is run on another engine, and instead of a verdict a table shows how far each cube is, over time,
+    from where it was recorded.
+
     Exit status: 0 reproduced, 1 diverged or not comparable, 2 wrong usage or an unreadable file (for a damaged file,
     after replaying what comes before the damage).
     """
+    if backend is not None:
+        sys.exit(_drift(recording, backend, plot_to, as_json))
+    if plot_to is not None:
+        raise click.UsageError("--plot shows the drift between two engines: it needs --backend")
     report = _replay(recording, anyway)
     if as_json:
         click.echo(orjson.dumps(report.to_json(), option=orjson.OPT_INDENT_2))
@@ -43,12 +57,30 @@ def command(recording: Recording, anyway: bool, as_json: bool) -> None:
 
 
 def _replay(recording: Recording, anyway: bool) -> ReplayReport:
+    with _progress(recording) as progress:
+        return replay(recording, anyway=anyway, progress=progress)
+
+
+def _drift(recording: Recording, backend: str, plot_to: Path | None, as_json: bool) -> int:
+    with _progress(recording) as progress:
+        report = measure_drift(recording, backend, progress=progress)
+    if plot_to is not None:
+        plot(report, plot_to)
+    if as_json:
+        click.echo(orjson.dumps(report.to_json(), option=orjson.OPT_INDENT_2))
+    else:
+        show(report, Console(highlight=False, markup=False))
+    return 0 if report.ended is None else 1
+
+
+@contextmanager
+def _progress(recording: Recording) -> Iterator[Callable[[int, int], None]]:
     console = Console(stderr=True)
     columns = (TextColumn("replaying"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     shown = console.is_terminal and recording.size > _LONG
     with Progress(*columns, console=console, transient=True, disable=not shown) as progress:
         task = progress.add_task("", total=recording.size)
-        return replay(recording, anyway=anyway, progress=lambda done, _: progress.update(task, completed=done))
+        yield lambda done, _: progress.update(task, completed=done)
 
 
 def _lines(report: ReplayReport) -> list[str]:
