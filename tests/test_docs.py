@@ -3,14 +3,22 @@
 from __future__ import annotations
 
 import importlib
+import json
 import re
 import shlex
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from typing import Any
 
 import click
 import pytest
 
+import demo
 from layout import ROOT
 from nmes.cli import SUBCOMMANDS
+from nmes.protocol import DELIMITER
 
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 README = (ROOT / "README.md").read_text()
@@ -34,13 +42,9 @@ def test_every_file_of_the_command_line_is_a_listed_subcommand() -> None:
 
 
 @pytest.mark.parametrize("name", SUBCOMMANDS)
-def test_every_subcommand_is_documented(name: str) -> None:
-    command = subcommand(name)
+def test_every_subcommand_is_in_the_readme(name: str) -> None:
     assert f"`nmes {name}" in README or f"$ nmes {name}" in README
-    assert command.get_short_help_str(100) == SUBCOMMANDS[name]
-    for parameter in command.params:
-        if isinstance(parameter, click.Option):
-            assert parameter.help, f"nmes {name} {parameter.opts[-1]} has no help"
+    assert subcommand(name).get_short_help_str(100) == SUBCOMMANDS[name]
 
 
 @pytest.mark.parametrize("line", [line for line in CONSOLE if line.startswith("nmes ")])
@@ -74,3 +78,32 @@ def test_the_architecture_names_every_module() -> None:
     text = (ROOT / "ARCHITECTURE.md").read_text()
     for path in (ROOT / "nmes").glob("[!_]*.py"):
         assert f"`nmes.{path.stem}`" in text, f"ARCHITECTURE.md does not name nmes.{path.stem}"
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
+    with demo.served(tmp_path_factory.mktemp("recordings"), "--mode", "lockstep") as server:
+        yield server
+
+
+def test_the_python_of_the_readme_works(served: dict[str, Any]) -> None:
+    (code,) = re.findall(r"^```python\n(.*?)^```", README, flags=re.DOTALL | re.MULTILINE)
+    given = re.sub(r"password=\"[^\"]*\"", f"port={served['port']}, password={served['password']!r}", code)
+    done = subprocess.run([sys.executable, "-c", given], capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout)[0] > 1.0
+
+
+def test_the_conversation_of_the_readme_takes_place(served: dict[str, Any]) -> None:
+    (talk,) = re.findall(r"^\$ nc .*?\n(.*?)^```", README, flags=re.DOTALL | re.MULTILINE)
+    with socket.create_connection(("127.0.0.1", served["port"]), timeout=10) as connection:
+        for line in talk.splitlines():
+            if line.startswith("{"):
+                connection.sendall(re.sub(r"(?<=password\":\")[^\"]*", served["password"], line).encode() + b"\n")
+            else:
+                reply = b""
+                while not reply.endswith(DELIMITER):
+                    reply += connection.recv(1)
+                shown, got = line.strip().encode(), json.loads(reply.removesuffix(DELIMITER))
+                fields = re.findall(rb'"([a-z_]+)":', shown)
+                assert [name.decode() for name in fields] == list(got)[: len(fields)]
+                assert f'"type":"{got["type"]}"'.encode() in shown
