@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
@@ -211,3 +213,44 @@ def test_an_example_in_the_plane_runs_unchanged(example: str, tmp_path: Path) ->
     assert figures["ok"], figures
     report = demo.replay(Path(server["recording"]))
     assert report["verdict"] == "reproduced", report
+
+
+RECORD = """
+import os
+import subprocess
+import sys
+import programs
+from nmes import World
+from nmes.recording import Recorder
+
+for number in range(int(sys.argv[1])):
+    world = World({"backend": "pymunk", "mode": "lockstep", "seed": number})
+    world.journal = recorder = Recorder(f"{number}.mcap", world)
+    programs.play(world, programs.draw(number, 60))
+    recorder.close()
+    world.close()
+"""
+
+REPLAY = """
+import os
+import subprocess
+import sys
+from nmes.replay import replay
+
+for number in range(int(sys.argv[1])):
+    report = replay(f"{number}.mcap")
+    print(report.verdict, report.ticks, report.divergence)
+"""
+
+
+@pytest.mark.parametrize("count", [8, pytest.param(1000, marks=pytest.mark.long)])
+def test_recordings_are_reproduced_in_another_process(count: int, tmp_path: Path) -> None:
+    for seed, program in (("1", RECORD), ("2", REPLAY)):
+        environment = {**os.environ, "PYTHONPATH": str(ROOT / "tests"), "PYTHONHASHSEED": seed}
+        command = [sys.executable, "-c", program, str(count)]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+    verdicts = [line.split() for line in done.stdout.splitlines()]
+    assert len(verdicts) == count
+    assert [(number, *line) for number, line in enumerate(verdicts) if line[0] != "reproduced"] == []
+    assert sum(int(ticks) for _, ticks, *_ in verdicts) > 50 * count
