@@ -40,6 +40,7 @@ from nmes.rotation import (
     quaternion_from_euler,
     rotate,
 )
+from nmes.sensing import contact_list, own_axes, png
 from nmes.subscription import moving_part
 
 __all__ = ["Assembly", "Cube", "Joint", "identity"]
@@ -97,15 +98,11 @@ class Assembly:
         self._config = config
         self._seed = seed
         self._planar = backend.dims == 2
-        self._engine_step = 1.0 / (config["tick_rate"] * config["substeps"])
-        self.simulation: Simulation = backend.create(
-            SceneSpec(
-                timestep=self._engine_step,
-                gravity=_vector(config["gravity"]),
-                max_bodies=config["limits"]["cubes"],
-                options=config["engine"],
-            )
-        )
+        for capability, path in scenery.needs(config).items():
+            self.require(capability, f"scenery of this kind ({capability})", path)
+        scene = scenery.scene_spec(config, seed)
+        self._engine_step = scene.timestep
+        self.simulation: Simulation = backend.create(scene)
         self._cubes: dict[str, Cube] = {}
         self._joints: dict[str, Joint] = {}
         self._pairs: dict[tuple[int, int], str] = {}
@@ -165,10 +162,14 @@ class Assembly:
             raise WorldError("joint_not_found", f"there is no joint {name!r}", "joint_name")
         return joint
 
-    def require(self, capability: str, what: str) -> None:
-        """Raises `unsupported` unless the engine has the capability."""
+    def planets(self) -> list[JsonObject]:
+        """Returns the planets as `get_planets` tells them."""
+        return scenery.planet_list(self._config, self._seed)
+
+    def require(self, capability: str, what: str, path: str | None = None) -> None:
+        """Raises `unsupported` unless the engine has the capability; `path` is the field that asks for it."""
         if capability not in self._backend.capabilities:
-            raise WorldError("unsupported", f"the {self._backend.name} backend has no {what}")
+            raise WorldError("unsupported", f"the {self._backend.name} backend has no {what}", path)
 
     # -- cubes ---------------------------------------------------------------------------------------------------
 
@@ -301,16 +302,49 @@ class Assembly:
         reply["frozen"] = cube.frozen
         reply["sleeping"] = self.simulation.sleeping(cube.body)
         reply["joints"] = list(cube.joints)
-        reply["contacts"] = [
-            {
-                "cube_name": None if contact.other is None else self._names[contact.other],
-                "position": contact.position,
-                "normal": contact.normal,
-                "force": contact.force,
-            }
-            for contact in self.simulation.contacts(cube.body)
-        ]
+        reply["contacts"] = contact_list(self.simulation.contacts(cube.body), reply["quaternion"], self._names)
         return reply
+
+    def inertial(self, cubes: list[Cube]) -> list[JsonObject]:
+        """Returns what the accelerometers and gyros of cubes read."""
+        self.require("sensors.inertial", "accelerometers and gyros", "sensors")
+        bodies = [cube.body for cube in cubes]
+        states, felt = self.simulation.states(bodies).tolist(), self.simulation.proper_accelerations(bodies).tolist()
+        return [
+            {"accelerometer": own_axes(state[3:7], acceleration), "gyro": own_axes(state[3:7], state[10:13])}
+            for state, acceleration in zip(states, felt, strict=True)
+        ]
+
+    def ranges(self, cube: Cube, rays: list[list[float]], limit: float) -> list[float | None]:
+        """Returns the distances from a cube's centre along directions in its own frame."""
+        self.require("sensors.range", "range finder", "rays")
+        quaternion = self.simulation.body_state(cube.body).quaternion
+        directions = []
+        for i, ray in enumerate(rays):
+            unit = _unit(self._position(ray))
+            if unit is None:
+                raise WorldError(
+                    "invalid", f"rays/{i}: must have a direction, and in a planar world one in it", f"rays/{i}"
+                )
+            directions.append(rotate(quaternion, unit))
+        return self.simulation.ranges(cube.body, np.array(directions).reshape(-1, 3), limit) if directions else []
+
+    def camera(self, cube: Cube, c: JsonObject) -> JsonObject:
+        """Returns what the camera of a `get_camera` command sees, as `camera_image` has it."""
+        self.require("camera", "cameras")
+        c = {**protocol.COMMANDS["get_camera"].defaults, **c}
+        state = self.simulation.body_state(cube.body)
+        image = self.simulation.draw(
+            CameraSpec(
+                width=c["width"],
+                height=c["height"],
+                fov=float(c["fov"]),
+                position=_plus(state.position, rotate(state.quaternion, self._position(c["position"]))),
+                quaternion=normalize(multiply(state.quaternion, self._rotation(c["rotation"]))),
+            ),
+            {other.body: other.color for other in self._cubes.values()},
+        )
+        return {"cube_name": cube.name, "width": c["width"], "height": c["height"], "image": png(image)}
 
     def cube_state(self, cube: Cube) -> JsonObject:
         """Returns the moving part of a cube's info."""
@@ -324,15 +358,24 @@ class Assembly:
             "angular_velocity": state.angular_velocity,
         }
 
-    def moving(self, cubes: list[Cube]) -> list[JsonObject]:
-        """Returns the moving part of several cubes."""
+    def moving(self, cubes: list[Cube], sensors: bool = False) -> list[JsonObject]:
+        """Returns the moving part of several cubes, and what their `sensors` read."""
         states = self.simulation.states([cube.body for cube in cubes]).tolist()
-        return [moving_part(cube.name, state) for cube, state in zip(cubes, states, strict=True)]
+        parts = [moving_part(cube.name, state) for cube, state in zip(cubes, states, strict=True)]
+        if sensors:
+            for cube, part, inertial in zip(cubes, parts, self.inertial(cubes), strict=True):
+                touched = self.simulation.contacts(cube.body)
+                part["contacts"] = contact_list(touched, part["quaternion"], self._names)
+                part.update(inertial)
+        return parts
 
     # -- joints --------------------------------------------------------------------------------------------------
 
-    def connect(self, c: JsonObject, kind: str, prefix: str) -> str:
-        """Makes the joint that a `create_joint` or `create_bone` command describes; returns its name."""
+    def connect(self, c: JsonObject, kind: str, prefix: str, skeleton: str | int | None = None) -> str:
+        """Makes the joint that a `create_joint` or `create_bone` command describes; returns its name.
+
+        A bone belongs to a `skeleton`.
+        """
         kind = "slide" if kind == "slider" else kind
         self.require(f"joint.{kind}", f"joints of type {kind}")
         cube1, cube2 = self.cube(c["cube1"], "cube1"), self.cube(c["cube2"], "cube2")
@@ -360,7 +403,9 @@ class Assembly:
             given["limit_enabled"] = True
         for parameter in given:
             self._require_param(kind, parameter, parameter)
-        params = jointparams.adjust(jointparams.default_params(self._engine_step), given, self._engine_step, path=None)
+        params = jointparams.adjust(
+            kind, jointparams.default_params(self._engine_step), given, self._engine_step, path=None
+        )
         count = self._joined + 1
         while (name := self._draw(prefix, count)) in self._joints:
             count += 1
@@ -368,7 +413,7 @@ class Assembly:
             count, JointSpec(kind, cube1.body, cube2.body, anchor, axis, jointparams.engine_params(params))
         )
         self._joined = count
-        self._joints[name] = Joint(name, count, kind, cube1, cube2, params)
+        self._joints[name] = Joint(name, count, kind, cube1, cube2, params, skeleton)
         self._pairs[pair] = name
         cube1.joints[name] = cube2.joints[name] = None
         self.version += 1
@@ -392,7 +437,7 @@ class Assembly:
     def set_param(self, joint: Joint, name: str, value: float | bool) -> None:
         """Sets one parameter of a joint."""
         self._require_param(joint.kind, name, "param_name")
-        params = jointparams.adjust(joint.params, {name: value}, self._engine_step, path="value")
+        params = jointparams.adjust(joint.kind, joint.params, {name: value}, self._engine_step, path="value")
         self.simulation.set_joint_params(joint.number, jointparams.engine_params(params))
         joint.params = params
 

@@ -21,7 +21,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -52,6 +52,7 @@ __all__ = [
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]  # x, y, z, w
 Array = npt.NDArray[np.float64]
+Image = npt.NDArray[np.uint8]  # rows from the top, columns, red green blue
 
 ENTRY_POINT_GROUP = "nmes.backends"
 
@@ -264,8 +265,7 @@ class JointState:
     axis: Vector
 
 
-@dataclass(frozen=True, slots=True)
-class Contact:
+class Contact(NamedTuple):  # a tuple, since a body has many and a dataclass takes three times as long to make
     """One touching partner of a body, as of the last step: `other` is a body, or None for the ground and scenery.
 
     `normal` points from the other into the body (world, unit); `force` is the normal force in N.
@@ -357,7 +357,47 @@ class Simulation(ABC):
 
     @abstractmethod
     def contacts(self, body: int) -> list[Contact]:
-        """Returns what a body touched in the last step, in a deterministic order."""
+        """Returns what a body touched in the last step, in a deterministic order.
+
+        A sleeping body touches what it rests on, and is touched by what rests on it.
+        """
+
+    def proper_accelerations(self, bodies: Sequence[int]) -> Array:
+        """Returns a new array (n, 3): what accelerometers at the bodies' centres felt in the last engine step.
+
+        In world coordinates, m/s^2: the acceleration less that of free fall. It is zero in free fall, and gravity's
+        opposite at rest, also of frozen and sleeping bodies; zero before a body's first step. Only with capability
+        `sensors.inertial`.
+        """
+        raise NotImplementedError
+
+    def ranges(self, body: int, directions: Array, limit: float) -> list[float | None]:
+        """Returns how far it is from a body's centre to the first surface in each direction, but not its own.
+
+        Other bodies are where they were after the last step, edits since then unseen. A surface that the ray leaves
+        through counts too. Only with capability `sensors.range`.
+
+        Args:
+            body: The body, where it is now.
+            directions: World directions of unit length, shape (n, 3).
+            limit: m; None is answered beyond it.
+        """
+        raise NotImplementedError
+
+    def draw(self, camera: CameraSpec, colors: Mapping[int, tuple[float, float, float, float]]) -> Image:
+        """Returns a picture of the bodies, as they were after the last step, and of the scenery.
+
+        Pixels may depend on the machine; the simulation does not depend on having been drawn. Only with capability
+        `camera`.
+
+        Args:
+            camera: From where it is drawn.
+            colors: RGBA of the bodies, each from 0 to 1.
+
+        Raises:
+            WorldError: `unsupported`, since this machine has no renderer that the engine can use.
+        """
+        raise NotImplementedError
 
     # -- time ---------------------------------------------------------------------------------------------------
 

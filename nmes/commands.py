@@ -186,7 +186,7 @@ class WorldState(TypedDict):
     type: Literal["world_state"]
     frame: int
     t: float
-    cubes: list[CubeMotion]
+    cubes: list[SensedMotion]
 
 
 class WorldInfo(TypedDict):
@@ -206,6 +206,26 @@ class WorldInfo(TypedDict):
     limits: dict[str, int]
     capabilities: Names
     fault: dict[str, Any] | None
+
+
+class Position(TypedDict):
+    x: float
+    y: float
+    z: float
+
+
+class Planet(TypedDict):
+    Name: str
+    Position: Position
+    Seed: int
+    BiomeType: int
+    ResourceLocations: list[Any]
+    TreeLocations: list[Any]
+
+
+class Planets(TypedDict):
+    type: Literal["planets"]
+    planets: list[Planet]
 
 
 class WorldReset(TypedDict):
@@ -496,9 +516,30 @@ class Commands:
         return CubeList
 
     @command
-    def get_cube_info(self, cube_name: str) -> type[CubeInfo]:
-        """Reads all about a cube: motion, shape, surface, joints, contacts."""
+    def get_cube_info(
+        self,
+        cube_name: str,
+        *,
+        sensors: bool | None = None,
+        rays: Sequence[Vector] | Array | None = None,
+        max_range: float | None = None,
+    ) -> type[CubeInfo]:
+        """Reads all about a cube: motion, shape, surface, joints, contacts; its inertial sensors and range finder."""
         return CubeInfo
+
+    @command
+    def get_camera(
+        self,
+        cube_name: str | None = None,
+        *,
+        width: int | None = None,
+        height: int | None = None,
+        fov: float | None = None,
+        position: Vector | None = None,
+        rotation: Vector | None = None,
+    ) -> type[CameraImage]:
+        """Takes a picture from a cube, a PNG in base64."""
+        return CameraImage
 
     @command
     def get_cube_state(self, cube_name: str | None = None) -> type[CubeState]:
@@ -506,14 +547,19 @@ class Commands:
         return CubeState
 
     @command
-    def get_world_state(self, *, cubes: Sequence[str] | None = None) -> type[WorldState]:
-        """Reads the motion of all cubes, or of those named, at one frame."""
+    def get_world_state(self, *, cubes: Sequence[str] | None = None, sensors: bool | None = None) -> type[WorldState]:
+        """Reads the motion of all cubes, or of those named, at one frame; with `sensors`, what they feel too."""
         return WorldState
 
     @command
     def get_world_info(self) -> type[WorldInfo]:
         """Reads what the world is: engine, versions, seed, config, mode, counts, limits, capabilities."""
         return WorldInfo
+
+    @command
+    def get_planets(self) -> type[Planets]:
+        """Lists the planets; there are none unless the scene has them."""
+        return Planets
 
     @command
     def reset(self, *, seed: int | None = None) -> type[WorldReset]:

@@ -53,18 +53,20 @@ def default_params(engine_step: float) -> Params:
 
 
 def adjust(
-    params: Mapping[str, Any], given: Mapping[str, float | bool], engine_step: float, path: str | None
+    kind: str, params: Mapping[str, Any], given: Mapping[str, float | bool], engine_step: float, path: str | None
 ) -> Params:
     """Returns the parameters with the given ones set, all of them or none.
 
     Args:
+        kind: The joint's type.
         params: What the joint has now.
         given: New values, in the order in which they act.
         engine_step: Length of one engine step, s.
         path: The field to blame; None where each parameter is a field of its own name.
 
     Raises:
-        WorldError: `invalid`: of the wrong type, negative, or the limits are the wrong way round.
+        WorldError: `invalid`: of the wrong type, negative, or the limits are the wrong way round. A `conetwist` has
+            its largest swing for lower limit and its largest twist for upper one, neither of them negative.
     """
     result = dict(params)
     for name, value in given.items():
@@ -83,9 +85,13 @@ def adjust(
             result["motor_max_force"] = float(value) / engine_step
         elif name == "motor_max_force":
             result["motor_max_impulse"] = float(value) * engine_step
-    if result["limit_enabled"] and result["limit_lower"] > result["limit_upper"]:
-        lower, upper = result["limit_lower"], result["limit_upper"]
-        field = path or "limits"
+    lower, upper, field = result["limit_lower"], result["limit_upper"], path or "limits"
+    if result["limit_enabled"] and kind == "conetwist":
+        if lower < 0.0 or upper < 0.0:
+            raise WorldError(
+                "invalid", f"{field}: the largest swing {lower} and twist {upper} must not be negative", field
+            )
+    elif result["limit_enabled"] and lower > upper:
         raise WorldError("invalid", f"{field}: limit_lower {lower} is above limit_upper {upper}", field)
     return result
 

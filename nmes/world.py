@@ -381,7 +381,18 @@ class World:
         return {"type": "cube_state", **self._assembly.cube_state(self._cube_or_own(client, c))}
 
     def _get_cube_info(self, client: _Client, c: JsonObject) -> JsonObject:
-        return {"type": "cube_info", **self._assembly.cube_info(self._assembly.cube(c["cube_name"]))}
+        assembly = self._assembly
+        cube = assembly.cube(c["cube_name"])
+        reply = {"type": "cube_info", **assembly.cube_info(cube)}
+        if c.get("sensors"):
+            reply.update(assembly.inertial([cube])[0])
+        if "rays" in c:
+            default = protocol.COMMANDS["get_cube_info"].defaults
+            reply["ranges"] = assembly.ranges(cube, c["rays"], float(c.get("max_range", default["max_range"])))
+        return reply
+
+    def _get_camera(self, client: _Client, c: JsonObject) -> JsonObject:
+        return {"type": "camera_image", **self._assembly.camera(self._cube_or_own(client, c), c)}
 
     # -- commands: joints ----------------------------------------------------------------------------------------
 
@@ -389,7 +400,8 @@ class World:
         return {"type": "joint_created", "joint_name": self._assembly.connect(c, c["joint_type"], "joint")}
 
     def _create_bone(self, client: _Client, c: JsonObject) -> JsonObject:
-        return {"type": "bone_created", "bone_name": self._assembly.connect(c, "conetwist", "bone")}
+        skeleton = c.get("snake_id", protocol.COMMANDS["create_bone"].defaults["snake_id"])
+        return {"type": "bone_created", "bone_name": self._assembly.connect(c, "conetwist", "bone", skeleton)}
 
     def _remove_joint(self, client: _Client, c: JsonObject) -> JsonObject:
         joint = self._assembly.joint(c["joint_name"])
@@ -449,11 +461,15 @@ class World:
             "fault": None if fault is None else {"code": fault.code, "frame": fault.frame, "message": fault.message},
         }
 
+    def _get_planets(self, client: _Client, c: JsonObject) -> JsonObject:
+        return {"type": "planets", "planets": self._assembly.planets()}
+
     def capabilities(self) -> list[str]:
         """Returns the optional commands that this world serves and what its engine can do, sorted."""
         optional = {kind for kind in self.COMMANDS if not protocol.COMMANDS[kind].required}
-        if "joint.conetwist" not in self.backend.capabilities:
-            optional.discard("create_bone")
+        for command, capability in (("create_bone", "joint.conetwist"), ("get_camera", "camera")):
+            if capability not in self.backend.capabilities:
+                optional.discard(command)
         return sorted(optional | self.backend.capabilities)
 
     def _reset(self, client: _Client, c: JsonObject) -> JsonObject:
@@ -532,8 +548,10 @@ class World:
         "get_cube_list": _get_cube_list,
         "get_cube_info": _get_cube_info,
         "get_cube_state": _get_cube_state,
+        "get_camera": _get_camera,
         "get_world_state": _get_world_state,
         "get_world_info": _get_world_info,
+        "get_planets": _get_planets,
         "reset": _reset,
         "step": _step,
         "pause": _pause,

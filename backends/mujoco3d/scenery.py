@@ -14,7 +14,7 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from nmes.backend import Heightfield, Quaternion, SceneSpec
+from nmes.backend import Heightfield, Quaternion, SceneSpec, Vector
 from nmes.backends.mujoco3d.arenas import Part, parts
 from nmes.errors import WorldError
 
@@ -68,6 +68,7 @@ class Scenery:
         }
         self.attracts = bool(scene.planets)
         self._centres = np.array([planet.position for planet in scene.planets]).reshape(-1, 3)
+        self._gravity = scene.gravity
         self._strength = hypot(*scene.gravity)
         digest = hashlib.blake2b(repr((self._geoms, scene.planets)).encode(), digest_size=16)
         for _, _, heights in self._fields.values():
@@ -86,6 +87,16 @@ class Scenery:
             name = f"heights{i}"
             spec.add_hfield(name=name, nrow=rows, ncol=columns, size=list(size), userdata=heights)
             spec.worldbody.add_geom(**{**geom, "size": [0.0, 0.0, 0.0]}, hfieldname=name)
+
+    def free_fall(self, position: Vector) -> Vector:
+        """Returns the acceleration with which a body falls at some place."""
+        if not self.attracts:
+            return self._gravity
+        away = np.array(position) - self._centres
+        distance = np.sqrt((away * away).sum(axis=1))
+        nearest = int(distance.argmin())
+        x, y, z = (away[nearest] * (-self._strength / max(float(distance[nearest]), 1e-9))).tolist()
+        return (x, y, z)
 
     def pull(self, model: Any, data: Any, applied: Any) -> None:
         """Sets the wrenches on all bodies to `applied` and their weights towards the planet nearest to each.

@@ -18,7 +18,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import logging
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import cache
 from math import asin, atan2, cos, pi, sin
@@ -34,7 +34,9 @@ from nmes.backend import (
     Backend,
     BodySpec,
     BodyState,
+    CameraSpec,
     Contact,
+    Image,
     JointParams,
     JointSpec,
     JointState,
@@ -43,8 +45,10 @@ from nmes.backend import (
     Simulation,
     Vector,
 )
+from nmes.backends.mujoco3d.drawing import Painter
 from nmes.backends.mujoco3d.layout import Body, Forest, Joint, Layout, Slot, across, build, relative, span
 from nmes.backends.mujoco3d.scenery import Scenery
+from nmes.backends.mujoco3d.sensing import STATE, Senses, count_awake
 from nmes.errors import SimulationFault
 from nmes.rotation import conjugate, cross, multiply, normalize, rotate
 
@@ -53,7 +57,6 @@ __all__ = ["MujocoBackend", "MujocoSimulation"]
 logger = logging.getLogger(__name__)
 
 ZERO: Vector = (0.0, 0.0, 0.0)
-_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _AWAKE = -(1 + mujoco.mjMINAWAKE)  # tree_asleep of a tree that has just woken
 _WARNINGS = mujoco.mjtWarning
 _FAULTS = {
@@ -95,6 +98,9 @@ class MujocoBackend(Backend):
             "restitution",
             "collisions",
             "contacts",
+            "sensors.inertial",
+            "sensors.range",
+            "camera",
             "scene.arena",
             "scene.heightfield",
             "scene.obstacles",
@@ -140,6 +146,7 @@ class MujocoSimulation(Simulation):
         self._force: dict[int, list[float]] = {}  # wrenches for the next step, by body
         self._impulse: dict[int, list[float]] = {}
         self._scenery = Scenery(scene)
+        self._painter = Painter()
         self._identity = self._scenery.identity  # XOR of the hashes of everything that the state arrays do not say
         self._install(build(scene, self._scenery, {}, {}, Forest(), {}))
 
@@ -148,12 +155,13 @@ class MujocoSimulation(Simulation):
         self._model = model = layout.model
         self._data = data = mujoco.MjData(model)
         self._read = False  # whether xpos, xquat, cvel belong to qpos, qvel
-        self._state = np.empty(mujoco.mj_stateSize(model, _STATE))
+        self._state = np.empty(mujoco.mj_stateSize(model, STATE))
         # Attribute access on MjData makes a new view each time; these are what a tick and a query need.
         self._warnings = data.warning.number
         self._calm = self._warnings.tobytes()
         self._xfrc, self._xpos, self._xquat, self._cvel = data.xfrc_applied, data.xpos, data.xquat, data.cvel
         self._asleep = data.tree_asleep
+        self._senses = Senses(layout, data, self._scenery)
 
     # -- structure ----------------------------------------------------------------------------------------------
 
@@ -366,28 +374,37 @@ class MujocoSimulation(Simulation):
 
     def contacts(self, body: int) -> list[Contact]:
         """Returns what the body touched in the last step."""
-        index, data = self._layout.body.get(body), self._data
-        if index is None or not data.ncon:
+        index = self._layout.body.get(body)
+        if index is None:
             return []
-        contact = data.contact
-        owners = self._model.geom_bodyid[contact.geom].tolist()  # the bodies that touch
-        touching = [(i, first, second) for i, (first, second) in enumerate(owners) if first == index or second == index]
-        if not touching:
-            return []
-        # One list each is faster than an array's element for each contact.
-        solved, points, frames = contact.efc_address.tolist(), contact.pos.tolist(), contact.frame[:, :3].tolist()
-        result = []
-        wrench = np.empty(6)
-        for i, first, second in touching:
-            other = self._layout.number.get(first if second == index else second)
-            if solved[i] < 0 or (other is not None and other not in self._bodies):
-                continue  # not in force, or removed since
-            mujoco.mj_contactForce(self._model, data, i, wrench)
-            # The frame's first axis points from the first geom to the second.
-            sign = 1.0 if second == index else -1.0
-            nx, ny, nz = frames[i]
-            result.append(Contact(other, tuple(points[i]), (sign * nx, sign * ny, sign * nz), wrench.item(0)))
-        return result
+        found = self._senses.contacts(index)
+        if self._stale_model:  # somebody may have been removed since
+            return [contact for contact in found if contact.other is None or contact.other in self._bodies]
+        return found
+
+    def proper_accelerations(self, bodies: Sequence[int]) -> Array:
+        """Returns a new array (n, 3)."""
+        self._refresh()
+        where = self._layout.body
+        rows = [
+            self._senses.proper_acceleration(where[body], self.body_state(body).position) if body in where else ZERO
+            for body in bodies
+        ]
+        return np.array(rows).reshape(-1, 3)
+
+    def ranges(self, body: int, directions: Array, limit: float) -> list[float | None]:
+        """Returns the distances from the body's centre along rays."""
+        self._refresh()
+        index = self._layout.body.get(body, -1)
+        return self._senses.ranges(index, self.body_state(body).position, directions, limit)
+
+    def draw(self, camera: CameraSpec, colors: Mapping[int, tuple[float, float, float, float]]) -> Image:
+        """Returns a picture, drawn from copies."""
+        return self._painter.draw(camera, self._layout, self._data.qpos.copy(), colors)
+
+    def close(self) -> None:
+        """Gives back what drawing took."""
+        self._painter.close()
 
     # -- time ---------------------------------------------------------------------------------------------------
 
@@ -421,6 +438,7 @@ class MujocoSimulation(Simulation):
                 self._force.clear()
                 self._impulse.clear()
         self._read = False
+        self._senses.forget()
         if self._warnings.tobytes() != self._calm:
             self._fail()
 
@@ -479,7 +497,7 @@ class MujocoSimulation(Simulation):
 
     def digest(self) -> bytes:
         """Returns the digest over MuJoCo's integration state, sleep, structure, and edits not yet taken up."""
-        mujoco.mj_getState(self._model, self._data, self._state, _STATE)
+        mujoco.mj_getState(self._model, self._data, self._state, STATE)
         h = hashlib.blake2b(self._state.data, digest_size=16)
         h.update(self._asleep.data)
         h.update(self._identity.to_bytes(16, "little"))
@@ -498,7 +516,7 @@ class MujocoSimulation(Simulation):
         if self._stale_model or self._touched:
             self._rebuild()
         self._settle(self._asleep.copy())
-        mujoco.mj_getState(self._model, self._data, self._state, _STATE)
+        mujoco.mj_getState(self._model, self._data, self._state, STATE)
         return orjson.dumps(
             {
                 "bodies": [asdict(body) for body in self._bodies.values()],
@@ -542,7 +560,7 @@ class MujocoSimulation(Simulation):
         forest = span(self._bodies, self._joints.values())
         self._take(build(self._scene, self._scenery, self._bodies, self._joints, forest, frozen_at))
         state = np.frombuffer(base64.b64decode(held["state"]))
-        mujoco.mj_setState(self._model, self._data, state.copy(), _STATE)
+        mujoco.mj_setState(self._model, self._data, state.copy(), STATE)
         self._settle(np.array(held["asleep"], self._asleep.dtype))
 
     # -- carrying the state over --------------------------------------------------------------------------------
@@ -788,16 +806,17 @@ class MujocoSimulation(Simulation):
     def _settle(self, asleep: npt.NDArray[np.int32]) -> None:
         """Computes all that follows from the state, with everything awake, then puts trees to sleep as told."""
         model, data, state = self._model, self._data, self._state
-        mujoco.mj_getState(model, data, state, _STATE)
+        mujoco.mj_getState(model, data, state, STATE)
         self._asleep[:] = _AWAKE
-        self._count_awake()
+        count_awake(model, data)
         if self._scenery.attracts:
             self._scenery.pull(model, data, 0.0)  # the state has no forces in it: these go again
         mujoco.mj_forward(model, data)
-        mujoco.mj_setState(model, data, state, _STATE)
+        mujoco.mj_setState(model, data, state, STATE)
         self._asleep[:] = asleep
-        self._count_awake()
+        count_awake(model, data)
         self._read = True
+        self._senses = Senses(self._layout, data, self._scenery)
 
     def _wake(self, *indices: int) -> None:
         """Wakes the islands of these bodies (indices in the model)."""
@@ -808,24 +827,7 @@ class MujocoSimulation(Simulation):
                 self._asleep[tree] = _AWAKE
                 tree, woken = following, True
         if woken:
-            self._count_awake()
-
-    def _count_awake(self) -> None:
-        """Makes MuJoCo's lists of what is awake agree with `tree_asleep`, as its own mj_updateSleep does."""
-        model, data = self._model, self._data
-        tree = self._asleep < 0
-        data.tree_awake[:] = tree
-        body_tree = model.body_treeid
-        body = np.where(body_tree < 0, -1, tree[body_tree] if len(tree) else 0)
-        data.body_awake[:] = body
-        awake = np.flatnonzero(body)
-        data.body_awake_ind[: len(awake)] = awake
-        parents = np.flatnonzero(body[model.body_parentid])
-        data.parent_awake_ind[: len(parents)] = parents
-        dofs = np.flatnonzero(tree[model.dof_treeid]) if len(tree) else np.empty(0, int)
-        data.dof_awake_ind[: len(dofs)] = dofs
-        data.ntree_awake, data.nbody_awake = int(tree.sum()), len(awake)
-        data.nparent_awake, data.nv_awake = len(parents), len(dofs)
+            count_awake(self._model, self._data)
 
 
 def _ball(zero: Quaternion, turn: Quaternion, flipped: bool) -> list[float]:

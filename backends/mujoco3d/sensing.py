@@ -1,0 +1,241 @@
+"""What a running model's bodies feel: contacts, proper acceleration, distances along rays.
+
+It hides what MuJoCo keeps of a step and what it drops. Readings are those of the last engine step. A sleeping tree
+has none, since the engine passes over it and drops its contacts; so they are computed when somebody asks, in a second
+`MjData` in which that tree's island alone is awake. They are then a function of the island's own coordinates, and are
+kept for as long as those stay: no query changes another's answer, or the simulation.
+
+A `Senses` belongs to one compiled model and its data; both are replaced together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Iterable, Sequence
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from nmes.backend import Array, Contact, Vector
+from nmes.backends.mujoco3d.layout import Layout
+from nmes.backends.mujoco3d.scenery import Scenery
+
+__all__ = ["STATE", "Senses", "count_awake"]
+
+STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+_AWAKE = -(1 + mujoco.mjMINAWAKE)  # tree_asleep of a tree that has just woken
+_BODY = int(mujoco.mjtObj.mjOBJ_BODY)
+
+
+class _Touches:
+    """The contacts of one MjData at one moment, by body."""
+
+    def __init__(self, owners: Sequence[int], data: mujoco.MjData, edges: int) -> None:
+        # One list each is faster than an array's element for each contact.
+        contact = data.contact
+        self._points, self._frames = contact.pos.tolist(), contact.frame.tolist()
+        self._force, self._edges = data.efc_force.tolist(), edges
+        self._rows: dict[int, list[tuple[int, int, int, bool]]] = {}
+        for i, ((one, other), at) in enumerate(zip(contact.geom.tolist(), contact.efc_address.tolist(), strict=True)):
+            if at < 0:
+                continue  # near, but not in force
+            first, second = owners[one], owners[other]
+            self._rows.setdefault(first, []).append((i, second, at, False))
+            self._rows.setdefault(second, []).append((i, first, at, True))
+
+    def of(self, index: int, numbers: dict[int, int], others: Container[int] | None = None) -> list[Contact]:
+        """Returns the contacts of a body, or only those with some others."""
+        result, edges = [], self._edges
+        for i, other, at, second in self._rows.get(index, ()):
+            if others is None or other in others:
+                x, y, z = self._frames[i][:3]  # the frame's first axis points from the first geom to the second
+                normal = (x, y, z) if second else (-x, -y, -z)
+                force = self._force[at] if edges == 1 else sum(self._force[at : at + edges])
+                result.append(Contact(numbers.get(other), tuple(self._points[i]), normal, force))
+        return result
+
+
+class Senses:
+    """The sensors of one model."""
+
+    def __init__(self, layout: Layout, data: mujoco.MjData, scenery: Scenery) -> None:
+        self._numbers, self._model, self._data, self._scenery = layout.number, layout.model, data, scenery
+        self._owners: list[int] = layout.model.geom_bodyid.tolist()
+        self._trees: list[int] = layout.model.body_treeid.tolist()
+        self._asleep = data.tree_asleep
+        # The normal force is the first of an elliptic cone's constraint forces, and the sum of a pyramid's four edges'.
+        self._edges = 1 if layout.model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC else 4
+        self._touches: _Touches | None = None
+        self._accelerated = False
+        self._scratch: mujoco.MjData | None = None
+        self._resting: dict[int, tuple[bytes, _Touches]] = {}  # by sleeping tree: the coordinates that it is for
+        self._checked: set[int] = set()  # the trees of which that is known to be up to date
+
+    def forget(self) -> None:
+        """Takes notice that the engine stepped, or that a state was installed."""
+        self._touches = None
+        self._accelerated = False
+        self._checked.clear()
+
+    # -- contacts -----------------------------------------------------------------------------------------------
+
+    def contacts(self, index: int) -> list[Contact]:
+        """Returns the contacts of a body of the model."""
+        tree = self._trees[index]
+        if tree >= 0 and self._asleep[tree] >= 0:
+            self._rest([tree])
+            return self._resting[tree][1].of(index, self._numbers)
+        if self._touches is None:
+            self._touches = _Touches(self._owners, self._data, self._edges)
+        if tree >= 0:
+            return self._touches.of(index, self._numbers)
+        # Whatever sleeps on an immovable body touches it still.
+        near = self._sleepers_near(index)
+        if not near:
+            return self._touches.of(index, self._numbers)
+        self._rest(near)
+        awake = {i for i, tree in enumerate(self._trees) if tree < 0 or self._asleep[tree] < 0}
+        found = self._touches.of(index, self._numbers, awake)
+        for tree in near:
+            first = int(self._model.tree_bodyadr[tree])
+            bodies = range(first, first + int(self._model.tree_bodynum[tree]))
+            found += self._resting[tree][1].of(index, self._numbers, bodies)
+        return found
+
+    def _sleepers_near(self, index: int) -> list[int]:
+        """Returns the sleeping trees of which a bounding sphere meets one of the body's."""
+        model, data = self._model, self._data
+        if not (self._asleep >= 0).any():
+            return []
+        near: set[int] = set()
+        first = int(model.body_geomadr[index])
+        for geom in range(first, first + int(model.body_geomnum[index])):
+            arm = data.geom_xpos - data.geom_xpos[geom]
+            reach = model.geom_rbound + model.geom_rbound[geom]
+            close = model.geom_bodyid[(arm * arm).sum(axis=1) <= reach * reach]
+            near.update(model.body_treeid[close].tolist())
+        return sorted(tree for tree in near if tree >= 0 and self._asleep[tree] >= 0)
+
+    def _rest(self, trees: Iterable[int]) -> None:
+        """Sees to it that the contacts of sleeping trees are known."""
+        missing = [tree for tree in trees if not self._known(tree)]
+        if missing:
+            if self._checked:
+                # Somebody asks for one after the other: all at once costs a fraction of each for itself.
+                missing = [tree for tree in np.flatnonzero(self._asleep >= 0).tolist() if not self._known(tree)]
+            self._compute(missing)
+
+    def _known(self, tree: int) -> bool:
+        if tree in self._checked:
+            return True
+        held = self._resting.get(tree)
+        if held is None:
+            return False
+        island = self._island(tree)
+        if held[0] != self._coordinates(island):
+            return False
+        self._checked.update(island)
+        return True
+
+    def _island(self, tree: int) -> list[int]:
+        island, following = [tree], int(self._asleep[tree])
+        while following != tree:
+            island.append(following)
+            following = int(self._asleep[following])
+        return sorted(island)
+
+    def _coordinates(self, island: Iterable[int]) -> bytes:
+        model, qpos = self._model, self._data.qpos
+        parts = []
+        for tree in island:
+            dofs = model.tree_dofadr[tree], model.tree_dofadr[tree] + model.tree_dofnum[tree] - 1
+            first, last = (int(model.dof_jntid[dof]) for dof in dofs)
+            end = int(model.jnt_qposadr[last + 1]) if last + 1 < model.njnt else model.nq
+            parts.append(qpos[int(model.jnt_qposadr[first]) : end].tobytes())
+        return b"".join(parts)
+
+    def _compute(self, trees: Iterable[int]) -> None:
+        """Computes the contacts of the islands of sleeping trees, apart from the simulation."""
+        islands: list[list[int]] = []
+        awake: set[int] = set()
+        for tree in trees:
+            if tree not in awake:
+                islands.append(self._island(tree))
+                awake.update(islands[-1])
+        model, data = self._model, self._data
+        if self._scratch is None:
+            self._scratch = mujoco.MjData(model)
+        scratch = self._scratch
+        state = np.empty(mujoco.mj_stateSize(model, STATE))
+        mujoco.mj_getState(model, data, state, STATE)
+        mujoco.mj_setState(model, scratch, state, STATE)  # which wakes all, so that all poses are computed once
+        scratch.qacc_warmstart[:] = 0.0
+        mujoco.mj_kinematics(model, scratch)
+        mujoco.mj_comPos(model, scratch)
+        if self._scenery.attracts:
+            self._scenery.pull(model, scratch, 0.0)
+        scratch.tree_asleep[:] = [_AWAKE if tree in awake else tree for tree in range(model.ntree)]
+        count_awake(model, scratch)
+        mujoco.mj_forward(model, scratch)
+        touches = _Touches(self._owners, scratch, self._edges)
+        for island in islands:
+            held = self._coordinates(island), touches
+            self._resting.update((tree, held) for tree in island)
+        self._checked |= awake
+
+    # -- acceleration and distance ------------------------------------------------------------------------------
+
+    def proper_acceleration(self, index: int, position: Vector) -> Vector:
+        """Returns the acceleration of a body's centre less that of free fall there, in world coordinates.
+
+        Poses and velocities must be those of the coordinates.
+        """
+        tree = self._trees[index]
+        gx, gy, gz = self._scenery.free_fall(position)
+        if tree < 0 or self._asleep[tree] >= 0:
+            return (-gx, -gy, -gz)
+        if not self._accelerated:
+            mujoco.mj_rnePostConstraint(self._model, self._data)
+            self._accelerated = True
+        both = np.empty(6)
+        mujoco.mj_objectAcceleration(self._model, self._data, _BODY, index, both, 0)
+        _, _, _, x, y, z = both.tolist()
+        # MuJoCo takes its own gravity off, but knows nothing of the planets'.
+        return (x - gx, y - gy, z - gz) if self._scenery.attracts else (x, y, z)
+
+    def ranges(self, exclude: int, origin: Vector, directions: Array, limit: float) -> list[float | None]:
+        """Returns the distances to the surfaces of other bodies; poses must be those of the coordinates."""
+        count = len(directions)
+        distance, geom = np.empty(count), np.empty(count, np.int32)
+        mujoco.mj_multiRay(
+            self._model,
+            self._data,
+            np.array(origin),
+            directions.ravel(),
+            None,
+            True,
+            exclude,
+            geom,
+            distance,
+            None,
+            count,
+            limit,
+        )
+        return [reach if 0.0 <= reach <= limit else None for reach in distance.tolist()]
+
+
+def count_awake(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Makes MuJoCo's lists of what is awake agree with `tree_asleep`, as its own mj_updateSleep does."""
+    tree = data.tree_asleep < 0
+    data.tree_awake[:] = tree
+    body_tree = model.body_treeid
+    body = np.where(body_tree < 0, -1, tree[body_tree] if len(tree) else 0)
+    data.body_awake[:] = body
+    awake = np.flatnonzero(body)
+    data.body_awake_ind[: len(awake)] = awake
+    parents = np.flatnonzero(body[model.body_parentid])
+    data.parent_awake_ind[: len(parents)] = parents
+    dofs: npt.NDArray[np.intp] = np.flatnonzero(tree[model.dof_treeid]) if len(tree) else np.empty(0, np.intp)
+    data.dof_awake_ind[: len(dofs)] = dofs
+    data.ntree_awake, data.nbody_awake = int(tree.sum()), len(awake)
+    data.nparent_awake, data.nv_awake = len(parents), len(dofs)
