@@ -211,19 +211,19 @@ def figures() -> Iterator[Figure]:
 
         samples = in_turns({name: partial(client.trips, TRIP, 3) for name, client in streams.items()}, ROUNDS)
         times = {"microseconds": summary(samples, 1e-6), "bytes sent": len(TRIP), "bytes received": len(reply)}
-        name = "act + step + observe, recorded / bare asyncio echo"
+        name = "act + step + observe / bare echo"
         yield Figure(name, ratio(samples, "recorded", "echo"), "x", at_most=2.0, details=times)
         share = 100 * (ratio(samples, "recorded", "unrecorded") - 1)
-        yield Figure("what recording adds to it", share, "%", at_most=15.0, details=times)
+        yield Figure("recording adds", share, "%", at_most=15.0, details=times)
 
         samples = in_turns({name: partial(client.trips, TRIP, 3) for name, client in sockets.items()}, ROUNDS)
         times = {"microseconds": summary(samples, 1e-6)}
-        name = "the same from a blocking socket"
+        name = "act + step + observe / echo, sockets"
         yield Figure(name, ratio(samples, "recorded", "echo"), "x", details=times)
 
         del sockets["echo"]
         samples = in_turns({name: partial(client.row, ROW, IN_A_ROW) for name, client in sockets.items()}, ROUNDS // 4)
         rates = summary(samples, 1.0)
         rate = rates["recorded"]["median"]
-        name = "pipelined commands, recorded"
+        name = "pipelined commands"
         yield Figure(name, rate, "/s", at_least=40_000, details={"per second": rates})

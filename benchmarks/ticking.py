@@ -126,8 +126,8 @@ def figures() -> Iterator[Figure]:
         samples = in_turns({"bare": bare, "world": world.hops, "recorded": recorded.hops, "replay": replayed}, ROUNDS)
         recorded.close()
     times = {"microseconds a tick": summary(samples, 1e-6), "substeps": substeps}
-    name = "nine-cube grid: a tick of World / of bare mj_step"
+    name = "grid: tick of World / mj_step"
     yield Figure(name, ratio(samples, "world", "bare"), "x", at_most=1.25, details=times)
-    yield Figure("the same, recorded", ratio(samples, "recorded", "bare"), "x", details=times)
-    name = "its replay's speed / bare mj_step's"
+    yield Figure("grid: recorded tick / mj_step", ratio(samples, "recorded", "bare"), "x", details=times)
+    name = "grid: speed of replay / mj_step"
     yield Figure(name, ratio(samples, "bare", "replay"), "x", at_least=0.5, details=times)
