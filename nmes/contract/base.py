@@ -89,9 +89,9 @@ class Checks:
                 return kind
         raise unittest.SkipTest(f"none of {', '.join(kinds)}")
 
-    def sim(self, gravity: Vector = (0.0, -G, 0.0), ground: bool = True) -> Simulation:
-        """Returns an empty scene."""
-        return self.backend().create(SceneSpec(TIMESTEP, gravity=gravity, ground=ground))
+    def sim(self, gravity: Vector = (0.0, -G, 0.0), ground: bool = True, **scenery: Any) -> Simulation:
+        """Returns a scene without bodies."""
+        return self.backend().create(SceneSpec(TIMESTEP, gravity=gravity, ground=ground, **scenery))
 
     def space(self) -> Simulation:
         """Returns an empty scene without ground and gravity."""

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 import unittest
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
-from nmes.backend import BodyState, JointSpec
+from nmes.backend import BodyState, Heightfield, JointSpec, Planet, StaticBox
 from nmes.contract.base import (
     SUBSTEPS,
     TICK,
@@ -260,6 +261,32 @@ class BodyChecks(Checks):
                 pull = G * (math.sin(angle) - 0.5 * math.cos(angle))
                 wanted = start[7] + pull / 2
                 close([way], [wanted], self.slide_error * wanted, "way on a slope above the critical one")
+
+    def test_stands_on_scenery(self) -> None:
+        """What falls on an obstacle, a landscape or a planet comes to rest on it, and touches no body."""
+        flat = Heightfield((40.0, 40.0), np.ones((5, 5)))
+        scenes: dict[str, dict[str, Any]] = {
+            "obstacles": {"boxes": (StaticBox((4.0, 2.0, 4.0), (0.0, 1.0, 0.0)),), "ground": True},
+            "heightfield": {"heightfield": flat, "ground": False},
+            "planets": {"planets": (Planet((0.0, -9.0, 0.0), 10.0),), "ground": False},
+        }
+        tops = {"obstacles": 2.0, "heightfield": 1.0, "planets": 1.0}
+        for name, scene in scenes.items():
+            if not self.can(f"scene.{name}"):
+                continue
+            sim = self.sim(**scene)
+            sim.add_body(0, box((0.0, 4.0, 0.0)))
+            run(sim, 3.0)
+            state = sim.body_state(0)
+            close(state.position, (0.0, tops[name] + 0.5, 0.0), 0.02, f"where it rests on {name}")
+            close(state.linear_velocity, ZERO, 0.05, f"velocity at rest on {name}")
+            if self.can("contacts"):
+                partners = {contact.other for contact in sim.contacts(0)}
+                assert partners == {None}, f"touches {partners} on {name}"
+            if name == "planets":
+                sim.add_body(1, box((13.0, -9.0, 0.0)))
+                run(sim, 0.5)
+                close(sim.body_state(1).position, (13.0 - G / 8, -9.0, 0.0), self.fall_error, "fall from the side")
 
     def test_reports_contacts(self) -> None:
         """A body at rest touches what it rests on, which carries its weight."""

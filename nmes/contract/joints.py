@@ -223,6 +223,18 @@ class JointChecks(Checks):
             run(sim, 0.3)
             assert sim.joint_state(0).position < -0.5, f"{kind}: held by a limit that is gone"
 
+    def test_swings_and_twists_within_a_cone(self) -> None:
+        """A conetwist joint swings and twists as far as its two limits say."""
+        self.need("joint.conetwist")
+        self.need("limits")
+        for axis, stop in (((1.0, 0.0, 0.0), 0.3), ((0.0, 0.0, 1.0), 0.7)):
+            sim = self.sim(ground=False)
+            sim.add_body(0, box((0.0, 5.0, 0.0), frozen=True))
+            sim.add_body(1, box((1.0, 5.0, 0.0)))
+            sim.add_joint(0, JointSpec("conetwist", 0, 1, (0.5, 5.0, 0.0), axis, JointParams(limits=(0.3, 0.7))))
+            run(sim, 4.0)
+            close(sim.body_state(1).quaternion, about_z(-stop), 0.02, f"how far it hangs about {axis}")
+
     def test_holds_loops(self) -> None:
         """A 3x3 grid of cubes with 12 hinges drops, holds together and comes to rest."""
         self.need("joint.hinge")
