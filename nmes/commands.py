@@ -189,6 +189,11 @@ class WorldState(TypedDict):
     cubes: list[SensedMotion]
 
 
+class Skeleton(TypedDict):
+    snake_id: str | int
+    bones: Names
+
+
 class WorldInfo(TypedDict):
     type: Literal["world_info"]
     world: str
@@ -204,6 +209,7 @@ class WorldInfo(TypedDict):
     t: float
     counts: dict[str, int]
     limits: dict[str, int]
+    skeletons: NotRequired[list[Skeleton]]
     capabilities: Names
     fault: dict[str, Any] | None
 
