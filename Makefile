@@ -41,7 +41,8 @@ lint: $(READY) types imports
 
 types: layout
 	$(BIN)/mypy --cache-dir build/mypy -p nmes
-	$(BIN)/mypy --cache-dir build/mypy tests examples benchmarks
+	$(BIN)/mypy --cache-dir build/mypy tests benchmarks
+	$(BIN)/mypy --cache-dir build/mypy examples
 
 imports: layout
 	cd build/layout && PYTHONPATH=. ../../$(BIN)/lint-imports --config ../../pyproject.toml --no-logo
