@@ -394,7 +394,10 @@ def _options(spec: mujoco.MjSpec, scene: SceneSpec, bodies: int) -> None:
     option.enableflags |= enable.mjENBL_SLEEP
     set_options(option, scene.options)
     # Room for every cube to overlap every other (measured: 6 KiB a pair and direction); address space until it is used.
-    spec.memory = min(512 * _KIBIBYTE + bodies * bodies * 7 * _KIBIBYTE, 2048 * 1024 * _KIBIBYTE)
+    needed = 512 + bodies * bodies * 7
+    if scene.boxes or scene.heightfield is not None or scene.arena is not None:
+        needed += 1024 * bodies  # a big cube meets rough ground in 50 places
+    spec.memory = min(needed, 2048 * 1024) * _KIBIBYTE
 
 
 def _bounce(restitution: float, timestep: float) -> list[float]:
