@@ -30,7 +30,7 @@ from types import TracebackType
 from typing import Any, Self, cast
 
 from nmes.errors import NmesError, RecordingError, RejectedMessage, WorldError
-from nmes.protocol import Auth, Limits, Request, Session, encode, error_reply
+from nmes.protocol import DELIMITER, Auth, Limits, Request, Session, encode, error_reply
 from nmes.recording import Recorder
 from nmes.world import World
 
@@ -335,7 +335,9 @@ class Connection(asyncio.BufferedProtocol):
         elif self._lost:
             self._leave()
         elif session.violation is not None:
-            self._end(session.violation)
+            # It goes through the world, so that the recording tells of it; of the frame itself nothing is kept.
+            self._put(world.handle(self._client, Request(b"", None, session.violation)) + DELIMITER)
+            self._end(None)
         else:
             self._transport.resume_reading()
 

@@ -14,6 +14,7 @@ from nmes import protocol
 from nmes.errors import Disconnected, NmesError, RecordingError, WorldError
 from nmes.protocol import DELIMITER, Limits
 from nmes.recording import Kind, Recorder, Recording
+from nmes.replay import replay
 from nmes.server import Host
 from serving import PASSWORD, PATIENCE, Peer, Served, served, types, until
 
@@ -459,6 +460,18 @@ def test_all_is_recorded_but_the_password(tmp_path: Path) -> None:
     assert kinds[: len(expected)] == expected
     assert Kind.LEFT in kinds
     assert b"correct horse" not in b"".join(record.data for record in recording) + path.read_bytes()
+
+
+def test_an_oversize_frame_is_recorded_as_refused_and_does_not_spoil_the_replay(tmp_path: Path) -> None:
+    with served(limits=Limits(frame=100), record_to=tmp_path) as server, server.peer() as peer:
+        peer.send(PING + b"x" * 200)
+        assert len(peer.rest()) == 2
+    (path,) = tmp_path.iterdir()
+    refused, answer = [record for record in Recording(path) if record.client == 1][3:5]
+    assert (refused.kind, refused.data) == (Kind.REFUSED, b"")
+    assert json.loads(answer.data)["code"] == "frame_too_large"
+    report = replay(path)
+    assert (report.verdict, report.commands) == ("reproduced", 2)
 
 
 def test_recordings_never_overwrite_each_other(tmp_path: Path) -> None:
