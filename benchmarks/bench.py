@@ -9,7 +9,6 @@ import argparse
 import json
 import os
 import platform
-import sys
 import time
 from dataclasses import asdict
 from importlib.metadata import version
@@ -20,11 +19,17 @@ from typing import Any
 from rich.console import Console
 from rich.table import Table
 
+import bodies
 import engines
 import roundtrip
 import ticking
 
-SUITES = {"roundtrip": roundtrip.figures, "ticking": ticking.figures, "engines": engines.figures}
+SUITES = {
+    "roundtrip": roundtrip.figures,
+    "ticking": ticking.figures,
+    "bodies": bodies.figures,
+    "engines": engines.figures,
+}
 
 
 def machine() -> dict[str, Any]:
@@ -44,8 +49,8 @@ def machine() -> dict[str, Any]:
     } | versions
 
 
-def main() -> int:
-    """Returns 1 if an aim was missed."""
+def main() -> None:
+    """Runs what was asked for. A missed aim is a finding, not a failure."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("suite", nargs="*", choices=[*SUITES, []], help="which to run; all when left out")
     parser.add_argument("--output", type=Path, default=Path("build/bench.json"), help="where the JSON goes")
@@ -71,8 +76,7 @@ def main() -> int:
     document = {"machine": here, "time": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()), "figures": results}
     options.output.write_text(json.dumps(document, indent=2) + "\n")
     console.print(f"details: {options.output}")
-    return 0 if all(result["ok"] for result in results) else 1
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -6,6 +6,7 @@ import math
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,9 @@ import programs
 from nmes import World
 from nmes.backend import Array, BodySpec, BodyState, JointParams, JointSpec, SceneSpec, Simulation, Vector
 from nmes.backends.mujoco3d import MujocoBackend, MujocoSimulation
+from nmes.backends.mujoco3d import simulation as mujoco_simulation
+from nmes.backends.mujoco3d.layout import SPARE, Body, Layout, build, occupy, span, weigh
+from nmes.backends.mujoco3d.scenery import Scenery
 from nmes.errors import SimulationFault
 from nmes.rotation import quaternion_from_euler, rotate
 
@@ -591,3 +595,80 @@ def test_fresh_processes_agree() -> None:
         ).stdout
 
     assert run(5, "1") == run(5, "2") != run(6, "1")
+
+
+# -- parked bodies ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", range(100, 130))
+def test_parked_bodies_change_nothing_that_can_be_seen(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same programs with parked bodies from the second cube on: repeatable, and restored exactly."""
+    monkeypatch.setattr(mujoco_simulation, "_MANY", 2)
+    program = programs.draw(number, 80)
+    first, second = world(number), world(number)
+    played = programs.play(first, program[:40])
+    assert programs.play(second, program[:40]) == played
+    held = first.simulation.snapshot()
+    second.simulation.snapshot()
+    second.simulation.restore(held)
+    assert programs.play(first, program[40:]) == programs.play(second, program[40:])
+
+
+@given(
+    st.tuples(*[st.floats(0.01, 10)] * 3), st.floats(0.001, 1000), st.floats(0, 2), st.floats(0, 1), st.integers(1, 3)
+)
+def test_a_body_in_a_parked_place_is_as_if_compiled_there(
+    size: Vector, mass: float, friction: float, restitution: float, before: int
+) -> None:
+    flat = SceneSpec(timestep=STEP)
+
+    def laid(count: int, spares: int) -> Layout:
+        bodies = {n: Body(n, (1.0, 0.5, 0.25), 2.0, 0.7, 0.0, False) for n in range(1, before + 1)}
+        if count:
+            bodies[9] = Body(9, size, mass, friction, restitution, False)
+        forest = span(bodies, ())
+        return build(flat, Scenery(flat), bodies, {}, forest, {}, [*forest.trees, *[SPARE] * spares])
+
+    compiled, filled = laid(1, 1), laid(0, 2)
+    occupy(filled, flat, Body(9, size, mass, friction, restitution, False))
+    weigh(filled)
+    for name in dir(compiled.model):
+        one, other = getattr(compiled.model, name), getattr(filled.model, name)
+        if isinstance(one, np.ndarray) and not name.startswith("name"):
+            if name == "body_subtreemass":  # the world's own is for show
+                one, other = one[1:], other[1:]
+            assert np.array_equal(one, other), name
+    assert compiled.model.stat.meaninertia == filled.model.stat.meaninertia
+
+
+def test_free_cubes_come_and_go_without_compiling(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mujoco_simulation, "_MANY", 8)
+    simulation = scene()
+    for i in range(20):
+        simulation.add_body(i + 1, box((1.5 * i, 0.5, 0.0)))
+    simulation.step(4)
+    compiled: list[int] = []
+
+    def count(*args: Any) -> Layout:
+        compiled.append(1)
+        return build(*args)
+
+    monkeypatch.setattr(mujoco_simulation, "build", count)
+    for i in range(20, 36):
+        simulation.add_body(i + 1, box((1.5 * (i - 20), 3.0, 0.0), mass=0.5 + i))
+        simulation.step(4)
+    assert not compiled
+    for body in range(5, 25):
+        simulation.remove_body(body)
+        simulation.add_body(body + 100, box((1.5 * body, 6.0, 3.0)))
+        simulation.step(4)
+    assert not compiled
+    for i in range(20):
+        simulation.add_body(i + 500, box((1.5 * i, 9.0, 9.0)))
+        simulation.step(4)
+    assert len(compiled) == 2  # all places were taken: one more cube makes room for sixteen more
+    for _ in range(240):
+        simulation.step(4)
+    bodies = [*range(1, 5), *range(25, 37), *range(105, 125), *range(500, 520)]
+    heights = simulation.states(bodies)[:, 1]
+    assert (heights > 0.49).all() and (heights < 3.6).all()

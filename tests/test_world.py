@@ -88,6 +88,7 @@ def test_every_reply_is_of_the_shape_that_its_schema_states(drive: Driver) -> No
         {"type": "get_world_state", "sensors": True},
         {"type": "get_camera", "width": 8, "height": 8},
         {"type": "get_world_info"},
+        {"type": "get_planets"},
         {"type": "subscribe"},
         {"type": "unsubscribe"},
         {"type": "pause"},
@@ -158,6 +159,25 @@ def test_cubes_are_listed_in_order_of_creation(drive: Driver) -> None:
     drive.ok("despawn_cube", cube_name="c")
     assert drive.ok("spawn_cube", cube_name="c")["cubes"] == ["b", "a", "c"]
     assert "cubes" not in drive.ok("spawn_cube", list=False)
+
+
+def test_bones_belong_to_skeletons(drive: Driver) -> None:
+    cubes = [drive.spawn(position=[1.1 * i, 3, 0]) for i in range(5)]
+    bones = [
+        drive.ok("create_bone", cube1=a, cube2=b, **({} if snake is None else {"snake_id": snake}))["bone_name"]
+        for a, b, snake in zip(cubes, cubes[1:], ["spine", 7, "spine", None], strict=False)
+    ]
+    assert drive.ok("get_world_info")["skeletons"] == [
+        {"snake_id": "spine", "bones": [bones[0], bones[2]]},
+        {"snake_id": 7, "bones": [bones[1]]},
+        {"snake_id": "skeleton", "bones": [bones[3]]},
+    ]
+    assert drive.ok("get_joint_info", joint_name=bones[0])["joint_type"] == "conetwist"
+    drive.ok("set_joint_param", joint_name=bones[0], param_name="limit_lower", value=0.5)
+    drive.ok("set_joint_param", joint_name=bones[0], param_name="limit_enabled", value=True)
+    drive.refused("invalid", "set_joint_param", joint_name=bones[0], param_name="limit_upper", value=-0.5)
+    drive.ok("remove_joint", joint_name=bones[1])
+    assert [skeleton["snake_id"] for skeleton in drive.ok("get_world_info")["skeletons"]] == ["spine", "skeleton"]
 
 
 # -- errors ----------------------------------------------------------------------------------------------------------

@@ -17,11 +17,13 @@ stable: adding a joint never takes another one out of the tree.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from math import log, pi, sqrt
 
 import mujoco
+import numpy as np
 
 from nmes.backend import JointParams, Quaternion, SceneSpec, Vector
 from nmes.backends.mujoco3d.scenery import Scenery, set_options
@@ -29,6 +31,29 @@ from nmes.rotation import conjugate, cross, multiply, rotate
 
 __all__ = ["Body", "Forest", "Joint", "Layout", "Slot", "across", "build", "relative", "span"]
 
+SPARE = -1
+"""In place of a root: a parked body, ready to become the next free one without compiling the model anew."""
+
+# What depends on a free body's mass and shape in a model (seen by comparing models; a test does so still).
+_OF_BODY = (
+    "body_mass",
+    "body_inertia",
+    "body_invweight0",
+    "body_subtreemass",
+    "body_contype",
+    "body_conaffinity",
+)
+_OF_GEOM = (
+    "geom_size",
+    "geom_aabb",
+    "geom_rbound",
+    "geom_friction",
+    "geom_solref",
+    "geom_rgba",
+    "geom_contype",
+    "geom_conaffinity",
+)
+_OF_DOF = ("dof_M0", "dof_invweight0", "dof_length")
 _KINDS = {
     "hinge": mujoco.mjtJoint.mjJNT_HINGE,
     "slide": mujoco.mjtJoint.mjJNT_SLIDE,
@@ -91,7 +116,7 @@ class Joint:
 class Forest:
     """Which joints make up the trees. `parent` maps each body that is not a root to its parent and the joint there."""
 
-    order: list[int] = field(default_factory=list)  # parents before their children
+    trees: dict[int, list[int]] = field(default_factory=dict)  # by root; parents before their children
     parent: dict[int, tuple[int, Joint]] = field(default_factory=dict)
     loops: list[Joint] = field(default_factory=list)
 
@@ -113,6 +138,9 @@ class Layout:
 
     model: mujoco.MjModel
     forest: Forest
+    roots: list[int]  # of the trees, in the order of the model; SPARE for a parked body
+    place: dict[int, int] = field(default_factory=dict)  # index of a root or a parked body -> where it is in `roots`
+    spares: list[int] = field(default_factory=list)  # indices of the parked bodies, ascending
     body: dict[int, int] = field(default_factory=dict)  # body number -> index in the model
     number: dict[int, int] = field(default_factory=dict)  # index in the model -> body number (twins: whose they are)
     key: dict[int, int] = field(default_factory=dict)  # index -> a name that outlives the model, twins included
@@ -159,7 +187,7 @@ def span(bodies: dict[int, Body], joints: Iterable[Joint]) -> Forest:
         if root in seen:
             continue
         seen.add(root)
-        forest.order.append(root)
+        forest.trees[root] = tree = [root]
         stack = [root]
         while stack:
             here = stack.pop()
@@ -167,7 +195,7 @@ def span(bodies: dict[int, Body], joints: Iterable[Joint]) -> Forest:
                 if child not in seen and not bodies[child].frozen:
                     seen.add(child)
                     forest.parent[child] = (here, joint)
-                    forest.order.append(child)
+                    tree.append(child)
                     stack.append(child)
     return forest
 
@@ -179,9 +207,81 @@ def build(
     joints: dict[int, Joint],
     forest: Forest,
     frozen_at: dict[int, tuple[Vector, Quaternion]],
+    roots: Sequence[int],
 ) -> Layout:
-    """Compiles the model. `frozen_at` gives the poses of the frozen bodies."""
-    return _Builder(scene, bodies, joints, forest).build(scenery, frozen_at)
+    """Compiles the model.
+
+    Args:
+        scene: Time step, gravity and the rest.
+        scenery: What stands still.
+        bodies: All bodies by number; `joints` likewise.
+        joints: See above.
+        forest: Their spanning forest.
+        frozen_at: The poses of the frozen bodies.
+        roots: The roots of the trees in the order in which the model has them; SPARE stands for a parked body.
+    """
+    layout = _Builder(scene, bodies, joints, forest).build(scenery, frozen_at, roots)
+    for index in layout.spares:
+        park(layout.model, index)
+    weigh(layout)
+    return layout
+
+
+def occupy(layout: Layout, scene: SceneSpec, body: Body) -> int:
+    """Lets a free body take the first parked one's place; returns its index. The model is as if compiled with it."""
+    model, index = layout.model, layout.spares.pop(0)
+    lone = _lone(scene.timestep, body.size, body.mass, body.friction, body.restitution)
+    geom, dof = int(model.body_geomadr[index]), int(model.body_dofadr[index])
+    for names, rows, source in (
+        (_OF_BODY, slice(index, index + 1), slice(1, 2)),
+        (_OF_GEOM, slice(geom, geom + 1), slice(0, 1)),
+        (_OF_DOF, slice(dof, dof + 6), slice(0, 6)),
+    ):
+        for name in names:
+            getattr(model, name)[rows] = getattr(lone, name)[source]
+    model.bvh_aabb[model.body_bvhadr[index]] = lone.bvh_aabb[lone.body_bvhadr[1]]
+    joint = int(model.body_jntadr[index])
+    layout.roots[layout.place[index]] = body.number
+    layout.body[body.number] = index
+    layout.number[index], layout.key[index] = body.number, 2 * body.number
+    layout.free[body.number] = Slot(int(model.jnt_qposadr[joint]), 7, dof, 6)
+    return index
+
+
+def vacate(layout: Layout, body: int) -> int:
+    """Parks a free body that no joint holds; returns its index."""
+    index = layout.body.pop(body)
+    del layout.number[index], layout.key[index], layout.free[body]
+    layout.roots[layout.place[index]] = SPARE
+    layout.spares.append(index)
+    layout.spares.sort()
+    park(layout.model, index)
+    return index
+
+
+def park(model: mujoco.MjModel, index: int) -> None:
+    """Makes a body touch nothing, and no ray meet it. It is never woken, so it costs nothing, too."""
+    model.geom_rgba[model.body_geomadr[index], 3] = 0.0
+    for name in ("contype", "conaffinity"):
+        getattr(model, f"geom_{name}")[model.body_geomadr[index]] = 0
+        getattr(model, f"body_{name}")[index] = 0
+
+
+def weigh(layout: Layout) -> None:
+    """Sets the inertia by which the solver judges its error to that of the bodies in use, as MuJoCo would."""
+    model = layout.model
+    used = np.ones(model.nv, bool)
+    for index in layout.spares:
+        used[model.body_dofadr[index] : model.body_dofadr[index] + 6] = False
+    if used.any():
+        model.stat.meaninertia = float(model.dof_M0[used].mean())
+
+
+@lru_cache(maxsize=64)
+def _lone(timestep: float, size: Vector, mass: float, friction: float, restitution: float) -> mujoco.MjModel:
+    """Compiles a model of one free body: what the compiler makes of its mass and shape."""
+    bodies = {1: Body(1, size, mass, friction, restitution, frozen=False)}
+    return _Builder(SceneSpec(timestep=timestep), bodies, {}, span(bodies, ())).build(None, {}, [1]).model
 
 
 class _Builder:
@@ -199,12 +299,21 @@ class _Builder:
         twins = Counter(self._stands_for(joint) for joint in forest.loops if joint.form in _TWINNED)
         self.share = {number: 1.0 / (1 + twins[number]) for number in bodies}
 
-    def build(self, scenery: Scenery, frozen_at: dict[int, tuple[Vector, Quaternion]]) -> Layout:
+    def build(
+        self, scenery: Scenery | None, frozen_at: dict[int, tuple[Vector, Quaternion]], roots: Sequence[int]
+    ) -> Layout:
         spec = self.spec
-        _options(spec, self.scene, len(self.bodies))
-        scenery.add(spec)
-        for number in self.forest.order:
-            self._add(self.bodies[number], frozen_at.get(number))
+        _options(spec, self.scene, len(roots) + len(self.forest.parent))
+        if scenery is not None:
+            scenery.add(spec)
+        places: list[mujoco.MjsBody] = []
+        for root in roots:
+            if root == SPARE:
+                places.append(self._spare(len(places)))
+            else:
+                for number in self.forest.trees[root]:
+                    self._add(self.bodies[number], frozen_at.get(number))
+                places.append(self.handles[root])
         for joint in self.forest.loops:
             self._close(joint)
         for joint in self.joints.values():
@@ -222,7 +331,11 @@ class _Builder:
             if self.joints[number].params.motor != "off"
         }
         model = spec.compile()
-        layout = Layout(model, self.forest)
+        layout = Layout(model, self.forest, list(roots))
+        for place, (root, handle) in enumerate(zip(roots, places, strict=True)):
+            layout.place[handle.id] = place
+            if root == SPARE:
+                layout.spares.append(handle.id)
         for number, handle in self.handles.items():
             layout.body[number] = handle.id
             layout.number[handle.id], layout.key[handle.id] = number, 2 * number
@@ -264,6 +377,12 @@ class _Builder:
             solref=_bounce(body.restitution, self.scene.timestep),
             priority=1,  # over the ground, which has no surface of its own
         )
+
+    def _spare(self, place: int) -> mujoco.MjsBody:
+        handle = self.spec.worldbody.add_body(name=f"p{place}")
+        handle.add_freejoint()
+        handle.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.5, 0.5, 0.5], mass=1.0, priority=1)
+        return handle
 
     def _attach(self, joint: Joint, parent: int, name: str) -> mujoco.MjsBody:
         """Adds a child to `parent`, at coordinate zero, with the joint in it."""

@@ -46,7 +46,21 @@ from nmes.backend import (
     Vector,
 )
 from nmes.backends.mujoco3d.drawing import Painter
-from nmes.backends.mujoco3d.layout import Body, Forest, Joint, Layout, Slot, across, build, relative, span
+from nmes.backends.mujoco3d.layout import (
+    SPARE,
+    Body,
+    Forest,
+    Joint,
+    Layout,
+    Slot,
+    across,
+    build,
+    occupy,
+    relative,
+    span,
+    vacate,
+    weigh,
+)
 from nmes.backends.mujoco3d.scenery import Scenery
 from nmes.backends.mujoco3d.sensing import STATE, Senses, count_awake
 from nmes.errors import SimulationFault
@@ -65,6 +79,7 @@ _FAULTS = {
 }
 _FEW = 5  # bodies: up to so many, one by one is faster than by arrays
 _HUGE = 1e10  # mjMAXVAL: beyond this the engine calls a state bad
+_MANY = 64  # bodies from which on compiling the model for one more takes too long
 _WIDEST_SWING = 1.4  # rad: a cone's two swinging hinges fall together at a right angle
 # A servo closes 63% of a small error in 1/30 s, critically damped.
 _SERVO_RATE = 60.0
@@ -140,6 +155,8 @@ class MujocoSimulation(Simulation):
         self._joints: dict[int, Joint] = {}
         self._override: dict[int, BodyState] = {}  # new and moved bodies, until the next step
         self._touched: set[int] = set()  # bodies of which the structure was edited since the last step
+        self._arrived: dict[int, None] = {}  # free bodies that came since, and those that went
+        self._left: dict[int, None] = {}
         self._parting: set[int] = set()  # edited bodies that may be deep inside others
         self._stale_model = True
         self._wake_all = False
@@ -148,7 +165,7 @@ class MujocoSimulation(Simulation):
         self._scenery = Scenery(scene)
         self._painter = Painter()
         self._identity = self._scenery.identity  # XOR of the hashes of everything that the state arrays do not say
-        self._install(build(scene, self._scenery, {}, {}, Forest(), {}))
+        self._install(build(scene, self._scenery, {}, {}, Forest(), {}, ()))
 
     def _install(self, layout: Layout) -> None:
         self._layout = layout
@@ -176,19 +193,28 @@ class MujocoSimulation(Simulation):
             ZERO if still else spec.linear_velocity,
             ZERO if still else spec.angular_velocity,
         )
-        self._edited(body)
-        self._wake_all |= spec.frozen
+        self._touched.add(body)
+        if spec.frozen:
+            self._stale_model = self._wake_all = True
+        else:
+            self._arrived[body] = None
 
     def remove_body(self, body: int) -> None:
         """Removes a body; what slept on a frozen one wakes."""
         self._identity ^= _hash("body", body, self._bodies[body])
-        self._wake_all |= self._bodies.pop(body).frozen
+        if self._bodies.pop(body).frozen:
+            self._stale_model = self._wake_all = True
+        elif body in self._arrived:
+            del self._arrived[body]
+        elif body in self._layout.free:
+            self._left[body] = None
+        else:
+            self._stale_model = True
         self._override.pop(body, None)
         self._force.pop(body, None)
         self._impulse.pop(body, None)
         self._touched.discard(body)
         self._parting.discard(body)
-        self._stale_model = True
 
     def add_joint(self, joint: int, spec: JointSpec) -> None:
         """Joins two bodies as they stand now, which is the joint's zero."""
@@ -378,7 +404,7 @@ class MujocoSimulation(Simulation):
         if index is None:
             return []
         found = self._senses.contacts(index)
-        if self._stale_model:  # somebody may have been removed since
+        if self._stale_model or self._left:  # somebody may have been removed since
             return [contact for contact in found if contact.other is None or contact.other in self._bodies]
         return found
 
@@ -410,8 +436,7 @@ class MujocoSimulation(Simulation):
 
     def step(self, substeps: int) -> None:
         """Takes up all edits, then advances."""
-        if self._stale_model or self._touched:
-            self._rebuild()
+        self._take_up()
         xfrc = self._xfrc
         acted = self._force or self._impulse
         if acted:
@@ -501,7 +526,7 @@ class MujocoSimulation(Simulation):
         h = hashlib.blake2b(self._state.data, digest_size=16)
         h.update(self._asleep.data)
         h.update(self._identity.to_bytes(16, "little"))
-        if self._touched or self._force or self._impulse or self._stale_model:
+        if self._edits or self._force or self._impulse:
             h.update(repr((sorted(self._touched), self._override, self._force, self._impulse)).encode())
         if self._parting:
             h.update(repr(sorted(self._parting)).encode())
@@ -513,8 +538,7 @@ class MujocoSimulation(Simulation):
         The live world then does what a restored one would: it takes up its edits, and computes its readings
         (contacts, efforts) from the state alone.
         """
-        if self._stale_model or self._touched:
-            self._rebuild()
+        self._take_up()
         self._settle(self._asleep.copy())
         mujoco.mj_getState(self._model, self._data, self._state, STATE)
         return orjson.dumps(
@@ -531,6 +555,7 @@ class MujocoSimulation(Simulation):
                 "parting": sorted(self._parting),
                 "state": base64.b64encode(self._state.tobytes()).decode(),
                 "asleep": self._asleep.tolist(),
+                "roots": self._layout.roots,
             }
         )
 
@@ -551,25 +576,94 @@ class MujocoSimulation(Simulation):
             self._joints[joint.number] = joint
             self._identity ^= _hash_joint(joint)
         frozen_at = {int(n): (tuple(p[:3]), tuple(p[3:])) for n, p in held["frozen_at"].items()}
-        self._override.clear()
-        self._touched.clear()
-        self._stale_model = self._wake_all = False
+        self._forget_edits()
         self._force = {body: wrench for body, wrench in held["force"]}
         self._impulse = {body: wrench for body, wrench in held["impulse"]}
         self._parting = set(held["parting"])
         forest = span(self._bodies, self._joints.values())
-        self._take(build(self._scene, self._scenery, self._bodies, self._joints, forest, frozen_at))
+        roots = held["roots"]
+        self._take(build(self._scene, self._scenery, self._bodies, self._joints, forest, frozen_at, roots))
         state = np.frombuffer(base64.b64decode(held["state"]))
         mujoco.mj_setState(self._model, self._data, state.copy(), STATE)
         self._settle(np.array(held["asleep"], self._asleep.dtype))
 
     # -- carrying the state over --------------------------------------------------------------------------------
 
+    @property
+    def _edits(self) -> bool:
+        """Whether anything was edited since the last step."""
+        return bool(self._stale_model or self._touched or self._arrived or self._left)
+
+    def _forget_edits(self) -> None:
+        self._override.clear()
+        self._touched.clear()
+        self._arrived.clear()
+        self._left.clear()
+        self._stale_model = self._wake_all = False
+
+    def _take_up(self) -> None:
+        """Takes up all edits since the last step, the cheapest way."""
+        if not self._edits:
+            return
+        room = len(self._layout.spares) + len(self._left)
+        if self._stale_model or len(self._arrived) > room or not self._touched <= self._free_bodies():
+            self._rebuild()
+        else:
+            self._fill_places()
+        self._forget_edits()
+
+    def _free_bodies(self) -> set[int]:
+        """Returns the bodies that hang on nothing, new ones included."""
+        free = self._layout.free.keys() | self._arrived.keys()
+        for joint in self._joints.values():
+            free -= {joint.body1, joint.body2}
+        return free
+
+    def _fill_places(self) -> None:
+        """Takes up free bodies that came, went or were moved, in the model as it is: parked ones stand ready."""
+        layout, model, data = self._layout, self._model, self._data
+        moved = [body for body in self._touched if body not in self._arrived]
+        self._wake(*(layout.body[body] for body in [*sorted(moved), *self._left]))
+        for body in self._left:
+            slot, index = layout.free[body], vacate(layout, body)
+            self._put(slot, BodyState(ZERO, (0.0, 0.0, 0.0, 1.0), ZERO, ZERO))
+            tree = int(model.body_treeid[index])
+            self._asleep[tree] = tree
+        for body in self._arrived:
+            index = occupy(layout, self._scene, self._bodies[body])
+            self._asleep[model.body_treeid[index]] = _AWAKE
+        for body in self._touched:
+            self._put(layout.free[body], self._override[body])
+        if self._arrived or self._left:
+            weigh(layout)
+        count_awake(model, data)
+        self._parting.update(self._touched)
+        self._read = False
+        self._senses = Senses(layout, data, self._scenery)
+
+    def _put(self, slot: Slot, state: BodyState) -> None:
+        """Sets the coordinates of a free body."""
+        data, (x, y, z, w) = self._data, state.quaternion
+        data.qpos[slot.q : slot.q + 7] = (*state.position, w, x, y, z)
+        data.qvel[slot.v : slot.v + 6] = (
+            *state.linear_velocity,
+            *rotate(conjugate(state.quaternion), state.angular_velocity),
+        )
+        data.qacc_warmstart[slot.v : slot.v + 6] = 0.0
+
+    def _spares(self) -> int:
+        """How many parked bodies a new model gets: some where free bodies come into a big world."""
+        free = len(self._bodies)
+        sleeps = self._model.opt.enableflags & int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+        if not self._arrived or free < _MANY or not sleeps or self._scenery.attracts:
+            return 0
+        return max(16, free // 8)
+
     def _rebuild(self) -> None:
-        """Takes up all edits since the last step: compiles where the structure changed, and installs the state."""
+        """Compiles the model where the structure changed, and installs the state."""
         old, old_data = self._layout, self._data
         states = {body: self.body_state(body) for body in self._affected()}
-        if self._stale_model:
+        if self._stale_model or self._arrived or self._left:
             forest = span(self._bodies, self._joints.values())
             self._absorb_drift(forest, old, old_data)
             frozen_at = {}
@@ -578,7 +672,8 @@ class MujocoSimulation(Simulation):
                     state = self.body_state(body.number)
                     frozen_at[body.number] = (state.position, state.quaternion)
             try:
-                layout = build(self._scene, self._scenery, self._bodies, self._joints, forest, frozen_at)
+                roots = [*forest.trees, *[SPARE] * self._spares()]
+                layout = build(self._scene, self._scenery, self._bodies, self._joints, forest, frozen_at, roots)
             except (ValueError, mujoco.FatalError) as error:
                 raise SimulationFault("engine_failed", f"MuJoCo cannot build this structure: {error}") from error
         else:
@@ -592,9 +687,6 @@ class MujocoSimulation(Simulation):
         self._take(layout)
         self._carry(old, old_data, layout, states, turns)
         self._parting.update(body for body in states if body in self._touched)
-        self._override.clear()
-        self._touched.clear()
-        self._stale_model = self._wake_all = False
         self._restore_sleep(sleep)
 
     def _take(self, layout: Layout) -> None:
@@ -678,13 +770,8 @@ class MujocoSimulation(Simulation):
             state = states.get(body)
             if state is None:
                 copy(slot, old.free[body])
-                continue
-            x, y, z, w = state.quaternion
-            data.qpos[slot.q : slot.q + 7] = (*state.position, w, x, y, z)
-            data.qvel[slot.v : slot.v + 6] = (
-                *state.linear_velocity,
-                *rotate(conjugate(state.quaternion), state.angular_velocity),
-            )
+            else:
+                self._put(slot, state)
         for number, slot in new.joint.items():
             joint, was = self._joints[number], old.joint.get(number)
             if was is not None and joint.body1 not in states and joint.body2 not in states:
@@ -780,7 +867,7 @@ class MujocoSimulation(Simulation):
         island. An island in which anything was edited or removed wakes.
         """
         layout, model, asleep = self._layout, self._model, self._asleep.tolist()
-        keys = [layout.key[int(index)] for index in model.tree_bodyadr]
+        keys = [layout.key.get(int(index)) for index in model.tree_bodyadr]  # None: parked
         gone = {
             int(model.body_treeid[index])
             for index, body in layout.number.items()
@@ -790,14 +877,22 @@ class MujocoSimulation(Simulation):
             while (following := asleep[tree]) >= 0:
                 asleep[tree] = _AWAKE
                 gone.add(tree := following)
-        return {keys[tree]: keys[link] if link >= 0 else link for tree, link in enumerate(asleep) if tree not in gone}
+        kept = {}
+        for tree, link in enumerate(asleep):
+            key, following_key = keys[tree], keys[link] if link >= 0 else link
+            if key is not None and following_key is not None and tree not in gone:
+                kept[key] = following_key
+        return kept
 
     def _restore_sleep(self, kept: dict[int, int]) -> None:
-        """Puts back what `_sleep_by_key` returned, in a model that may have other trees."""
-        tree_of = {self._layout.key[int(index)]: tree for tree, index in enumerate(self._model.tree_bodyadr)}
+        """Puts back what `_sleep_by_key` returned, in a model that may have other trees; parked ones always sleep."""
+        layout, model = self._layout, self._model
+        tree_of = {layout.key.get(int(index)): tree for tree, index in enumerate(model.tree_bodyadr)}
         asleep = np.full(len(self._asleep), _AWAKE, self._asleep.dtype)
         for key, link in kept.items():
             asleep[tree_of[key]] = link if link < 0 else tree_of[link]
+        parked = model.body_treeid[layout.spares]
+        asleep[parked] = parked
         if (asleep >= 0).any():
             self._settle(asleep)
         else:
