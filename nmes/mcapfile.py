@@ -20,8 +20,10 @@ from __future__ import annotations
 import os
 import stat
 import struct
+import sys
 import zlib
-from collections.abc import Iterable, Iterator, Mapping
+from array import array
+from collections.abc import Iterator, Mapping
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, TypeVar
@@ -62,6 +64,8 @@ MAGIC = b"\x89MCAP0\r\n"
 MAX_RECORD = 256 << 20  # bytes; also of a chunk when unpacked
 _PREFIX = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE = struct.Struct("<BQHIQQ")  # the same, then channel, sequence, log time, publish time
+_INDEX = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
+_OPCODE_MESSAGE = int(Opcode.MESSAGE)
 MESSAGE_OVERHEAD = _MESSAGE.size  # bytes of a message record beside its data
 _MESSAGE_FIELDS = _MESSAGE.size - _PREFIX.size
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, checksum
@@ -107,6 +111,9 @@ class Writer:
     """Writes one file. Every failure of the operating system becomes a RecordingError (`recording_failed`).
 
     Messages, schemas and channels gather in an open chunk until `flush`. There is no thread and no timer in here.
+
+    Attributes:
+        open_chunk: What the open chunk holds so far, for others to look at.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, profile: str, library: str) -> None:
@@ -124,9 +131,8 @@ class Writer:
         self._metadata: list[MetadataIndex] = []
         self._chunks: list[ChunkIndex] = []
         self._counts: dict[int, int] = {}
-        self._parts: list[bytes] = []  # the open chunk
-        self._index: dict[int, list[int]] = {}  # its messages by channel: log time, offset, log time, offset...
-        self._position = 0  # its size
+        self.open_chunk = bytearray()
+        self._index: dict[int, array[int]] = {}  # its messages by channel: log time, offset, log time, offset...
         self._end = 0  # where the data section ends so far, and its checksum
         self._crc = 0
         self._sealed = False
@@ -163,42 +169,33 @@ class Writer:
         self._add_definition(channel)
         return channel.id
 
-    def add(self, messages: Iterable[tuple[int, int, int, int, bytes]]) -> None:
-        """Adds messages to the open chunk, each a tuple of the fields of `Message`."""
-        messages = list(messages)  # making them may add channels to the chunk, which then come first
-        # The hot path of every recording: one pack and a few appends a message.
-        opcode, fields, size, pack = int(Opcode.MESSAGE), _MESSAGE_FIELDS, _MESSAGE.size, _MESSAGE.pack
-        parts, index, position = self._parts, self._index, self._position
-        for channel, sequence, log_time, publish_time, data in messages:
-            length = len(data)
-            parts.append(pack(opcode, length + fields, channel, sequence, log_time, publish_time))
-            parts.append(data)
-            if channel in index:
-                index[channel] += (log_time, position)
-            else:
-                index[channel] = [log_time, position]
-            position += length + size
-        self._position = position
-
-    def open_chunk(self) -> bytes:
-        """Returns what the open chunk holds."""
-        content = b"".join(self._parts)
-        self._parts[:] = [content]
-        return content
+    def add(self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes) -> None:
+        """Adds a message to the open chunk; the fields are those of `Message`."""
+        # The hot path of every recording. The message is packed at once, while it is in the processor's caches, and
+        # nothing of it is kept but bytes.
+        chunk = self.open_chunk
+        index = self._index.get(channel)
+        if index is None:
+            index = self._index[channel] = array("Q")
+        index.append(log_time)
+        index.append(len(chunk))
+        chunk += _MESSAGE.pack(_OPCODE_MESSAGE, len(data) + _MESSAGE_FIELDS, channel, sequence, log_time, publish_time)
+        chunk += data
 
     def flush(self) -> None:
         """Hands the open chunk to the operating system; nothing to do when it has no message."""
         if not self._index:
             return
-        content = self.open_chunk()
+        content = self.open_chunk
         if len(content) > MAX_RECORD:
             raise RecordingError("recording_failed", f"a chunk of {len(content)} bytes is more than a reader takes")
-        times = [time for entries in self._index.values() for time in entries[::2]]
+        first = min(min(entries[::2]) for entries in self._index.values())
+        last = max(max(entries[::2]) for entries in self._index.values())
         compressed = self._compressor.compress(content)
         chunk = _encoded(
             Chunk(
-                message_start_time=min(times),
-                message_end_time=max(times),
+                message_start_time=first,
+                message_end_time=last,
                 uncompressed_size=len(content),
                 uncompressed_crc=zlib.crc32(content),
                 compression="zstd",
@@ -211,13 +208,13 @@ class Writer:
         for channel, entries in self._index.items():
             offsets[channel] = self._end + len(chunk) + index_length
             size = 8 * len(entries)
-            indexes.append(
-                struct.pack(f"<BQHI{len(entries)}Q", Opcode.MESSAGE_INDEX, size + 6, channel, size, *entries)
-            )
+            if sys.byteorder == "big":
+                entries.byteswap()
+            indexes.append(_INDEX.pack(Opcode.MESSAGE_INDEX, size + 6, channel, size) + entries.tobytes())
             index_length += len(indexes[-1])
         written = ChunkIndex(
-            message_start_time=min(times),
-            message_end_time=max(times),
+            message_start_time=first,
+            message_end_time=last,
             chunk_start_offset=self._end,
             chunk_length=len(chunk),
             message_index_offsets=offsets,
@@ -230,7 +227,7 @@ class Writer:
         self._chunks.append(written)
         for channel, entries in self._index.items():
             self._counts[channel] += len(entries) // 2
-        self._parts, self._index, self._position = [], {}, 0
+        self.open_chunk, self._index = bytearray(), {}
 
     def seal(self, name: str, values: Mapping[str, str]) -> None:
         """Flushes, then writes one last metadata record and the file's end, so that every MCAP reader can read it."""
@@ -277,8 +274,7 @@ class Writer:
         self._file.close()
 
     def _add_definition(self, record: Schema | Channel) -> None:
-        self._parts.append(_encoded(record))
-        self._position += len(self._parts[-1])
+        self.open_chunk += _encoded(record)
 
     def _append(self, data: bytes) -> None:
         self._unseal()

@@ -15,9 +15,20 @@ from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
+from nmes.backend import Array, Vector
 from nmes.world import World
 
-__all__ = ["POSES_SCHEMA", "POSE_FIELDS", "ROOT", "SCENE_SCHEMA", "Painter", "View", "decode_poses", "descriptors"]
+__all__ = [
+    "POSES_SCHEMA",
+    "POSE_FIELDS",
+    "ROOT",
+    "SCENE_SCHEMA",
+    "Painter",
+    "Snapshot",
+    "View",
+    "decode_poses",
+    "descriptors",
+]
 
 ROOT = "world origin"  # no cube can have a name with white space in it
 POSES_SCHEMA = FrameTransforms.DESCRIPTOR.full_name
@@ -27,44 +38,62 @@ POSE_FIELDS = (*(f"position/{i}" for i in range(3)), *(f"quaternion/{i}" for i i
 Pose = tuple[float, float, float, float, float, float, float]  # position, quaternion (x, y, z, w)
 
 
+Shape = tuple[Vector, tuple[float, float, float, float]]  # edge lengths, colour
+
+
+class Snapshot(NamedTuple):
+    """What there is to see of a world at one frame: poses, and all shapes where they may have changed."""
+
+    frame: int
+    states: Array
+    shapes: dict[str, Shape] | None
+
+
 class View(NamedTuple):
-    """What there is to draw at one frame: the shapes where they changed since the last view, and all poses."""
+    """A snapshot as messages: the shapes where they changed since the last view, and all poses."""
 
     scene: bytes | None
     poses: bytes
 
 
 class Painter:
-    """Turns one world's states into messages, one view after the other."""
+    """Turns one world's states into messages, one view after the other.
+
+    Looking at the world (`look`) is quick and drawing what was seen (`draw`) can wait; both go in the same order.
+    """
 
     def __init__(self, world: World) -> None:
         """Begins with nothing drawn."""
         self._world = world
+        self._rate: int = world.config["tick_rate"]
         self._version = -1
-        self._shapes: dict[str, Any] = {}
+        self._shapes: dict[str, Shape] = {}
         self._transforms = FrameTransforms()
         # Setting the fields of messages that are there takes a third of the time of making new ones.
         self._handles: list[tuple[Any, Any, Any]] = []
 
-    def view(self) -> View:
+    def look(self) -> Snapshot:
         """Returns the world as it is now."""
         world = self._world
-        rate = world.config["tick_rate"]
-        seconds, ticks = divmod(world.frame, rate)
-        nanos = ticks * 1_000_000_000 // rate
         names, states = world.poses()
-        scene = None
-        if world.structure_version != self._version:
-            scene = self._changed(names, seconds, nanos)
-        for (timestamp, position, rotation), pose in zip(self._handles, _rounded(states), strict=True):
+        if world.structure_version == self._version:
+            return Snapshot(world.frame, states, None)
+        self._version = world.structure_version
+        return Snapshot(world.frame, states, {name: world.cube_shape(name) for name in names})
+
+    def draw(self, snapshot: Snapshot) -> View:
+        """Returns the messages that show a snapshot to somebody who has seen all those before."""
+        seconds, ticks = divmod(snapshot.frame, self._rate)
+        nanos = ticks * 1_000_000_000 // self._rate
+        scene = None if snapshot.shapes is None else self._changed(snapshot.shapes, seconds, nanos)
+        poses: list[Pose] = snapshot.states[:, :7].astype(np.float32).tolist()
+        for (timestamp, position, rotation), pose in zip(self._handles, poses, strict=True):
             timestamp.seconds, timestamp.nanos = seconds, nanos
             position.x, position.y, position.z, rotation.x, rotation.y, rotation.z, rotation.w = pose
         return View(scene, bytes(self._transforms.SerializeToString()))
 
-    def _changed(self, names: list[str], seconds: int, nanos: int) -> bytes | None:
-        self._version = self._world.structure_version
-        shapes = {name: self._world.cube_shape(name) for name in names}
-        if shapes == self._shapes and list(shapes) == list(self._shapes):
+    def _changed(self, shapes: dict[str, Shape], seconds: int, nanos: int) -> bytes | None:
+        if list(shapes.items()) == list(self._shapes.items()):
             return None
         update = SceneUpdate()
         for name in self._shapes:
@@ -82,15 +111,10 @@ class Painter:
         self._shapes = shapes
         self._transforms.Clear()
         self._handles = []
-        for name in names:
+        for name in shapes:
             transform = self._transforms.transforms.add(parent_frame_id=ROOT, child_frame_id=name)
             self._handles.append((transform.timestamp, transform.translation, transform.rotation))
         return bytes(update.SerializeToString())
-
-
-def _rounded(states: Any) -> list[Pose]:
-    poses: list[Pose] = states[:, :7].astype(np.float32).tolist()
-    return poses
 
 
 def decode_poses(data: bytes) -> dict[str, Pose]:

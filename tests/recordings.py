@@ -108,10 +108,11 @@ def rewrite(source: Path, target: Path, edit: Edit, *, chained: bool = True, mis
         for channel in channels.values()
     }
     edited = edit(lines)
-    writer.add((numbers[line.topic], sequence, line.log_time, 0, line.data) for sequence, line in enumerate(edited))
-    head = hashlib.sha256(chain.digest() + writer.open_chunk()).hexdigest()
+    for sequence, line in enumerate(edited):
+        writer.add(numbers[line.topic], sequence, line.log_time, 0, line.data)
+    head = hashlib.sha256(chain.digest() + writer.open_chunk).hexdigest()
     last = orjson.dumps({"head": head}) if chained else heads[0]
-    writer.add([(numbers["chain"], len(edited), edited[-1].log_time, 0, last)])
+    writer.add(numbers["chain"], len(edited), edited[-1].log_time, 0, last)
     records = str(len(edited) + 1 + missing)
     writer.seal("nmes.end", {"head": orjson.loads(last)["head"], "records": records, "closed": "now"})
     writer.close()

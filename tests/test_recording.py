@@ -309,7 +309,7 @@ def test_what_was_flushed_survives_a_crash(tmp_path: Path) -> None:
 
 def test_nothing_waits_longer_than_a_second_while_records_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now = 1_800_000_000 * 10**9
-    monkeypatch.setattr("nmes.recording.time.time_ns", lambda: now)
+    monkeypatch.setattr("nmes.recording.time_ns", lambda: now)
     path = tmp_path / "x.mcap"
     world = World({"backend": "ballistic"})
     world.journal = Recorder(path, world, pose_rate=0)
@@ -325,7 +325,7 @@ def test_nothing_waits_longer_than_a_second_while_records_come(tmp_path: Path, m
             now += later - 999_999_999
             happen()
             assert path.stat().st_size > size
-    assert list(Recording(path))[-1].kind is Kind.COMMAND
+    assert list(Recording(path))[-1].kind is Kind.REPLY
     world.journal.close()
 
 
@@ -584,7 +584,7 @@ def test_what_is_written_is_read(tmp_path_factory: pytest.TempPathFactory, progr
     for batch, then in program:
         for i, log_time, publish_time, data in batch:
             expected.append((f"topic {i}", len(expected), log_time, publish_time, data))
-            writer.add([(channels[i], *expected[-1][1:])])
+            writer.add(channels[i], *expected[-1][1:])
         if then == "flush":
             writer.flush()
             assert not batch or path.stat().st_size == writer.size  # an end that was there is gone
