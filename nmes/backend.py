@@ -471,8 +471,11 @@ def load_backend(name: str) -> Backend:
         raise BackendNotFound(f"no backend is called {name!r}{hint} (installed: {', '.join(points) or 'none'})")
     try:
         backend = point.load()()
-    except Exception as error:  # whatever a stranger's package does when it is imported
-        raise BackendNotFound(f"backend {name!r} ({point.value}) cannot be loaded: {error}") from error
+    except (Exception, SystemExit) as error:  # whatever a stranger's package does when it is imported
+        why = f"{type(error).__name__}: {error}" if not isinstance(error, ImportError) else str(error)
+        package = "its package" if point.dist is None else point.dist.name
+        hint = f"; install what it needs with: pip install {package}" if isinstance(error, ImportError) else ""
+        raise BackendNotFound(f"backend {name!r} ({point.value}) cannot be loaded: {why}{hint}") from error
     if not isinstance(backend, Backend):
         raise BackendNotFound(f"backend {name!r} ({point.value}) is not an nmes Backend")
     return backend
