@@ -140,7 +140,7 @@ class BallisticSimulation(Simulation):
         return [Contact(None, below, (0.0, 1.0, 0.0), b.ground_force)] if b.ground_force else []
 
     def step(self, substeps: int) -> None:
-        before = [(b, b.position, b.quaternion, b.linear, b.angular) for b in self._bodies.values()]
+        before = {number: replace(b) for number, b in self._bodies.items()}
         for cluster in self._find_clusters():
             if any(b.frozen for b in cluster):
                 for b in cluster:
@@ -151,12 +151,13 @@ class BallisticSimulation(Simulation):
                     self._kick(b)
                 for _ in range(substeps):
                     self._advance(cluster, self._scene.timestep)
+                    for b in cluster:
+                        if not all(abs(x) < TOO_FAR for x in (*b.position, *b.linear, *b.angular)):
+                            self._bodies = before
+                            self._clusters = None
+                            raise SimulationFault("diverged", "a body moves too fast or is too far away", b.number)
         for b in self._bodies.values():
             b.force = b.torque = b.impulse = b.angular_impulse = ZERO
-            if not all(abs(x) < TOO_FAR for x in (*b.position, *b.linear, *b.angular)):
-                for old, position, quaternion, linear, angular in before:
-                    old.position, old.quaternion, old.linear, old.angular = position, quaternion, linear, angular
-                raise SimulationFault("diverged", "a body moves too fast or is too far away", b.number)
 
     def digest(self) -> bytes:
         state = blake2b(digest_size=16)

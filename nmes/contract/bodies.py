@@ -288,6 +288,42 @@ class BodyChecks(Checks):
                 run(sim, 0.5)
                 close(sim.body_state(1).position, (13.0 - G / 8, -9.0, 0.0), self.fall_error, "fall from the side")
 
+    def test_feels_accelerations(self) -> None:
+        """An accelerometer feels nothing in free fall, gravity's opposite at rest, and what pushes the body."""
+        self.need("sensors.inertial")
+        sim = self.sim()
+        sim.add_body(0, box((0.0, 0.5, 0.0)))
+        sim.add_body(1, box((5.0, 50.0, 0.0)))
+        sim.add_body(2, box((10.0, 5.0, 0.0), frozen=True))
+        sim.add_body(3, box((15.0, 50.0, 0.0), mass=2.0))
+        assert not sim.proper_accelerations([0, 1, 2, 3]).any(), "feels something before the first step"
+        run(sim, 1.0)
+        sim.apply(3, (6.0, 0.0, 0.0), ZERO, ZERO, ZERO)
+        sim.step(SUBSTEPS)
+        felt = sim.proper_accelerations([0, 1, 2, 3])
+        close(felt[0], (0.0, G, 0.0), 0.05 * G, "at rest")
+        close(felt[1], ZERO, 1e-6, "in free fall")
+        close(felt[2], (0.0, G, 0.0), 1e-6, "frozen")
+        close(felt[3], (3.0, 0.0, 0.0), 1e-6, "pushed in free fall")
+        felt[:] = 7.0
+        assert sim.proper_accelerations([1])[0, 0] != 7.0, "writing to an answer changed the next one"
+
+    def test_measures_ranges(self) -> None:
+        """A range finder measures from the centre to the next surface that is not the body's own."""
+        self.need("sensors.range")
+        sim = self.sim(gravity=ZERO)
+        sim.add_body(0, box((0.0, 5.0, 0.0)))
+        sim.add_body(1, box((4.0, 5.0, 0.0), size=(2.0, 1.0, 1.0)))
+        sim.step(SUBSTEPS)
+        directions = np.array([(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0)])
+        before = sim.digest()
+        ahead, below, above, behind = sim.ranges(0, directions, 20.0)
+        assert ahead is not None and below is not None
+        close([ahead, below], [3.0, 5.0], 1e-6, "distances to a body and to the ground")
+        assert above is None and behind is None
+        assert sim.ranges(0, directions[:1], 2.5) == [None], "sees beyond its limit"
+        assert sim.digest() == before, "looking changed the world"
+
     def test_reports_contacts(self) -> None:
         """A body at rest touches what it rests on, which carries its weight."""
         sim = self.sim()
