@@ -413,6 +413,21 @@ def test_cutting_a_structure_conserves_momentum_and_motion() -> None:
     assert now[:, 7:] == pytest.approx(poses[:, 7:], abs=1e-4)  # what a soft loop lets through
 
 
+@pytest.mark.parametrize("kind", ["fixed", "hinge", "slide", "pin", "conetwist"])
+def test_joining_two_moving_cubes_catches_them_with_their_momentum(kind: str) -> None:
+    simulation = scene(gravity=0)
+    masses = {1: 1.0, 2: 3.0}
+    simulation.add_body(1, box((0.0, 5.0, 0.0), velocity=(1.0, 0.5, 0.0), spin=(0.0, 2.0, 1.0)))
+    simulation.add_body(2, box((1.5, 5.0, 0.3), mass=3.0, velocity=(-1.0, 0.0, 0.7), spin=(1.0, 0.0, 0.0)))
+    simulation.step(4)
+    before, energy = momentum(simulation, masses), kinetic_energy(simulation, masses)
+    simulation.add_joint(1, JointSpec(kind, 1, 2, (0.7, 5.0, 0.1), vector(np.array([1.0, 2.0, 2.0]) / 3)))
+    simulation.snapshot()
+    after = momentum(simulation, masses)
+    assert after[0] == pytest.approx(before[0], abs=1e-9) and after[1] == pytest.approx(before[1], abs=1e-9)
+    assert kinetic_energy(simulation, masses) < energy
+
+
 @given(st.integers(0, 10_000))
 def test_an_edit_keeps_the_pose_and_velocity_of_a_tree(number: int) -> None:
     """A chain under motors; then its root freezes, so that the tree runs the other way: nothing may jump."""

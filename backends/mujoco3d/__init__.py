@@ -1,9 +1,72 @@
 """The MuJoCo engine (4.x) as a backend, in 3D.
 
-`layout` turns a set of bodies and joints into a compiled model; `simulation` keeps one such model running and carries
-its state over whenever the set changes. Nothing else knows of MuJoCo.
+`layout` turns a set of bodies and joints into a compiled model, `simulation` keeps one such model running, and `carry`
+takes its state over whenever the set changes; `scenery` and `arenas` are what stands still, `sensing` and `drawing`
+what bodies feel and see. Nothing else knows of MuJoCo.
 """
 
-from nmes.backends.mujoco3d.simulation import MujocoBackend, MujocoSimulation
+from __future__ import annotations
+
+import hashlib
+from functools import cache
+from pathlib import Path
+
+import mujoco
+
+from nmes.backend import Backend, SceneSpec, Simulation
+from nmes.backends.mujoco3d.simulation import MujocoSimulation
 
 __all__ = ["MujocoBackend", "MujocoSimulation"]
+
+
+class MujocoBackend(Backend):
+    """MuJoCo, the first-class engine: cubes in 3D, all kinds of joints, sleep, exact snapshots."""
+
+    name = "mujoco"
+    dims = 3
+    capabilities = frozenset(
+        {
+            "joint.fixed",
+            "joint.hinge",
+            "joint.slide",
+            "joint.pin",
+            "joint.conetwist",
+            "motor",
+            "servo",
+            "limits",
+            "spring",
+            "friction",
+            "restitution",
+            "collisions",
+            "contacts",
+            "sensors.inertial",
+            "sensors.range",
+            "camera",
+            "scene.arena",
+            "scene.heightfield",
+            "scene.obstacles",
+            "scene.planets",
+            "sleep",
+            "snapshot",
+        }
+    )
+
+    def version(self) -> str:
+        """Returns MuJoCo's version."""
+        return str(mujoco.__version__)
+
+    def fingerprint(self) -> dict[str, str]:
+        """Returns MuJoCo's version and the SHA-256 of its shared library."""
+        return {"engine": f"mujoco {mujoco.__version__}", "engine_sha256": _library_hash()}
+
+    def create(self, scene: SceneSpec) -> Simulation:
+        """Creates an empty scene."""
+        return MujocoSimulation(scene)
+
+
+@cache
+def _library_hash() -> str:
+    digest = hashlib.sha256()
+    for path in sorted(Path(mujoco.__file__).parent.glob("libmujoco*")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()

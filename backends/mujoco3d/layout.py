@@ -20,7 +20,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
-from math import log, pi, sqrt
+from math import log, pi, sin, sqrt
 
 import mujoco
 import numpy as np
@@ -61,6 +61,8 @@ _KINDS = {
 }
 _COORDINATES = {"hinge": (1, 1), "slide": (1, 1), "ball": (4, 3), "cone": (3, 3)}  # nq, nv by form
 _TWINNED = frozenset({"hinge", "slide", "cone"})  # forms that close a loop by way of a twin
+_WIDEST_SWING = 1.4  # rad: a cone's two swinging hinges fall together at a right angle
+_SERVO_RATE = 60.0  # 1/s: a servo closes 63% of a small error in 1/30 s, critically damped
 # Contact softness (MuJoCo's solref, solimp): a contact at rest settles in about 0.02 s.
 _CONTACT_TIME = 0.02
 # Loops are closed as stiffly as the time step allows.
@@ -275,6 +277,45 @@ def weigh(layout: Layout) -> None:
         used[model.body_dofadr[index] : model.body_dofadr[index] + 6] = False
     if used.any():
         model.stat.meaninertia = float(model.dof_M0[used].mean())
+
+
+def write_params(layout: Layout, joint: Joint) -> None:
+    """Writes a joint's motor, spring and limits into the model; a motor's target is a control of the data."""
+    model, params = layout.model, joint.params
+    index, slot = layout.joint_index[joint.number], layout.joint[joint.number]
+    if joint.form == "ball":
+        return
+    if joint.form == "cone":
+        assert params.limits is not None
+        swing, twist = params.limits
+        # In the order of the tree the twist comes last, or first where the tree runs from body2 to body1.
+        twisting = index if slot.flipped else index + 2
+        model.jnt_limited[twisting] = True
+        model.jnt_range[twisting] = (-twist, twist)
+        chord = 2.0 * sin(min(max(swing, 0.0), _WIDEST_SWING) / 2.0)
+        model.tendon_range[layout.swing[joint.number]] = (0.0, max(chord, 1e-6))
+        return
+    model.jnt_stiffness[index] = params.stiffness
+    model.dof_damping[slot.v] = params.damping
+    model.jnt_limited[index] = params.limits is not None
+    model.jnt_range[index] = params.limits or (0.0, 0.0)
+    motor = layout.actuator.get(joint.number)
+    if motor is None:
+        return
+    # What the two sides weigh against each other along this joint.
+    inertia = 1.0 / max(float(model.dof_invweight0[slot.v]), 1e-12)
+    gain, bias = np.zeros(model.actuator_gainprm.shape[1]), np.zeros(model.actuator_biasprm.shape[1])
+    if params.motor == "velocity" and params.max_effort > 0.0:
+        # As stiff as can be without overshooting when the bound on the effort is what stops it: one step at the
+        # bound then ends within the band in which the drive is linear.
+        gain[0] = 2.0 * inertia / model.opt.timestep
+        bias[2] = -gain[0]
+    elif params.motor == "position" and params.max_effort > 0.0:
+        gain[0] = inertia * _SERVO_RATE * _SERVO_RATE
+        bias[1], bias[2] = -gain[0], -2.0 * inertia * _SERVO_RATE
+    model.actuator_gainprm[motor], model.actuator_biasprm[motor] = gain, bias
+    bound = max(params.max_effort, 1e-300)
+    model.actuator_forcerange[motor] = (-bound, bound)
 
 
 @lru_cache(maxsize=64)

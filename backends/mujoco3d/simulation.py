@@ -1,12 +1,6 @@
 """A running MuJoCo scene that is edited while it lives.
 
-Edits only note what changed; the model is rebuilt once, at the next step, and the state carried over:
-
-- Structures that no edit touched keep their coordinates, velocities and warm start bit for bit, and their sleep.
-- Touched ones keep every joint's coordinate and the pose of their root. Their velocities are the ones that the tree
-  can have and that carry the bodies' momentum: the mass-weighted projection `M qvel = sum J^T p`, exact where the
-  motion fits the joints, and a perfectly inelastic catch where two moving bodies are joined.
-
+Edits only note what changed; the model is rebuilt once, at the next step, and the state carried over (see `carry`).
 Between an edit and the next step queries answer from `_override` (new and moved bodies) or from the old model.
 
 Sleep is no part of what `mj_getState` returns, and a sleeping tree's derived quantities are not computed afresh; so
@@ -18,11 +12,9 @@ from __future__ import annotations
 import base64
 import hashlib
 import logging
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
-from functools import cache
-from math import asin, atan2, cos, pi, sin
-from pathlib import Path
+from math import atan2, pi
 
 import mujoco
 import numpy as np
@@ -31,7 +23,6 @@ import orjson
 
 from nmes.backend import (
     Array,
-    Backend,
     BodySpec,
     BodyState,
     CameraSpec,
@@ -40,11 +31,11 @@ from nmes.backend import (
     JointParams,
     JointSpec,
     JointState,
-    Quaternion,
     SceneSpec,
     Simulation,
     Vector,
 )
+from nmes.backends.mujoco3d.carry import AWAKE, affected, carry, kept_sleep, place, promoted, put_sleep, rezero, turns
 from nmes.backends.mujoco3d.drawing import Painter
 from nmes.backends.mujoco3d.layout import (
     SPARE,
@@ -52,26 +43,24 @@ from nmes.backends.mujoco3d.layout import (
     Forest,
     Joint,
     Layout,
-    Slot,
-    across,
     build,
     occupy,
     relative,
     span,
     vacate,
     weigh,
+    write_params,
 )
 from nmes.backends.mujoco3d.scenery import Scenery
 from nmes.backends.mujoco3d.sensing import STATE, Senses, count_awake
 from nmes.errors import SimulationFault
 from nmes.rotation import conjugate, cross, multiply, normalize, rotate
 
-__all__ = ["MujocoBackend", "MujocoSimulation"]
+__all__ = ["MujocoSimulation"]
 
 logger = logging.getLogger(__name__)
 
 ZERO: Vector = (0.0, 0.0, 0.0)
-_AWAKE = -(1 + mujoco.mjMINAWAKE)  # tree_asleep of a tree that has just woken
 _WARNINGS = mujoco.mjtWarning
 _FAULTS = {
     _WARNINGS.mjWARN_CONTACTFULL: ("contact_overflow", "the engine ran out of room for contacts"),
@@ -80,9 +69,6 @@ _FAULTS = {
 _FEW = 5  # bodies: up to so many, one by one is faster than by arrays
 _HUGE = 1e10  # mjMAXVAL: beyond this the engine calls a state bad
 _MANY = 64  # bodies from which on compiling the model for one more takes too long
-_WIDEST_SWING = 1.4  # rad: a cone's two swinging hinges fall together at a right angle
-# A servo closes 63% of a small error in 1/30 s, critically damped.
-_SERVO_RATE = 60.0
 
 # Bodies that an edit left deep inside each other (deeper than this part of their shortest edge) are not driven apart
 # faster than this (m/s and rad/s), where the contact springs alone would shoot them off.
@@ -91,59 +77,6 @@ _PARTING_SPEED = 3.0
 
 # What MuJoCo prints of a diverging world goes to the log; the fault says it to the user.
 mujoco.set_mju_user_warning(lambda message: logger.debug("mujoco: %s", message))
-
-
-class MujocoBackend(Backend):
-    """MuJoCo, the first-class engine: cubes in 3D, all kinds of joints, sleep, exact snapshots."""
-
-    name = "mujoco"
-    dims = 3
-    capabilities = frozenset(
-        {
-            "joint.fixed",
-            "joint.hinge",
-            "joint.slide",
-            "joint.pin",
-            "joint.conetwist",
-            "motor",
-            "servo",
-            "limits",
-            "spring",
-            "friction",
-            "restitution",
-            "collisions",
-            "contacts",
-            "sensors.inertial",
-            "sensors.range",
-            "camera",
-            "scene.arena",
-            "scene.heightfield",
-            "scene.obstacles",
-            "scene.planets",
-            "sleep",
-            "snapshot",
-        }
-    )
-
-    def version(self) -> str:
-        """Returns MuJoCo's version."""
-        return str(mujoco.__version__)
-
-    def fingerprint(self) -> dict[str, str]:
-        """Returns MuJoCo's version and the SHA-256 of its shared library."""
-        return {"engine": f"mujoco {mujoco.__version__}", "engine_sha256": _library_hash()}
-
-    def create(self, scene: SceneSpec) -> Simulation:
-        """Creates an empty scene."""
-        return MujocoSimulation(scene)
-
-
-@cache
-def _library_hash() -> str:
-    digest = hashlib.sha256()
-    for path in sorted(Path(mujoco.__file__).parent.glob("libmujoco*")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
 
 
 class MujocoSimulation(Simulation):
@@ -245,19 +178,26 @@ class MujocoSimulation(Simulation):
     def set_joint_params(self, joint: int, params: JointParams) -> None:
         """Sets motor, spring and limits; the model is rebuilt only where a motor comes or goes."""
         held = self._joints[joint]
-        if params == held.params:
+        before, form = held.params, held.form
+        if params == before:
+            return
+        aimed = replace(before, target_velocity=params.target_velocity, target_position=params.target_position)
+        if params == aimed:  # what controllers do at every tick
+            held.params = params
+            if held.number in self._layout.actuator:
+                self._aim(held)
+                self._wake(self._layout.body[held.body1], self._layout.body[held.body2])
             return
         self._identity ^= _hash_joint(held)
-        form = held.form
-        if (params.motor == "off") != (held.params.motor == "off"):
-            self._stale_model = True
         held.params = params
+        self._identity ^= _hash_joint(held)
+        if (params.motor == "off") != (before.motor == "off"):
+            self._stale_model = True
         if held.form != form:  # a ball gets or loses its limits
             self._edited(held.body1)
             self._edited(held.body2)
-        self._identity ^= _hash_joint(held)
-        if joint in self._layout.joint and held.form == form:
-            self._write_params(held)
+        elif joint in self._layout.joint:
+            self._drive(held)
             self._wake(self._layout.body[held.body1], self._layout.body[held.body2])
 
     def set_frozen(self, body: int, frozen: bool) -> None:
@@ -626,30 +566,20 @@ class MujocoSimulation(Simulation):
         self._wake(*(layout.body[body] for body in [*sorted(moved), *self._left]))
         for body in self._left:
             slot, index = layout.free[body], vacate(layout, body)
-            self._put(slot, BodyState(ZERO, (0.0, 0.0, 0.0, 1.0), ZERO, ZERO))
+            place(data, slot, BodyState(ZERO, (0.0, 0.0, 0.0, 1.0), ZERO, ZERO))
             tree = int(model.body_treeid[index])
             self._asleep[tree] = tree
         for body in self._arrived:
             index = occupy(layout, self._scene, self._bodies[body])
-            self._asleep[model.body_treeid[index]] = _AWAKE
+            self._asleep[model.body_treeid[index]] = AWAKE
         for body in self._touched:
-            self._put(layout.free[body], self._override[body])
+            place(data, layout.free[body], self._override[body])
         if self._arrived or self._left:
             weigh(layout)
         count_awake(model, data)
         self._parting.update(self._touched)
         self._read = False
         self._senses = Senses(layout, data, self._scenery)
-
-    def _put(self, slot: Slot, state: BodyState) -> None:
-        """Sets the coordinates of a free body."""
-        data, (x, y, z, w) = self._data, state.quaternion
-        data.qpos[slot.q : slot.q + 7] = (*state.position, w, x, y, z)
-        data.qvel[slot.v : slot.v + 6] = (
-            *state.linear_velocity,
-            *rotate(conjugate(state.quaternion), state.angular_velocity),
-        )
-        data.qacc_warmstart[slot.v : slot.v + 6] = 0.0
 
     def _spares(self) -> int:
         """How many parked bodies a new model gets: some where free bodies come into a big world."""
@@ -662,10 +592,16 @@ class MujocoSimulation(Simulation):
     def _rebuild(self) -> None:
         """Compiles the model where the structure changed, and installs the state."""
         old, old_data = self._layout, self._data
-        states = {body: self.body_state(body) for body in self._affected()}
+        touched = affected(self._touched, self._bodies, self._joints.values())
+        states = {body: self.body_state(body) for body in touched}
         if self._stale_model or self._arrived or self._left:
             forest = span(self._bodies, self._joints.values())
-            self._absorb_drift(forest, old, old_data)
+            for joint in promoted(forest, old):
+                slot = old.joint.get(joint.number)
+                at = float(old_data.qpos[slot.q]) if slot is not None else 0.0
+                self._identity ^= _hash_joint(joint)
+                rezero(joint, self.body_state(joint.body1), self.body_state(joint.body2), at)
+                self._identity ^= _hash_joint(joint)
             frozen_at = {}
             for body in self._bodies.values():
                 if body.frozen:
@@ -678,231 +614,40 @@ class MujocoSimulation(Simulation):
                 raise SimulationFault("engine_failed", f"MuJoCo cannot build this structure: {error}") from error
         else:
             layout = old
-        turns = {
-            number: relative(self.body_state(joint.body1).quaternion, self.body_state(joint.body2).quaternion)
-            for number, joint in self._joints.items()
-            if joint.form in ("ball", "cone") and (joint.body1 in states or joint.body2 in states)
-        }
-        sleep = {} if self._wake_all else self._sleep_by_key(states.keys())
+        balls = turns(self._joints.values(), states, self.body_state)
+        sleep = {} if self._wake_all else kept_sleep(old, self._asleep, states, self._bodies)
         self._take(layout)
-        self._carry(old, old_data, layout, states, turns)
+        carry(old, old_data, layout, self._data, self._joints, states, balls)
         self._parting.update(body for body in states if body in self._touched)
-        self._restore_sleep(sleep)
-
-    def _take(self, layout: Layout) -> None:
-        self._install(layout)
-        for joint in layout.joint_index:
-            self._write_params(self._joints[joint])
-
-    def _affected(self) -> set[int]:
-        """Returns the bodies of all structures that were edited; frozen bodies end a structure."""
-        neighbours: dict[int, list[int]] = {}
-        for joint in self._joints.values():
-            neighbours.setdefault(joint.body1, []).append(joint.body2)
-            neighbours.setdefault(joint.body2, []).append(joint.body1)
-        found = {body for body in self._touched if body in self._bodies}
-        stack = sorted(found)
-        while stack:
-            here = stack.pop()
-            if self._bodies[here].frozen:
-                continue
-            for other in neighbours.get(here, ()):
-                if other not in found:
-                    found.add(other)
-                    stack.append(other)
-        return {body for body in found if not self._bodies[body].frozen}
-
-    def _absorb_drift(self, forest: Forest, old: Layout, data: mujoco.MjData) -> None:
-        """Makes joints that close no loop any more start from where their bodies really are.
-
-        A loop is held by soft constraints, to within micrometres; a tree is exact. Without this a cube would jump by
-        that difference when another joint of its loop is cut.
-        """
-        loops = {joint.number for joint in old.forest.loops}
-        for _, joint in forest.parent.values():
-            if joint.number not in loops:
-                continue
-            self._identity ^= _hash_joint(joint)
-            one, two = self.body_state(joint.body1), self.body_state(joint.body2)
-            turn = relative(one.quaternion, two.quaternion)
-            back = conjugate(one.quaternion)
-            tip = _plus(rotate(back, _minus(two.position, one.position)), rotate(turn, joint.anchor2))
-            slot = old.joint.get(joint.number)
-            at = float(data.qpos[slot.q]) if slot is not None else 0.0
-            if joint.kind == "hinge":
-                joint.zero = normalize(multiply(turn, _about(joint.axis2, -at)))
-                joint.anchor1 = tip
-            elif joint.form in ("ball", "cone"):
-                joint.anchor1 = tip
-            else:
-                joint.zero = normalize(turn)
-                axis1 = rotate(joint.zero, joint.axis2)
-                joint.anchor1 = (tip[0] - at * axis1[0], tip[1] - at * axis1[1], tip[2] - at * axis1[2])
-            self._identity ^= _hash_joint(joint)
-
-    def _carry(
-        self,
-        old: Layout,
-        old_data: mujoco.MjData,
-        new: Layout,
-        states: dict[int, BodyState],
-        turns: dict[int, Quaternion],
-    ) -> None:
-        """Fills the new data's coordinates, velocities and warm start.
-
-        `states` are the bodies of edited structures, `turns` how their ball joints stand (body2 seen from body1).
-        """
-        data = self._data
-        fields = [
-            (data.qpos, old_data.qpos),
-            (data.qvel, old_data.qvel),
-            (data.qacc_warmstart, old_data.qacc_warmstart),
-        ]
-
-        def copy(to: Slot, by: Slot) -> None:
-            for (target, source), a, b, n in zip(
-                fields, (to.q, to.v, to.v), (by.q, by.v, by.v), (to.nq, to.nv, to.nv), strict=True
-            ):
-                target[a : a + n] = source[b : b + n]
-
-        jointed = False
-        for body, slot in new.free.items():
-            state = states.get(body)
-            if state is None:
-                copy(slot, old.free[body])
-            else:
-                self._put(slot, state)
-        for number, slot in new.joint.items():
-            joint, was = self._joints[number], old.joint.get(number)
-            if was is not None and joint.body1 not in states and joint.body2 not in states:
-                copy(slot, was)
-                continue
-            jointed = True
-            if joint.form == "ball":
-                data.qpos[slot.q : slot.q + 4] = _ball(joint.zero, turns[number], slot.flipped)
-            elif joint.form == "cone":
-                data.qpos[slot.q : slot.q + 3] = _cone(joint, turns[number], slot.flipped)
-            elif was is not None:
-                data.qpos[slot.q] = old_data.qpos[was.q]
-        if jointed:
-            self._project(new, states)
-
-    def _project(self, new: Layout, states: dict[int, BodyState]) -> None:
-        """Gives edited trees the generalized velocity that carries their bodies' momentum."""
-        model, data = self._model, self._data
-        mujoco.mj_kinematics(model, data)
-        mujoco.mj_comPos(model, data)
-        mujoco.mj_makeM(model, data)
-        mujoco.mj_factorM(model, data)
-        parts = [(new.body[body], body) for body in states]
-        parts += [(index, body) for index, body in new.twin.values() if body in states]
-        momentum = np.zeros(model.nv)
-        for index, body in sorted(parts):
-            state = states[body]
-            turn = data.ximat[index].reshape(3, 3)
-            spin = turn @ (model.body_inertia[index] * (turn.T @ np.array(state.angular_velocity)))
-            push = model.body_mass[index] * np.array(state.linear_velocity)
-            mujoco.mj_applyFT(model, data, push, spin, data.xipos[index], index, momentum)
-        velocity = np.zeros((1, model.nv))
-        mujoco.mj_solveM(model, data, velocity, momentum.reshape(1, -1))
-        for number, slot in new.joint.items():
-            joint = self._joints[number]
-            if joint.body1 in states or joint.body2 in states:
-                data.qvel[slot.v : slot.v + slot.nv] = velocity[0, slot.v : slot.v + slot.nv]
-        jointed = {joint.body1 for joint in self._joints.values()} | {joint.body2 for joint in self._joints.values()}
-        for body, slot in new.free.items():
-            if body in states and body in jointed:
-                data.qvel[slot.v : slot.v + 6] = velocity[0, slot.v : slot.v + 6]
-
-    # -- joint parameters ---------------------------------------------------------------------------------------
-
-    def _write_params(self, joint: Joint) -> None:
-        """Writes a joint's motor, spring and limits into the compiled model."""
-        model, params = self._model, joint.params
-        index, slot = self._layout.joint_index[joint.number], self._layout.joint[joint.number]
-        if joint.form == "ball":
-            return
-        if joint.form == "cone":
-            assert params.limits is not None
-            swing, twist = params.limits
-            # In the order of the tree the twist comes last, or first where the tree runs from body2 to body1.
-            twisting = index if slot.flipped else index + 2
-            model.jnt_limited[twisting] = True
-            model.jnt_range[twisting] = (-twist, twist)
-            chord = 2.0 * sin(min(max(swing, 0.0), _WIDEST_SWING) / 2.0)
-            model.tendon_range[self._layout.swing[joint.number]] = (0.0, max(chord, 1e-6))
-            return
-        model.jnt_stiffness[index] = params.stiffness
-        model.dof_damping[slot.v] = params.damping
-        model.jnt_limited[index] = params.limits is not None
-        model.jnt_range[index] = params.limits or (0.0, 0.0)
-        motor = self._layout.actuator.get(joint.number)
-        if motor is None:
-            return
-        # What the two sides weigh against each other along this joint.
-        inertia = 1.0 / max(float(model.dof_invweight0[slot.v]), 1e-12)
-        gain, bias = np.zeros(model.actuator_gainprm.shape[1]), np.zeros(model.actuator_biasprm.shape[1])
-        target = 0.0
-        if params.motor == "velocity" and params.max_effort > 0.0:
-            # As stiff as can be without overshooting when the bound on the effort is what stops it: one step at the
-            # bound then ends within the band in which the drive is linear.
-            gain[0] = 2.0 * inertia / self._scene.timestep
-            bias[2] = -gain[0]
-            target = params.target_velocity
-        elif params.motor == "position" and params.max_effort > 0.0:
-            gain[0] = inertia * _SERVO_RATE * _SERVO_RATE
-            bias[1], bias[2] = -gain[0], -2.0 * inertia * _SERVO_RATE
-            target = params.target_position
-        model.actuator_gainprm[motor], model.actuator_biasprm[motor] = gain, bias
-        bound = max(params.max_effort, 1e-300)
-        model.actuator_forcerange[motor] = (-bound, bound)
-        self._data.ctrl[motor] = target
-
-    # -- sleep --------------------------------------------------------------------------------------------------
-
-    def _sleep_by_key(self, edited: Collection[int]) -> dict[int, int]:
-        """Returns what may be kept of `tree_asleep`, with trees named by the keys of their first bodies.
-
-        A negative value is the count-down of a tree that is awake; another is the key of the next tree of a sleeping
-        island. An island in which anything was edited or removed wakes.
-        """
-        layout, model, asleep = self._layout, self._model, self._asleep.tolist()
-        keys = [layout.key.get(int(index)) for index in model.tree_bodyadr]  # None: parked
-        gone = {
-            int(model.body_treeid[index])
-            for index, body in layout.number.items()
-            if (body in edited or body not in self._bodies) and model.body_treeid[index] >= 0
-        }
-        for tree in sorted(gone):
-            while (following := asleep[tree]) >= 0:
-                asleep[tree] = _AWAKE
-                gone.add(tree := following)
-        kept = {}
-        for tree, link in enumerate(asleep):
-            key, following_key = keys[tree], keys[link] if link >= 0 else link
-            if key is not None and following_key is not None and tree not in gone:
-                kept[key] = following_key
-        return kept
-
-    def _restore_sleep(self, kept: dict[int, int]) -> None:
-        """Puts back what `_sleep_by_key` returned, in a model that may have other trees; parked ones always sleep."""
-        layout, model = self._layout, self._model
-        tree_of = {layout.key.get(int(index)): tree for tree, index in enumerate(model.tree_bodyadr)}
-        asleep = np.full(len(self._asleep), _AWAKE, self._asleep.dtype)
-        for key, link in kept.items():
-            asleep[tree_of[key]] = link if link < 0 else tree_of[link]
-        parked = model.body_treeid[layout.spares]
-        asleep[parked] = parked
+        asleep = put_sleep(layout, sleep)
         if (asleep >= 0).any():
             self._settle(asleep)
         else:
             self._asleep[:] = asleep
 
+    def _take(self, layout: Layout) -> None:
+        self._install(layout)
+        for joint in layout.joint_index:
+            self._drive(self._joints[joint])
+
+    def _drive(self, joint: Joint) -> None:
+        """Makes the model and the controls those that a joint's parameters ask for."""
+        write_params(self._layout, joint)
+        self._aim(joint)
+
+    def _aim(self, joint: Joint) -> None:
+        motor, params = self._layout.actuator.get(joint.number), joint.params
+        if motor is not None:
+            target = params.target_velocity if params.motor == "velocity" else params.target_position
+            self._data.ctrl[motor] = target if params.max_effort > 0.0 else 0.0
+
+    # -- sleep --------------------------------------------------------------------------------------------------
+
     def _settle(self, asleep: npt.NDArray[np.int32]) -> None:
         """Computes all that follows from the state, with everything awake, then puts trees to sleep as told."""
         model, data, state = self._model, self._data, self._state
         mujoco.mj_getState(model, data, state, STATE)
-        self._asleep[:] = _AWAKE
+        self._asleep[:] = AWAKE
         count_awake(model, data)
         if self._scenery.attracts:
             self._scenery.pull(model, data, 0.0)  # the state has no forces in it: these go again
@@ -919,28 +664,10 @@ class MujocoSimulation(Simulation):
         for index in indices:
             tree = int(self._model.body_treeid[index])
             while tree >= 0 and (following := int(self._asleep[tree])) >= 0:
-                self._asleep[tree] = _AWAKE
+                self._asleep[tree] = AWAKE
                 tree, woken = following, True
         if woken:
             count_awake(self._model, self._data)
-
-
-def _ball(zero: Quaternion, turn: Quaternion, flipped: bool) -> list[float]:
-    """The coordinate (w, x, y, z) of a ball joint: how the child is turned from its orientation at zero."""
-    x, y, z, w = normalize(multiply(zero, conjugate(turn)) if flipped else multiply(conjugate(zero), turn))
-    return [w, x, y, z]
-
-
-def _cone(joint: Joint, turn: Quaternion, flipped: bool) -> list[float]:
-    """The coordinates of a cone, in the order of its hinges: how far it is swung about two axes, and twisted."""
-    x, y, z, w = normalize(multiply(conjugate(joint.zero), turn))
-    u, v = across(joint.axis2)
-    # The same rotation with the axis as x, u as y and v as z: Ry(a) Rz(b) Rx(twist).
-    x, y, z = (_dot((x, y, z), one) for one in (joint.axis2, u, v))
-    b = asin(max(-1.0, min(1.0, 2.0 * (x * y + z * w))))
-    a = atan2(2.0 * (y * w - x * z), 1.0 - 2.0 * (y * y + z * z))
-    twist = atan2(2.0 * (x * w - y * z), 1.0 - 2.0 * (x * x + z * z))
-    return [twist, b, a] if flipped else [a, b, twist]
 
 
 def _hash(*parts: object) -> int:
@@ -950,11 +677,6 @@ def _hash(*parts: object) -> int:
 def _hash_joint(joint: Joint) -> int:
     # A motor's targets are in MuJoCo's state as controls; leaving them out here keeps setting one cheap.
     return _hash("joint", replace(joint, params=replace(joint.params, target_velocity=0.0, target_position=0.0)))
-
-
-def _about(axis: Vector, angle: float) -> Quaternion:
-    s = sin(angle / 2.0)
-    return (axis[0] * s, axis[1] * s, axis[2] * s, cos(angle / 2.0))
 
 
 def _plus(a: Vector, b: Vector) -> Vector:
