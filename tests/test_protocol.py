@@ -706,6 +706,17 @@ def test_the_raw_dialect_is_silent_after_these_commands_and_no_others() -> None:
         assert isinstance(request, Request) and raw.reply(request, b"{}") == b"{}" + DELIMITER
 
 
+def test_planets_stand_alone_in_the_raw_dialect() -> None:
+    told = encode({"type": "planets", "planets": [{"Name": "Planet_0"}], "id": 4})
+    failed = encode({"type": "error", "code": "world_faulted", "message": "", "command": "get_planets"})
+    for session, bare in ((opened(b"open sesame"), True), (opened(), False)):
+        (request,) = session.receive(b'{"type":"get_planets","id":4}' + DELIMITER)
+        assert isinstance(request, Request)
+        answer = b'{"planets":[{"Name":"Planet_0"}]}' if bare else told
+        assert session.reply(request, told) == answer + DELIMITER
+        assert session.reply(request, failed) == failed + DELIMITER
+
+
 def test_silence_is_kept_for_commands_that_are_not_valid() -> None:
     session = opened(b"open sesame")
     (request,) = session.receive(b'{"type":"apply_force","force":"up"}' + DELIMITER)

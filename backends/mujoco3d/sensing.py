@@ -3,7 +3,8 @@
 It hides what MuJoCo keeps of a step and what it drops. Readings are those of the last engine step. A sleeping tree
 has none, since the engine passes over it and drops its contacts; so they are computed when somebody asks, in a second
 `MjData` in which that tree's island alone is awake. They are then a function of the island's own coordinates, and are
-kept for as long as those stay: no query changes another's answer, or the simulation.
+kept for as long as those stay: no query changes another's answer, or the simulation. Where planets attract, nothing
+sleeps.
 
 A `Senses` belongs to one compiled model and its data; both are replaced together.
 """
@@ -172,8 +173,6 @@ class Senses:
         scratch.qacc_warmstart[:] = 0.0
         mujoco.mj_kinematics(model, scratch)
         mujoco.mj_comPos(model, scratch)
-        if self._scenery.attracts:
-            self._scenery.pull(model, scratch, 0.0)
         scratch.tree_asleep[:] = [_AWAKE if tree in awake else tree for tree in range(model.ntree)]
         count_awake(model, scratch)
         mujoco.mj_forward(model, scratch)
