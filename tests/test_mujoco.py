@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import math
+import random
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +20,13 @@ import programs
 from nmes import World
 from nmes.backend import Array, BodySpec, BodyState, JointParams, JointSpec, SceneSpec, Simulation, Vector
 from nmes.backends.mujoco3d import MujocoBackend, MujocoSimulation
+from nmes.backends.mujoco3d import layout as mujoco_layout
 from nmes.backends.mujoco3d import simulation as mujoco_simulation
 from nmes.backends.mujoco3d.layout import SPARE, Body, Layout, build, occupy, span, weigh
 from nmes.backends.mujoco3d.scenery import Scenery
 from nmes.errors import SimulationFault
+from nmes.recording import Recorder
+from nmes.replay import replay
 from nmes.rotation import quaternion_from_euler, rotate
 
 STEP = 1 / 240
@@ -89,7 +94,11 @@ def anchor_error(
     return worst
 
 
-def grid(simulation: Simulation, height: float = 0.5) -> tuple[dict[int, JointSpec], dict[int, tuple[Vector, Vector]]]:
+Made = tuple[dict[int, JointSpec], dict[int, tuple[Vector, Vector]]]
+"""Joints, and their anchors in the frames of both bodies."""
+
+
+def grid(simulation: Simulation, height: float = 0.5) -> Made:
     """A flat 3x3 grid of unit cubes, 0.1 m apart, with 12 hinges between neighbours."""
     where = {1 + 3 * i + k: (1.1 * i, height, 1.1 * k) for i in range(3) for k in range(3)}
     for body, position in where.items():
@@ -367,6 +376,58 @@ def test_a_hopping_grid_holds_together() -> None:
     assert worst < 0.005
 
 
+def ring(simulation: Simulation, kind: str, count: int = 8) -> Made:
+    """A closed chain of cubes in an upright circle, joined all around."""
+    radius = 0.6 / math.sin(math.pi / count)
+    places = [
+        (radius * math.cos(2 * math.pi * i / count), 9 + radius * math.sin(2 * math.pi * i / count), 0.0)
+        for i in range(count)
+    ]
+    return joined(simulation, kind, places, [(i, (i + 1) % count) for i in range(count)])
+
+
+def cage(simulation: Simulation, kind: str) -> Made:
+    """Eight cubes at the corners of a cube, joined along its twelve edges."""
+    corners = [(x, y, z) for x in (0.0, 1.5) for y in (8.0, 9.5) for z in (0.0, 1.5)]
+    edges = [(i, k) for i in range(8) for k in range(i + 1, 8) if math.dist(corners[i], corners[k]) < 1.6]
+    return joined(simulation, kind, corners, edges)
+
+
+def joined(simulation: Simulation, kind: str, places: list[Vector], pairs: list[tuple[int, int]]) -> Made:
+    for i, place in enumerate(places):
+        simulation.add_body(i + 1, box(place))
+    joints: dict[int, JointSpec] = {}
+    made: dict[int, tuple[Vector, Vector]] = {}
+    for number, (i, k) in enumerate(pairs, 1):
+        anchor = vector(np.add(places[i], places[k]) / 2)
+        joints[number] = JointSpec(kind, i + 1, k + 1, anchor, (0.0, 0.0, 1.0))
+        made[number] = (vector(np.subtract(anchor, places[i])), vector(np.subtract(anchor, places[k])))
+        simulation.add_joint(number, joints[number])
+    return joints, made
+
+
+@pytest.mark.parametrize("kind", ["hinge", "pin", "fixed", "conetwist"])
+@pytest.mark.parametrize("build_loops", [ring, cage])
+def test_loops_hold_together_for_a_minute_and_gain_no_energy(
+    build_loops: Callable[[Simulation, str], Made], kind: str
+) -> None:
+    simulation = scene(gravity=0)
+    joints, made = build_loops(simulation, kind)
+    masses = dict.fromkeys(range(1, 9), 1.0)
+    simulation.apply(1, NONE, NONE, (0.5, 1.0, 0.2), (0.1, 0.2, 0.3))
+    simulation.apply(5, NONE, NONE, (0.5, -1.0, 0.5), NONE)
+    for _ in range(30):
+        simulation.step(4)
+    energy, worst = kinetic_energy(simulation, masses), 0.0
+    for tick in range(3600):
+        simulation.step(4)
+        if tick % 10 == 0:
+            worst = max(worst, anchor_error(simulation, joints, made))
+    assert worst < 0.005
+    assert kinetic_energy(simulation, masses) < 1.05 * energy
+    assert momentum(simulation, masses)[0] == pytest.approx([1.0, 0.0, 0.7], abs=0.07)
+
+
 @pytest.mark.parametrize("kind", ["fixed", "hinge", "slide", "pin"])
 def test_every_kind_of_joint_closes_a_loop(kind: str) -> None:
     simulation = scene()
@@ -544,6 +605,26 @@ def test_cubes_spawned_at_one_point_come_apart_at_bounded_speed(count: int) -> N
     assert apart.min() > 0.9
 
 
+@pytest.mark.parametrize(
+    ("room", "code"), [(100, "contact_overflow"), (300, "constraint_overflow"), (500, "arena_exhausted")]
+)
+def test_an_engine_that_runs_out_of_room_faults(room: int, code: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(mujoco_layout, "_arena", lambda bodies: room << 10)
+    crowded, quiet = World({"mode": "lockstep"}), World({"mode": "lockstep"})
+    client, other = crowded.join(), quiet.join()
+    quiet.execute(other, {"type": "spawn_cube", "position": [0, 3, 0]})
+    quiet.execute(other, {"type": "step", "ticks": 10})
+    alone = quiet.digest()
+    for _ in range(12):
+        crowded.execute(client, {"type": "spawn_cube", "position": [0, 3, 0]})
+    assert crowded.execute(client, {"type": "step"})["code"] == "world_faulted"
+    assert crowded.fault is not None and (crowded.fault.code, crowded.fault.frame) == (code, 0)
+    assert quiet.digest() == alone and quiet.execute(other, {"type": "step"})["frame"] == 11
+    crowded.execute(client, {"type": "reset"})
+    crowded.execute(client, {"type": "spawn_cube", "position": [0, 3, 0]})
+    assert crowded.execute(client, {"type": "step"})["frame"] == 1
+
+
 def test_a_diverging_engine_names_the_body() -> None:
     simulation = scene()
     simulation.add_body(1, box((0.0, 0.5, 0.0)))
@@ -584,6 +665,44 @@ def test_a_restored_world_goes_on_like_the_one_it_was_taken_from(number: int) ->
     second.simulation.restore(held)
     assert first.digest() == second.digest()
     assert programs.play(first, program[40:]) == programs.play(second, program[40:])
+
+
+@pytest.mark.parametrize("number", range(70, 90))
+def test_edits_grouped_otherwise_within_a_tick_give_the_same_world(number: int) -> None:
+    """Whatever comes between two ticks may come in one message or in many."""
+    alone, grouped = world(number), world(number)
+    client, other = alone.join(), grouped.join()
+    source, waiting = random.Random(number), list[dict[str, Any]]()
+
+    def send() -> None:
+        while waiting:
+            size = source.randint(1, len(waiting))
+            grouped.execute(other, {"type": "batch", "commands": waiting[:size]})
+            del waiting[:size]
+
+    for step in programs.draw(number, 80):
+        for command in programs.commands(alone, step, queries=False):
+            alone.execute(client, command)
+            if command["type"] == "step":
+                send()
+                grouped.execute(other, command)
+                assert grouped.digest() == alone.digest()
+            else:
+                waiting.append(command)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("hundred", range(10))
+def test_a_thousand_programs_run_twice_and_replayed(hundred: int, tmp_path: Path) -> None:
+    for number in range(1000 + 100 * hundred, 1100 + 100 * hundred):
+        program = programs.draw(number, 100)
+        recorded = world(number)
+        path = tmp_path / f"{number}.mcap"
+        recorder = recorded.journal = Recorder(path, recorded)
+        played = programs.play(recorded, program)
+        recorder.close()
+        assert programs.play(world(number), program) == played, number
+        assert replay(path).verdict == "reproduced", number
 
 
 PLAY = """

@@ -553,11 +553,15 @@ def _options(spec: mujoco.MjSpec, scene: SceneSpec, bodies: int) -> None:
     option.disableflags |= disable.mjDSBL_AUTORESET | disable.mjDSBL_FILTERPARENT
     option.enableflags |= enable.mjENBL_SLEEP
     set_options(option, scene.options)
-    # Room for every cube to overlap every other (measured: 6 KiB a pair and direction); address space until it is used.
-    needed = 512 + bodies * bodies * 7
-    if scene.boxes or scene.heightfield is not None or scene.arena is not None:
-        needed += 1024 * bodies  # a big cube meets rough ground in 50 places
-    spec.memory = min(needed, 2048 * 1024) * _KIBIBYTE
+    spec.memory = _arena(bodies)
+
+
+def _arena(bodies: int) -> int:
+    """Returns the bytes for contacts and constraints: address space until it is used.
+
+    There is room for every cube to overlap every other (measured: 6 KiB a pair and direction), up to 2 GiB.
+    """
+    return min(512 + 7 * bodies * bodies, 2 << 20) * _KIBIBYTE
 
 
 def _bounce(restitution: float, timestep: float) -> list[float]:

@@ -396,7 +396,8 @@ class MujocoSimulation(Simulation):
             if substeps:
                 self._advance(substeps)
         except mujoco.FatalError as error:
-            raise SimulationFault("engine_failed", f"MuJoCo: {error}") from error
+            code = "arena_exhausted" if "memory" in str(error) else "engine_failed"
+            raise SimulationFault(code, f"MuJoCo: {error}") from error
         finally:
             if acted:
                 xfrc[:] = 0.0
