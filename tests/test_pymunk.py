@@ -17,7 +17,7 @@ from nmes import World
 from nmes.backend import BodyState, Heightfield, JointParams, JointSpec, SceneSpec, StaticBox
 from nmes.backends.pymunk2d import PymunkBackend, PymunkSimulation
 from nmes.contract.base import TIMESTEP, UPRIGHT, ZERO, about_z, box, close, run
-from nmes.errors import WorldError
+from nmes.errors import RejectedMessage, WorldError
 
 sys.path.insert(0, str(ROOT / "examples"))
 
@@ -201,7 +201,7 @@ def test_a_world_runs_on_it() -> None:
         client, {"type": "create_joint", "cube1": base, "cube2": arm, "joint_type": "hinge", "axis": X}
     )
     assert reply["type"] == "error"
-    with pytest.raises(WorldError):
+    with pytest.raises(RejectedMessage):
         World({"backend": "pymunk", "engine": {"solver": "newton"}})
 
 
