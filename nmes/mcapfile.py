@@ -360,25 +360,31 @@ class Reader:
         Raises:
             DamagedFile: Where the file is cut or damaged.
         """
-        with open(self.path, "rb") as file:
-            offset = self._start
-            crc = zlib.crc32(file.read(offset))
-            while True:
-                opcode, body = self._record(file, offset)
-                if opcode == Opcode.DATA_END:
-                    if _parsed(DataEnd, body, offset).data_section_crc not in (0, crc):
-                        raise DamagedFile(offset, "the checksum of the data section does not match")
-                    break
-                size = _PREFIX.size + len(body)
-                if opcode == Opcode.METADATA:
-                    yield Block(offset, size, _parsed(Metadata, body, offset), _PREFIX.pack(opcode, len(body)) + body)
-                elif opcode == Opcode.CHUNK:
-                    yield Block(offset, size, None, _unpacked(_parsed(Chunk, body, offset), offset))
-                elif opcode != Opcode.MESSAGE_INDEX:
-                    raise DamagedFile(offset, f"a record of type {opcode} at byte {offset} does not belong there")
-                crc = zlib.crc32(body, zlib.crc32(_PREFIX.pack(opcode, len(body)), crc))
-                offset += size
-            self._check_end(file, file.tell())
+        try:
+            with open(self.path, "rb") as file:
+                yield from self._blocks(file)
+        except OSError as error:
+            raise DamagedFile(0, f"{self.path} can no longer be read: {error.strerror}") from error
+
+    def _blocks(self, file: BinaryIO) -> Iterator[Block]:
+        offset = self._start
+        crc = zlib.crc32(file.read(offset))
+        while True:
+            opcode, body = self._record(file, offset)
+            if opcode == Opcode.DATA_END:
+                if _parsed(DataEnd, body, offset).data_section_crc not in (0, crc):
+                    raise DamagedFile(offset, "the checksum of the data section does not match")
+                break
+            size = _PREFIX.size + len(body)
+            if opcode == Opcode.METADATA:
+                yield Block(offset, size, _parsed(Metadata, body, offset), _PREFIX.pack(opcode, len(body)) + body)
+            elif opcode == Opcode.CHUNK:
+                yield Block(offset, size, None, _unpacked(_parsed(Chunk, body, offset), offset))
+            elif opcode != Opcode.MESSAGE_INDEX:
+                raise DamagedFile(offset, f"a record of type {opcode} at byte {offset} does not belong there")
+            crc = zlib.crc32(body, zlib.crc32(_PREFIX.pack(opcode, len(body)), crc))
+            offset += size
+        self._check_end(file, file.tell())
 
     def _check_end(self, file: BinaryIO, offset: int) -> None:
         """Checks the summary, from `offset` to the end of the file."""
@@ -404,12 +410,15 @@ class Reader:
             raise self._cut(file, offset)
         if length > MAX_RECORD:
             raise DamagedFile(offset, f"the record at byte {offset} says that it is {length} bytes long")
-        return opcode, file.read(length)
+        body = file.read(length)
+        if len(body) < length:  # it has become shorter since it was opened
+            raise self._cut(file, offset)
+        return opcode, body
 
     def _cut(self, file: BinaryIO, offset: int) -> DamagedFile:
         """Tells a file that ends early from one with a wrong length in it: that one has its end."""
-        file.seek(-len(MAGIC), os.SEEK_END)
-        if file.read() == MAGIC and offset > 0:
+        file.seek(max(0, self.size - len(MAGIC)))
+        if file.read() == MAGIC:
             return DamagedFile(offset, f"the record at byte {offset} says that it goes on beyond the end of the file")
         where = "after its last whole record" if offset == self.size else f"in the record that begins at byte {offset}"
         return DamagedFile(offset, f"the file ends at byte {self.size}, {where}", cut=True)

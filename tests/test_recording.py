@@ -410,6 +410,16 @@ def test_lengths_are_not_believed(busy_file: Path, tmp_path: Path) -> None:
         assert damage is not None and reason in damage.message
 
 
+def test_a_file_that_shrinks_or_goes_while_it_is_read_is_damaged(busy_file: Path, tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(busy_file.read_bytes())
+    shrunk, gone = Recording(path), Recording(path)
+    os.truncate(path, 5000)
+    assert shrunk.damage is not None and shrunk.damage.cut
+    path.unlink()
+    assert gone.damage is not None and "can no longer be read: No such file" in gone.damage.message
+
+
 def test_what_is_no_recording_is_refused_with_a_reason(tmp_path: Path) -> None:
     def reason(path: Path) -> str:
         with pytest.raises(RecordingError) as info:
