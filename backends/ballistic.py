@@ -36,7 +36,7 @@ from nmes.backend import (
     Vector,
 )
 from nmes.errors import SimulationFault, WorldError
-from nmes.rotation import multiply, normalize
+from nmes.rotation import cross, multiply, normalize
 
 __all__ = ["BallisticBackend"]
 
@@ -229,17 +229,17 @@ class BallisticSimulation(Simulation):
         for b in cluster:
             arm, own = np.subtract(b.position, centre), _inertia(b)
             inertia += own + b.spec.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-            spin += own @ b.angular + b.spec.mass * np.cross(arm, b.linear)
-            torque += b.torque + np.cross(arm, b.force)
+            spin += own @ b.angular + b.spec.mass * np.array(cross(_vector(arm), b.linear))
+            torque += np.add(b.torque, cross(_vector(arm), b.force))
         yielding = np.linalg.inv(inertia)
         half = _matrix(_rotation(yielding @ spin, h / 2))
         turn = _rotation(half @ yielding @ half.T @ (spin + torque * h / 2), h)
         matrix = _matrix(turn)
-        angular = matrix @ yielding @ matrix.T @ (spin + torque * h)
+        angular = _vector(matrix @ yielding @ matrix.T @ (spin + torque * h))
         for b in cluster:
-            arm = matrix @ np.subtract(b.position, centre)
-            b.position, b.quaternion = _vector(centre + arm), normalize(multiply(turn, b.quaternion))
-            b.linear, b.angular = _vector(velocity + np.cross(angular, arm)), _vector(angular)
+            reach = _vector(matrix @ np.subtract(b.position, centre))
+            b.position, b.quaternion = _add(centre, reach), normalize(multiply(turn, b.quaternion))
+            b.linear, b.angular = _add(velocity, cross(angular, reach)), angular
 
     def _land(self, cluster: list[_Body], depth: float, velocity: Vector, fall: float, mass: float, h: float) -> None:
         """Puts a cluster that is `depth` in the ground onto it: a bounce, Coulomb friction, and no more turning."""
