@@ -275,7 +275,7 @@ class KeepsItsWorlds(Planted):
     kept: ClassVar[list[Any]] = []
 
     def create(self, scene: SceneSpec) -> BallisticSimulation:
-        self.kept.append(np.ones(50_000))
+        self.kept.append(np.ones(500_000))  # more than what earlier tests may have freed and not given back
         return BallisticSimulation(scene)
 
 
