@@ -100,7 +100,7 @@ class Heightfield:
     Attributes:
         size: Extent along x and z, m.
         heights: Array (rows along z, columns along x) of heights y in m, at equal distances from the edges at -size/2
-            to those at +size/2. In between the surface is made of triangles.
+            to those at +size/2. In between the surface is straight along x and along z, within what the engine can do.
     """
 
     size: tuple[float, float]

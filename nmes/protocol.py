@@ -603,7 +603,7 @@ class Session:
             return b""
         if command is not None and command.bare:
             message = decode(reply)
-            if message["type"] == command.reply:
+            if message.get("type") == command.reply:
                 reply = encode({key: value for key, value in message.items() if key not in ("type", "id")})
         return reply + DELIMITER
 

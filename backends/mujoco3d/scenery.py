@@ -8,13 +8,13 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
-from math import hypot, sqrt
+from math import ceil, hypot, sqrt
 from typing import Any
 
 import mujoco
 import numpy as np
 
-from nmes.backend import Heightfield, Quaternion, SceneSpec, Vector
+from nmes.backend import Array, Heightfield, Quaternion, SceneSpec, Vector
 from nmes.backends.mujoco3d.arenas import Part, parts
 from nmes.errors import WorldError
 
@@ -25,6 +25,9 @@ _UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
 _GREY = (0.5, 0.5, 0.5, 1.0)
 _GREEN = (0.35, 0.45, 0.3, 1.0)
 _BASE = 1.0  # m: how thick a landscape is under its lowest point
+# Heights are at most so far apart (m), unless that made more rows than _ROWS: a cube within one of MuJoCo's triangles
+# trembles and never sleeps. Not finer than that, for at most 50 points carry a cube.
+_CELL, _ROWS = 0.5, 500
 
 _SOLVERS = {
     "newton": mujoco.mjtSolver.mjSOL_NEWTON,
@@ -78,6 +81,10 @@ class Scenery:
 
     def add(self, spec: mujoco.MjSpec) -> None:
         """Adds all of it to the world body of a model that is being built."""
+        if self._fields:
+            # Nothing but landscapes is met by this algorithm, and it finds one point where a face lies on a triangle:
+            # a cube smaller than the grid's cells would tumble for ever. Its predecessor finds the face's corners.
+            spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_NATIVECCD
         for i, geom in enumerate(self._geoms):
             field = self._fields.get(i)
             if field is None:
@@ -126,11 +133,23 @@ def _ground(scene: SceneSpec) -> list[Part]:
 
 def _landscape(field: Heightfield) -> Part:
     # Turned upright, MuJoCo's rows run against our z. It takes heights from 0 to 1 and stretches them.
-    heights = field.heights[::-1]
+    heights = _refined(_refined(field.heights, field.size[1]).T, field.size[0]).T[::-1]
     low, high = float(heights.min()), float(heights.max())
     rise = max(high - low, 1e-6)  # a level one must have some thickness, too
     size = (field.size[0] / 2.0, field.size[1] / 2.0, rise, _BASE)
     return Part(mujoco.mjtGeom.mjGEOM_HFIELD, size, (0.0, low, 0.0), _FACE_UP, _GREEN, (heights - low) / rise)
+
+
+def _refined(heights: Array, extent: float) -> Array:
+    """Returns more rows, on straight lines between the given ones, where these are far apart."""
+    rows = len(heights)
+    parts = min(ceil(extent / (rows - 1) / _CELL), _ROWS // rows)
+    if parts < 2:
+        return heights
+    places = np.arange((rows - 1) * parts + 1) / parts
+    before = np.minimum(places.astype(int), rows - 2)
+    share = (places - before)[:, None]
+    return np.asarray(heights[before] * (1.0 - share) + heights[before + 1] * share)
 
 
 def _obstacles(scene: SceneSpec) -> list[Part]:
