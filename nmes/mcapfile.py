@@ -61,6 +61,7 @@ __all__ = [
 ]
 
 MAGIC = b"\x89MCAP0\r\n"
+MAX_CHANNELS = 0xFFFF
 MAX_RECORD = 256 << 20  # bytes; also of a chunk when unpacked
 _PREFIX = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE = struct.Struct("<BQHIQQ")  # the same, then channel, sequence, log time, publish time
@@ -162,8 +163,8 @@ class Writer:
         channel = Channel(
             id=len(self._channels) + 1, topic=topic, message_encoding=encoding, schema_id=schema, metadata={}
         )
-        if channel.id > 0xFFFF:
-            raise RecordingError("recording_failed", "an MCAP file holds at most 65,535 channels; begin a new one")
+        if channel.id > MAX_CHANNELS:
+            raise RecordingError("recording_failed", f"a file holds at most {MAX_CHANNELS:,} channels; begin a new one")
         self._channels.append(channel)
         self._counts[channel.id] = 0
         self._add_definition(channel)
@@ -208,7 +209,7 @@ class Writer:
         for channel, entries in self._index.items():
             offsets[channel] = self._end + len(chunk) + index_length
             size = 8 * len(entries)
-            if sys.byteorder == "big":
+            if sys.byteorder == "big":  # pragma: no cover - MCAP is little-endian
                 entries.byteswap()
             indexes.append(_INDEX.pack(Opcode.MESSAGE_INDEX, size + 6, channel, size) + entries.tobytes())
             index_length += len(indexes[-1])
@@ -372,7 +373,7 @@ class Reader:
         while True:
             opcode, body = self._record(file, offset)
             if opcode == Opcode.DATA_END:
-                if _parsed(DataEnd, body, offset).data_section_crc not in (0, crc):
+                if _parsed(DataEnd, body, offset).data_section_crc != crc:
                     raise DamagedFile(offset, "the checksum of the data section does not match")
                 break
             size = _PREFIX.size + len(body)
@@ -395,9 +396,9 @@ class Reader:
         if footer < 0 or not end.endswith(MAGIC):
             raise DamagedFile(offset, f"the file ends in its summary, at byte {offset + len(end)}", cut=True)
         opcode, length, start, _, crc = _FOOTER.unpack_from(end, footer)
-        if (opcode, length) != (Opcode.FOOTER, _FOOTER.size - _PREFIX.size) or start not in (0, offset):
+        if (opcode, length) != (Opcode.FOOTER, _FOOTER.size - _PREFIX.size) or start != offset:
             raise DamagedFile(offset + footer, "the footer is damaged")
-        if crc not in (0, zlib.crc32(end[: footer + _FOOTER.size - 4])):
+        if crc != zlib.crc32(end[: footer + _FOOTER.size - 4]):
             raise DamagedFile(offset, "the checksum of the summary does not match")
 
     def _record(self, file: BinaryIO, offset: int) -> tuple[int, bytes]:
@@ -443,8 +444,6 @@ def _unpacked(chunk: Chunk, offset: int) -> bytes:
         # The packed data state their size too, and it is that which the library makes room for.
         if chunk.compression == "zstd" and zstandard.frame_content_size(chunk.data) == chunk.uncompressed_size:
             content = zstandard.ZstdDecompressor().decompress(chunk.data)
-        elif chunk.compression == "":
-            content = chunk.data
     except zstandard.ZstdError:
         pass
     if content is None or zlib.crc32(content) != chunk.uncompressed_crc:

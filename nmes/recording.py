@@ -56,8 +56,7 @@ _NEVER = -1  # when a recorder flushed that cannot: the next record of any kind 
 _COMMAND, _REPLY, _REFUSED = 0, 1, 2
 _TICKS, _CLIENTS, _FAULTS, _POSES, _SCENE, _CHAIN = -1, -2, -3, -4, -5, -6
 _TOPICS = {_TICKS: "ticks", _CLIENTS: "clients", _FAULTS: "faults", _POSES: "/tf", _SCENE: "/scene", _CHAIN: "chain"}
-_END = "nmes.end"  # the metadata record that closes a file; _BEGINNING others open it
-_BEGINNING = 3
+_END = "nmes.end"  # the metadata record that closes a file
 _SEQUENCE_MASK = 0xFFFFFFFF  # MCAP's sequence numbers have 32 bits
 _CLIENT_TOPICS = {_COMMAND: "commands", _REPLY: "replies", _REFUSED: "refused"}
 
@@ -428,33 +427,29 @@ class Recording:
             )
         self._damage: DamagedFile | None = None
         self._checked = False
-        self.metadata, self._head = self._begin()
-        about = self.metadata.get("nmes.recording", {})
-        if about.get("format", FORMAT) != FORMAT:
+        self.metadata: dict[str, dict[str, str]] = {}
+        beginning, reason = b"", ""
+        try:
+            for block in self._reader.blocks():
+                if block.metadata is None or block.metadata.name == _END:
+                    break
+                self.metadata[block.metadata.name] = block.metadata.metadata
+                beginning += block.content
+        except DamagedFile as error:
+            reason = f": {error.message}"
+        self._head = _next_head(b"", beginning)
+        written = self.metadata.get("nmes.recording", {}).get("format", FORMAT)
+        if written != FORMAT:
             raise RecordingError(
-                "unknown_format", f"{path} is a recording of format {about['format']}; this nmes reads format {FORMAT}"
+                "unknown_format", f"{path} is a recording of format {written}; this nmes reads format {FORMAT}"
             )
         try:
             protocol.validate_metadata(self.metadata)
             self.config: dict[str, Any] = protocol.complete_config(orjson.loads(self.metadata["nmes.world"]["config"]))
         except (NmesError, ValueError) as error:
-            raise RecordingError("not_a_recording", f"{path} does not say how its world began: {error}") from None
+            reason = reason or f": {error}"
+            raise RecordingError("not_a_recording", f"{path} does not say how its world began{reason}") from None
         self.fingerprint = self.metadata["nmes.fingerprint"]
-
-    def _begin(self) -> tuple[dict[str, dict[str, str]], bytes]:
-        """Reads the metadata records ahead of the first chunk; returns them and the head of their chain."""
-        metadata, content = {}, b""
-        try:
-            for block in self._reader.blocks():
-                if block.metadata is None or block.metadata.name == _END:
-                    break
-                metadata[block.metadata.name] = block.metadata.metadata
-                content += block.content
-        except DamagedFile as error:
-            if len(metadata) < _BEGINNING:
-                reason = error.message
-                raise RecordingError("not_a_recording", f"{self.path} is cut in its beginning: {reason}") from error
-        return metadata, _next_head(b"", content)
 
     @property
     def damage(self) -> DamagedFile | None:

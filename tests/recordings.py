@@ -62,6 +62,7 @@ def busy(world: World, client: int) -> None:
         world.handle(other, parse(b'{"type":"no such thing","id":7}'))
     world.handle(other, parse(b"\xff\xfe not even text"))
     send(world, client, type="pause")
+    send(world, client, type="ping")
     for _ in range(15):
         world.tick()  # by the clock
     world.leave(other)
@@ -69,7 +70,7 @@ def busy(world: World, client: int) -> None:
     send(world, client, type="get_world_state")
 
 
-def rewrite(source: Path, target: Path, edit: Edit, *, chained: bool = True, missing: int = 0) -> Path:
+def rewrite(source: Path, target: Path, edit: Edit, *, chained: bool = True, missing: int = 0, skip: int = 0) -> Path:
     """Writes a recording again with its messages edited, all checksums in order.
 
     Args:
@@ -78,6 +79,7 @@ def rewrite(source: Path, target: Path, edit: Edit, *, chained: bool = True, mis
         edit: What becomes of the messages, those of the chain left out.
         chained: Whether the hash chain is made anew too; otherwise its old heads are kept.
         missing: How many records more than there are the closing metadata speak of.
+        skip: By how much the second half of the sequence numbers is too high.
     """
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
@@ -108,7 +110,8 @@ def rewrite(source: Path, target: Path, edit: Edit, *, chained: bool = True, mis
         for channel in channels.values()
     }
     edited = edit(lines)
-    for sequence, line in enumerate(edited):
+    for i, line in enumerate(edited):
+        sequence = i + skip * (i >= len(edited) // 2)
         writer.add(numbers[line.topic], sequence, line.log_time, 0, line.data)
     head = hashlib.sha256(chain.digest() + writer.open_chunk).hexdigest()
     last = orjson.dumps({"head": head}) if chained else heads[0]

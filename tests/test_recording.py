@@ -140,6 +140,7 @@ def test_the_summary_counts(busy_file: Path) -> None:
         "get_cube_info": 8,
         "spawn_cube": 2,
         "pause": 1,
+        "ping": 1,
         "get_world_state": 1,
     }
 
@@ -470,6 +471,11 @@ def test_what_is_missing_at_the_end_is_told(busy_file: Path, tmp_path: Path) -> 
     assert list(recording)
 
 
+def test_records_out_of_their_place_are_found(busy_file: Path, tmp_path: Path) -> None:
+    damage = Recording(rewrite(busy_file, tmp_path / "x.mcap", lambda lines: lines, skip=1)).damage
+    assert damage is not None and "is out of its place" in damage.message
+
+
 def test_changed_metadata_break_the_chain(busy_file: Path, tmp_path: Path) -> None:
     # The fingerprint stands in plain bytes in front of the first chunk. Set the checksum of the data section right.
     data = bytearray(busy_file.read_bytes())
@@ -481,6 +487,41 @@ def test_changed_metadata_break_the_chain(busy_file: Path, tmp_path: Path) -> No
     path.write_bytes(data)
     damage = Recording(path).damage
     assert damage is not None and "does not continue the hash chain" in damage.message
+
+
+def test_records_in_the_wrong_place_are_damage(busy_file: Path, tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    data = busy_file.read_bytes()
+    first = next(block for block in Reader(busy_file).blocks() if block.metadata is None)
+    message = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0)
+    path.write_bytes(data[: first.offset] + message + data[first.offset :])
+    damage = Recording(path).damage
+    assert damage is not None
+    assert damage.message == f"a record of type 5 at byte {first.offset} does not belong there; no record can be read"
+    path.write_bytes(MAGIC + message)
+    with pytest.raises(RecordingError, match="does not begin with a header"):
+        Recording(path)
+    # A footer that speaks of another place, its checksum in order.
+    footer = data[-8 - 29 : -8]
+    opcode, length, start, offsets, _ = struct.unpack("<BQQQI", footer)
+    end = data.rindex(struct.pack("<BQ", 15, 4)) + 13
+    wrong = struct.pack("<BQQQ", opcode, length, start - 1, offsets)
+    path.write_bytes(data[: -8 - 29] + wrong + struct.pack("<I", zlib.crc32(data[end : -8 - 29] + wrong)) + MAGIC)
+    damage = Recording(path).damage
+    assert damage is not None and "the footer is damaged" in damage.message
+
+
+def test_records_longer_than_a_reader_takes_are_neither_written_nor_read(
+    busy_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nmes.mcapfile.MAX_RECORD", 2000)
+    damage = Recording(busy_file).damage
+    assert damage is not None and "says that it is" in damage.message
+    writer = Writer(tmp_path / "x.mcap", profile="test", library="")
+    writer.add(writer.channel("topic", ""), 0, 0, 0, bytes(3000))
+    with pytest.raises(RecordingError, match="is more than a reader takes"):
+        writer.flush()
+    writer.close()
 
 
 # -- faults and failures ---------------------------------------------------------------------------------------------
@@ -564,6 +605,28 @@ def test_a_failing_flush_stops_the_world_at_its_next_input(tmp_path: Path) -> No
     world.tick()
     assert world.fault is not None and world.fault.code == "recording_failed"
     assert send(world, client, type="spawn_cube")["code"] == "world_faulted"
+
+
+def test_a_file_that_cannot_be_begun_is_told(tmp_path: Path) -> None:
+    world = World({"backend": "ballistic"})
+    with pytest.raises(RecordingError, match="cannot create"):
+        Recorder(tmp_path / "no such folder" / "x.mcap", world)
+    with files_no_longer_than(100), pytest.raises(RecordingError, match="cannot write"):
+        Recorder(tmp_path / "x.mcap", world)
+
+
+def test_more_clients_than_a_file_can_hold_fault_the_world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nmes.mcapfile.MAX_CHANNELS", 20)
+    world = World({"backend": "ballistic", "mode": "lockstep"})
+    recorder = world.journal = Recorder(tmp_path / "x.mcap", world)
+    for _ in range(12):
+        client = world.join()
+        send(world, client, type="ping")
+        world.leave(client)
+    recorder.close()
+    assert world.fault is not None and world.fault.code == "recording_failed"
+    assert "begin a new one" in world.fault.message
+    assert Recording(tmp_path / "x.mcap").damage is not None
 
 
 def test_an_end_that_cannot_be_written_is_told(tmp_path: Path) -> None:

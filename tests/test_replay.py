@@ -35,7 +35,7 @@ def busy_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_recording_is_reproduced(busy_file: Path) -> None:
     report = replay(busy_file)
-    assert (report.verdict, report.ticks, report.commands) == ("reproduced", 40, 46)
+    assert (report.verdict, report.ticks, report.commands) == ("reproduced", 40, 47)
     assert report.sim_seconds == pytest.approx(40 / 60)
     assert report.speed > 0
     assert report.divergence is None and report.damage is None and report.differences == {}
@@ -257,6 +257,44 @@ def test_a_changed_reply_is_found_with_both_values(busy_file: Path, tmp_path: Pa
     assert found.value.amount == pytest.approx(0.5)
 
 
+@pytest.mark.parametrize(
+    ("before", "after", "field", "expected", "actual"),
+    [
+        (b'"spawned":"two"', b'"spawned":"owt"', "spawned", "owt", "two"),
+        (b'"cubes":["one","two"]', b'"cubes":["one"]', "cubes", "1 items", "2 items"),
+        (b'"frozen":false', b'"frozen":true', "frozen", True, False),
+        (b'"sleeping":false,', b"", "sleeping", None, False),
+        (
+            b'{"type":"paused"',
+            b'{ "type":"paused"',
+            "",
+            '{ "type":"paused","frame":15}',
+            '{"type":"paused","frame":15}',
+        ),
+        (b'{"type":"pong"', b'{{"type":"pong"', "", None, {"type": "pong"}),
+    ],
+)
+def test_whatever_is_changed_in_a_reply_is_shown(
+    busy_file: Path, tmp_path: Path, before: bytes, after: bytes, field: str, expected: object, actual: object
+) -> None:
+    def edit(lines: list[Line]) -> list[Line]:
+        at = next(i for i in commands_of(lines, "replies") if before in lines[i].data)
+        return changed(lines, at, lines[at].data.replace(before, after))
+
+    found = divergence(busy_file, tmp_path, edit)
+    assert found.kind == "reply" and found.value is not None
+    assert (found.value.field, found.value.expected, found.value.actual) == (field, expected, actual)
+    assert found.value.amount is None
+
+
+def test_a_client_with_another_number_is_found(busy_file: Path, tmp_path: Path) -> None:
+    def edit(lines: list[Line]) -> list[Line]:
+        return changed(lines, first(lines, "clients"), b'{"client":7,"event":"joined"}')
+
+    found = divergence(busy_file, tmp_path, edit)
+    assert found.kind == "client" and "client 7 joined; now it has number 1" in found.message
+
+
 def test_a_changed_picture_is_found(busy_file: Path, tmp_path: Path) -> None:
     for topic in ("/tf", "/scene"):
 
@@ -376,7 +414,7 @@ def run(*arguments: str | Path) -> tuple[int, str]:
 def test_nmes_replay_prints_the_verdict(busy_file: Path, tmp_path: Path) -> None:
     code, output = run("replay", busy_file)
     assert code == 0
-    assert output.startswith("reproduced: 40 ticks, 46 commands, ")
+    assert output.startswith("reproduced: 40 ticks, 47 commands, ")
     assert output.endswith(" times faster than real time\n")
 
     def edit(lines: list[Line]) -> list[Line]:
@@ -394,7 +432,7 @@ def test_nmes_replay_prints_json(busy_file: Path, tmp_path: Path) -> None:
     code, output = run("replay", busy_file, "--json")
     report = json.loads(output)
     assert code == 0
-    assert (report["verdict"], report["ticks"], report["commands"]) == ("reproduced", 40, 46)
+    assert (report["verdict"], report["ticks"], report["commands"]) == ("reproduced", 40, 47)
     path = rewrite(busy_file, tmp_path / "x.mcap", lambda lines: [*lines[:3], *lines[5:]])
     code, output = run("replay", path, "--json")
     report = json.loads(output)
@@ -428,7 +466,18 @@ def test_nmes_replay_says_why_it_is_not_comparable(busy_file: Path, monkeypatch:
     assert "not comparable" in output and "(here: x86-64-v0)" in output
     code, output = run("replay", busy_file, "--anyway")
     assert code == 1
-    assert "run anyway, it agrees all the same: 40 ticks, 46 commands" in output
+    assert "run anyway, it agrees all the same: 40 ticks, 47 commands" in output
+
+
+def test_nmes_info_counts_faults(tmp_path: Path) -> None:
+    def play(world: World, client: int) -> None:
+        send(world, client, type="spawn_cube", cube_name="far")
+        send(world, client, type="apply_physics", cube_name="far", impulse=[1e15, 0, 0])
+        send(world, client, type="step")
+
+    code, output = run("info", record(tmp_path / "x.mcap", play))
+    assert code == 0
+    assert "\nfaults" in output
 
 
 def test_nmes_info_shows_what_a_recording_is(busy_file: Path) -> None:
