@@ -149,7 +149,9 @@ class _Joint:
             bounds = -widest, widest
         for constraint in self.structure:
             if isinstance(constraint, pymunk.GrooveJoint):
-                constraint.groove_a, constraint.groove_b = map(self.along, bounds or (-FAR / 2, FAR / 2))
+                lower, upper = bounds or (-FAR / 2, FAR / 2)
+                # A groove without length would have no direction.
+                constraint.groove_a, constraint.groove_b = self.along(lower), self.along(max(upper, lower + 1e-6))
             elif isinstance(constraint, pymunk.RotaryLimitJoint) and bounds is not None:
                 constraint.min, constraint.max = sorted(self.zero + self.sign * bound for bound in bounds)
         if self.spring is not None:
@@ -344,7 +346,8 @@ class PymunkSimulation(Simulation):
 
     def apply(self, body: int, force: Vector, torque: Vector, impulse: Vector, angular_impulse: Vector) -> None:
         b = self._bodies[body]
-        if b.frozen:
+        acts = any((*force[:2], torque[2], *impulse[:2], angular_impulse[2]))
+        if b.frozen or not acts:  # what acts would wake it
             return
         b.force = b.force[0] + force[0], b.force[1] + force[1]
         b.impulse = b.impulse[0] + impulse[0], b.impulse[1] + impulse[1]
@@ -381,11 +384,9 @@ class PymunkSimulation(Simulation):
         found: list[Contact] = []
 
         def note(arbiter: pymunk.Arbiter) -> None:
-            points, away = arbiter.contact_point_set, arbiter.normal
-            if points.points:
-                x, y = sum((p.point_a + p.point_b for p in points.points), pymunk.Vec2d(0, 0)) / (
-                    2 * len(points.points)
-                )
+            points, away = arbiter.contact_point_set.points, arbiter.normal
+            if points:
+                x, y = sum((p.point_a + p.point_b for p in points), pymunk.Vec2d(0, 0)) / (2 * len(points))
                 force = max(0.0, -arbiter.total_impulse.dot(away) / self._timestep)
                 other = self._numbers.get(arbiter.shapes[1])
                 found.append(Contact(other, (x, y, 0.0), (-away.x, -away.y, 0.0), force))
@@ -423,9 +424,8 @@ class PymunkSimulation(Simulation):
             self._making = b"".join(self._pack_making())
         state = blake2b(self._making, digest_size=16)
         state.update(self._read().tobytes())
-        state.update(
-            self._order.tobytes()
-        )  # the order in which the engine solves, and whatever fell asleep goes to its end
+        # The order in which the engine solves; what falls asleep goes to its end.
+        state.update(self._order.tobytes())
         for b in self._pushed.values():
             state.update(struct.pack("<7d", b.number, *b.force, b.torque, *b.impulse, b.spin))
         for j in self._joints.values():
@@ -501,10 +501,10 @@ class PymunkSimulation(Simulation):
             yield struct.pack("<8d", b.number, *spec.size, spec.mass, spec.friction, spec.restitution, b.frozen)
         for number, j in self._joints.items():
             p = j.params
-            made = (number, j.one.number, j.two.number, *j.anchor1, *j.anchor2, *j.axis, j.sign, j.zero)
+            made = (number, j.one.number, j.two.number, *j.anchor1, *j.anchor2, *j.axis, j.sign, j.twists, j.zero)
             limits = p.limits or (math.nan, math.nan)
             effort = (p.target_velocity, p.target_position, p.max_effort, p.stiffness, p.damping, *limits)
-            yield f"{j.kind} {p.motor}".encode() + struct.pack("<18d", *made, *effort)
+            yield f"{j.kind} {p.motor}".encode() + struct.pack("<19d", *made, *effort)
 
 
 class PymunkBackend(Backend):

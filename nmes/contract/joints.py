@@ -219,6 +219,9 @@ class JointChecks(Checks):
             sim = self.machine(kind, JointParams(limits=(-0.4, 0.3)), gravity=(0.0, -G, 0.0), hanging=True)
             run(sim, 4.0)
             close([sim.joint_state(0).position], [-0.4], 0.02, f"{kind}: position at the limit")
+            sim.set_joint_params(0, JointParams(limits=(-0.4, -0.4)))
+            run(sim, 1.0)
+            close([sim.joint_state(0).position], [-0.4], 0.02, f"{kind}: position between equal limits")
             sim.set_joint_params(0, JointParams())
             run(sim, 0.3)
             assert sim.joint_state(0).position < -0.5, f"{kind}: held by a limit that is gone"
