@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import base64
 import ipaddress
 import json
 import logging
@@ -144,7 +145,23 @@ def _read_config(path: Path) -> dict[str, Any]:
         raise click.UsageError(f"{path}: {error}") from error
     if not isinstance(config, dict):
         raise click.UsageError(f"{path}: a world config is a JSON object, not {type(config).__name__}")
+    _embed_image(config, path)
     return config
+
+
+def _embed_image(config: dict[str, Any], path: Path) -> None:
+    """Replaces the `image_file` of a landscape, beside the config's own file, by the image itself.
+
+    A world reads no file, and a recording must hold all that the world was made of.
+    """
+    scene = config.get("scene")
+    landscape = scene.get("heightfield") if isinstance(scene, dict) else None
+    if isinstance(landscape, dict) and isinstance(landscape.get("image_file"), str):
+        image = path.parent / landscape.pop("image_file")
+        try:
+            landscape["image"] = base64.b64encode(image.read_bytes()).decode()
+        except OSError as error:
+            raise click.UsageError(f"{path}: scene/heightfield/image_file: {error}") from error
 
 
 def _choose_password(given: str | None, file: Path | None) -> tuple[str, str]:

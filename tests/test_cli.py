@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import base64
 import json
 import os
 import re
@@ -15,6 +16,7 @@ from typing import Any
 import click
 import pytest
 from click.testing import CliRunner, Result
+from PIL import Image
 
 from layout import ROOT
 from nmes import Client
@@ -172,6 +174,20 @@ def test_a_config_file_and_options_that_win_over_it(tmp_path: Path) -> None:
         assert server.wait(PATIENCE) == 0
 
 
+def test_a_landscape_s_image_comes_from_beside_the_config(tmp_path: Path) -> None:
+    (tmp_path / "below").mkdir()
+    Image.linear_gradient("L").save(tmp_path / "below" / "hills.png")
+    scene = {"type": "heightfield", "heightfield": {"image_file": "hills.png"}}
+    (tmp_path / "below" / "world.json").write_text(json.dumps({"scene": scene, "mode": "lockstep"}))
+    options = ["--config", str(tmp_path / "below" / "world.json"), "--password", "p", "--record", str(tmp_path)]
+    with process("serve", "--json", "--port", "0", *options) as server:
+        said = ready(server)
+        server.terminate()
+        assert server.wait(PATIENCE) == 0
+    image = Recording(Path(said["recording"])).config["scene"]["heightfield"]["image"]
+    assert base64.b64decode(image) == (tmp_path / "below" / "hills.png").read_bytes()
+
+
 @pytest.mark.parametrize(
     ("options", "config", "says"),
     [
@@ -189,6 +205,12 @@ def test_a_config_file_and_options_that_win_over_it(tmp_path: Path) -> None:
         (["--config", "world.json"], '{"substeps": 0}', "substeps: "),
         (["--config", "world.json"], '{"limits": {"cubes": "many"}}', "limits/cubes: "),
         (["--config", "world.json"], '{"gravitiy": [0, 0, 0]}', "gravitiy: "),
+        (["--config", "world.json"], '{"scene": {"type": "heightfield"}}', "ballistic backend has no scenery"),
+        (
+            ["--config", "world.json"],
+            '{"scene": {"type": "heightfield", "heightfield": {"image_file": "nowhere.png"}}}',
+            "scene/heightfield/image_file: ",
+        ),
     ],
 )
 def test_wrong_usage_exits_2_and_names_what_is_wrong(

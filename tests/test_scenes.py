@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 import math
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -18,7 +20,8 @@ from PIL import Image
 
 import programs
 import recordings
-from nmes import World, protocol, scenery
+from layout import ROOT
+from nmes import World, protocol, scenery, schemas
 from nmes.backend import Arena, Array, Heightfield, SceneSpec, StaticBox
 from nmes.backends.mujoco3d import MujocoBackend, MujocoSimulation
 from nmes.backends.mujoco3d.arenas import parts
@@ -28,6 +31,7 @@ from nmes.rotation import quaternion_from_euler
 
 Reply = dict[str, Any]
 G = 9.81
+DOCUMENT = (ROOT / "docs" / "scenes.md").read_text()
 ARENAS = ["bowl", "corridor", "gaps", "walls", "maze"]
 
 
@@ -666,6 +670,27 @@ def test_an_engine_is_not_asked_for_scenery_that_it_lacks(backend: str, scene: R
         World({"backend": backend, "scene": scene})
     assert (refused.value.code, refused.value.path) == ("unsupported", field)
     assert backend in refused.value.message
+
+
+@pytest.mark.parametrize("block", re.findall(r"```json\n(.*?)```", DOCUMENT, flags=re.DOTALL))
+def test_the_documented_scenes_are_worlds(block: str, tmp_path: Path) -> None:
+    config = json.loads(block)
+    if config["scene"].get("heightfield", {}).pop("image_file", None):
+        config["scene"]["heightfield"]["image"] = IMAGE  # it is for config files
+    world = World({"mode": "lockstep", **config})
+    client = world.join()
+    world.execute(client, {"type": "spawn_cube"})
+    assert world.execute(client, {"type": "step", "ticks": 30})["type"] == "stepped"
+
+
+def test_every_kind_of_scenery_and_every_setting_is_documented() -> None:
+    scene = schemas.load("world_config.json")["properties"]["scene"]["properties"]
+    kinds = [*scene["type"]["enum"], *scene["obstacles"]["items"]["properties"]["type"]["enum"]]
+    for name in [*kinds, *scene["arena"]["properties"]["name"]["enum"], *scene]:
+        assert f"`{name}`" in DOCUMENT, name
+    engines = (ROOT / "docs" / "engines.md").read_text()
+    for name in ("solver", "iterations", "tolerance", "cone", "impratio", "integrator", "sleep"):
+        assert f"| `{name}` |" in engines, name
 
 
 # -- in the plane ----------------------------------------------------------------------------------------------------
