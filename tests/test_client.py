@@ -176,7 +176,8 @@ def test_every_command_works_once() -> None:
         assert c.step(2)["frame"] == 2
         assert c.get_cube_state("b")["cube_name"] == "b"
         assert c.get_cube_info("a_BASE")["frozen"]
-        assert c.get_cube_info("b", sensors=True, rays=[[0, -1, 0]], max_range=9.5)["ranges"] == [pytest.approx(2, abs=1)]
+        seen = c.get_cube_info("b", sensors=True, rays=[[0, -1, 0]], max_range=9.5)
+        assert seen["ranges"] == [pytest.approx(2, abs=1)]
         assert len(c.get_world_state()["cubes"]) == 2
         assert [len(cube["gyro"]) for cube in c.get_world_state(sensors=True)["cubes"]] == [3, 3]
         assert [cube["cube_name"] for cube in c.get_world_state(cubes=["b"])["cubes"]] == ["b"]
