@@ -26,15 +26,6 @@ class TestMujoco(BackendContract):
     backend = MujocoBackend
     joint_momentum_error = 0.01  # it integrates joint coordinates, which keeps them together, not their momentum
 
-    @pytest.mark.skip(reason="joining bodies that move apart drops the second one's velocity")
-    def test_keeps_momentum_when_joined(self) -> None: ...
-
-    @pytest.mark.skip(reason="the digest does not see a joint's parameters before the next step")
-    def test_digests_every_bit(self) -> None: ...
-
-    @pytest.mark.skip(reason="shows infinities after a fault")
-    def test_faults_when_it_diverges(self) -> None: ...
-
 
 @pytest.mark.long
 @pytest.mark.parametrize("contract", [TestBallistic, TestPymunk, TestMujoco])

@@ -106,6 +106,7 @@ class MujocoSimulation(Simulation):
         self._data = data = mujoco.MjData(model)
         self._read = False  # whether xpos, xquat, cvel belong to qpos, qvel
         self._state = np.empty(mujoco.mj_stateSize(model, STATE))
+        self._before = np.empty_like(self._state)  # the state that a step began with
         # Attribute access on MjData makes a new view each time; these are what a tick and a query need.
         self._warnings = data.warning.number
         self._calm = self._warnings.tobytes()
@@ -377,6 +378,7 @@ class MujocoSimulation(Simulation):
     def step(self, substeps: int) -> None:
         """Takes up all edits, then advances."""
         self._take_up()
+        mujoco.mj_getState(self._model, self._data, self._before, STATE)
         xfrc = self._xfrc
         acted = self._force or self._impulse
         if acted:
@@ -396,6 +398,7 @@ class MujocoSimulation(Simulation):
             if substeps:
                 self._advance(substeps)
         except mujoco.FatalError as error:
+            self._go_back()
             code = "arena_exhausted" if "memory" in str(error) else "engine_failed"
             raise SimulationFault(code, f"MuJoCo: {error}") from error
         finally:
@@ -406,7 +409,15 @@ class MujocoSimulation(Simulation):
         self._read = False
         self._senses.forget()
         if self._warnings.tobytes() != self._calm:
-            self._fail()
+            try:
+                self._fail()
+            finally:
+                self._go_back()
+
+    def _go_back(self) -> None:
+        """Shows the state before the step that failed."""
+        mujoco.mj_setState(self._model, self._data, self._before, STATE)
+        self._read = False
 
     def _advance(self, steps: int) -> None:
         if self._scenery.attracts:
@@ -469,6 +480,9 @@ class MujocoSimulation(Simulation):
         h.update(self._identity.to_bytes(16, "little"))
         if self._edits or self._force or self._impulse:
             h.update(repr((sorted(self._touched), self._override, self._force, self._impulse)).encode())
+            # The targets of motors that are not built yet are in no control.
+            targets = [(joint.params.target_velocity, joint.params.target_position) for joint in self._joints.values()]
+            h.update(repr(targets).encode())
         if self._parting:
             h.update(repr(sorted(self._parting)).encode())
         return h.digest()
