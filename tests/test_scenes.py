@@ -437,6 +437,15 @@ def test_a_push_acts_beside_a_planet_s_pull() -> None:
     assert drive("get_cube_state", cube_name="a")["linear_velocity"][1] == pytest.approx(-G / 60)
 
 
+def test_a_snapshot_leaves_a_planet_s_pull_to_be_read() -> None:
+    drive = Driver({"type": "planets"})
+    drive.drop("a", 0, -200.5, 0)
+    drive("step", ticks=60)
+    drive.world.simulation.snapshot()
+    force = sum(contact["force"] for contact in drive("get_cube_info", cube_name="a")["contacts"])
+    assert force == pytest.approx(G, abs=0.01)
+
+
 def test_planets_are_listed() -> None:
     drive = Driver({"type": "planets"})
     reply = drive("get_planets", id=3)
@@ -551,6 +560,14 @@ def test_a_seed_gives_the_same_scenery_and_another_gives_another(name: str) -> N
 
 def test_all_scenes_differ_in_their_digests() -> None:
     assert len({identity(scene, 7) for scene in SCENES.values()} | {identity({}, 7)}) == len(SCENES) + 1
+
+
+def test_every_height_counts_in_the_digest() -> None:
+    def field(*rows: list[float]) -> Reply:
+        return {"type": "heightfield", "heightfield": {"heights": rows}}
+
+    one, other = field([0, 1, 0], [0, 0, 0]), field([0, 0, 0], [0, 1, 0])
+    assert identity(one, 1) == identity(one, 1) != identity(other, 1)
 
 
 def test_reset_makes_the_scenery_of_its_seed() -> None:

@@ -5,7 +5,8 @@ looked at. What is left are static planes, boxes and heightfields in our frame (
 and again. dm_control's physics is not used (it does not run on this MuJoCo): an arena's MJCF is compiled by MuJoCo
 itself.
 
-Invariant: an arena follows from its values alone; numpy's global generator is neither read nor left changed.
+Invariant: an arena follows from its values alone. numpy's global generator, by which dm_control picks textures, is
+neither read nor changed, since there is but one of each to pick.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ from __future__ import annotations
 import functools
 import warnings
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from math import sqrt
 from types import SimpleNamespace
@@ -59,30 +59,29 @@ def parts(arena: Arena) -> tuple[Part, ...]:
     draw = np.random.RandomState(np.random.MT19937(np.random.SeedSequence(arena.seed)))
     corridor = {"corridor_length": arena.length, "corridor_width": arena.width}
     start = (0.0, 0.0)
-    with _global_generator_kept():
-        if arena.name == "bowl":
-            made = bowl.Bowl(size=(20, 20))
-        elif arena.name == "corridor":
-            made = corridors.EmptyCorridor(**corridor)
-        elif arena.name == "gaps":
-            lengths = distributions.Uniform(1.0, 3.0), distributions.Uniform(0.5, 1.5)
-            made = corridors.GapsCorridor(platform_length=lengths[0], gap_length=lengths[1], **corridor)
-            start = (_START, 0.0)
-        elif arena.name == "walls":
-            widths = distributions.Uniform(0.25 * arena.width, 0.75 * arena.width)
-            gaps = distributions.Uniform(2.5, 5.0)
-            made = corridors.WallsCorridor(wall_width=widths, wall_gap=gaps, **corridor)
-        else:
-            side = arena.cells | 1
-            maze = labmaze.RandomMaze(
-                height=side, width=side, max_rooms=4, room_min_size=3, room_max_size=5,
-                random_seed=int(draw.randint(2**31 - 1)),
-            )  # fmt: skip
-            made = mazes.MazeWithTargets(maze, xy_scale=_CELL)
-        made.regenerate(draw)
-        root = made.mjcf_model
-        model = mujoco.MjModel.from_xml_string(root.to_xml_string(), assets=root.get_assets())
-        made.initialize_episode(_Physics(model), draw)
+    if arena.name == "bowl":
+        made = bowl.Bowl(size=(20, 20))
+    elif arena.name == "corridor":
+        made = corridors.EmptyCorridor(**corridor)
+    elif arena.name == "gaps":
+        lengths = distributions.Uniform(1.0, 3.0), distributions.Uniform(0.5, 1.5)
+        made = corridors.GapsCorridor(platform_length=lengths[0], gap_length=lengths[1], **corridor)
+        start = (_START, 0.0)
+    elif arena.name == "walls":
+        widths = distributions.Uniform(0.25 * arena.width, 0.75 * arena.width)
+        gaps = distributions.Uniform(2.5, 5.0)
+        made = corridors.WallsCorridor(wall_width=widths, wall_gap=gaps, **corridor)
+    else:
+        side = arena.cells | 1
+        maze = labmaze.RandomMaze(
+            height=side, width=side, max_rooms=4, room_min_size=3, room_max_size=5,
+            random_seed=int(draw.randint(2**31 - 1)),
+        )  # fmt: skip
+        made = mazes.MazeWithTargets(maze, xy_scale=_CELL)
+    made.regenerate(draw)
+    root = made.mjcf_model
+    model = mujoco.MjModel.from_xml_string(root.to_xml_string(), assets=root.get_assets())
+    made.initialize_episode(_Physics(model), draw)
     if arena.name == "maze":
         start = _free_cell(made)
     return tuple(_touchable(model, start))
@@ -141,13 +140,3 @@ def _free_cell(maze: Any) -> tuple[float, float]:
     best = min(free, key=lambda cell: ((2 * cell[0] - rows + 1) ** 2 + (2 * cell[1] - columns + 1) ** 2, cell))
     ((x, y, _),) = maze.grid_to_world_positions([best])
     return float(x), float(y)
-
-
-@contextmanager
-def _global_generator_kept() -> Iterator[None]:
-    # dm_control picks the textures of a maze, of which we keep nothing, by the global generator.
-    state = np.random.get_state()
-    try:
-        yield
-    finally:
-        np.random.set_state(state)
