@@ -287,6 +287,16 @@ def test_whatever_is_changed_in_a_reply_is_shown(
     assert found.value.amount is None
 
 
+def test_a_missing_reply_is_told_by_what_comes_in_its_place(busy_file: Path, tmp_path: Path) -> None:
+    def edit(lines: list[Line]) -> list[Line]:
+        at = commands_of(lines, "replies")[0]
+        return [*lines[:at], *lines[at + 1 :]]
+
+    found = divergence(busy_file, tmp_path, edit)
+    assert (found.kind, found.value) == ("order", None)
+    assert "the recording has client 1's command" in found.message and "now comes: reply" in found.message
+
+
 def test_a_client_with_another_number_is_found(busy_file: Path, tmp_path: Path) -> None:
     def edit(lines: list[Line]) -> list[Line]:
         return changed(lines, first(lines, "clients"), b'{"client":7,"event":"joined"}')
