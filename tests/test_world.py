@@ -276,6 +276,7 @@ def test_a_batch_is_applied_in_order_and_a_failing_part_leaves_the_rest(drive: D
     assert [result.get("id") for result in results] == [1, 2, None, None]
     assert "cubes" not in results[0] and results[2]["cubes"] == ["a", "b"]
     drive.refused("unknown_type", "batch", commands=[{"type": "spawn_cube"}, {"type": "nope"}])
+    drive.refused("invalid", "batch", commands=[{"type": "step", "ticks": 5000}] * 3)
     assert drive.world.cubes() == ["a", "b"]
 
 
