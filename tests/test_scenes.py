@@ -228,6 +228,13 @@ def test_broken_images_are_refused_or_read(data: bytes, place: int) -> None:
         assert error.path == "scene/heightfield/image"
 
 
+def test_big_cubes_on_a_fine_landscape_find_room() -> None:
+    drive = Driver({"type": "heightfield", "heightfield": {"size": [40, 40], "samples": [401, 401], "hill": 2}})
+    for i in range(8):
+        drive.drop(f"c{i}", 5 * (i % 4 - 1.5), 4.5, 5 * (i // 4 - 0.5), size=5)
+    drive("step", ticks=60)
+
+
 # -- obstacles -------------------------------------------------------------------------------------------------------
 
 
@@ -378,6 +385,14 @@ def test_the_section_of_a_box_is_what_lies_in_the_plane(size: Any, position: Any
         back = StaticBox(size, (0, 0, 0), (-x1, -y1, -z1, w1))
         own = np.abs(rotate(back, (x - position[0], y - position[1], -position[2]))) / (np.array(size) / 2)
         assert own.max() == pytest.approx(1, abs=1e-6)
+
+
+def test_cubes_amid_a_thousand_obstacles_find_room() -> None:
+    stairs = {"type": "stairs", "position": [-0.5, 0, 0], "length": 1, "width": 2, "height": 1, "steps": 1000}
+    drive = Driver({"obstacles": [stairs]})
+    for i in range(3):
+        drive.drop(f"c{i}", 0.3 * i, 0.5, 0)
+    drive("step", ticks=60)
 
 
 # -- planets ---------------------------------------------------------------------------------------------------------

@@ -553,7 +553,9 @@ def _options(spec: mujoco.MjSpec, scene: SceneSpec, bodies: int) -> None:
     option.disableflags |= disable.mjDSBL_AUTORESET | disable.mjDSBL_FILTERPARENT
     option.enableflags |= enable.mjENBL_SLEEP
     set_options(option, scene.options)
-    spec.memory = _arena(bodies)
+    # And for every cube to overlap every obstacle, and to be carried at 50 points of rough ground.
+    rough = 7 * len(scene.boxes) + (1024 if scene.heightfield is not None or scene.arena is not None else 0)
+    spec.memory = min(_arena(bodies) + bodies * rough * _KIBIBYTE, 2 << 30)
 
 
 def _arena(bodies: int) -> int:
