@@ -148,6 +148,19 @@ def test_a_cube_that_hits_a_wall_is_pushed_back_from_there() -> None:
     assert seen == {("+x", "wall_BASE")}
 
 
+def test_an_edit_that_wakes_a_sleeper_does_not_take_its_contacts_away() -> None:
+    place = Place()
+    place.spawn("a", [0, 0.5, 0])
+    place.spawn("b", [1.1, 0.5, 0])
+    joint = place("create_joint", cube1="a", cube2="b", joint_type="hinge", axis=[0, 1, 0])["joint_name"]
+    place.settle("b")
+    before = [place.info(name, sensors=True) for name in "ab"]
+    place("set_joint_param", joint_name=joint, param_name="damping", value=0.5)
+    after = [place.info(name, sensors=True) for name in "ab"]
+    assert [cube.pop("sleeping") for cube in before + after] == [True, True, False, False]
+    assert after == before and all(cube["contacts"] for cube in after)
+
+
 def test_a_removed_partner_is_no_contact_any_more() -> None:
     place = Place()
     place.spawn("a", [0, 0.5, 0])
