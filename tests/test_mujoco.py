@@ -653,6 +653,29 @@ def test_a_program_gives_the_same_world_again_looked_at_or_not(number: int) -> N
     assert not [reply for reply in replies if reply.get("code") in ("internal", "world_faulted")]
 
 
+class Onlooker:
+    """A journal that looks at all poses after some ticks, as a recorder does, and keeps nothing."""
+
+    def __init__(self, watched: World) -> None:
+        self.watched = watched
+
+    def _pass(self, *args: Any) -> None:
+        pass
+
+    joined = left = received = replied = faulted = _pass
+
+    def ticked(self, frame: int, digest: bytes) -> None:
+        if frame % 6 == 0:
+            self.watched.poses()
+
+
+@pytest.mark.parametrize("number", [*range(130, 150), 1527])  # 1527: a branch of a frozen root wakes between readings
+def test_looking_changes_nothing_that_is_seen_later(number: int) -> None:
+    program, watched = programs.draw(number, 100), world(number)
+    watched.journal = Onlooker(watched)
+    assert programs.play(watched, program) == programs.play(world(number), program)
+
+
 @pytest.mark.parametrize("number", range(40, 70))
 def test_a_restored_world_goes_on_like_the_one_it_was_taken_from(number: int) -> None:
     program = programs.draw(number, 80)

@@ -683,6 +683,7 @@ class MujocoSimulation(Simulation):
                 tree, woken = following, True
         if woken:
             count_awake(self._model, self._data)
+            self._read = False  # what was read of a static root left its sleeping branches out
 
 
 def _hash(*parts: object) -> int:
