@@ -63,7 +63,8 @@ class Senses:
         self._numbers, self._model, self._data, self._scenery = layout.number, layout.model, data, scenery
         self._owners: list[int] = layout.model.geom_bodyid.tolist()
         self._trees: list[int] = layout.model.body_treeid.tolist()
-        self._asleep = data.tree_asleep.copy()  # an edit may wake a tree before the next step
+        self._now_asleep = data.tree_asleep
+        self._asleep = self._now_asleep.copy()  # as of the last step: an edit may wake a tree before the next one
         # The normal force is the first of an elliptic cone's constraint forces, and the sum of a pyramid's four edges'.
         self._edges = 1 if layout.model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC else 4
         self._touches: _Touches | None = None
@@ -74,7 +75,7 @@ class Senses:
 
     def forget(self) -> None:
         """Takes notice that the engine stepped, or that a state was installed."""
-        self._asleep = self._data.tree_asleep.copy()
+        self._asleep[:] = self._now_asleep
         self._touches = None
         self._accelerated = False
         self._checked.clear()
