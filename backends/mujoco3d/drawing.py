@@ -119,6 +119,7 @@ class Painter:
 @cache
 def _gl() -> Any:
     """Returns this thread's OpenGL context, or None if there is none to be had; to be asked on the drawing thread."""
+    logging.getLogger("OpenGL.acceleratesupport").setLevel(logging.WARNING)  # tells everybody what it could do without
     wanted = os.environ.get("MUJOCO_GL", "").lower()
     for platform in (wanted,) if wanted in _PLATFORMS else _PLATFORMS:
         chosen = os.environ.get("PYOPENGL_PLATFORM")
