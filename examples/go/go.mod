@@ -1,0 +1,3 @@
+module nmes.example/arm
+
+go 1.21
