@@ -19,7 +19,8 @@ SUBCOMMANDS = {
     "backends": "List the physics engines that are installed.",
     "info": "Show what a recording holds.",
     "replay": "Run a recording again and compare.",
-    "serve": "Host a world that clients drive over TCP.",
+    "serve": "Host worlds that clients drive over TCP.",
+    "worlds": "List the worlds of a host.",
 }
 
 

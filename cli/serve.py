@@ -1,4 +1,4 @@
-"""`nmes serve`: host a world over TCP until told to stop."""
+"""`nmes serve`: host one world or many over TCP until told to stop."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import base64
 import ipaddress
 import json
 import logging
-import os
 import secrets
 import signal
 from pathlib import Path
@@ -15,13 +14,30 @@ from typing import Any
 
 import click
 
-from nmes.errors import RejectedMessage
+from nmes.cli._password import PASSWORD_VARIABLE, choose_password, password_options
+from nmes.errors import RejectedMessage, WorldError
 from nmes.server import Host
+from nmes.world import World
 
-PASSWORD_VARIABLE = "NMES_PASSWORD"
+MOST_WORLDS = 1000
 
 
-@click.command("serve", short_help="Host a world that clients drive over TCP.")
+class _Worlds(click.ParamType["int | list[str]"]):
+    """A number of worlds, or their names."""
+
+    name = "N|NAMES"
+
+    def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> int | list[str]:
+        if not isinstance(value, str):
+            return value  # type: ignore[no-any-return]
+        if not value.isdecimal():
+            return value.split(",")
+        if not 1 <= int(value) <= MOST_WORLDS:
+            self.fail(f"a number of worlds is from 1 to {MOST_WORLDS}", parameter, context)
+        return int(value)
+
+
+@click.command("serve", short_help="Host worlds that clients drive over TCP.")
 @click.option("--host", default="127.0.0.1", show_default=True, help="Address to listen on.")
 @click.option(
     "--port",
@@ -29,6 +45,14 @@ PASSWORD_VARIABLE = "NMES_PASSWORD"
     show_default=True,
     type=click.IntRange(0, 65535),
     help="Port to listen on; 0 finds a free one.",
+)
+@click.option(
+    "--worlds",
+    type=_Worlds(),
+    help="Number of worlds, one port each; or their names, separated by commas, on one port.",
+)
+@click.option(
+    "--port-step", type=click.IntRange(1, 65535), help="From the port of one world to that of the next.  [default: 1]"
 )
 @click.option("--backend", help="Physics engine.  [default: mujoco]")
 @click.option(
@@ -51,16 +75,13 @@ PASSWORD_VARIABLE = "NMES_PASSWORD"
     help="Directory for the recording.",
 )
 @click.option("--no-record", is_flag=True, help="Record nothing.")
-@click.option("--password", help=f"Password that clients must give; better in the variable {PASSWORD_VARIABLE}.")
-@click.option(
-    "--password-file",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    help="File whose first line is the password.",
-)
+@password_options(f"Password that clients must give; better in the variable {PASSWORD_VARIABLE}.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object when ready, for scripts.")
 def command(
     host: str,
     port: int,
+    worlds: int | list[str] | None,
+    port_step: int | None,
     backend: str | None,
     config_file: Path | None,
     seed: int | None,
@@ -72,9 +93,9 @@ def command(
     password_file: Path | None,
     as_json: bool,
 ) -> None:
-    """Host a world that clients drive over TCP.
+    """Host a world that clients drive over TCP, or many.
 
-    The world is recorded to a new file. Ctrl-C or SIGTERM closes the recording and ends with status 0. Without a
+    Each world is recorded to a new file. Ctrl-C or SIGTERM closes the recording and ends with status 0. Without a
     password one is made up and printed, which is allowed only on an address of this machine alone.
     """
     config = _read_config(config_file) if config_file is not None else {}
@@ -83,59 +104,101 @@ def command(
         for key, value in {"backend": backend, "seed": seed, "mode": mode, "rate": rate}.items()
         if value is not None
     }
-    password, source = _choose_password(password, password_file)
+    password, source = choose_password(password, password_file) or (secrets.token_urlsafe(12), "generated")
     if source == "generated" and not _is_local(host):
         raise click.UsageError(
             f"{host} can be reached from elsewhere: give a password, in {PASSWORD_VARIABLE} or with --password-file"
         )
     logging.basicConfig(format="%(asctime)s %(levelname)s %(name)s: %(message)s", level=logging.INFO)
     _raise_open_files_limit()
-    asyncio.run(_serve(config, host, port, password, source, None if no_record else record_to, as_json))
+    names, ports = _lay_out(worlds, config.get("name", "main"), port, port_step)
+    asyncio.run(_serve(config, names, host, ports, password, source, None if no_record else record_to, as_json))
 
 
 async def _serve(
-    config: dict[str, Any], host: str, port: int, password: str, source: str, record_to: Path | None, as_json: bool
+    config: dict[str, Any],
+    worlds: list[str],
+    host: str,
+    ports: list[int],
+    password: str,
+    source: str,
+    record_to: Path | None,
+    as_json: bool,
 ) -> None:
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
     async with Host(password, record_to=record_to) as server:
         try:
-            hosted = server.add(config)
+            if worlds:
+                for name in worlds:
+                    server.offer({**config, "name": name})
+                # They are created when first used, but what is wrong with them is told now.
+                sample = World({**config, "name": worlds[0]})
+                sample.close()
+            else:
+                sample = server.add(config).world
         except RejectedMessage as error:
             raise click.UsageError(f"world config: {error.message}") from error
-        address, port = await server.listen(host, port)
-        world = hosted.world
-        if as_json:
-            ready = {
-                "host": address,
-                "port": port,
-                "password_source": source,
-                "world": hosted.name,
-                "backend": world.backend.name,
-                "mode": world.mode,
-                "rate": world.rate,
-                "seed": world.seed,
-                "recording": None if hosted.recording is None else str(hosted.recording),
+        except WorldError as error:
+            raise click.UsageError(error.message) from error
+        listening = []
+        for index, port in enumerate(ports):
+            address, port = await server.listen(host, port, worlds[index] if len(ports) > 1 else None)
+            listening.append(port)
+        about = {"backend": sample.backend.name, "mode": sample.mode, "rate": sample.rate, "seed": sample.seed}
+        if worlds:
+            # One port each, or all on one.
+            where = dict(zip(worlds, listening * (len(worlds) // len(listening)), strict=True))
+            ready: dict[str, Any] = {
+                "worlds": [{"world": name, "port": port} for name, port in where.items()],
+                **about,
+                "recordings": None if record_to is None else str(record_to),
             }
+            named = [f"World {name!r} on {address}:{port}" for name, port in where.items()]
+            recording = None if record_to is None else f"{record_to}, a file for each world"
+        else:
+            (hosted,) = server.worlds.values()
+            recording = None if hosted.recording is None else str(hosted.recording)
+            ready = {"world": hosted.name, **about, "recording": recording}
+            named = [f"World {hosted.name!r}"]
+        if as_json:
+            ready = {"host": address, "port": listening[0], "password_source": source, **ready}
             if source == "generated":
                 ready["password"] = password
             click.echo(json.dumps(ready))
         else:
-            pace = f"{world.mode} x {world.rate:g}" if world.mode == "realtime" else world.mode
-            click.echo(
-                f"World {hosted.name!r}: {world.backend.name} {world.backend.version()}, {pace}, seed {world.seed}"
-            )
-            click.echo(f"Listening on {address}:{port}")
+            pace = f"{sample.mode} x {sample.rate:g}" if sample.mode == "realtime" else sample.mode
+            for name in named:
+                click.echo(f"{name}: {sample.backend.name} {sample.backend.version()}, {pace}, seed {sample.seed}")
+            if not worlds:
+                click.echo(f"Listening on {address}:{listening[0]}")
             if source == "generated":
                 click.echo(f"Password: {password}  (made up for this run)")
             else:
                 click.echo(f"Password: given by {source}")
-            click.echo(f"Recording to {hosted.recording}" if hosted.recording else "Not recording")
+            click.echo(f"Recording to {recording}" if recording else "Not recording")
             click.echo("Ctrl-C stops")
         await stop.wait()
     if not as_json:
-        click.echo(f"Stopped at frame {world.frame}")
+        for hosted in server.worlds.values():
+            name = f"World {hosted.name!r} stopped" if worlds else "Stopped"
+            click.echo(f"{name} at frame {hosted.world.frame}")
+
+
+def _lay_out(worlds: int | list[str] | None, name: str, port: int, step: int | None) -> tuple[list[str], list[int]]:
+    """Returns the names of the worlds, none where there is just one, and the ports."""
+    if not isinstance(worlds, int):
+        if step is not None:
+            raise click.UsageError("--port-step goes with a number of worlds")
+        return worlds or [], [port]
+    names = [f"{name}-{number}" for number in range(1, worlds + 1)]
+    if port == 0:
+        return names, [0] * worlds
+    ports = [port + number * (step or 1) for number in range(worlds)]
+    if ports[-1] > 65535:
+        raise click.UsageError(f"{worlds} worlds from port {port} on reach beyond port 65535")
+    return names, ports
 
 
 def _read_config(path: Path) -> dict[str, Any]:
@@ -162,27 +225,6 @@ def _embed_image(config: dict[str, Any], path: Path) -> None:
             landscape["image"] = base64.b64encode(image.read_bytes()).decode()
         except OSError as error:
             raise click.UsageError(f"{path}: scene/heightfield/image_file: {error}") from error
-
-
-def _choose_password(given: str | None, file: Path | None) -> tuple[str, str]:
-    """Returns the password and where it is from; the most explicit source wins."""
-    if given is not None and file is not None:
-        raise click.UsageError("give --password or --password-file, not both")
-    if given is not None:
-        password, source = given, "option"
-    elif file is not None:
-        try:
-            lines = file.read_text("utf-8").splitlines()
-        except (OSError, ValueError) as error:
-            raise click.UsageError(f"{file}: {error}") from error
-        password, source = (lines[0] if lines else ""), "file"
-    elif PASSWORD_VARIABLE in os.environ:
-        password, source = os.environ[PASSWORD_VARIABLE], "environment"
-    else:
-        return secrets.token_urlsafe(12), "generated"
-    if not password:
-        raise click.UsageError(f"the password given by {source} is empty")
-    return password, source
 
 
 def _is_local(host: str) -> bool:

@@ -22,8 +22,8 @@ from typing import Any, Self, cast
 
 import orjson
 
-from nmes.commands import AsyncCommands, AuthSuccess, BlockingCommands, Event, Pending, Pipeline
-from nmes.errors import Disconnected, RejectedMessage
+from nmes.commands import AsyncCommands, AuthSuccess, BlockingCommands, Event, Pending, Pipeline, WorldSummary
+from nmes.errors import CommandFailed, Disconnected, RejectedMessage
 from nmes.protocol import DELIMITER, FrameSplitter, encode
 
 __all__ = ["AsyncClient", "Client"]
@@ -50,11 +50,10 @@ class _Conversation:
         self.lost: Disconnected | None = None
         self.world_closed = False
 
-    def authenticate(self, password: str, world: str | None) -> tuple[bytes, Pending[AuthSuccess]]:
-        message = {"type": "auth", "password": password}
-        if world is not None:
-            message["world"] = world
-        pending: Pending[AuthSuccess] = Pending({"type": "auth"})
+    def authenticate(self, password: str, **wishes: Any) -> tuple[bytes, Pending[Any]]:
+        wished = {name: value for name, value in wishes.items() if value is not None}
+        message = {"type": "auth", "password": password, **wished}
+        pending: Pending[Any] = Pending({"type": "auth"})
         self._waiting.append((None, pending))
         return encode(message) + DELIMITER, pending
 
@@ -206,6 +205,22 @@ class Client(_Base, BlockingCommands):
             CommandFailed: The server said no (`auth_failed`, `world_not_found`, `too_many_connections`, ...).
             TimeoutError: No answer came in time.
         """
+        self._welcome = self._enter(world=self.world)
+        return self
+
+    def worlds(self) -> list[WorldSummary]:
+        """Asks which worlds the server has, over a connection that joins none of them; raises as `connect` does."""
+        asking = Client(self.host, self.port, password=self._password, timeout=self.timeout)
+        try:
+            answer = asking._enter(list=True)
+        finally:
+            asking.close()
+        if answer["type"] != "world_list":
+            raise CommandFailed("unsupported", "this server does not list its worlds")
+        return cast(list[WorldSummary], answer["worlds"])
+
+    def _enter(self, **wishes: Any) -> Any:
+        """Connects and authenticates; returns the server's answer."""
         if self._socket is not None:
             raise RuntimeError("the client is connected already; reconnect() starts anew")
         try:
@@ -217,14 +232,13 @@ class Client(_Base, BlockingCommands):
         self._selector = selectors.DefaultSelector()
         self._selector.register(self._socket, selectors.EVENT_READ)
         self._conversation = self._new_conversation()
-        self._unsent, answer = self._conversation.authenticate(self._password, self.world)
+        self._unsent, answer = self._conversation.authenticate(self._password, **wishes)
         try:
             self._wait(lambda: answer.done, self.timeout)
-            self._welcome = answer.result()
+            return answer.result()
         except BaseException:
             self.close()
             raise
-        return self
 
     def reconnect(self) -> Self:
         """Connects anew, as another client of the world: subscriptions and events not yet taken are gone."""
@@ -347,7 +361,7 @@ class AsyncClient(_Base, AsyncCommands):
         except OSError as error:
             raise self._unreachable(error) from error
         self._conversation = conversation
-        data, answer = conversation.authenticate(self._password, self.world)
+        data, answer = conversation.authenticate(self._password, world=self.world)
         self._link.transport.write(data)
         try:
             await self._reply(answer)

@@ -93,6 +93,21 @@ class JointParamSet(TypedDict):
     value: float | bool
 
 
+class WorldSummary(TypedDict):
+    world: str
+    port: int
+    backend: str
+    mode: str
+    frame: int | None
+    clients: int
+    fault: str | None
+
+
+class WorldList(TypedDict):
+    type: Literal["world_list"]
+    worlds: list[WorldSummary]
+
+
 class JointSummary(TypedDict):
     joint_name: str
     joint_type: str

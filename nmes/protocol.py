@@ -117,6 +117,7 @@ class Auth:
     world: str | None = None
     error: RejectedMessage | None = None
     id: Any = NO_ID
+    list: bool = False
 
 
 # -- schemas ----------------------------------------------------------------------------------------------------------
@@ -573,10 +574,10 @@ class Session:
             error = _find_error({"auth": _AUTH}, message, "")
         if error is not None:
             return Auth("json", error=error, id=self._auth_id)
-        return Auth("json", message["password"], message.get("world"), None, self._auth_id)
+        return Auth("json", message["password"], message.get("world"), None, self._auth_id, message.get("list", False))
 
     def accept(self, welcome: Mapping[str, Any]) -> bytes:
-        """Opens the session and returns the bytes that say so; `welcome` is the `auth_success` message."""
+        """Opens the session and returns the bytes that say so; `welcome` is `auth_success`, or `world_list`."""
         self._state = "open"
         self._splitter.limit = self._limits.frame
         if self.dialect == "raw":

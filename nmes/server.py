@@ -30,7 +30,7 @@ from types import TracebackType
 from typing import Any, Self, cast
 
 from nmes.errors import NmesError, RecordingError, RejectedMessage, WorldError
-from nmes.protocol import DELIMITER, Auth, Limits, Request, Session, encode, error_reply
+from nmes.protocol import DELIMITER, Auth, Limits, Request, Session, complete_config, encode, error_reply
 from nmes.recording import Recorder
 from nmes.world import World
 
@@ -75,6 +75,11 @@ class HostedWorld:
 
     def __repr__(self) -> str:
         return f"HostedWorld({self.name!r}, frame {self.world.frame}, {len(self._connections)} clients)"
+
+    @property
+    def clients(self) -> int:
+        """How many connections are in this world."""
+        return len(self._connections)
 
     def join(self, connection: Connection) -> int:
         """Lets a connection in; returns its client number."""
@@ -289,6 +294,9 @@ class Connection(asyncio.BufferedProtocol):
             self._refuse(auth.error)
         elif not self._host.accepts(auth.password):
             self._refuse(RejectedMessage("auth_failed", "that is not the password"))
+        elif auth.list:
+            self._output.append(self._session.accept(self._host.list_worlds(self._port)))
+            self._end(None)
         else:
             try:
                 self._world = self._host.find(auth.world or self._default_world)
@@ -445,13 +453,18 @@ class Connection(asyncio.BufferedProtocol):
             self._timer = None
 
     @property
+    def _port(self) -> int:
+        """The port that the peer came to."""
+        return int(self._transport.get_extra_info("sockname")[1])
+
+    @property
     def _peer(self) -> str:
         address = self._transport.get_extra_info("peername")
         return f"{address[0]}:{address[1]}" if address else "a client"
 
 
 class Host:
-    """Serves worlds: `add` them, `listen`, and in the end `close`.
+    """Serves worlds: `add` or `offer` them, `listen`, and in the end `close`.
 
     ```python
     async with Host(password) as host:
@@ -479,7 +492,9 @@ class Host:
         """
         self.limits = limits or Limits()
         self.auth_delay = auth_delay
-        self.worlds: dict[str, HostedWorld] = {}
+        self.worlds: dict[str, HostedWorld] = {}  # those that there are
+        self._offered: dict[str, dict[str, Any]] = {}  # the configs of all that there may be
+        self._ports: dict[str, int] = {}  # where a client that names no world gets which
         self.buffer = memoryview(bytearray(READ))
         self._password = _digest(password)
         self._record_to = record_to
@@ -506,25 +521,71 @@ class Host:
             RecordingError: Its recording cannot be written.
             WorldError: There is a world of that name (`world_exists`).
         """
-        hosted = HostedWorld(config, self._record_to)
-        if hosted.name in self.worlds:
-            hosted.close()
-            raise WorldError("world_exists", f"two worlds are called {hosted.name!r}", "name")
-        self.worlds[hosted.name] = hosted
+        name = self.offer(config)
+        try:
+            return self._create(name)
+        except NmesError:
+            del self._offered[name]
+            raise
+
+    def offer(self, config: Mapping[str, Any]) -> str:
+        """Hosts a world that is created, and its recording begun, when it is first used; returns its name.
+
+        Raises:
+            RejectedMessage: The config does not have the shape of one. What its engine thinks of it comes out later.
+            WorldError: There is a world of that name (`world_exists`).
+        """
+        complete = complete_config(config)
+        name: str = complete["name"]
+        if name in self._offered:
+            raise WorldError("world_exists", f"two worlds are called {name!r}", "name")
+        self._offered[name] = complete
+        return name
+
+    def _create(self, name: str) -> HostedWorld:
+        hosted = self.worlds[name] = HostedWorld(self._offered[name], self._record_to)
         if self._servers:
             hosted.start()
         return hosted
 
     def find(self, name: str | None) -> HostedWorld:
-        """Returns the world of that name; the first where no name is given.
+        """Returns the world of that name, which may be created only now; the first where no name is given.
 
         Raises:
-            WorldError: `world_not_found`.
+            WorldError: `world_not_found`, or `world_unavailable` where it cannot be created.
         """
-        world = next(iter(self.worlds.values()), None) if name is None else self.worlds.get(name)
-        if world is None:
+        if name is None:
+            name = next(iter(self._offered), None)
+        if name not in self._offered:
             raise WorldError("world_not_found", f"this host has no world {name!r}", "world")
-        return world
+        if name in self.worlds:
+            return self.worlds[name]
+        try:
+            return self._create(name)
+        except NmesError as error:
+            logger.error("world %r could not be created: %s", name, error.message)
+            raise WorldError(
+                "world_unavailable", f"world {name!r} could not be created; see the server's log"
+            ) from error
+
+    def list_worlds(self, port: int) -> dict[str, Any]:
+        """Returns the `world_list` message for a client that asks on a port. Creates none of the worlds."""
+        listed = []
+        for name, config in self._offered.items():
+            hosted = self.worlds.get(name)
+            world = hosted.world if hosted is not None else None
+            listed.append(
+                {
+                    "world": name,
+                    "port": self._ports.get(name, port),
+                    "backend": config["backend"],
+                    "mode": world.mode if world is not None else config["mode"],
+                    "frame": world.frame if world is not None else None,
+                    "clients": hosted.clients if hosted is not None else 0,
+                    "fault": world.fault.code if world is not None and world.fault is not None else None,
+                }
+            )
+        return {"type": "world_list", "worlds": listed}
 
     # -- connections -----------------------------------------------------------------------------------------------
 
@@ -566,6 +627,9 @@ class Host:
                 hosted.start()
         self._servers.append(server)
         address = server.sockets[0].getsockname()
+        default = world or next(iter(self._offered), None)
+        if default is not None:
+            self._ports.setdefault(default, address[1])
         return address[0], address[1]
 
     async def _inspect(self) -> None:

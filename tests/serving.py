@@ -121,9 +121,16 @@ class Served:
 
 @contextmanager
 def served(
-    *configs: Mapping[str, Any], limits: Limits | None = None, auth_delay: float = 0.0, record_to: Path | None = None
+    *configs: Mapping[str, Any],
+    limits: Limits | None = None,
+    auth_delay: float = 0.0,
+    record_to: Path | None = None,
+    lazy: bool = False,
 ) -> Iterator[Served]:
-    """Runs a host; worlds are in lockstep and on the quickest engine where their config does not say otherwise."""
+    """Runs a host; worlds are in lockstep and on the quickest engine where their config does not say otherwise.
+
+    Those of a lazy one are created when first used.
+    """
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever, daemon=True)
     thread.start()
@@ -131,7 +138,7 @@ def served(
     async def start() -> tuple[Host, int]:
         host = Host(PASSWORD, limits=limits, auth_delay=auth_delay, record_to=record_to)
         for config in configs or [{}]:
-            host.add({"backend": "ballistic", "mode": "lockstep", **config})
+            (host.offer if lazy else host.add)({"backend": "ballistic", "mode": "lockstep", **config})
         return host, (await host.listen("127.0.0.1", 0))[1]
 
     host, port = asyncio.run_coroutine_threadsafe(start(), loop).result(PATIENCE)

@@ -135,6 +135,7 @@ def test_every_event_is_declared_as_its_schema_says(name: str) -> None:
 
 def test_the_welcome_and_the_choices_are_as_their_schemas_say() -> None:
     check_shape(commands.AuthSuccess, protocol.REPLIES["auth_success"].schema)
+    check_shape(commands.WorldList, protocol.REPLIES["world_list"].schema)
     create_joint, set_mode = protocol.COMMANDS["create_joint"].schema, protocol.COMMANDS["set_mode"].schema
     assert set(typing.get_args(commands.JointType)) == set(create_joint["properties"]["joint_type"]["enum"])
     assert set(typing.get_args(commands.Mode)) == set(set_mode["properties"]["mode"]["enum"])
