@@ -20,6 +20,8 @@ SUBCOMMANDS = {
     "info": "Show what a recording holds.",
     "replay": "Run a recording again and compare.",
     "serve": "Host worlds that clients drive over TCP.",
+    "sign": "Vouch for a recording with an Ed25519 key.",
+    "verify": "Check that a recording is as it was written.",
     "worlds": "List the worlds of a host.",
 }
 

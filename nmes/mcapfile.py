@@ -57,6 +57,8 @@ __all__ = [
     "Message",
     "Reader",
     "Writer",
+    "message_checksums",
+    "skim_chunk",
     "split_chunk",
 ]
 
@@ -65,6 +67,7 @@ MAX_CHANNELS = 0xFFFF
 MAX_RECORD = 256 << 20  # bytes; also of a chunk when unpacked
 _PREFIX = struct.Struct("<BQ")  # opcode, length of what follows
 _MESSAGE = struct.Struct("<BQHIQQ")  # the same, then channel, sequence, log time, publish time
+_SKIMMED = struct.Struct("<BQHI")  # as much of it as tells whose it is
 _INDEX = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
 _OPCODE_MESSAGE = int(Opcode.MESSAGE)
 MESSAGE_OVERHEAD = _MESSAGE.size  # bytes of a message record beside its data
@@ -91,13 +94,17 @@ class DamagedFile(RecordingError):
     Attributes:
         offset: Where in the file the first unreadable byte or record is.
         cut: Whether the file simply ends there, as it does when its writer was killed; everything before is whole.
+        content: Of a chunk that does not match its checksum: what it holds all the same, if it could be unpacked.
+        record: The number of the first message that is not as it was written, where that can be told.
     """
 
-    def __init__(self, offset: int, message: str, *, cut: bool = False) -> None:
+    def __init__(self, offset: int, message: str, *, cut: bool = False, content: bytes | None = None) -> None:
         """Takes the place and what is wrong there."""
         super().__init__("recording_cut" if cut else "recording_damaged", message)
         self.offset = offset
         self.cut = cut
+        self.content = content
+        self.record: int | None = None
 
 
 def _encoded(*records: McapRecord) -> bytes:
@@ -447,7 +454,7 @@ def _unpacked(chunk: Chunk, offset: int) -> bytes:
     except zstandard.ZstdError:
         pass
     if content is None or zlib.crc32(content) != chunk.uncompressed_crc:
-        raise DamagedFile(offset, f"the chunk at byte {offset} does not match its checksum")
+        raise DamagedFile(offset, f"the chunk at byte {offset} does not match its checksum", content=content)
     return content
 
 
@@ -475,4 +482,36 @@ def split_chunk(content: bytes) -> Iterator[Message | Channel]:
                 raise ValueError("a record does not fit into its chunk")
             if opcode == Opcode.CHANNEL:
                 yield _parsed(Channel, content[position + prefix : end], position)
+        position = end
+
+
+def skim_chunk(content: bytes) -> Iterator[tuple[int, int, int, int] | Channel]:
+    """Does as `split_chunk`, several times faster: of a message only channel, sequence, and where its data are."""
+    position, size = 0, len(content)
+    unpack, prefix, header = _SKIMMED.unpack_from, _PREFIX.size, _MESSAGE.size
+    while position < size:
+        if position + _SKIMMED.size > size:
+            raise ValueError("a record does not fit into its chunk")
+        opcode, length, channel, sequence = unpack(content, position)
+        start, position = position, position + prefix + length
+        if position > size:
+            raise ValueError("a record does not fit into its chunk")
+        if opcode == _OPCODE_MESSAGE:
+            if length < header - prefix:
+                raise ValueError("a message does not fit into its chunk")
+            yield channel, sequence, start + header, position
+        elif opcode == Opcode.CHANNEL:
+            yield _parsed(Channel, content[start + prefix : position], start)
+
+
+def message_checksums(content: bytes | bytearray) -> Iterator[int]:
+    """Yields the CRC-32 of each of a chunk's message records, until something is no record."""
+    position, size, view = 0, len(content), memoryview(content)
+    while position + _PREFIX.size <= size:
+        opcode, length = _PREFIX.unpack_from(content, position)
+        end = position + _PREFIX.size + length
+        if end > size:
+            return
+        if opcode == _OPCODE_MESSAGE:
+            yield zlib.crc32(view[position:end])
         position = end

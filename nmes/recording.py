@@ -10,7 +10,8 @@ Invariants:
 - What a client sent is kept byte for byte. Passwords never get here: a client joins after it was authenticated.
 - Recording does not change what a world does: it only asks for poses.
 - A SHA-256 chain runs over the metadata and every chunk, each chunk ending with its head, so that no byte of the
-  history can be changed, dropped or moved without breaking it.
+  history can be changed, dropped or moved without breaking it. Checksums of the single records stand before the head:
+  the chain shows whether a chunk is as it was written, they show which record is not.
 - A reader returns what comes before the first damage, and says where and what that is. It never guesses beyond it.
 """
 
@@ -19,23 +20,36 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import struct
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
 from importlib.metadata import version
+from itertools import islice, zip_longest
 from pathlib import Path
 from time import time_ns
-from typing import Any, NamedTuple, NoReturn
+from typing import Any, NamedTuple, NoReturn, TypeVar
 
 import jsonschema_rs
 import orjson
+from mcap.records import Channel
 
 from nmes import protocol, scene
 from nmes.errors import NmesError, RecordingError
 from nmes.fingerprint import fingerprint
-from nmes.mcapfile import MESSAGE_OVERHEAD, Block, DamagedFile, Message, Reader, Writer, split_chunk
+from nmes.mcapfile import (
+    MESSAGE_OVERHEAD,
+    Block,
+    DamagedFile,
+    Message,
+    Reader,
+    Writer,
+    message_checksums,
+    skim_chunk,
+    split_chunk,
+)
 from nmes.protocol import Request
 from nmes.schemas import load
 from nmes.world import World
@@ -54,7 +68,7 @@ _NEVER = -1  # when a recorder flushed that cannot: the next record of any kind 
 
 # What a client's records are kept under until they are packed: 4 * client + one of these. Our own are negative.
 _COMMAND, _REPLY, _REFUSED = 0, 1, 2
-_TICKS, _CLIENTS, _FAULTS, _POSES, _SCENE, _CHAIN = -1, -2, -3, -4, -5, -6
+_TICKS, _CLIENTS, _FAULTS, _POSES, _SCENE, _CHAIN, _CHECKSUMS = -1, -2, -3, -4, -5, -6, -7
 _TOPICS = {_TICKS: "ticks", _CLIENTS: "clients", _FAULTS: "faults", _POSES: "/tf", _SCENE: "/scene", _CHAIN: "chain"}
 _END = "nmes.end"  # the metadata record that closes a file
 _SEQUENCE_MASK = 0xFFFFFFFF  # MCAP's sequence numbers have 32 bits
@@ -116,6 +130,8 @@ class _Channels(dict[int, int]):
                 if kind == _REFUSED
                 else self._writer.channel(topic, "json", self._schema("command" if kind == _COMMAND else "reply"))
             )
+        elif key == _CHECKSUMS:
+            channel = self._writer.channel("checksums", "application/octet-stream")
         elif key in (_POSES, _SCENE):
             name = scene.POSES_SCHEMA if key == _POSES else scene.SCENE_SCHEMA
             channel = self._writer.channel(
@@ -309,12 +325,20 @@ class Recorder:
         if self._run:
             self._end_run()
         if self._writer.open_chunk:
-            channel = self._channels[_CHAIN]
-            self._head = _next_head(self._head, self._writer.open_chunk)
-            data = b'{"head":"%s"}' % self._head.hex().encode()
-            self._writer.add(channel, self._sequence & _SEQUENCE_MASK, self._time, self._flushed, data)
-            self._sequence += 1
+            # Both channels first, so that nothing stands between the two messages.
+            ends = (self._channels[_CHECKSUMS], self._checksums), (self._channels[_CHAIN], self._link)
+            for channel, describe in ends:
+                self._writer.add(channel, self._sequence & _SEQUENCE_MASK, self._time, self._flushed, describe())
+                self._sequence += 1
             self._writer.flush()
+
+    def _checksums(self) -> bytes:
+        sums = list(message_checksums(self._writer.open_chunk))
+        return struct.pack(f"<{len(sums)}I", *sums)
+
+    def _link(self) -> bytes:
+        self._head = _next_head(self._head, self._writer.open_chunk)
+        return b'{"head":"%s"}' % self._head.hex().encode()
 
     def _seal(self) -> None:
         end = {"head": self._head.hex(), "records": str(self._sequence), "closed": _now()}
@@ -355,6 +379,10 @@ _SHAPES = {
     for topic, kind in _KINDS.items()
     if not topic.startswith("/")
 }
+_WRONG = (ValueError, KeyError, TypeError, IndexError)  # what a chunk that is not ours may lead to
+_RECORD_START = struct.Struct("<BQ")
+_LINK_SIZE = len('{"head":""}') + 64  # bytes of a message on `chain`
+_Taken = TypeVar("_Taken")
 _ERROR = b'{"type":"error",'  # how the world's encoder begins an error
 
 
@@ -411,6 +439,7 @@ class Recording:
         config: The world's complete config, seed included.
         fingerprint: What the run's numbers depended on.
         size: Of the file, in bytes.
+        end: What it states of itself at its end (`nmes.end`); empty until all of it was read and is sound.
 
     Raises:
         RecordingError: The file cannot be read as a recording at all: it is not one, or it is damaged before the
@@ -427,6 +456,7 @@ class Recording:
             )
         self._damage: DamagedFile | None = None
         self._checked = False
+        self.end: dict[str, str] = {}
         self.metadata: dict[str, dict[str, str]] = {}
         beginning, reason = b"", ""
         try:
@@ -453,9 +483,9 @@ class Recording:
 
     @property
     def damage(self) -> DamagedFile | None:
-        """Where the recording ends early and why, or None. Reads the whole file when nothing has done so yet."""
+        """Where the recording ends early and why, or None. Checks the whole file when nothing has read it yet."""
         if not self._checked:
-            for _ in self.chunks():
+            for _ in self._walk(_Chain.check):
                 pass
         return self._damage
 
@@ -470,19 +500,27 @@ class Recording:
 
     def chunks(self) -> Iterator[tuple[int, list[Record]]]:
         """Yields the records in file order, a chunk at a time, with how far into the file (in bytes) that reaches."""
+        return self._walk(_Chain.records)
+
+    def _walk(self, take: Callable[[_Chain, Block], _Taken]) -> Iterator[tuple[int, _Taken]]:
+        """Goes through the chunks, and notes where that ends."""
         chain = _Chain(self._head)
         end: dict[str, str] = {}
         try:
             for block in self._reader.blocks():
                 if block.metadata is None:
-                    yield block.offset + block.size, chain.records(block)
+                    yield block.offset + block.size, take(chain, block)
                 elif block.metadata.name == _END:
                     end = block.metadata.metadata
             if (end.get("head"), end.get("records")) != (chain.head.hex(), str(chain.sequence)):
                 raise DamagedFile(self.size, "the file's closing metadata do not belong to its records")
+            self.end = end
         except DamagedFile as error:
             read = f"read up to record {chain.sequence - 1}" if chain.sequence else "no record can be read"
-            self._damage = DamagedFile(error.offset, f"{error.message}; {read}", cut=error.cut)
+            which = None if error.content is None else chain.first_bad(error.content)
+            told = "" if which is None else f"; record {which} is not as it was written"
+            self._damage = DamagedFile(error.offset, f"{error.message}{told}; {read}", cut=error.cut)
+            self._damage.record = which
         self._checked = True
 
     def summary(self) -> Summary:
@@ -509,27 +547,83 @@ class _Chain:
         """
         try:
             messages = self._messages(block.content)
-            self.head = _next_head(self.head, block.content[: -MESSAGE_OVERHEAD - len(messages[-1].data)])
-            if orjson.loads(messages[-1].data) != {"head": self.head.hex()}:
-                raise ValueError("it does not continue the hash chain")
+            head = self._next(block.content, MESSAGE_OVERHEAD + len(messages[-1].data))
             records = [record for record in map(self._record, messages) if record is not None]
-            self.sequence += len(messages)
-            return records
-        except (ValueError, KeyError, TypeError, IndexError) as error:
-            message = f"the chunk at byte {block.offset} is not as it was recorded: {error}"
-            raise DamagedFile(block.offset, message) from error
+        except _WRONG as error:
+            raise self._damage(block, error) from error
+        self.head = head
+        self.sequence += len(messages)
+        return records
+
+    def check(self, block: Block) -> None:
+        """Does as `records`, but makes none, which is several times faster."""
+        count = start = 0
+        try:
+            for item in skim_chunk(block.content):
+                if not isinstance(item, tuple):
+                    self._define(item)
+                    continue
+                channel, sequence, start, end = item
+                self._place(sequence, count)
+                shape = _SHAPES.get(self._kinds[channel][0])  # type: ignore[arg-type]
+                if shape is not None and not shape.is_valid(orjson.loads(block.content[start:end])):
+                    raise ValueError(f"record {sequence} does not have the shape of {self._kinds[channel][0]}")
+                count += 1
+            head = self._next(block.content, MESSAGE_OVERHEAD + len(block.content) - start)
+        except _WRONG as error:
+            raise self._damage(block, error) from error
+        self.head = head
+        self.sequence += count
+
+    def first_bad(self, content: bytes) -> int | None:
+        """Returns the number of the next chunk's first record that does not match its checksum, if one does not.
+
+        The content may be anything. The checksums are looked for from its end; where they are not found, nothing is
+        known.
+        """
+        link = len(content) - MESSAGE_OVERHEAD - _LINK_SIZE
+        for count in range(link // 4):
+            start = link - MESSAGE_OVERHEAD - 4 * count
+            if start < 0:
+                break
+            if content.startswith(_RECORD_START.pack(5, MESSAGE_OVERHEAD - 9 + 4 * count), start):
+                expected = struct.unpack_from(f"<{count}I", content, start + MESSAGE_OVERHEAD)
+                found = list(islice(message_checksums(content), count))
+                for i, (one, other) in enumerate(zip_longest(expected, found)):
+                    if one != other:
+                        return self.sequence + i
+                break
+        return None
+
+    def _next(self, content: bytes, link: int) -> bytes:
+        """Returns the head that a chunk leads to, which the last `link` bytes of it must state."""
+        head = _next_head(self.head, content[:-link])
+        if orjson.loads(content[len(content) - link + MESSAGE_OVERHEAD :]) != {"head": head.hex()}:
+            raise ValueError("it does not continue the hash chain")
+        return head
+
+    def _damage(self, block: Block, error: Exception) -> DamagedFile:
+        message = f"the chunk at byte {block.offset} is not as it was recorded: {error}"
+        return DamagedFile(block.offset, message, content=block.content)
+
+    def _place(self, sequence: int, count: int) -> None:
+        if sequence != (self.sequence + count) & _SEQUENCE_MASK:
+            raise ValueError(f"record {sequence} is out of its place")
+
+    def _define(self, channel: Channel) -> None:
+        if match := _CLIENT_TOPIC.fullmatch(channel.topic):
+            self._kinds[channel.id] = _CLIENT_KINDS[match[2]], int(match[1])
+        else:
+            self._kinds[channel.id] = _KINDS.get(channel.topic), None
 
     def _messages(self, content: bytes) -> list[Message]:
         messages: list[Message] = []
         for item in split_chunk(content):
             if isinstance(item, Message):
-                if item.sequence != (self.sequence + len(messages)) & _SEQUENCE_MASK:
-                    raise ValueError(f"record {item.sequence} is out of its place")
+                self._place(item.sequence, len(messages))
                 messages.append(item)
-            elif match := _CLIENT_TOPIC.fullmatch(item.topic):
-                self._kinds[item.id] = _CLIENT_KINDS[match[2]], int(match[1])
             else:
-                self._kinds[item.id] = _KINDS.get(item.topic), None
+                self._define(item)
         return messages
 
     def _record(self, message: Message) -> Record | None:

@@ -1,0 +1,95 @@
+"""`nmes verify`: check that a recording is as it was written."""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import click
+import orjson
+from rich.filesize import decimal
+
+from nmes import protocol
+from nmes.cli.info import open_recording
+from nmes.errors import RecordingError
+from nmes.recording import Recording
+from nmes.signing import check_signature, public_key
+
+__all__ = ["command"]
+
+
+@click.command("verify")
+@click.argument("recording", metavar="FILE", callback=open_recording)
+@click.option(
+    "--verify-key",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="Ed25519 public key (PEM) of who must have signed it.",
+)
+@click.option(
+    "--signature",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="With --verify-key: the signature's file.  [default: FILE.sig]",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
+def command(recording: Recording, verify_key: Path | None, signature: Path | None, as_json: bool) -> None:
+    """Check that a recording is as it was written.
+
+    Checks its structure, checksums, the hash chain over everything in it, and its end, and names the first record
+    that is not as it was written. This says nothing of whether the run comes out the same: that is `nmes replay`.
+
+    Exit status: 0 sound, 1 cut, damaged or not signed by that key, 2 wrong usage or no recording at all.
+    """
+    if signature is not None and verify_key is None:
+        raise click.UsageError("--signature needs --verify-key")
+    report = _check(recording, verify_key, signature)
+    if as_json:
+        click.echo(orjson.dumps(report, option=orjson.OPT_INDENT_2))
+    else:
+        for line in _lines(report):
+            click.echo(line)
+    sys.exit(0 if report["verdict"] == "sound" and report["signed"] is not False else 1)
+
+
+def _check(recording: Recording, verify_key: Path | None, signature: Path | None) -> dict[str, Any]:
+    key = public_key(verify_key) if verify_key is not None else None
+    began = time.perf_counter()
+    damage = recording.damage
+    took = time.perf_counter() - began
+    signed: bool | None = None
+    reason: str | None = None
+    if key is not None:
+        try:
+            check_signature(recording, key, signature)
+            signed = True
+        except RecordingError as error:
+            signed, reason = False, error.message
+    return {
+        "verdict": "sound" if damage is None else "cut" if damage.cut else "damaged",
+        "damage": None if damage is None else damage.message,
+        "offset": None if damage is None else damage.offset,
+        "record": None if damage is None else damage.record,
+        "head": recording.end.get("head"),
+        "records": int(recording.end["records"]) if recording.end else None,
+        "own_schemas": recording.metadata["nmes.recording"]["schemas"] == protocol.schema_hash(),
+        "written_by": recording.metadata["nmes.recording"]["nmes"],
+        "signed": signed,
+        "not_signed": reason,
+        "size": recording.size,
+        "wall_seconds": took,
+    }
+
+
+def _lines(report: dict[str, Any]) -> list[str]:
+    if report["verdict"] == "sound":
+        speed = decimal(int(report["size"] / max(report["wall_seconds"], 1e-9)))
+        lines = [f"sound: {report['records']:,} records, {speed}/s", f"  head of the chain: {report['head']}"]
+    else:
+        lines = [f"{'incomplete' if report['verdict'] == 'cut' else 'DAMAGED'}: {report['damage']}"]
+    if not report["own_schemas"]:
+        lines.append(f"  its messages have the schemas of another nmes ({report['written_by']})")
+    if report["signed"] is not None:
+        not_signed = f"NOT SIGNED with that key: {report['not_signed']}"
+        lines.append("signed with that key" if report["signed"] else not_signed)
+    return lines
