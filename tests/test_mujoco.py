@@ -281,6 +281,22 @@ def test_a_servo_goes_to_its_target_and_holds_a_load_there() -> None:
     assert reading.effort == pytest.approx(0.6 * math.cos(reading.position) * G, rel=0.01)
 
 
+@pytest.mark.parametrize("effort", [1.0, 5.0, 25.0, 240.0])
+@pytest.mark.parametrize("frozen", [True, False])
+def test_a_servo_does_not_overshoot_however_weak_it_is(effort: float, frozen: bool) -> None:
+    simulation = scene(gravity=0)
+    simulation.add_body(1, box((0.0, 5.0, 0.0), frozen=frozen))
+    simulation.add_body(2, box((1.2, 5.0, 0.0)))
+    params = JointParams(motor="position", target_position=0.8, max_effort=effort)
+    simulation.add_joint(1, JointSpec("hinge", 1, 2, (0.6, 5.0, 0.0), (0.0, 0.0, 1.0), params))
+    furthest = 0.0
+    for _ in range(480):
+        simulation.step(4)
+        furthest = max(furthest, simulation.joint_state(1).position)
+    assert furthest < 0.8 * 1.03
+    assert simulation.joint_state(1).position == pytest.approx(0.8, abs=0.005)
+
+
 @pytest.mark.parametrize("flipped", [False, True])
 @pytest.mark.parametrize("loop", [False, True])
 def test_a_conetwist_swings_within_a_cone_and_twists_within_its_limit(flipped: bool, loop: bool) -> None:

@@ -62,7 +62,7 @@ _KINDS = {
 _COORDINATES = {"hinge": (1, 1), "slide": (1, 1), "ball": (4, 3), "cone": (3, 3)}  # nq, nv by form
 _TWINNED = frozenset({"hinge", "slide", "cone"})  # forms that close a loop by way of a twin
 _WIDEST_SWING = 1.4  # rad: a cone's two swinging hinges fall together at a right angle
-_SERVO_RATE = 60.0  # 1/s: a servo closes 63% of a small error in 1/30 s, critically damped
+_SERVO_RATE = 60.0  # 1/s: a strong servo closes 63% of a small error in 1/30 s
 # Contact softness (MuJoCo's solref, solimp): a contact at rest settles in about 0.02 s.
 _CONTACT_TIME = 0.02
 # Loops are closed as stiffly as the time step allows.
@@ -312,7 +312,10 @@ def write_params(layout: Layout, joint: Joint) -> None:
         bias[2] = -gain[0]
     elif params.motor == "position" and params.max_effort > 0.0:
         gain[0] = inertia * _SERVO_RATE * _SERVO_RATE
-        bias[1], bias[2] = -gain[0], -2.0 * inertia * _SERVO_RATE
+        # Critically damped; and where the bound is low, damped so much that from one unit away (rad or m) the bound is
+        # enough to brake: at full effort that takes half the root of unit * inertia / effort.
+        brake = 0.5 * gain[0] * sqrt(inertia / params.max_effort)
+        bias[1], bias[2] = -gain[0], -max(2.0 * inertia * _SERVO_RATE, brake)
     model.actuator_gainprm[motor], model.actuator_biasprm[motor] = gain, bias
     bound = max(params.max_effort, 1e-300)
     model.actuator_forcerange[motor] = (-bound, bound)
