@@ -9,6 +9,7 @@ import json
 import logging
 import secrets
 import signal
+import ssl
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +77,16 @@ class _Worlds(click.ParamType["int | list[str]"]):
 )
 @click.option("--no-record", is_flag=True, help="Record nothing.")
 @password_options(f"Password that clients must give; better in the variable {PASSWORD_VARIABLE}.")
+@click.option(
+    "--tls-cert",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="Speak TLS, with the certificate in this PEM file.",
+)
+@click.option(
+    "--tls-key",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="The certificate's private key, a PEM file.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object when ready, for scripts.")
 def command(
     host: str,
@@ -91,6 +102,8 @@ def command(
     no_record: bool,
     password: str | None,
     password_file: Path | None,
+    tls_cert: Path | None,
+    tls_key: Path | None,
     as_json: bool,
 ) -> None:
     """Host a world that clients drive over TCP, or many.
@@ -112,23 +125,24 @@ def command(
     logging.basicConfig(format="%(asctime)s %(levelname)s %(name)s: %(message)s", level=logging.INFO)
     _raise_open_files_limit()
     names, ports = _lay_out(worlds, config.get("name", "main"), port, port_step)
-    asyncio.run(_serve(config, names, host, ports, password, source, None if no_record else record_to, as_json))
+    server = Host(password, record_to=None if no_record else record_to, tls=_load_tls(tls_cert, tls_key))
+    asyncio.run(_serve(server, config, names, host, ports, password, source, as_json))
 
 
 async def _serve(
+    server: Host,
     config: dict[str, Any],
     worlds: list[str],
     host: str,
     ports: list[int],
     password: str,
     source: str,
-    record_to: Path | None,
     as_json: bool,
 ) -> None:
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
-    async with Host(password, record_to=record_to) as server:
+    async with server:
         try:
             if worlds:
                 for name in worlds:
@@ -153,10 +167,10 @@ async def _serve(
             ready: dict[str, Any] = {
                 "worlds": [{"world": name, "port": port} for name, port in where.items()],
                 **about,
-                "recordings": None if record_to is None else str(record_to),
+                "recordings": None if server.record_to is None else str(server.record_to),
             }
             named = [f"World {name!r} on {address}:{port}" for name, port in where.items()]
-            recording = None if record_to is None else f"{record_to}, a file for each world"
+            recording = None if server.record_to is None else f"{server.record_to}, a file for each world"
         else:
             (hosted,) = server.worlds.values()
             recording = None if hosted.recording is None else str(hosted.recording)
@@ -225,6 +239,19 @@ def _embed_image(config: dict[str, Any], path: Path) -> None:
             landscape["image"] = base64.b64encode(image.read_bytes()).decode()
         except OSError as error:
             raise click.UsageError(f"{path}: scene/heightfield/image_file: {error}") from error
+
+
+def _load_tls(cert: Path | None, key: Path | None) -> ssl.SSLContext | None:
+    if cert is None and key is None:
+        return None
+    if cert is None or key is None:
+        raise click.UsageError("--tls-cert and --tls-key go together")
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    try:
+        context.load_cert_chain(cert, key, password="")  # a key under a passphrase is refused, not asked about
+    except (OSError, ValueError) as error:
+        raise click.UsageError(f"cannot use {cert} with {key}: {error}") from error
+    return context
 
 
 def _is_local(host: str) -> bool:

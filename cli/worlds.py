@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ssl
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +23,21 @@ def _split(context: click.Context, parameter: click.Parameter, value: str) -> tu
 @click.command("worlds", short_help="List the worlds of a host.")
 @click.argument("address", metavar="HOST:PORT", callback=_split)
 @password_options(f"The host's password; better in the variable {PASSWORD_VARIABLE}.")
+@click.option("--tls", is_flag=True, help="Speak TLS.")
+@click.option(
+    "--tls-ca",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="Speak TLS, and trust the certificates in this PEM file.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
-def command(address: tuple[str, int], password: str | None, password_file: Path | None, as_json: bool) -> None:
+def command(
+    address: tuple[str, int],
+    password: str | None,
+    password_file: Path | None,
+    tls: bool,
+    tls_ca: Path | None,
+    as_json: bool,
+) -> None:
     """List the worlds of a host: name, port, engine, mode, frame, clients.
 
     Looking creates none of them: a world that nobody has used yet has no frame.
@@ -33,7 +47,11 @@ def command(address: tuple[str, int], password: str | None, password_file: Path 
     if chosen is None:
         raise click.UsageError(f"give the host's password, in {PASSWORD_VARIABLE} or with --password-file")
     try:
-        worlds = Client(host, port, password=chosen[0]).worlds()
+        trust = ssl.create_default_context(cafile=tls_ca) if tls_ca is not None else tls
+    except OSError as error:
+        raise click.UsageError(f"{tls_ca}: {error}") from error
+    try:
+        worlds = Client(host, port, password=chosen[0], tls=trust).worlds()
     except TimeoutError as error:
         raise click.ClickException(str(error)) from error
     if as_json:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import asyncio
 import selectors
 import socket
+import ssl
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
@@ -34,6 +35,8 @@ REPLY_LIMIT = 256 << 20
 READ = 64 << 10
 # Events that nobody takes are forgotten from the oldest on, so that who subscribes and never looks stays small.
 EVENT_BACKLOG = 10_000
+# What a socket that does not block raises in place of waiting.
+_NOT_NOW = (BlockingIOError, ssl.SSLWantReadError, ssl.SSLWantWriteError)
 
 
 # -- the connection, without I/O --------------------------------------------------------------------------------------
@@ -114,6 +117,7 @@ class _Base:
         password: str,
         world: str | None = None,
         timeout: float | None = 10.0,
+        tls: bool | ssl.SSLContext = False,
         on_event: Callable[[Event], None] | None = None,
     ) -> None:
         """Remembers where to connect to; `connect` (or a `with` block) does it.
@@ -123,6 +127,8 @@ class _Base:
             port: Its port.
             password: The server's password.
             world: Which of the server's worlds; its first when left out.
+            tls: Whether to speak TLS, with a server whose certificate the system trusts; or the context that says whom
+                to trust, `ssl.create_default_context(cafile="cert.pem")` for a certificate of one's own.
             timeout: How long a reply may take (s; None: for ever) before `TimeoutError` is raised. May be changed.
             on_event: Called with each event as it is received, in place of the queue that `events` reads.
         """
@@ -131,6 +137,7 @@ class _Base:
         self.world = world
         self.timeout = timeout
         self.on_event = on_event
+        self._tls = ssl.create_default_context() if tls is True else tls or None
         self._password = password
         self._queue: deque[Event] = deque(maxlen=EVENT_BACKLOG)
         self._conversation = self._new_conversation()
@@ -210,7 +217,7 @@ class Client(_Base, BlockingCommands):
 
     def worlds(self) -> list[WorldSummary]:
         """Asks which worlds the server has, over a connection that joins none of them; raises as `connect` does."""
-        asking = Client(self.host, self.port, password=self._password, timeout=self.timeout)
+        asking = Client(self.host, self.port, password=self._password, timeout=self.timeout, tls=self._tls or False)
         try:
             answer = asking._enter(list=True)
         finally:
@@ -224,7 +231,8 @@ class Client(_Base, BlockingCommands):
         if self._socket is not None:
             raise RuntimeError("the client is connected already; reconnect() starts anew")
         try:
-            self._socket = socket.create_connection((self.host, self.port), self.timeout)
+            connection = socket.create_connection((self.host, self.port), self.timeout)
+            self._socket = self._tls.wrap_socket(connection, server_hostname=self.host) if self._tls else connection
         except OSError as error:
             raise self._unreachable(error) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
@@ -304,7 +312,7 @@ class Client(_Base, BlockingCommands):
             try:
                 if self._unsent:
                     self._unsent = self._unsent[self._socket.send(self._unsent) :]
-            except BlockingIOError:
+            except _NOT_NOW:
                 pass
             except OSError:
                 # The server closed; what it said before is still to be read.
@@ -315,7 +323,7 @@ class Client(_Base, BlockingCommands):
                 raise self._late()
             try:
                 data = self._socket.recv(READ)
-            except BlockingIOError:
+            except _NOT_NOW:
                 continue
             except OSError:
                 data = b""
@@ -355,7 +363,9 @@ class AsyncClient(_Base, AsyncCommands):
         loop = asyncio.get_running_loop()
         try:
             async with asyncio.timeout(self.timeout):
-                _, self._link = await loop.create_connection(lambda: _Link(self, conversation), self.host, self.port)
+                _, self._link = await loop.create_connection(
+                    lambda: _Link(self, conversation), self.host, self.port, ssl=self._tls
+                )
         except TimeoutError as error:
             raise self._late() from error
         except OSError as error:

@@ -21,6 +21,7 @@ import hmac
 import logging
 import math
 import re
+import ssl
 from collections import deque
 from collections.abc import Mapping
 from datetime import UTC, datetime
@@ -481,6 +482,7 @@ class Host:
         limits: Limits | None = None,
         auth_delay: float = 1.0,
         record_to: Path | None = None,
+        tls: ssl.SSLContext | None = None,
     ) -> None:
         """Makes a host that serves nothing yet.
 
@@ -489,6 +491,7 @@ class Host:
             limits: The protocol's limits of a connection.
             auth_delay: How long a client that failed to authenticate waits for the answer, s.
             record_to: Directory for the recordings of all worlds; None: nothing is recorded.
+            tls: Holds the host's certificate; None: all goes over the wire as it is.
         """
         self.limits = limits or Limits()
         self.auth_delay = auth_delay
@@ -497,7 +500,8 @@ class Host:
         self._ports: dict[str, int] = {}  # where a client that names no world gets which
         self.buffer = memoryview(bytearray(READ))
         self._password = _digest(password)
-        self._record_to = record_to
+        self.record_to = record_to
+        self._tls = tls
         self._servers: list[asyncio.Server] = []
         self._connections: set[Connection] = set()
         self._chores: list[asyncio.Task[None]] = []
@@ -543,7 +547,7 @@ class Host:
         return name
 
     def _create(self, name: str) -> HostedWorld:
-        hosted = self.worlds[name] = HostedWorld(self._offered[name], self._record_to)
+        hosted = self.worlds[name] = HostedWorld(self._offered[name], self.record_to)
         if self._servers:
             hosted.start()
         return hosted
@@ -617,7 +621,15 @@ class Host:
         """
         loop = asyncio.get_running_loop()
         try:
-            server = await loop.create_server(lambda: Connection(self, world), host, port, backlog=1024)
+            server = await loop.create_server(
+                lambda: Connection(self, world),
+                host,
+                port,
+                backlog=1024,
+                ssl=self._tls,
+                ssl_handshake_timeout=self.limits.auth_timeout if self._tls else None,
+                ssl_shutdown_timeout=LINGER if self._tls else None,
+            )
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or error
             raise NmesError("cannot_listen", f"cannot listen on {host}:{port}: {reason}") from error
@@ -669,8 +681,10 @@ class Host:
             connection.abort()
         while self._connections:
             await asyncio.sleep(0)
-        for server in self._servers:
-            await server.wait_closed()
+        with contextlib.suppress(TimeoutError):  # a TLS handshake that stalls is not waited for
+            async with asyncio.timeout(LINGER):
+                for server in self._servers:
+                    await server.wait_closed()
         self._servers.clear()
 
 

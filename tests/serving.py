@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import socket
+import ssl
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
@@ -126,6 +127,7 @@ def served(
     auth_delay: float = 0.0,
     record_to: Path | None = None,
     lazy: bool = False,
+    tls: ssl.SSLContext | None = None,
 ) -> Iterator[Served]:
     """Runs a host; worlds are in lockstep and on the quickest engine where their config does not say otherwise.
 
@@ -136,7 +138,7 @@ def served(
     thread.start()
 
     async def start() -> tuple[Host, int]:
-        host = Host(PASSWORD, limits=limits, auth_delay=auth_delay, record_to=record_to)
+        host = Host(PASSWORD, limits=limits, auth_delay=auth_delay, record_to=record_to, tls=tls)
         for config in configs or [{}]:
             (host.offer if lazy else host.add)({"backend": "ballistic", "mode": "lockstep", **config})
         return host, (await host.listen("127.0.0.1", 0))[1]
