@@ -187,8 +187,11 @@ _CONFIG: Final = _message("world_config", load("world_config.json"))
 _METADATA: Final = _message("recording_metadata", load("recording_metadata.json"))
 
 
+_PROSE = {"$schema", "x-message", "description", "examples"}  # what a bundle does without
+
+
 def bundled_schema(kind: Literal["command", "reply"]) -> Schema:
-    """Returns one self-contained JSON Schema of any command, or of any reply."""
+    """Returns one self-contained JSON Schema of any command, or of any reply, without its prose."""
     messages: Mapping[str, MessageSchema] = COMMANDS if kind == "command" else REPLIES
 
     def tied(value: Any) -> Any:  # in the bundle, "any command" is the bundle itself
@@ -196,7 +199,7 @@ def bundled_schema(kind: Literal["command", "reply"]) -> Schema:
             return [tied(item) for item in value]
         if not isinstance(value, dict):
             return value
-        parts = {key: tied(item) for key, item in value.items() if key not in ("$schema", "x-message")}
+        parts = {key: tied(item) for key, item in value.items() if key not in _PROSE or isinstance(item, dict)}
         return {**parts, "$ref": "#"} if value.get("x-message") == kind else parts
 
     return {
