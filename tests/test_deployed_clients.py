@@ -6,8 +6,8 @@ common: one read is one answer, so one frame that they do not expect puts them o
 
 from __future__ import annotations
 
-import asyncio
 import json
+import os
 import random
 import socket
 import subprocess
@@ -15,12 +15,12 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from nmes.errors import NmesError
-from nmes.server import Host
 from serving import PASSWORD, PATIENCE, Served, served, until
 
 END = b"<???DONE???---"
@@ -410,32 +410,32 @@ def _scan(first: int, step: int, count: int) -> tuple[dict[int, list[str]], list
     return found, refused
 
 
-async def _listen(host: Host, step: int) -> int:
-    """Serves the host's worlds on ports that are `step` apart; returns the first."""
-    ports = random.SystemRandom()
+@contextmanager
+def _worlds(count: int, step: int) -> Iterator[int]:
+    """Runs `nmes serve` with worlds on ports that are `step` apart; yields the first port."""
+    nmes = str(Path(sys.executable).parent / "nmes")
+    options = ["--worlds", str(count), "--port-step", str(step), "--no-record", "--json"]
+    environment = {**os.environ, "NMES_PASSWORD": PASSWORD}
     while True:
-        first = ports.randrange(15_000, 30_000)  # below those that the system gives to clients
-        try:
-            for n, world in enumerate(host.worlds):
-                await host.listen("127.0.0.1", first + n * step, world)
-        except NmesError:
-            continue  # somebody else's; ports that were free are served as well, which does no harm
-        return first
+        first = random.SystemRandom().randrange(15_000, 30_000)  # below those that the system gives to clients
+        command = [nmes, "serve", *options, "--port", str(first)]
+        with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
+            try:
+                assert process.stdout is not None
+                if process.stdout.readline():  # none, if one of the ports is somebody else's
+                    yield first
+                    return
+            finally:
+                process.kill()
 
 
 @pytest.mark.parametrize("step", [3, 5])
-async def test_a_scan_over_ports_finds_the_worlds_and_is_refused_elsewhere(step: int) -> None:
-    async with Host(PASSWORD) as host:
+def test_a_scan_over_ports_finds_the_worlds_and_is_refused_elsewhere(step: int) -> None:
+    with _worlds(4, step) as first:
         for n in range(4):
-            host.add({**WORLD, "backend": "ballistic", "name": f"world_{n}"})
-        first = await _listen(host, step)
-
-        def drive() -> None:
-            for n in range(4):
-                with Program(first + n * step) as client:
-                    client.spawn(cube_name=f"of_{n}")
-            found, refused = _scan(first, step, 6)
-            assert found == {first + n * step: [f"of_{n}"] for n in range(4)}
-            assert refused == [first + 4 * step, first + 5 * step]
-
-        await asyncio.to_thread(drive)
+            with Program(first + n * step) as client:
+                client.spawn(cube_name=f"of_{n}")
+        found, refused = _scan(first, step, 6)
+        assert found == {first + n * step: [f"of_{n}"] for n in range(4)}
+        assert refused == [first + 4 * step, first + 5 * step]
+        assert _scan(first + 1, step, 4)[0] == {}
