@@ -1,0 +1,66 @@
+"""A host that is told to stop while it is busy."""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from nmes import Client
+from nmes.errors import Disconnected
+from nmes.recording import Recording
+from nmes.replay import replay
+from serving import PASSWORD, PATIENCE, Peer, types
+from test_cli import process, ready
+
+
+def test_sigterm_under_load(tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
+    options = ["--worlds", "3", "--port", "0", "--backend", "ballistic", "--mode", "fast", "--record", str(tmp_path)]
+    with process("serve", "--json", *options, NMES_PASSWORD=PASSWORD) as server:
+        ports = [world["port"] for world in ready(server)["worlds"]]
+        auth = {"type": "auth", "password": PASSWORD}
+        watchers, deaf = [Peer(port) for port in ports], Peer(ports[0], receive_buffer=4096)
+        for peer in (*watchers, deaf):
+            assert peer.ask(auth)["type"] == "auth_success"
+        for watcher in watchers:
+            watcher.ask({"type": "subscribe", "events": ["tick"], "every": 1000})
+        deaf.say(*[{"type": "get_world_info"}] * 5000)
+
+        def flood(port: int) -> None:
+            try:
+                with Client(port=port, password=PASSWORD, timeout=PATIENCE) as client:
+                    client.spawn_cube()
+                    while True:
+                        with client.pipeline() as many:
+                            for _ in range(100):
+                                many.apply_force(force=[0, 1, 0])
+                                many.get_cube_state()
+            except Disconnected:
+                pass
+
+        floods = [threading.Thread(target=flood, args=(port,)) for port in ports * 2]
+        for thread in floods:
+            thread.start()
+        heard = [watcher.hear()["type"] for watcher in watchers]  # all are under way
+        assert heard == ["tick"] * 3
+        time.sleep(0.3)
+
+        began = time.monotonic()
+        server.send_signal(signal.SIGTERM)
+        last = [types(watcher.rest())[-1] for watcher in watchers]
+        assert server.wait(PATIENCE) == 0, server.communicate()
+        took = time.monotonic() - began
+        for thread in floods:
+            thread.join(PATIENCE)
+        for peer in (*watchers, deaf):
+            peer.socket.close()
+    assert last == ["world_closed"] * 3
+    record_property("from SIGTERM to the end, under load", f"{took:.2f} s")
+    assert took < 5.0
+    recordings = [Recording(path) for path in tmp_path.iterdir()]
+    assert len(recordings) == 3
+    assert all(recording.complete for recording in recordings)
+    smallest = min(recordings, key=lambda recording: recording.size)
+    assert replay(smallest).verdict == "reproduced"
