@@ -569,7 +569,8 @@ class Session:
         self.dialect = "json"
         message = _parse_json(frame)
         if isinstance(message, RejectedMessage):
-            return Auth("json", error=message)
+            # A key is repeated in quotation marks, and may be a password that got into the wrong place.
+            return Auth("json", error=RejectedMessage(message.code, message.message.split('"')[0].rstrip()))
         self._auth_id = message.get("id", NO_ID)
         if message.get("type") != "auth":
             error: RejectedMessage | None = RejectedMessage("auth_failed", "the first message must be auth")
