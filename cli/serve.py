@@ -76,6 +76,13 @@ class _Worlds(click.ParamType["int | list[str]"]):
     help="Directory for the recording.",
 )
 @click.option("--no-record", is_flag=True, help="Record nothing.")
+@click.option(
+    "--flush-interval",
+    type=click.FloatRange(0, 3600),
+    default=1.0,
+    show_default=True,
+    help="Seconds of the recording that a crash may lose; with 0 nothing is told before it is on disk.",
+)
 @password_options(f"Password that clients must give; better in the variable {PASSWORD_VARIABLE}.")
 @click.option(
     "--tls-cert",
@@ -100,6 +107,7 @@ def command(
     rate: float | None,
     record_to: Path,
     no_record: bool,
+    flush_interval: float,
     password: str | None,
     password_file: Path | None,
     tls_cert: Path | None,
@@ -125,7 +133,12 @@ def command(
     logging.basicConfig(format="%(asctime)s %(levelname)s %(name)s: %(message)s", level=logging.INFO)
     _raise_open_files_limit()
     names, ports = _lay_out(worlds, config.get("name", "main"), port, port_step)
-    server = Host(password, record_to=None if no_record else record_to, tls=_load_tls(tls_cert, tls_key))
+    server = Host(
+        password,
+        record_to=None if no_record else record_to,
+        flush_interval=flush_interval,
+        tls=_load_tls(tls_cert, tls_key),
+    )
     asyncio.run(_serve(server, config, names, host, ports, password, source, as_json))
 
 

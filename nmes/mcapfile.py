@@ -144,6 +144,8 @@ class Writer:
         self._end = 0  # where the data section ends so far, and its checksum
         self._crc = 0
         self._sealed = False
+        self._synced = 0  # how much was written when the disk last had all of it; and how much has been
+        self._written = 0
         self._append(MAGIC + _encoded(Header(profile=profile, library=library)))
 
     @property
@@ -277,6 +279,21 @@ class Writer:
         self._write(b"".join((last, data_end, summary, footer, crc, MAGIC)))
         self._sealed = True
 
+    def sync(self) -> None:
+        """Waits until the disk has what was written, and the first time until the folder has the file."""
+        try:
+            if self._written != self._synced:
+                os.fsync(self._file.fileno())
+                if not self._synced and hasattr(os, "O_DIRECTORY"):
+                    folder = os.open(self.path.parent, os.O_RDONLY | os.O_DIRECTORY)
+                    try:
+                        os.fsync(folder)
+                    finally:
+                        os.close(folder)
+                self._synced = self._written
+        except OSError as error:
+            raise self._failure(error) from error
+
     def close(self) -> None:
         """Closes the file as it is: without `seal` it stays without an end."""
         self._file.close()
@@ -304,6 +321,7 @@ class Writer:
         try:
             while rest:
                 rest = rest[self._file.write(rest) :]
+            self._written += len(data)
         except OSError as error:
             raise self._failure(error) from error
 

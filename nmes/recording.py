@@ -60,7 +60,6 @@ PROFILE = "nmes"
 FORMAT = "1"
 REFUSED_LIMIT = 64 << 10  # bytes of a refused frame that are kept
 _NS = 1_000_000_000
-_FLUSH_AFTER = _NS  # ns of wall time: nothing older than this waits while records come in
 _FLUSH_SIZE = 256 << 10  # bytes of records: about as many as the processor's caches still hold
 _MANY = 512  # notes
 _LONG_RUN = 4096  # ticks
@@ -161,20 +160,23 @@ class Recorder:
 
     What the journal is told is noted, and a few hundred notes at a time are made into records: code that has just run
     runs twice as fast. `flush` writes the records out. It happens when a second has gone by or 256 KiB are waiting; a
-    host calls it too, for worlds in which nothing happens. While the world is faulted, and after `close`, the file has
-    its end and every MCAP reader can read it.
+    host calls it too, for worlds in which nothing happens, and `commit` before it tells anybody anything. While the
+    world is faulted, and after `close`, the file has its end and every MCAP reader can read it.
 
     Args:
         path: A file that does not exist yet.
         world: The world to record, new and empty.
         pose_rate: How often the poses are kept for viewers, in Hz of simulation time; 0 for never.
+        flush_interval: For how long (s) a record may wait while others come in. With 0, `commit` waits for the disk.
 
     Raises:
         RecordingError: The file cannot be created, or the world is not new. Every other method raises it when the
             file cannot be written (`recording_failed`), and from then on.
     """
 
-    def __init__(self, path: str | os.PathLike[str], world: World, *, pose_rate: float = 10.0) -> None:
+    def __init__(
+        self, path: str | os.PathLike[str], world: World, *, pose_rate: float = 10.0, flush_interval: float = 1.0
+    ) -> None:
         if world.frame or world.cubes():
             raise RecordingError("recording_failed", "a recording begins with its world; this one has a past")
         self.path = Path(path)
@@ -190,6 +192,8 @@ class Recorder:
         self._frame = self._time = 0  # the last record's frame, and that in ns
         self._sequence = 0
         self._flushed = time_ns()
+        self._durable = flush_interval == 0
+        self._flush_after = _NS if self._durable else int(flush_interval * _NS)
         self._error: RecordingError | None = None
         try:
             begin = [self._writer.metadata(name, values) for name, values in _metadata(world).items()]
@@ -221,7 +225,7 @@ class Recorder:
         """Records a reply."""
         wall = time_ns()
         self._notes.append((4 * client + _REPLY, self._world.frame, wall, reply))
-        if not 0 <= wall - self._flushed < _FLUSH_AFTER or len(self._notes) > _MANY:
+        if not 0 <= wall - self._flushed < self._flush_after or len(self._notes) > _MANY:
             self._pack()
 
     def ticked(self, frame: int, digest: bytes) -> None:
@@ -230,7 +234,7 @@ class Recorder:
         self._notes.append((_TICKS, frame, wall, digest))
         if self._pose_every and frame % self._pose_every == 0:
             self._notes.append((_POSES, frame, wall, self._painter.look()))
-        if not 0 <= wall - self._flushed < _FLUSH_AFTER or len(self._notes) > _MANY:
+        if not 0 <= wall - self._flushed < self._flush_after or len(self._notes) > _MANY:
             self._pack()
 
     def faulted(self, frame: int, code: str, message: str) -> None:
@@ -248,7 +252,7 @@ class Recorder:
         except RecordingError as error:
             self._fail(error)
         # The wall clock may be set back: that is a reason to flush, too.
-        if len(self._writer.open_chunk) > _FLUSH_SIZE or not 0 <= time_ns() - self._flushed < _FLUSH_AFTER:
+        if len(self._writer.open_chunk) > _FLUSH_SIZE or not 0 <= time_ns() - self._flushed < self._flush_after:
             self.flush()
 
     def _make_records(self) -> None:
@@ -298,6 +302,15 @@ class Recorder:
         except RecordingError as error:
             self._fail(error)
 
+    def commit(self) -> None:
+        """Where the flush interval is 0: returns when all that was recorded so far is on disk. Else does nothing."""
+        if self._durable:
+            self.flush()
+            try:
+                self._writer.sync()
+            except RecordingError as error:
+                self._fail(error)
+
     def close(self) -> None:
         """Flushes and gives the file its end. A second time it does nothing.
 
@@ -308,6 +321,8 @@ class Recorder:
             try:
                 self._write_chunk()
                 self._seal()
+                if self._durable:
+                    self._writer.sync()
             except RecordingError as error:
                 self._fail(error)
             self._error = RecordingError("recording_closed", f"the recording {self.path} is closed")

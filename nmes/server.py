@@ -41,7 +41,6 @@ logger = logging.getLogger(__name__)
 
 SLICE = 0.005  # s: how long one connection's commands or one world's ticks may keep the others waiting
 CATCH_UP = 0.25  # s: a realtime world that fell further behind than this lets the rest go
-FLUSH = 0.5  # s: how often recordings are flushed; a second is promised, and a slice or a long step may come between
 LINGER = 2.0  # s: how long a connection that we end may take to read our last words and hang up
 SPARE = 64  # connections over the limit that are told so; any more are dropped without a word
 READ = 256 << 10  # bytes that are read at once; fresh memory for each read would cost more than all of asyncio
@@ -51,7 +50,7 @@ CHUNK = 256 << 10  # bytes of replies that are handed to the socket before the r
 class HostedWorld:
     """One world being served: the world, its recorder, its connections and its clock."""
 
-    def __init__(self, config: Mapping[str, Any], record_to: Path | None = None) -> None:
+    def __init__(self, config: Mapping[str, Any], record_to: Path | None = None, flush_interval: float = 1.0) -> None:
         """Creates the world and begins its recording, a new file in the directory `record_to`, if one is given."""
         self.world = World(config, emit=self._emit)
         self.name: str = self.world.config["name"]
@@ -63,7 +62,7 @@ class HostedWorld:
             except OSError as error:
                 raise RecordingError("recording_failed", f"cannot make {record_to}: {error.strerror}") from error
             self.recording = _new_recording_path(record_to, self.name)
-            self._recorder = self.world.journal = Recorder(self.recording, self.world)
+            self._recorder = self.world.journal = Recorder(self.recording, self.world, flush_interval=flush_interval)
         self._connections: dict[int, Connection] = {}
         self._speaking: list[Connection] = []  # those with output that is not yet handed to their sockets
         self._closed = False
@@ -175,6 +174,22 @@ class HostedWorld:
             except RecordingError as error:
                 self.world.stop_recording(error)
                 self.settle()
+
+    def commit(self) -> None:
+        """Waits for the disk, if that was asked for: called before anything is told to anybody.
+
+        Where it fails, what is about to be told may be of what is lost: nobody hears it, and the world stops.
+        """
+        if self._recorder is not None and self.world.journal is not None and not self._closed:
+            try:
+                self._recorder.commit()
+            except RecordingError as error:
+                connections = list(self._connections.values())
+                for connection in connections:
+                    connection.unsay()
+                self.world.stop_recording(error)
+                for connection in connections:
+                    connection.hang_up(error)
 
     def close(self) -> None:
         """Stops the clock, tells subscribers that the world is closed, and completes the recording."""
@@ -364,6 +379,11 @@ class Connection(asyncio.BufferedProtocol):
         else:
             self._put(self._session.event(event))
 
+    def unsay(self) -> None:
+        """Takes back what was not yet handed to the socket."""
+        self._output.clear()
+        self._output_size = 0
+
     def _put(self, data: bytes) -> None:
         if not self._output:
             assert self._world is not None
@@ -373,6 +393,8 @@ class Connection(asyncio.BufferedProtocol):
 
     def flush(self) -> None:
         """Hands what there is to the socket, in one write."""
+        if self._output and self._world is not None:
+            self._world.commit()
         if self._output:
             data = b"".join(self._output)
             self._output.clear()
@@ -405,9 +427,9 @@ class Connection(asyncio.BufferedProtocol):
 
     # -- the end ---------------------------------------------------------------------------------------------------
 
-    def hang_up(self) -> None:
-        """Ends the connection from our side."""
-        self._end(None)
+    def hang_up(self, error: NmesError | None = None) -> None:
+        """Ends the connection from our side, and says why."""
+        self._end(error)
 
     @property
     def draining(self) -> bool:
@@ -482,6 +504,7 @@ class Host:
         limits: Limits | None = None,
         auth_delay: float = 1.0,
         record_to: Path | None = None,
+        flush_interval: float = 1.0,
         tls: ssl.SSLContext | None = None,
     ) -> None:
         """Makes a host that serves nothing yet.
@@ -491,10 +514,12 @@ class Host:
             limits: The protocol's limits of a connection.
             auth_delay: How long a client that failed to authenticate waits for the answer, s.
             record_to: Directory for the recordings of all worlds; None: nothing is recorded.
+            flush_interval: How much (s) of a recording a crash may lose; with 0 nothing is told before it is on disk.
             tls: Holds the host's certificate; None: all goes over the wire as it is.
         """
         self.limits = limits or Limits()
         self.auth_delay = auth_delay
+        self._flush_interval = flush_interval
         self.worlds: dict[str, HostedWorld] = {}  # those that there are
         self._offered: dict[str, dict[str, Any]] = {}  # the configs of all that there may be
         self._ports: dict[str, int] = {}  # where a client that names no world gets which
@@ -547,7 +572,7 @@ class Host:
         return name
 
     def _create(self, name: str) -> HostedWorld:
-        hosted = self.worlds[name] = HostedWorld(self._offered[name], self.record_to)
+        hosted = self.worlds[name] = HostedWorld(self._offered[name], self.record_to, self._flush_interval)
         if self._servers:
             hosted.start()
         return hosted
@@ -653,8 +678,10 @@ class Host:
                 connection.inspect(now)
 
     async def _flush(self) -> None:
+        # Twice as often as is promised: a slice or a long step may come between.
+        interval = (self._flush_interval or 1.0) / 2
         while True:
-            await asyncio.sleep(FLUSH)
+            await asyncio.sleep(interval)
             for hosted in self.worlds.values():
                 hosted.flush()
 

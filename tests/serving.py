@@ -126,6 +126,7 @@ def served(
     limits: Limits | None = None,
     auth_delay: float = 0.0,
     record_to: Path | None = None,
+    flush_interval: float = 1.0,
     lazy: bool = False,
     tls: ssl.SSLContext | None = None,
 ) -> Iterator[Served]:
@@ -138,7 +139,14 @@ def served(
     thread.start()
 
     async def start() -> tuple[Host, int]:
-        host = Host(PASSWORD, limits=limits, auth_delay=auth_delay, record_to=record_to, tls=tls)
+        host = Host(
+            PASSWORD,
+            limits=limits,
+            auth_delay=auth_delay,
+            record_to=record_to,
+            flush_interval=flush_interval,
+            tls=tls,
+        )
         for config in configs or [{}]:
             (host.offer if lazy else host.add)({"backend": "ballistic", "mode": "lockstep", **config})
         return host, (await host.listen("127.0.0.1", 0))[1]
