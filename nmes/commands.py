@@ -275,6 +275,7 @@ class ModeSet(TypedDict):
     type: Literal["mode_set"]
     mode: str
     rate: float
+    barrier: NotRequired[bool]
 
 
 class Subscribed(TypedDict):
@@ -319,11 +320,17 @@ class WorldFault(TypedDict):
     message: str
 
 
+class BarrierTimeout(TypedDict):
+    type: Literal["barrier_timeout"]
+    frame: int
+    clients: list[int]
+
+
 class WorldClosed(TypedDict):
     type: Literal["world_closed"]
 
 
-Event = Tick | State | WorldFault | WorldClosed
+Event = Tick | State | WorldFault | BarrierTimeout | WorldClosed
 JointType = Literal["fixed", "hinge", "slide", "slider", "pin", "conetwist"]
 Mode = Literal["realtime", "lockstep", "fast"]
 
@@ -603,7 +610,15 @@ class Commands:
         return Resumed
 
     @command
-    def set_mode(self, mode: Mode, *, rate: float | None = None) -> type[ModeSet]:
+    def set_mode(
+        self,
+        mode: Mode,
+        *,
+        rate: float | None = None,
+        barrier: bool | None = None,
+        agents: int | None = None,
+        timeout: float | None = None,
+    ) -> type[ModeSet]:
         """Chooses what makes the world tick; `rate` is how many times faster than real time `realtime` runs."""
         return ModeSet
 

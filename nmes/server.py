@@ -33,7 +33,7 @@ from typing import Any, Self, cast
 from nmes.errors import NmesError, RecordingError, RejectedMessage, WorldError
 from nmes.protocol import DELIMITER, Auth, Limits, Request, Session, complete_config, encode, error_reply
 from nmes.recording import Recorder
-from nmes.world import World
+from nmes.world import Barrier, World
 
 __all__ = ["Host", "HostedWorld"]
 
@@ -72,6 +72,9 @@ class HostedWorld:
         self._frame = 0  # where the clock left the world
         self._began = 0.0  # the wall's time and the frame from which the pace of `realtime` is reckoned
         self._began_frame = 0
+        self._rendezvous = _Rendezvous()
+        self._alarm: asyncio.TimerHandle | None = None  # when those that wait for others have waited enough
+        self._alarm_frame = 0
 
     def __repr__(self) -> str:
         return f"HostedWorld({self.name!r}, frame {self.world.frame}, {len(self._connections)} clients)"
@@ -89,7 +92,8 @@ class HostedWorld:
 
     def leave(self, client: int) -> None:
         """Lets a client go; its cubes stay."""
-        del self._connections[client]
+        connection = self._connections.pop(client)
+        self._rendezvous.forget(connection)
         if not self._closed:
             self.world.leave(client)
 
@@ -98,6 +102,57 @@ class HostedWorld:
         if self._closed:
             return encode(error_reply(WorldError("internal", "the world is closed"), request.type))
         return self.world.handle(client, request)
+
+    def holds(self, connection: Connection, request: Request) -> bool:
+        """Whether a request has to wait: a `step`, until all others who control the world have said it too.
+
+        `Connection.go_on` is called when it need not wait any more.
+        """
+        world = self.world
+        if world.barrier is None or request.type != "step" or request.command is None:
+            return False
+        if world.fault is not None or self._closed:
+            return False
+        return self._rendezvous.arrive(world.barrier, connection, request.command.get("ticks", 1))
+
+    def _meet(self) -> None:
+        """Ticks while all who control the world have said `step`, and lets those go on that have had their ticks."""
+        world, rendezvous = self.world, self._rendezvous
+        if not rendezvous.waiting and self._alarm is None:
+            return
+        loop = asyncio.get_running_loop()
+        until = loop.time() + SLICE
+        while rendezvous.complete(world.barrier) and world.fault is None and not self._closed:
+            world.tick()
+            for connection in rendezvous.ticked():
+                loop.call_soon(connection.go_on)
+            if loop.time() >= until:
+                loop.call_soon(self.settle)
+                break
+        if world.barrier is None or world.fault is not None or self._closed:
+            for connection in rendezvous.waiting:
+                loop.call_soon(connection.go_on)
+            self._rendezvous = _Rendezvous()
+        self._set_alarm()
+
+    def _set_alarm(self) -> None:
+        """Sets the time-out of those that wait, from the last tick on; none where nobody waits."""
+        barrier, now = self.world.barrier, self.world.frame
+        waits = barrier is not None and bool(self._rendezvous.waiting)
+        if self._alarm is not None and (not waits or self._alarm_frame != now):
+            self._alarm.cancel()
+            self._alarm = None
+        if barrier is not None and waits and self._alarm is None:
+            self._alarm = asyncio.get_running_loop().call_later(barrier.timeout, self._go_without)
+            self._alarm_frame = now
+
+    def _go_without(self) -> None:
+        self._alarm = None
+        late = [number for number, connection in self._connections.items() if self._rendezvous.is_late(connection)]
+        self._rendezvous.give_up()
+        logger.warning("world %r goes on at frame %d without clients %s", self.name, self.world.frame, late)
+        self.world.announce({"type": "barrier_timeout", "frame": self.world.frame, "clients": late})
+        self.settle()
 
     def _emit(self, client: int, event: bytes) -> None:
         self._connections[client].send_event(event)
@@ -109,6 +164,7 @@ class HostedWorld:
     def settle(self) -> None:
         """Ends a slice: hands output to the sockets, and sets the clock by what the commands changed."""
         world = self.world
+        self._meet()
         if world.fault is not self._fault_logged:
             # Its clients were told; whoever runs the host must learn of it too.
             self._fault_logged = fault = world.fault
@@ -204,6 +260,64 @@ class HostedWorld:
                 self._recorder.close()
             except RecordingError as error:
                 logger.error("the recording %s could not be completed: %s", self.recording, error.message)
+
+
+class _Rendezvous:
+    """Who controls a world with a barrier, who of them has said `step`, and for how many ticks."""
+
+    def __init__(self) -> None:
+        self.waiting: dict[Connection, int] = {}
+        self._controlling: set[Connection] = set()
+        self._released: set[Connection] = set()  # had their ticks, and their `step` is executed next
+        self._barrier: Barrier | None = None
+        self._begun = False
+
+    def arrive(self, barrier: Barrier, connection: Connection, ticks: int) -> bool:
+        """Takes note of a `step`; returns whether it has to wait."""
+        if connection in self._released:
+            self._released.discard(connection)
+            return False
+        self._begin(barrier)
+        self._controlling.add(connection)
+        self.waiting.setdefault(connection, ticks)
+        return True
+
+    def _begin(self, barrier: Barrier) -> None:
+        """Counts anew where the barrier is a new one; those that wait already take part in it."""
+        if barrier is not self._barrier:
+            self._barrier, self._begun = barrier, False
+            self._controlling = set(self.waiting)
+
+    def complete(self, barrier: Barrier | None) -> bool:
+        """Whether all have said `step`."""
+        if barrier is None or not self.waiting:
+            return False
+        self._begin(barrier)
+        enough = self._begun or len(self._controlling) >= barrier.agents
+        return enough and self._controlling <= self.waiting.keys()
+
+    def ticked(self) -> list[Connection]:
+        """Counts a tick; returns those that have now had all that they said."""
+        self._begun = True
+        done = [connection for connection, ticks in self.waiting.items() if ticks == 1]
+        self.waiting = {connection: ticks - 1 for connection, ticks in self.waiting.items() if ticks > 1}
+        self._released.update(done)
+        return done
+
+    def is_late(self, connection: Connection) -> bool:
+        """Whether others wait for this one."""
+        return connection in self._controlling and connection not in self.waiting
+
+    def give_up(self) -> None:
+        """Waits no longer for those that are late, nor for more to come."""
+        self._controlling &= self.waiting.keys()
+        self._begun = True
+
+    def forget(self, connection: Connection) -> None:
+        """Waits no longer for a connection that leaves."""
+        self._controlling.discard(connection)
+        self._released.discard(connection)
+        self.waiting.pop(connection, None)
 
 
 class Connection(asyncio.BufferedProtocol):
@@ -335,6 +449,11 @@ class Connection(asyncio.BufferedProtocol):
 
     # -- commands --------------------------------------------------------------------------------------------------
 
+    def go_on(self) -> None:
+        """Goes on with what had to wait for others."""
+        if self._backlog:
+            self._work()
+
     def _work(self) -> None:
         """Executes what is in the backlog for one slice."""
         world, session, backlog = self._world, self._session, self._backlog
@@ -342,7 +461,11 @@ class Connection(asyncio.BufferedProtocol):
             return
         clock = asyncio.get_running_loop().time
         until = clock() + SLICE
+        held = False
         while backlog and not self._full:
+            held = world.holds(self, backlog[0])
+            if held:
+                break
             request = backlog.popleft()
             reply = session.reply(request, world.handle(self._client, request))
             if reply:
@@ -354,7 +477,7 @@ class Connection(asyncio.BufferedProtocol):
         world.settle()
         if backlog:
             self._transport.pause_reading()
-            if not self._full:
+            if not self._full and not held:
                 asyncio.get_running_loop().call_soon(self._work)
         elif self._lost:
             self._leave()

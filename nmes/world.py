@@ -28,7 +28,7 @@ from nmes.errors import NmesError, RecordingError, RejectedMessage, SimulationFa
 from nmes.protocol import Request
 from nmes.subscription import Subscription
 
-__all__ = ["Fault", "Journal", "World"]
+__all__ = ["Barrier", "Fault", "Journal", "World"]
 
 logger = logging.getLogger(__name__)
 
@@ -75,6 +75,14 @@ class Fault:
     frame: int
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Barrier:
+    """The wish that the world tick when all who control it have said `step`. It is the host that waits and ticks."""
+
+    agents: int
+    timeout: float
+
+
 @dataclass(slots=True)
 class _Client:
     number: int
@@ -109,6 +117,8 @@ class World:
         self.mode: str = self.config["mode"]
         self.rate = float(self.config["rate"])
         self.paused = False
+        self.barrier: Barrier | None = None
+        self._in_batch = False
         self._tick_rate: int = self.config["tick_rate"]
         self._substeps: int = self.config["substeps"]
         self._clients: dict[int, _Client] = {}
@@ -245,6 +255,10 @@ class World:
     def stop_recording(self, error: RecordingError) -> None:
         """Faults the world because its history can no longer be kept; for hosts that flush on a timer."""
         self._lose_journal(error)
+
+    def announce(self, event: Mapping[str, Any]) -> None:
+        """Tells subscribers what only the host knows."""
+        self._emit_to_subscribers(dict(event))
 
     def close(self) -> None:
         """Tells subscribers that the world is closed and releases the engine."""
@@ -485,6 +499,11 @@ class World:
     def _step(self, client: _Client, c: JsonObject) -> JsonObject:
         if self.mode != "lockstep" and not self.paused:
             raise WorldError("wrong_mode", f"step works in lockstep or in a paused world, not in {self.mode}")
+        if self.barrier is not None:
+            # The host held it back until all were there, and has ticked.
+            if self._in_batch:
+                raise WorldError("wrong_mode", "a step that waits for others cannot be part of a batch")
+            return {"type": "stepped", "frame": self.frame, "t": self.time}
         for _ in range(c.get("ticks", 1)):
             self.tick()
             if self.fault is not None:
@@ -500,9 +519,16 @@ class World:
         return {"type": "resumed", "frame": self.frame}
 
     def _set_mode(self, client: _Client, c: JsonObject) -> JsonObject:
-        self.mode = c["mode"]
+        barrier: Barrier | None = None
+        if c.get("barrier", False):
+            if c["mode"] != "lockstep":
+                raise WorldError("wrong_mode", f"barrier: only in lockstep, not in {c['mode']}", "barrier")
+            default = protocol.COMMANDS["set_mode"].defaults
+            barrier = Barrier(c.get("agents", default["agents"]), float(c.get("timeout", default["timeout"])))
+        self.mode, self.barrier = c["mode"], barrier
         self.rate = float(c.get("rate", self.rate))
-        return {"type": "mode_set", "mode": self.mode, "rate": self.rate}
+        reply: JsonObject = {"type": "mode_set", "mode": self.mode, "rate": self.rate}
+        return {**reply, "barrier": True} if barrier is not None else reply
 
     def _subscribe(self, client: _Client, c: JsonObject) -> JsonObject:
         default = protocol.COMMANDS["subscribe"].defaults
@@ -534,7 +560,11 @@ class World:
                 command = {**command, "list": False}
             # It was validated with the batch.
             request = Request(b"", command, None, command["type"], command.get("id", protocol.NO_ID))
-            results.append(self._answer(client, request))
+            self._in_batch = True
+            try:
+                results.append(self._answer(client, request))
+            finally:
+                self._in_batch = False
         return {"type": "batch_result", "results": results}
 
     def _ping(self, client: _Client, c: JsonObject) -> JsonObject:

@@ -58,10 +58,10 @@ def test_a_world_that_cannot_be_created_is_told_and_does_not_hurt_the_others(
 ) -> None:
     create = HostedWorld.__init__
 
-    def no_room(self: HostedWorld, config: Any, record_to: Path | None = None) -> None:
+    def no_room(self: HostedWorld, config: Any, *more: Any) -> None:
         if config["name"] == "green":
             raise RecordingError("recording_failed", "the disk of /secret/place is full")
-        create(self, config, record_to)
+        create(self, config, *more)
 
     monkeypatch.setattr(HostedWorld, "__init__", no_room)
     with server.peer(None) as peer:
