@@ -1,0 +1,42 @@
+"""`nmes export`: a recording as data for other programs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from nmes.cli.info import open_recording
+from nmes.export import messages, state_rows, states, write_csv, write_jsonl, write_parquet
+from nmes.recording import Recording
+
+__all__ = ["command"]
+
+
+@click.command("export")
+@click.argument("recording", metavar="FILE", callback=open_recording)
+@click.option("--to", "kind", type=click.Choice(["jsonl", "csv", "parquet"]), required=True, help="The format.")
+@click.option(
+    "--what",
+    type=click.Choice(["messages", "states"]),
+    help="Commands, replies and what happened; or each cube after each tick.  "
+    "[default: messages in jsonl, states in csv and parquet]",
+)
+@click.option("--output", type=click.Path(dir_okay=False, path_type=Path), help="The file; else standard output.")
+@click.option("--anyway", is_flag=True, help="States: go on where a tick does not come out as recorded.")
+def command(recording: Recording, kind: str, what: str | None, output: Path | None, anyway: bool) -> None:
+    """Write a recording as data for other programs.
+
+    States are not in a recording: they are made by running it again, and each tick is compared with its recorded
+    digest.
+    """
+    if kind == "parquet" and output is None:
+        raise click.UsageError("parquet needs --output")
+    as_messages = what == "messages" if what is not None else kind == "jsonl"
+    rows = messages(recording) if as_messages else state_rows(states(recording, anyway=anyway))
+    if kind == "parquet":
+        assert output is not None
+        write_parquet(rows, output)
+        return
+    with click.open_file(str(output) if output is not None else "-", "w", encoding="utf-8") as file:
+        (write_jsonl if kind == "jsonl" else write_csv)(rows, file)

@@ -1,0 +1,207 @@
+"""Recordings as data: tables of messages, and of the states after every tick, made by running the recording again.
+
+A recording holds inputs and digests, which is little; every pose and velocity follows from them. Here the inputs are
+fed to a fresh world, whose states are handed out tick by tick.
+
+Invariant: no state is handed out whose digest is not the recorded one, unless that was asked for.
+"""
+
+from __future__ import annotations
+
+import csv
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from itertools import chain, islice
+from typing import IO, Any, NamedTuple
+
+import orjson
+
+from nmes import protocol
+from nmes.backend import Array
+from nmes.errors import NmesError, RecordingError
+from nmes.protocol import Request
+from nmes.recording import Kind, Recording
+from nmes.world import World
+
+__all__ = ["COLUMNS", "States", "messages", "state_rows", "states", "write_csv", "write_jsonl", "write_parquet"]
+
+COLUMNS = tuple(
+    f"{name}_{axis}"
+    for name, axes in (("position", "xyz"), ("quaternion", "xyzw"), ("linear", "xyz"), ("angular", "xyz"))
+    for axis in axes
+)
+_BATCH = 50_000  # rows of a Parquet group
+
+Row = Mapping[str, Any]
+
+
+class States(NamedTuple):
+    """All cubes after one tick: their names, and an array (n, 13) of positions, quaternions and velocities."""
+
+    frame: int
+    time: float
+    names: list[str]
+    values: Array
+
+
+def states(recording: Recording | str | os.PathLike[str], *, anyway: bool = False) -> Iterator[States]:
+    """Runs a recording again and yields the states after each of its ticks. After a `reset`, frames begin at 1 again.
+
+    Args:
+        recording: The recording, or its file.
+        anyway: Go on where a tick does not come out as it was recorded, as on another machine.
+
+    Raises:
+        RecordingError: The file cannot be read, or a tick does not come out as recorded (`diverged`).
+        BackendNotFound: Its engine is not there.
+    """
+    if not isinstance(recording, Recording):
+        recording = Recording(recording)
+    watch = _Watch()
+    world = watch.world = World(recording.config, journal=watch)
+    clients: set[int] = set()
+    records = iter(recording)
+    try:
+        for record in records:
+            digests: list[str] = []
+            match record.kind:
+                case Kind.JOINED:
+                    clients.add(world.join())
+                case Kind.LEFT if record.client in clients:
+                    clients.remove(record.client)
+                    world.leave(record.client)
+                case Kind.COMMAND if record.client in clients:
+                    # Its own ticks stand between it and its reply.
+                    for other in records:
+                        if other.about is not None:
+                            digests += other.about.get("digests", ())
+                        if other.kind is Kind.REPLY:
+                            break
+                    world.handle(record.client, protocol.parse(record.data))
+                case Kind.FAULT:
+                    world.tick()
+                case Kind.TICKS if record.about is not None:
+                    for digest in record.about["digests"]:
+                        world.tick()
+                        yield from watch.take([digest], anyway)
+            yield from watch.take(digests, anyway)
+    finally:
+        world.close()
+
+
+class _Watch:
+    """The journal of a world that is run again: it keeps the states after each tick until they are taken."""
+
+    world: World
+
+    def __init__(self) -> None:
+        self._seen: list[tuple[str, States]] = []
+
+    def take(self, digests: list[str], anyway: bool) -> Iterator[States]:
+        """Yields what was seen since the last time, which must be what was recorded."""
+        seen, self._seen = self._seen, []
+        for digest, (found, states) in zip(digests, seen, strict=False):
+            if digest != found and not anyway:
+                raise RecordingError("diverged", f"tick {states.frame} does not come out as recorded; see nmes replay")
+            yield states
+        if len(seen) < len(digests) and not anyway:
+            raise RecordingError("diverged", f"after frame {self.world.frame} there are fewer ticks than recorded")
+
+    def ticked(self, frame: int, digest: bytes) -> None:
+        """The world reached a frame."""
+        self._seen.append((digest.hex(), States(frame, self.world.time, *self.world.poses())))
+
+    def joined(self, client: int) -> None:
+        """A client came."""
+
+    def left(self, client: int) -> None:
+        """A client went."""
+
+    def received(self, client: int, request: Request) -> None:
+        """A frame is executed next."""
+
+    def replied(self, client: int, request: Request, reply: bytes) -> None:
+        """A frame was answered."""
+
+    def faulted(self, frame: int, code: str, message: str) -> None:
+        """The world stopped."""
+
+
+# -- tables ----------------------------------------------------------------------------------------------------------
+
+
+def messages(recording: Recording) -> Iterator[Row]:
+    """Yields what was said and what happened, a row each: commands, replies, who came and went, ticks, faults.
+
+    A frame that is not JSON stands as text.
+    """
+    for record in recording:
+        if record.kind in (Kind.POSES, Kind.SCENE):
+            continue
+        try:
+            message = record.about or orjson.loads(record.data)
+        except ValueError:
+            message = record.data.decode(errors="replace")
+        yield {
+            "record": record.sequence,
+            "kind": str(record.kind),
+            "t": record.time / 1e9,
+            "wall_ns": record.wall,
+            "client": record.client,
+            "message": message,
+        }
+
+
+def state_rows(found: Iterable[States]) -> Iterator[Row]:
+    """Yields a row for each cube after each tick."""
+    for frame, time, names, values in found:
+        for name, value in zip(names, values.tolist(), strict=True):
+            yield {"frame": frame, "t": time, "cube_name": name, **dict(zip(COLUMNS, value, strict=True))}
+
+
+def write_jsonl(rows: Iterable[Row], file: IO[str]) -> None:
+    """Writes each row as a line of JSON."""
+    for row in rows:
+        file.write(orjson.dumps(row, option=orjson.OPT_APPEND_NEWLINE).decode())
+
+
+def write_csv(rows: Iterable[Row], file: IO[str]) -> None:
+    """Writes a table with a header; messages stand in it as JSON."""
+    rows = iter(rows)
+    for first in islice(rows, 1):
+        writer = csv.DictWriter(file, list(first), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(map(_flat, chain([first], rows)))
+
+
+def write_parquet(rows: Iterable[Row], path: str | os.PathLike[str]) -> None:
+    """Writes a table as Parquet, a few thousand rows at a time; messages stand in it as JSON.
+
+    Raises:
+        NmesError: pyarrow is not installed (`missing_package`), or there are no rows (`nothing_to_export`).
+    """
+    try:
+        import pyarrow  # type: ignore[import-untyped,unused-ignore]
+        import pyarrow.parquet  # type: ignore[import-untyped,unused-ignore]
+    except ImportError as error:
+        raise NmesError("missing_package", "Parquet needs pyarrow: pip install 'nmes[arrow]'") from error
+    flat = map(_flat, rows)
+    writer = None
+    try:
+        while batch := list(islice(flat, _BATCH)):
+            if writer is None:
+                kinds = {"frame": pyarrow.int64(), "record": pyarrow.int64(), "wall_ns": pyarrow.int64()}
+                kinds |= {"client": pyarrow.int64(), "t": pyarrow.float64()}
+                kinds |= {name: pyarrow.float64() for name in COLUMNS}
+                schema = pyarrow.schema([(name, kinds.get(name, pyarrow.string())) for name in batch[0]])
+                writer = pyarrow.parquet.ParquetWriter(path, schema)
+            writer.write_table(pyarrow.Table.from_pylist(batch, schema=schema))
+    finally:
+        if writer is not None:
+            writer.close()
+    if writer is None:
+        raise NmesError("nothing_to_export", "the recording holds no such rows")
+
+
+def _flat(row: Row) -> Row:
+    return {**row, "message": orjson.dumps(row["message"]).decode()} if "message" in row else row
