@@ -181,8 +181,8 @@ def write_parquet(rows: Iterable[Row], path: str | os.PathLike[str]) -> None:
         NmesError: pyarrow is not installed (`missing_package`), or there are no rows (`nothing_to_export`).
     """
     try:
-        import pyarrow  # type: ignore[import-untyped,unused-ignore]
-        import pyarrow.parquet  # type: ignore[import-untyped,unused-ignore]
+        import pyarrow
+        import pyarrow.parquet
     except ImportError as error:
         raise NmesError("missing_package", "Parquet needs pyarrow: pip install 'nmes[arrow]'") from error
     flat = map(_flat, rows)
