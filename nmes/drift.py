@@ -21,10 +21,10 @@ import orjson
 from nmes import protocol
 from nmes.protocol import Request
 from nmes.recording import Kind, Record, Recording
-from nmes.scene import Pose, decode_poses
+from nmes.scene import decode_poses
 from nmes.world import World
 
-__all__ = ["Drift", "DriftReport", "measure_drift"]
+__all__ = ["Drift", "DriftReport", "measure_drift", "turned"]
 
 
 class Drift(NamedTuple):
@@ -173,7 +173,7 @@ class _Run:
         now = self.ticks / self._rate
         for name, pose in recorded.items():
             if name in here:
-                drift = Drift(now, math.dist(pose[:3], here[name][:3]), _angle(pose, here[name]))
+                drift = Drift(now, math.dist(pose[:3], here[name][:3]), turned(pose, here[name]))
                 self.report.cubes.setdefault(name, []).append(drift)
 
     # -- the journal -----------------------------------------------------------------------------------------------
@@ -208,7 +208,7 @@ def _error(reply: bytes) -> str | None:
     return message["code"] if message["type"] == "error" else None
 
 
-def _angle(one: Pose, other: Sequence[float]) -> float:
+def turned(one: Sequence[float], other: Sequence[float]) -> float:
     """Returns the angle between the rotations of two poses."""
     # By the chord, which is exact for small angles; q and -q are the same rotation.
     apart, across = math.dist(one[3:7], other[3:7]), math.dist(one[3:7], [-x for x in other[3:7]])

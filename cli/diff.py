@@ -1,0 +1,76 @@
+"""`nmes diff`: where two recordings part."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import click
+import orjson
+from rich.console import Console
+from rich.table import Table
+
+from nmes.cli._drift import plot
+from nmes.cli.info import open_recording
+from nmes.diff import Comparison, compare
+from nmes.drift import DriftReport
+from nmes.recording import Recording
+
+__all__ = ["command"]
+
+_CUBES = 20  # rows of the table: those that come apart most
+
+
+@click.command("diff")
+@click.argument("first", metavar="A", callback=open_recording)
+@click.argument("second", metavar="B", callback=open_recording)
+@click.option(
+    "--plot", "plot_to", type=click.Path(dir_okay=False, path_type=Path), help="Write the distances to an SVG."
+)
+@click.option("--anyway", is_flag=True, help="Go on where a tick does not come out as recorded.")
+@click.option("--json", "as_json", is_flag=True, help="Print the comparison as JSON.")
+def command(first: Recording, second: Recording, plot_to: Path | None, anyway: bool, as_json: bool) -> None:
+    """Compare two recordings.
+
+    Shows the first input that is not the same, the first tick after which the worlds are not, with the value that
+    differs most, and how far each cube comes apart.
+
+    Exit status: 0 the same, 1 not, 2 wrong usage or an unreadable file.
+    """
+    comparison = compare(first, second, anyway=anyway)
+    if plot_to is not None:
+        plot(DriftReport(first.path.name, second.path.name, comparison.drifts), plot_to)
+    if as_json:
+        click.echo(orjson.dumps(comparison.to_json(), option=orjson.OPT_INDENT_2))
+    else:
+        _show(comparison, Console(highlight=False, markup=False, soft_wrap=True))
+    sys.exit(0 if comparison.same else 1)
+
+
+def _show(comparison: Comparison, console: Console) -> None:
+    inputs, states = comparison.inputs, comparison.states
+    if inputs is None:
+        console.print("inputs: the same")
+    else:
+        console.print(f"inputs part after {inputs.ticks:,} ticks")
+        console.print(f"  A: {inputs.first}")
+        console.print(f"  B: {inputs.second}")
+    if states is None:
+        console.print(f"states: the same after each of {comparison.ticks[0]:,} ticks")
+        return
+    console.print(f"states part at tick {states.tick:,} (A has {comparison.ticks[0]:,}, B has {comparison.ticks[1]:,})")
+    if states.field is not None:
+        where = states.field if states.cube is None else f"cube {states.cube}: {states.field}"
+        console.print(f"  {where}: A {states.first}, B {states.second}")
+    if comparison.drifts:
+        worst = {name: max(drift.distance for drift in line) for name, line in comparison.drifts.items()}
+        table = Table("cube", "apart at last (m)", "at most (m)", "turned", box=None, pad_edge=False)
+        for column in table.columns[1:]:
+            column.justify = "right"
+        for name in sorted(worst, key=lambda name: -worst[name])[:_CUBES]:
+            last = comparison.drifts[name][-1]
+            table.add_row(name, f"{last.distance:.6g}", f"{worst[name]:.6g}", f"{math.degrees(last.angle):.2f}°")
+        console.print(table)
+        if len(worst) > _CUBES:
+            console.print(f"and {len(worst) - _CUBES} cubes that come less far apart")
