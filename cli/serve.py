@@ -6,7 +6,6 @@ import asyncio
 import base64
 import ipaddress
 import json
-import logging
 import secrets
 import signal
 import ssl
@@ -15,8 +14,10 @@ from typing import Any
 
 import click
 
+from nmes.cli import _logs
 from nmes.cli._password import PASSWORD_VARIABLE, choose_password, password_options
 from nmes.errors import RejectedMessage, WorldError
+from nmes.metrics import Metrics
 from nmes.server import Host
 from nmes.world import World
 
@@ -94,6 +95,14 @@ class _Worlds(click.ParamType["int | list[str]"]):
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
     help="The certificate's private key, a PEM file.",
 )
+@click.option(
+    "--log-format", type=click.Choice(["text", "json"]), default="text", show_default=True, help="How logs are written."
+)
+@click.option(
+    "--metrics-port",
+    type=click.IntRange(0, 65535),
+    help="Port on this machine that tells Prometheus what the host does; 0 finds a free one.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object when ready, for scripts.")
 def command(
     host: str,
@@ -112,6 +121,8 @@ def command(
     password_file: Path | None,
     tls_cert: Path | None,
     tls_key: Path | None,
+    log_format: str,
+    metrics_port: int | None,
     as_json: bool,
 ) -> None:
     """Host a world that clients drive over TCP, or many.
@@ -130,16 +141,18 @@ def command(
         raise click.UsageError(
             f"{host} can be reached from elsewhere: give a password, in {PASSWORD_VARIABLE} or with --password-file"
         )
-    logging.basicConfig(format="%(asctime)s %(levelname)s %(name)s: %(message)s", level=logging.INFO)
+    _logs.set_up(log_format)
     _raise_open_files_limit()
     names, ports = _lay_out(worlds, config.get("name", "main"), port, port_step)
+    metrics = None if metrics_port is None else Metrics()
     server = Host(
         password,
         record_to=None if no_record else record_to,
         flush_interval=flush_interval,
         tls=_load_tls(tls_cert, tls_key),
+        metrics=metrics,
     )
-    asyncio.run(_serve(server, config, names, host, ports, password, source, as_json))
+    asyncio.run(_serve(server, config, names, host, ports, password, source, metrics_port, as_json))
 
 
 async def _serve(
@@ -150,6 +163,7 @@ async def _serve(
     ports: list[int],
     password: str,
     source: str,
+    metrics_port: int | None,
     as_json: bool,
 ) -> None:
     stop = asyncio.Event()
@@ -173,6 +187,8 @@ async def _serve(
         for index, port in enumerate(ports):
             address, port = await server.listen(host, port, worlds[index] if len(ports) > 1 else None)
             listening.append(port)
+        if metrics_port is not None:
+            metrics_port = await server.tell_metrics("127.0.0.1", metrics_port)
         about = {"backend": sample.backend.name, "mode": sample.mode, "rate": sample.rate, "seed": sample.seed}
         if worlds:
             # One port each, or all on one.
@@ -191,6 +207,8 @@ async def _serve(
             named = [f"World {hosted.name!r}"]
         if as_json:
             ready = {"host": address, "port": listening[0], "password_source": source, **ready}
+            if metrics_port is not None:
+                ready["metrics_port"] = metrics_port
             if source == "generated":
                 ready["password"] = password
             click.echo(json.dumps(ready))
@@ -204,6 +222,8 @@ async def _serve(
                 click.echo(f"Password: {password}  (made up for this run)")
             else:
                 click.echo(f"Password: given by {source}")
+            if metrics_port is not None:
+                click.echo(f"Metrics on http://127.0.0.1:{metrics_port}/metrics")
             click.echo(f"Recording to {recording}" if recording else "Not recording")
             click.echo("Ctrl-C stops")
         await stop.wait()

@@ -27,10 +27,12 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 from hashlib import blake2b
 from pathlib import Path
+from time import monotonic
 from types import TracebackType
 from typing import Any, Self, cast
 
 from nmes.errors import NmesError, RecordingError, RejectedMessage, WorldError
+from nmes.metrics import CONTENT_TYPE, Figures, Metrics, WorldFigures
 from nmes.protocol import DELIMITER, Auth, Limits, Request, Session, complete_config, encode, error_reply
 from nmes.recording import Recorder
 from nmes.world import Barrier, World
@@ -50,9 +52,15 @@ CHUNK = 256 << 10  # bytes of replies that are handed to the socket before the r
 class HostedWorld:
     """One world being served: the world, its recorder, its connections and its clock."""
 
-    def __init__(self, config: Mapping[str, Any], record_to: Path | None = None, flush_interval: float = 1.0) -> None:
+    def __init__(
+        self,
+        config: Mapping[str, Any],
+        record_to: Path | None = None,
+        flush_interval: float = 1.0,
+        metrics: Metrics | None = None,
+    ) -> None:
         """Creates the world and begins its recording, a new file in the directory `record_to`, if one is given."""
-        self.world = World(config, emit=self._emit)
+        self.world = World(config, emit=self._emit) if metrics is None else metrics.world(config, self._emit)
         self.name: str = self.world.config["name"]
         self.recording: Path | None = None
         self._recorder: Recorder | None = None
@@ -63,6 +71,7 @@ class HostedWorld:
                 raise RecordingError("recording_failed", f"cannot make {record_to}: {error.strerror}") from error
             self.recording = _new_recording_path(record_to, self.name)
             self._recorder = self.world.journal = Recorder(self.recording, self.world, flush_interval=flush_interval)
+        self._flushed = monotonic()
         self._connections: dict[int, Connection] = {}
         self._speaking: list[Connection] = []  # those with output that is not yet handed to their sockets
         self._closed = False
@@ -230,6 +239,14 @@ class HostedWorld:
             except RecordingError as error:
                 self.world.stop_recording(error)
                 self.settle()
+            else:
+                self._flushed = monotonic()
+
+    @property
+    def figures(self) -> WorldFigures:
+        """What metrics tell of this world."""
+        lag = None if self._recorder is None else monotonic() - self._flushed
+        return WorldFigures(self.name, self.clients, self.world.fault is not None, lag)
 
     def commit(self) -> None:
         """Waits for the disk, if that was asked for: called before anything is told to anybody.
@@ -371,6 +388,7 @@ class Connection(asyncio.BufferedProtocol):
 
     def buffer_updated(self, nbytes: int) -> None:
         """Executes what came, and answers it in one write."""
+        self._host.received += nbytes
         if self._closing:
             return
         try:
@@ -524,6 +542,7 @@ class Connection(asyncio.BufferedProtocol):
             self._output_size = 0
             if not self._lost:
                 self._written += len(data)
+                self._host.sent += len(data)
                 self._active_at = asyncio.get_running_loop().time()
                 self._transport.write(data)
         if self._overflowed:
@@ -629,6 +648,7 @@ class Host:
         record_to: Path | None = None,
         flush_interval: float = 1.0,
         tls: ssl.SSLContext | None = None,
+        metrics: Metrics | None = None,
     ) -> None:
         """Makes a host that serves nothing yet.
 
@@ -639,6 +659,7 @@ class Host:
             record_to: Directory for the recordings of all worlds; None: nothing is recorded.
             flush_interval: How much (s) of a recording a crash may lose; with 0 nothing is told before it is on disk.
             tls: Holds the host's certificate; None: all goes over the wire as it is.
+            metrics: What counts what the host does; None: nothing is counted.
         """
         self.limits = limits or Limits()
         self.auth_delay = auth_delay
@@ -650,7 +671,13 @@ class Host:
         self._password = _digest(password)
         self.record_to = record_to
         self._tls = tls
+        self._metrics = metrics
+        if metrics is not None:
+            metrics.watch(self._figures)
+        self.received = 0  # bytes
+        self.sent = 0
         self._servers: list[asyncio.Server] = []
+        self._tellers: list[asyncio.Server] = []  # of metrics
         self._connections: set[Connection] = set()
         self._chores: list[asyncio.Task[None]] = []
 
@@ -695,7 +722,9 @@ class Host:
         return name
 
     def _create(self, name: str) -> HostedWorld:
-        hosted = self.worlds[name] = HostedWorld(self._offered[name], self.record_to, self._flush_interval)
+        hosted = self.worlds[name] = HostedWorld(
+            self._offered[name], self.record_to, self._flush_interval, self._metrics
+        )
         if self._servers:
             hosted.start()
         return hosted
@@ -738,6 +767,10 @@ class Host:
                 }
             )
         return {"type": "world_list", "worlds": listed}
+
+    def _figures(self) -> Figures:
+        worlds = [hosted.figures for hosted in self.worlds.values()]
+        return Figures(len(self._connections), self.received, self.sent, worlds)
 
     # -- connections -----------------------------------------------------------------------------------------------
 
@@ -792,6 +825,33 @@ class Host:
             self._ports.setdefault(default, address[1])
         return address[0], address[1]
 
+    async def tell_metrics(self, host: str, port: int) -> int:
+        """Serves the page of metrics over HTTP, without a password; returns the port.
+
+        Raises:
+            NmesError: `cannot_listen`, as `listen`.
+        """
+        assert self._metrics is not None
+        metrics = self._metrics
+
+        async def answer(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            # Whatever is asked, this is the answer: there is one page.
+            with contextlib.suppress(OSError, EOFError, TimeoutError, asyncio.LimitOverrunError):
+                async with asyncio.timeout(self.limits.auth_timeout):
+                    await reader.readuntil(b"\r\n\r\n")
+                    page = metrics.page()
+                    head = f"HTTP/1.1 200 OK\r\nContent-Type: {CONTENT_TYPE}\r\nContent-Length: {len(page)}"
+                    writer.write(f"{head}\r\nConnection: close\r\n\r\n".encode() + page)
+                    await writer.drain()
+            writer.close()
+
+        try:
+            server = await asyncio.start_server(answer, host, port)
+        except OSError as error:
+            raise NmesError("cannot_listen", f"cannot listen on {host}:{port}: {error.strerror}") from error
+        self._tellers.append(server)
+        return int(server.sockets[0].getsockname()[1])
+
     async def _inspect(self) -> None:
         interval = min(1.0, self.limits.stall_timeout / 4, self.limits.idle_timeout / 4)
         while True:
@@ -810,7 +870,7 @@ class Host:
 
     async def close(self) -> None:
         """Stops listening, closes the worlds and their recordings, tells the clients, and hangs up."""
-        for server in self._servers:
+        for server in (*self._servers, *self._tellers):
             server.close()
         for chore in self._chores:
             chore.cancel()

@@ -7,13 +7,14 @@ import json
 import socket
 import ssl
 import threading
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Coroutine, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Self, TypeVar
 
 from nmes import Client
+from nmes.metrics import Metrics
 from nmes.protocol import DELIMITER, Limits
 from nmes.server import Host, HostedWorld
 
@@ -116,8 +117,12 @@ class Served:
         self._loop.call_soon_threadsafe(lambda: future.set_result(function()))
         return future.result(PATIENCE)
 
+    def run(self, coroutine: Coroutine[Any, Any, T]) -> T:
+        """Awaits something in the host's thread."""
+        return asyncio.run_coroutine_threadsafe(coroutine, self._loop).result(PATIENCE)
+
     def close(self) -> None:
-        asyncio.run_coroutine_threadsafe(self.host.close(), self._loop).result(PATIENCE)
+        self.run(self.host.close())
 
 
 @contextmanager
@@ -129,6 +134,7 @@ def served(
     flush_interval: float = 1.0,
     lazy: bool = False,
     tls: ssl.SSLContext | None = None,
+    metrics: Metrics | None = None,
 ) -> Iterator[Served]:
     """Runs a host; worlds are in lockstep and on the quickest engine where their config does not say otherwise.
 
@@ -146,6 +152,7 @@ def served(
             record_to=record_to,
             flush_interval=flush_interval,
             tls=tls,
+            metrics=metrics,
         )
         for config in configs or [{}]:
             (host.offer if lazy else host.add)({"backend": "ballistic", "mode": "lockstep", **config})

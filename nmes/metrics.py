@@ -1,0 +1,118 @@
+"""Metrics: what a host does, counted for Prometheus.
+
+It hides the library that counts and writes the page. Nothing is counted unless a host is given
+`Metrics`: its worlds are then of a kind that measures, and all others know nothing of it. What can be read off the
+host is read when it is asked for, not kept up.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple
+
+from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Counter, Histogram, generate_latest
+from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.registry import Collector
+
+from nmes.protocol import COMMANDS, Request, decode
+from nmes.world import World
+
+__all__ = ["CONTENT_TYPE", "Figures", "Metrics", "WorldFigures"]
+
+CONTENT_TYPE = CONTENT_TYPE_LATEST
+
+# s; a tick of 60 Hz has 0.0167.
+_BUCKETS = (1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1, 0.5, 1.0)
+_ERROR = b'{"type":"error"'  # how the world's encoder begins an error
+
+
+class WorldFigures(NamedTuple):
+    """What is read off a world: `lag` is how old (s) the oldest of its recording may be that is not written yet."""
+
+    name: str
+    clients: int
+    faulted: bool
+    lag: float | None
+
+
+class Figures(NamedTuple):
+    """What is read off a host: bytes are those of the protocol, before any TLS."""
+
+    connections: int
+    received: int
+    sent: int
+    worlds: list[WorldFigures]
+
+
+class Metrics:
+    """What one host is measured by: give it to the `Host`, which tells it."""
+
+    def __init__(self) -> None:
+        self.registry = CollectorRegistry()
+        self._ticks = Histogram(
+            "nmes_tick_seconds", "Time of a tick", ["world"], buckets=_BUCKETS, registry=self.registry
+        )
+        self._commands = Counter(
+            "nmes_commands", "Commands by type and outcome", ["world", "type", "outcome"], registry=self.registry
+        )
+
+    def world(self, config: Any, emit: Callable[[int, bytes], None]) -> World:
+        """Makes a world that is measured."""
+        measured = _MeasuredWorld(config, emit=emit)
+        name = measured.config["name"]
+        measured.ticked = self._ticks.labels(name).observe
+        measured.answered = lambda kind, outcome: self._commands.labels(name, kind, outcome).inc()
+        return measured
+
+    def watch(self, figures: Callable[[], Figures]) -> None:
+        """Takes what can be read off a host into the page."""
+        self.registry.register(_Reading(figures))
+
+    def page(self) -> bytes:
+        """Returns all of it in Prometheus' format, whose name is `CONTENT_TYPE`."""
+        return generate_latest(self.registry)
+
+
+class _MeasuredWorld(World):
+    ticked: Callable[[float], None]
+    answered: Callable[[str, str], None]
+
+    def tick(self) -> None:
+        if self.fault is not None:
+            return
+        began = time.perf_counter()
+        super().tick()
+        self.ticked(time.perf_counter() - began)
+
+    def handle(self, client: int, request: Request) -> bytes:
+        reply = super().handle(client, request)
+        outcome = decode(reply)["code"] if reply.startswith(_ERROR) else "ok"
+        # What a client calls a command that there is none of must not become a series.
+        self.answered(request.type if request.type in COMMANDS else "none", outcome)
+        return reply
+
+
+class _Reading(Collector):
+    def __init__(self, figures: Callable[[], Figures]) -> None:
+        self._figures = figures
+
+    def collect(self) -> Iterator[Metric]:
+        figures = self._figures()
+        yield GaugeMetricFamily("nmes_worlds", "Worlds that have been created", value=len(figures.worlds))
+        yield GaugeMetricFamily(
+            "nmes_connections", "Connections, those in no world included", value=figures.connections
+        )
+        yield CounterMetricFamily("nmes_received_bytes", "Bytes received", value=figures.received)
+        yield CounterMetricFamily("nmes_sent_bytes", "Bytes sent", value=figures.sent)
+        clients = GaugeMetricFamily("nmes_clients", "Clients in a world", labels=["world"])
+        faulted = GaugeMetricFamily("nmes_faulted", "1 where a fault has stopped the world", labels=["world"])
+        lag = GaugeMetricFamily(
+            "nmes_recording_lag_seconds", "Age of the oldest record that may not be written yet", labels=["world"]
+        )
+        for world in figures.worlds:
+            clients.add_metric([world.name], world.clients)
+            faulted.add_metric([world.name], float(world.faulted))
+            if world.lag is not None:
+                lag.add_metric([world.name], world.lag)
+        yield from (clients, faulted, lag)
