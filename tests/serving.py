@@ -14,9 +14,10 @@ from pathlib import Path
 from typing import Any, Self, TypeVar
 
 from nmes import Client
+from nmes.hosting import HostedWorld
 from nmes.metrics import Metrics
 from nmes.protocol import DELIMITER, Limits
-from nmes.server import Host, HostedWorld
+from nmes.server import Host
 
 T = TypeVar("T")
 

@@ -125,7 +125,7 @@ def test_logs_for_programs(tmp_path: Path) -> None:
         _, log = server.communicate(timeout=PATIENCE)
     entries: list[dict[str, Any]] = [json.loads(line) for line in log.splitlines()]
     assert [entry["level"] for entry in entries] == ["warning", "error"]
-    assert {entry["logger"] for entry in entries} == {"nmes.server"}
+    assert [entry["logger"] for entry in entries] == ["nmes.server", "nmes.hosting"]
     assert "failed to authenticate" in entries[0]["message"]
     assert "world 'main' stopped" in entries[1]["message"]
     assert all(entry["time"].endswith("+00:00") for entry in entries)

@@ -15,10 +15,11 @@ from click.testing import CliRunner, Result
 from nmes import Client
 from nmes.cli import main
 from nmes.errors import CommandFailed, Disconnected, RecordingError, RejectedMessage, WorldError
+from nmes.hosting import HostedWorld
 from nmes.protocol import validate_reply
 from nmes.recording import Kind, Recording
 from nmes.replay import replay
-from nmes.server import Host, HostedWorld
+from nmes.server import Host
 from serving import PASSWORD, PATIENCE, Served, served, types, until
 from test_cli import process, ready
 
