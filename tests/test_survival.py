@@ -338,8 +338,8 @@ def test_oversize_frames_and_frames_without_end(tmp_path: Path, figures: Figures
             grown.append(host.resident - before)
             with host.peer() as peer:
                 assert peer.ask({"type": "ping"})["type"] == "pong"
-        assert sum(grown[4:]) < 4 * MIB  # the first ones warm it up
-        assert max(grown) < 8 * MIB
+        assert max(grown[4:]) < 4 * MIB  # the first ones warm it up
+        assert sum(grown[4:]) < 8 * MIB  # whoever kept them, up to their limit of 1 MiB, would hold 16
         figures("memory after 20 oversize frames", f"{sum(grown) / MIB:+.2f} MiB")
     figures("p99 latency, oversize frames", good.latency)
 
