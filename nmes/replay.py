@@ -227,6 +227,7 @@ class _Run:
         self._painter = Painter(self._world)
         self._digests: list[str] = []  # of the run of ticks at hand, the next one last
         self._over = False  # whether there is nothing more to be learnt
+        self._mistake: Exception | None = None
         self._told = 0  # how often the world told us something: it must, whatever it is fed
 
     def play(self) -> None:
@@ -246,6 +247,8 @@ class _Run:
                         world.leave(record.client)
                     case Kind.COMMAND | Kind.REFUSED if record.client in clients:
                         world.handle(record.client, self._request(record))
+                if self._mistake is not None:
+                    raise self._mistake
                 if told == self._told:
                     self._diverge("order", record, f"the recording has {_describe(record)}; nothing such happens now")
                     self._over = True
@@ -301,6 +304,14 @@ class _Run:
 
     def ticked(self, frame: int, digest: bytes) -> None:
         """The world reached a frame."""
+        try:
+            self._compare_tick(frame, digest)
+        except Exception as error:
+            # In a `step` the world takes it for a fault of its own; it is one of ours, and no divergence.
+            self._mistake = error
+            raise
+
+    def _compare_tick(self, frame: int, digest: bytes) -> None:
         self._told += 1
         record = self._tape.peek()
         if record is None or self._over:

@@ -178,6 +178,15 @@ def test_a_recording_cut_in_a_command_is_reproduced_up_to_there(tmp_path: Path) 
     assert report.cut and report.damage is not None
 
 
+def test_a_mistake_of_the_replay_s_own_is_no_divergence(busy_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*args: object) -> None:
+        raise ZeroDivisionError("a mistake")
+
+    monkeypatch.setattr("nmes.replay._Run._look", fail)
+    with pytest.raises(ZeroDivisionError):
+        replay(busy_file)
+
+
 def test_progress_goes_up_to_the_size(busy_file: Path) -> None:
     told: list[tuple[int, int]] = []
     replay(busy_file, progress=lambda done, total: told.append((done, total)))
