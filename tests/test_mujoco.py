@@ -204,8 +204,7 @@ def test_a_frozen_cube_stays_whatever_hits_it() -> None:
         simulation.step(4)
     assert simulation.body_state(1) == BodyState((0.0, 3.0, 0.0), UPRIGHT, NONE, NONE)
     assert simulation.body_state(2).position[1] == pytest.approx(4.0, abs=0.02)
-    (other,) = {contact.other for contact in simulation.contacts(2)} or {1}
-    assert other == 1
+    assert {contact.other for contact in simulation.contacts(2)} == {1}
 
 
 # -- joints ----------------------------------------------------------------------------------------------------------
@@ -750,7 +749,7 @@ import programs
 from nmes import World
 world = World({"mode": "lockstep", "seed": 3})
 replies, digests = programs.play(world, programs.draw(int(sys.argv[1]), 120))
-print(digests[-1].hex(), len(replies), hash(str(replies)) if False else "")
+print(digests[-1].hex(), len(replies), replies[-1])
 """
 
 
