@@ -22,7 +22,7 @@ import os
 import re
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -168,6 +168,7 @@ class Recorder:
         world: The world to record, new and empty.
         pose_rate: How often the poses are kept for viewers, in Hz of simulation time; 0 for never.
         flush_interval: For how long (s) a record may wait while others come in. With 0, `commit` waits for the disk.
+        about: Further metadata records by name: what the run was for.
 
     Raises:
         RecordingError: The file cannot be created, or the world is not new. Every other method raises it when the
@@ -175,7 +176,13 @@ class Recorder:
     """
 
     def __init__(
-        self, path: str | os.PathLike[str], world: World, *, pose_rate: float = 10.0, flush_interval: float = 1.0
+        self,
+        path: str | os.PathLike[str],
+        world: World,
+        *,
+        pose_rate: float = 10.0,
+        flush_interval: float = 1.0,
+        about: Mapping[str, Mapping[str, str]] | None = None,
     ) -> None:
         if world.frame or world.cubes():
             raise RecordingError("recording_failed", "a recording begins with its world; this one has a past")
@@ -196,7 +203,8 @@ class Recorder:
         self._flush_after = _NS if self._durable else int(flush_interval * _NS)
         self._error: RecordingError | None = None
         try:
-            begin = [self._writer.metadata(name, values) for name, values in _metadata(world).items()]
+            metadata = {**_metadata(world), **(about or {})}
+            begin = [self._writer.metadata(name, values) for name, values in metadata.items()]
             self._head = _next_head(b"", b"".join(begin))
         except RecordingError:
             self._writer.close()

@@ -39,6 +39,7 @@ __all__ = ["Difference", "Divergence", "ReplayReport", "replay"]
 _VOLATILE = {kind for kind, reply in protocol.REPLIES.items() if reply.schema.get("x-volatile")}
 
 Progress = Callable[[int, int], None]
+Watch = Callable[[World, Request | None], None]
 Verdict = Literal["reproduced", "diverged", "not_comparable"]
 
 
@@ -143,7 +144,11 @@ class ReplayReport:
 
 
 def replay(
-    recording: Recording | str | os.PathLike[str], *, anyway: bool = False, progress: Progress | None = None
+    recording: Recording | str | os.PathLike[str],
+    *,
+    anyway: bool = False,
+    progress: Progress | None = None,
+    watch: Watch | None = None,
 ) -> ReplayReport:
     """Runs a recording again in a fresh world.
 
@@ -151,6 +156,8 @@ def replay(
         recording: The recording, or its file.
         anyway: Run it also where the fingerprint differs, to see how far it agrees.
         progress: Called now and then with how many bytes of the file are done, and its size.
+        watch: Called with the world after each frame of a client that was answered as recorded, with that frame, and
+            after each tick that came out as recorded, with None. What it raises ends the replay.
 
     Raises:
         RecordingError: The file cannot be read as a recording.
@@ -162,7 +169,7 @@ def replay(
     if unlike and not anyway:
         return ReplayReport("not_comparable", differences=unlike)
     began = time.perf_counter()
-    run = _Run(recording, progress)
+    run = _Run(recording, progress, watch)
     run.play()
     took = time.perf_counter() - began
     damage = recording.damage
@@ -218,10 +225,11 @@ class _Tape:
 class _Run:
     """One replay: it feeds a world, and it is that world's journal, which compares."""
 
-    def __init__(self, recording: Recording, progress: Progress | None) -> None:
+    def __init__(self, recording: Recording, progress: Progress | None, watch: Watch | None) -> None:
         self.ticks = 0
         self.commands = 0
         self.divergence: Divergence | None = None
+        self._watch = watch
         self._tape = _Tape(recording, progress)
         self._world = World(recording.config, journal=self)
         self._painter = Painter(self._world)
@@ -292,7 +300,9 @@ class _Run:
         if record is None:
             return
         if record.client == client and (record.data == reply or _alike(record.data, reply)):
-            self.commands += self.divergence is None
+            if self.divergence is None:
+                self.commands += 1
+                self._show_to_watch(request)
             return
         shown = _difference(_json(record.data), _json(reply))
         if self.divergence is not None:
@@ -327,12 +337,21 @@ class _Run:
         if not self._digests:
             self._tape.take()
         if same:
-            self.ticks += self.divergence is None
+            if self.divergence is None:
+                self.ticks += 1
+                self._show_to_watch(None)
         elif self.divergence is None:
             what = "its digest differs" if expected == frame else f"it was tick {expected}"
             self._diverge("digest", record, f"tick {frame} does not come out as recorded: {what}")
         if not self._digests:
             self._look()
+
+    def _show_to_watch(self, request: Request | None) -> None:
+        if self._watch is not None and self._mistake is None:
+            try:
+                self._watch(self._world, request)
+            except Exception as error:
+                self._mistake = error
 
     def faulted(self, frame: int, code: str, message: str) -> None:
         """The world stopped."""
