@@ -287,6 +287,7 @@ class CameraSpec:
         fov: Vertical field of view, rad.
         position: World, m.
         quaternion: World. A camera looks along its own -z, with its own y upwards.
+        shadows: Whether things should cast shadows, where the engine can draw them: they take most of the time.
     """
 
     width: int
@@ -294,6 +295,7 @@ class CameraSpec:
     fov: float
     position: Vector
     quaternion: Quaternion
+    shadows: bool = False
 
 
 class Simulation(ABC):

@@ -2,7 +2,8 @@
 
 It hides OpenGL: where a context comes from, and that one belongs to the thread that made it, so that one thread draws
 for all worlds. It works on copies, of the model for colours and of the coordinates for poses: a simulation is the same
-whether it was drawn or not.
+whether it was drawn or not. What is only there to be looked at, the tiles of the ground, the sky and shadows, is
+painted on here and is in no model that is simulated.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import numpy as np
 
 from nmes.backend import Array, CameraSpec, Image
 from nmes.backends.mujoco3d.layout import Layout
+from nmes.backends.mujoco3d.scenery import Scenery
 from nmes.errors import WorldError
 from nmes.rotation import rotate
 
@@ -34,6 +36,13 @@ logger = logging.getLogger(__name__)
 _NEAR, _FAR = 0.01, 2000.0  # m
 _GREY = (0.5, 0.5, 0.5, 1.0)
 _LIGHT = (-0.4, -1.0, -0.6)  # direction in which it shines
+_SHADOW = 2048  # pixels a side of the map of shadows
+_SHADED = 12.0  # m: how far from what is looked at shadows reach
+_TILE = 1.0  # m: edge of a tile of the ground
+_PLAIN = 400.0  # m: half the edge of the ground that is drawn of a plane without end
+_TILES = ((1.0, 1.0, 1.0), (0.86, 0.87, 0.88), (0.7, 0.71, 0.72))  # two colours, and that of the joints
+_ZENITH, _HORIZON, _NADIR = (0.36, 0.52, 0.72), (0.84, 0.88, 0.92), (0.30, 0.32, 0.34)
+_REMEDY = "install libegl1 or libosmesa6 (Debian's names), or a graphics driver"
 # Headless ones, and without a graphics card: a window system's would need a display.
 _PLATFORMS = ("egl", "osmesa")
 
@@ -43,10 +52,11 @@ _thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="nmes-mujoco-draw
 class Painter:
     """Draws one simulation, whatever its model is at the time.
 
-    What OpenGL holds is made for the first model and serves the later ones: only cubes and joints come and go.
+    What OpenGL holds is made of the scenery and serves all models: only cubes and joints come and go.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, scenery: Scenery) -> None:
+        self._scenery = scenery
         self._context: mujoco.MjrContext | None = None
 
     def draw(self, camera: CameraSpec, layout: Layout, qpos: Array, colors: Colors) -> Image:
@@ -67,7 +77,7 @@ class Painter:
     def _draw(self, camera: CameraSpec, layout: Layout, qpos: Array, colors: Colors) -> Image:
         gl = _gl()
         if gl is None:
-            raise WorldError("unsupported", "this machine has no OpenGL that works without a display")
+            raise WorldError("unsupported", f"this machine has no OpenGL that works without a display; {_REMEDY}")
         gl.make_current()
         model = copy.copy(layout.model)
         for index, number in layout.number.items():
@@ -77,8 +87,7 @@ class Painter:
         self._aim(scene, camera)
         context = self._context
         if context is None:
-            model.vis.quality.shadowsize = 0
-            context = self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
+            context = self._context = mujoco.MjrContext(_canvas(self._scenery), mujoco.mjtFontScale.mjFONTSCALE_50)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
         if (context.offWidth, context.offHeight) != (camera.width, camera.height):
             mujoco.mjr_resizeOffscreen(camera.width, camera.height, context)
@@ -97,13 +106,20 @@ class Painter:
         scene = mujoco.MjvScene(model, maxgeom=model.ngeom + 16)
         everything = mujoco.mjtCatBit.mjCAT_ALL
         mujoco.mjv_updateScene(model, data, option, None, mujoco.MjvCamera(), everything, scene)
+        for geom in scene.geoms[: scene.ngeom]:
+            if geom.type == mujoco.mjtGeom.mjGEOM_PLANE:
+                # One without end follows the camera, and its tiles would slide along.
+                geom.matid, geom.pos, geom.size = 0, (0.0, 0.0, 0.0), (_PLAIN,) * 3
+            elif geom.type == mujoco.mjtGeom.mjGEOM_HFIELD:
+                geom.matid = 1 + geom.dataid
         return scene
 
     def _aim(self, scene: mujoco.MjvScene, camera: CameraSpec) -> None:
         top = _NEAR * tan(camera.fov / 2.0)
+        forward = np.array(rotate(camera.quaternion, (0.0, 0.0, -1.0)))
         for eye in scene.camera[:2]:
             eye.pos = camera.position
-            eye.forward = rotate(camera.quaternion, (0.0, 0.0, -1.0))
+            eye.forward = forward
             eye.up = rotate(camera.quaternion, (0.0, 1.0, 0.0))
             eye.frustum_near, eye.frustum_far = _NEAR, _FAR
             eye.frustum_bottom, eye.frustum_top = -top, top
@@ -111,9 +127,59 @@ class Painter:
         light = scene.lights[0]
         light.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
         light.dir = np.array(_LIGHT) / np.linalg.norm(_LIGHT)
-        light.headlight = light.castshadow = 0
-        light.ambient, light.diffuse, light.specular = (0.45,) * 3, (0.55,) * 3, (0.0,) * 3
-        scene.nlight = 1
+        # Shadows are there around what is looked at: where the view meets the ground, if that is near.
+        ahead = -camera.position[1] / forward[1] if forward[1] < -1e-6 and camera.position[1] > 0.0 else _SHADED
+        light.pos = np.array(camera.position) + forward * min(ahead, _SHADED) - 4.0 * _SHADED * light.dir
+        light.headlight, light.castshadow = 0, camera.shadows
+        light.ambient, light.diffuse, light.specular = (0.0,) * 3, (0.5,) * 3, (0.0,) * 3
+        sky = scene.lights[1]  # one of its own: what is in the shadow of a light has nothing of its ambience either
+        sky.type, sky.dir, sky.headlight, sky.castshadow = light.type, forward, 1, 0
+        sky.ambient, sky.diffuse, sky.specular = (0.4,) * 3, (0.12,) * 3, (0.0,) * 3
+        scene.nlight = 2
+
+
+def _canvas(scenery: Scenery) -> mujoco.MjModel:
+    """Returns a model of the scenery alone, with a sky and tiles: a material for the plane, and one a landscape."""
+    spec = mujoco.MjSpec()
+    spec.add_texture(
+        name="tiles",
+        type=mujoco.mjtTexture.mjTEXTURE_2D,
+        builtin=mujoco.mjtBuiltin.mjBUILTIN_CHECKER,
+        width=256,
+        height=256,
+        rgb1=_TILES[0],
+        rgb2=_TILES[1],
+        mark=mujoco.mjtMark.mjMARK_EDGE,
+        markrgb=_TILES[2],
+    )
+    sky = _sky()
+    texture = spec.add_texture(
+        name="sky", type=mujoco.mjtTexture.mjTEXTURE_SKYBOX, width=sky.shape[1], height=6 * sky.shape[1], nchannel=3
+    )
+    texture.data = sky.tobytes()
+    scenery.add(spec)
+    # How often the texture, two tiles by two, repeats: over the whole of a landscape, but in two metres of a plane.
+    for repeat in ([1.0 / _TILE] * 2, *([length / _TILE for length in field.size[:2]] for field in spec.hfields)):
+        material = spec.add_material(name=f"ground{len(spec.materials)}", texrepeat=repeat)
+        material.textures[mujoco.mjtTextureRole.mjTEXROLE_RGB] = "tiles"
+    spec.stat.extent = 1.0
+    spec.visual.map.shadowclip = _SHADED
+    spec.visual.quality.shadowsize = _SHADOW
+    return spec.compile()
+
+
+def _sky() -> Image:
+    """Returns the faces of a sky whose zenith is y: +x, -x, +z, -z, -y, +y, turned as MuJoCo, with z up, has them."""
+    size = 32
+    up = np.linspace(-1.0, 1.0, size)[:, None]
+    light = np.where(up > 0.0, np.sqrt(np.abs(up)), np.minimum(1.0, 6.0 * np.abs(up)))
+    far = np.where(up > 0.0, np.array([_ZENITH]), np.array([_NADIR]))
+    column = (255.0 * (np.array([_HORIZON]) * (1.0 - light) + far * light)).astype(np.uint8)  # from below to above
+    faces = np.empty((6, size, size, 3), np.uint8)
+    faces[0], faces[1] = column[None, :], column[None, ::-1]
+    faces[2], faces[3] = column[::-1, None], column[:, None]
+    faces[4], faces[5] = column[0], column[-1]
+    return faces
 
 
 @cache

@@ -96,7 +96,7 @@ class MujocoSimulation(Simulation):
         self._force: dict[int, list[float]] = {}  # wrenches for the next step, by body
         self._impulse: dict[int, list[float]] = {}
         self._scenery = Scenery(scene)
-        self._painter = Painter()
+        self._painter = Painter(self._scenery)
         self._identity = self._scenery.identity  # XOR of the hashes of everything that the state arrays do not say
         self._install(build(scene, self._scenery, {}, {}, Forest(), {}, ()))
 
