@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 import orjson
 
-from nmes import protocol
+from nmes.feeding import feed, happenings
 from nmes.protocol import Request
 from nmes.recording import Kind, Record, Recording
 from nmes.scene import decode_poses
@@ -126,24 +126,21 @@ class _Run:
     def play(self, records: Iterator[Record]) -> None:
         """Feeds the world until the recording ends or the two part."""
         world, report = self.world, self.report
-        clients: set[int] = set()
-        for record in records:
+        for happening in happenings(records):
+            record = happening.record
+            # The ticks of a command, and what was shown between them, stand before its reply.
+            for each in (record, *happening.effects):
+                self._note(each)
             match record.kind:
-                case Kind.JOINED:
-                    clients.add(world.join())
-                case Kind.LEFT if record.client in clients:
-                    clients.remove(record.client)
-                    world.leave(record.client)
-                case Kind.COMMAND if record.client in clients:
-                    # Its own ticks, and what was shown between them, stand before its reply.
-                    reply = next((r for r in records if self._note(r) and r.client == record.client), None)
-                    world.handle(record.client, protocol.parse(record.data))
+                case Kind.JOINED | Kind.LEFT:
+                    feed(world, record)
+                case Kind.COMMAND:
+                    feed(world, record)
                     report.commands += 1
-                    error = _error(self._answer)
+                    error, reply = _error(self._answer), happening.reply
                     if error is not None and reply is not None and _error(reply.data) is None:
                         report.refused[error] = report.refused.get(error, 0) + 1
                 case Kind.TICKS | Kind.POSES:
-                    self._note(record)
                     while self.ticks < self._recorded and world.fault is None:
                         world.tick()
                     self._compare()
@@ -155,13 +152,12 @@ class _Run:
             if report.ended is not None:
                 return
 
-    def _note(self, record: Record) -> bool:
-        """Notes what a record says of the recorded world; tells whether it is a reply."""
+    def _note(self, record: Record) -> None:
+        """Notes what a record says of the recorded world."""
         if record.kind is Kind.TICKS and record.about is not None:
             self._recorded += len(record.about["digests"])
         elif record.kind is Kind.POSES:
             self._shown[self._recorded] = record.data
-        return record.kind is Kind.REPLY
 
     def _compare(self) -> None:
         """Compares the cubes with what the recording shows after as many ticks, if it does."""

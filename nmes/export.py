@@ -16,9 +16,9 @@ from typing import IO, Any, NamedTuple
 
 import orjson
 
-from nmes import protocol
 from nmes.backend import Array
 from nmes.errors import NmesError, RecordingError
+from nmes.feeding import feed, happenings
 from nmes.protocol import Request
 from nmes.recording import Kind, Recording
 from nmes.world import World
@@ -59,32 +59,17 @@ def states(recording: Recording | str | os.PathLike[str], *, anyway: bool = Fals
         recording = Recording(recording)
     watch = _Watch()
     world = watch.world = World(recording.config, journal=watch)
-    clients: set[int] = set()
-    records = iter(recording)
     try:
-        for record in records:
-            digests: list[str] = []
+        for happening in happenings(recording):
+            record = happening.record
             match record.kind:
-                case Kind.JOINED:
-                    clients.add(world.join())
-                case Kind.LEFT if record.client in clients:
-                    clients.remove(record.client)
-                    world.leave(record.client)
-                case Kind.COMMAND if record.client in clients:
-                    # Its own ticks stand between it and its reply.
-                    for other in records:
-                        if other.about is not None:
-                            digests += other.about.get("digests", ())
-                        if other.kind is Kind.REPLY:
-                            break
-                    world.handle(record.client, protocol.parse(record.data))
-                case Kind.FAULT:
-                    world.tick()
-                case Kind.TICKS if record.about is not None:
-                    for digest in record.about["digests"]:
-                        world.tick()
+                case Kind.TICKS:
+                    for digest in happening.digests:
+                        feed(world, record)
                         yield from watch.take([digest], anyway)
-            yield from watch.take(digests, anyway)
+                case _:
+                    feed(world, record, happening.reply)
+                    yield from watch.take(happening.digests, anyway)
     finally:
         world.close()
 

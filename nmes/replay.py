@@ -25,10 +25,11 @@ import orjson
 
 from nmes import protocol
 from nmes.backend import load_backend
-from nmes.errors import BackendNotFound, RejectedMessage
+from nmes.errors import BackendNotFound
+from nmes.feeding import feed
 from nmes.fingerprint import differences, fingerprint
-from nmes.protocol import NO_ID, Request
-from nmes.recording import REFUSED_LIMIT, Kind, Record, Recording
+from nmes.protocol import Request
+from nmes.recording import Kind, Record, Recording
 from nmes.scene import POSE_FIELDS, Painter, decode_poses
 from nmes.world import World
 
@@ -241,20 +242,10 @@ class _Run:
     def play(self) -> None:
         """Feeds the world the whole recording, or as much as it takes to see where it parts."""
         world, tape = self._world, self._tape
-        clients: set[int] = set()
         try:
             while not self._over and (record := tape.peek()) is not None:
                 told = self._told
-                match record.kind:
-                    case Kind.TICKS | Kind.FAULT:
-                        world.tick()
-                    case Kind.JOINED:
-                        clients.add(world.join())
-                    case Kind.LEFT if record.client in clients:
-                        clients.remove(record.client)
-                        world.leave(record.client)
-                    case Kind.COMMAND | Kind.REFUSED if record.client in clients:
-                        world.handle(record.client, self._request(record))
+                feed(world, record, tape.peek(1) if record.kind is Kind.REFUSED else None)
                 if self._mistake is not None:
                     raise self._mistake
                 if told == self._told:
@@ -262,16 +253,6 @@ class _Run:
                     self._over = True
         finally:
             world.close()
-
-    def _request(self, record: Record) -> Request:
-        if record.kind is Kind.COMMAND or 0 < len(record.data) <= REFUSED_LIMIT:
-            return protocol.parse(record.data)
-        # What was refused was not kept as a whole; it changed nothing, so its recorded error stands for it.
-        reply = self._tape.peek(1)
-        told = _json(reply.data) if reply is not None and reply.kind is Kind.REPLY else {}
-        told = told if isinstance(told, dict) else {}
-        error = RejectedMessage(str(told.get("code", "")), str(told.get("message", "")), told.get("field"))
-        return Request(record.data, None, error, told.get("command"), told.get("id", NO_ID))
 
     # -- the journal -----------------------------------------------------------------------------------------------
 

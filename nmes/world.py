@@ -169,6 +169,10 @@ class World:
         """Returns the joints' names in order of creation."""
         return [joint.name for joint in self._assembly.joints()]
 
+    def clients(self) -> list[int]:
+        """Returns the numbers of those who are in, in the order in which they came."""
+        return list(self._clients)
+
     def poses(self) -> tuple[list[str], Array]:
         """Returns the names and a new array (n, 13) of positions, quaternions, linear and angular velocities."""
         return self._assembly.names(), self._assembly.states()
