@@ -2,15 +2,18 @@
 
 Every error has a stable `code` (the string that goes over the wire where the error reaches a client), a message
 for a person, and, where one value is to blame, a `path`: the JSON Pointer of that value without its leading
-slash (`mass`, `position/1`). This module imports nothing, so that every other may import it.
+slash (`mass`, `position/1`). This module imports nothing of ours, so that every other may import it.
 """
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 __all__ = [
     "BackendNotFound",
     "CommandFailed",
     "Disconnected",
+    "DocumentError",
     "NmesError",
     "RecordingError",
     "RejectedMessage",
@@ -35,6 +38,19 @@ class RejectedMessage(NmesError):
 
 class WorldError(NmesError):
     """A valid command that the world refuses (an unknown cube, a limit reached); answered with an `error` reply."""
+
+
+class DocumentError(NmesError):
+    """A document (a genome, a brain, a task) that is not as it must be.
+
+    Attributes:
+        problems: All that was found: each a JSON Pointer without its leading slash, and words for a person.
+    """
+
+    def __init__(self, problems: Sequence[tuple[str, str]]) -> None:
+        said = "\n".join(f"{path}: {words}" if path else words for path, words in problems)
+        super().__init__("invalid", said, problems[0][0])
+        self.problems = tuple(problems)
 
 
 class SimulationFault(NmesError):

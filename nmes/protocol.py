@@ -36,14 +36,18 @@ __all__ = [
     "FrameSplitter",
     "Limits",
     "MessageSchema",
+    "Problem",
     "Request",
     "Session",
     "bundled_schema",
     "complete_config",
     "decode",
+    "did_you_mean",
+    "document_schema",
     "encode",
     "error_reply",
     "parse",
+    "problems",
     "request_from",
     "schema_hash",
     "validate_event",
@@ -153,6 +157,24 @@ class CommandSchema(MessageSchema):
     defaults: Mapping[str, Any]
     integers: tuple[str, ...]
     batches: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """What is wrong with one value of a document: `where` are the keys that lead to it, `said` is for a person."""
+
+    where: tuple[str | int, ...]
+    said: str
+
+    @property
+    def pointer(self) -> str:
+        """The JSON Pointer of the value, without its leading slash."""
+        return "/".join(str(key).replace("~", "~0").replace("/", "~1") for key in self.where)
+
+
+def document_schema(path: str) -> MessageSchema:
+    """Returns the compiled schema of a kind of document, by its file's path under `schemas/`, for `problems`."""
+    return _message(path.removesuffix(".json"), load(path))
 
 
 def _message(kind: str, schema: Schema) -> MessageSchema:
@@ -302,25 +324,33 @@ def _find_error(
     found = schemas.get(kind)
     if found is None:
         return RejectedMessage("unknown_type", _unknown_type(kind, schemas), f"{path}type")
-    worst: tuple[list[str | int], str] | None = None
-    for error in found.validator.iter_errors(message):
-        where = list(error.instance_path)
-        if isinstance(error.kind, jsonschema_rs.ValidationErrorKind.Required):
-            where.append(error.kind.property)
-            said = f"is missing; expected {_expected(found.schema, error.schema_path, error.kind.property)}"
-        elif isinstance(error.kind, jsonschema_rs.ValidationErrorKind.AdditionalProperties):
-            where.append(error.kind.unexpected[0])
-            said = "there is no such field" + _did_you_mean(where[-1], found.schema["properties"])
-        else:
-            said = f"expected {_expected(found.schema, error.schema_path)}"
-            if "x-secret" not in _at(found.schema, error.schema_path[:-1]):
-                said += f", got {_short(_at(message, where))}"
-        if worst is None or len(where) > len(worst[0]):  # the deepest is the most to the point
-            worst = where, said
+    worst: Problem | None = None
+    for problem in problems(found, message):
+        if worst is None or len(problem.where) > len(worst.where):  # the deepest is the most to the point
+            worst = problem
     if worst is None:
         return None
-    pointer = path + "/".join(str(key).replace("~", "~0").replace("/", "~1") for key in worst[0])
-    return RejectedMessage("invalid", f"{pointer}: {worst[1]}", pointer)
+    pointer = path + worst.pointer
+    return RejectedMessage("invalid", f"{pointer}: {worst.said}", pointer)
+
+
+def problems(shape: MessageSchema, value: Any) -> Iterator[Problem]:
+    """Yields what a schema has to say against a value, in words for people."""
+    for error in shape.validator.iter_errors(value):
+        where = tuple(error.instance_path)
+        if isinstance(error.kind, jsonschema_rs.ValidationErrorKind.Required):
+            missing = error.kind.property
+            said = f"is missing; expected {_expected(shape.schema, error.schema_path, missing)}"
+            yield Problem((*where, missing), said)
+        elif isinstance(error.kind, jsonschema_rs.ValidationErrorKind.AdditionalProperties):
+            known = _at(shape.schema, error.schema_path[:-1])["properties"]
+            for name in error.kind.unexpected:
+                yield Problem((*where, name), "there is no such field" + did_you_mean(name, known))
+        else:
+            said = f"expected {_expected(shape.schema, error.schema_path)}"
+            if "x-secret" not in _at(shape.schema, error.schema_path[:-1]):
+                said += f", got {_short(_at(value, where))}"
+            yield Problem(where, said)
 
 
 def _expected(schema: Schema, keyword: Iterable[str | int], missing: str | None = None) -> str:
@@ -338,10 +368,11 @@ def _at(value: Any, path: Iterable[str | int]) -> Any:
 def _unknown_type(kind: str, known: Iterable[str]) -> str:
     if kind == "auth":
         return "auth is only the first message of a connection"
-    return f"there is no command {_short(kind)}{_did_you_mean(kind, known)}"
+    return f"there is no command {_short(kind)}{did_you_mean(kind, known)}"
 
 
-def _did_you_mean(name: str | int, known: Iterable[str]) -> str:
+def did_you_mean(name: str | int, known: Iterable[str]) -> str:
+    """Returns `; did you mean leg?`, to stand behind what is said of an unknown name, or nothing if none is near."""
     near = difflib.get_close_matches(str(name)[:_MENTIONED], known, n=1)
     return f"; did you mean {near[0]}?" if near else ""
 
