@@ -121,7 +121,7 @@ def messages(recording: Recording) -> Iterator[Row]:
     A frame that is not JSON stands as text.
     """
     for record in recording:
-        if record.kind in (Kind.POSES, Kind.SCENE):
+        if record.kind in (Kind.POSES, Kind.SCENE, Kind.BOX):
             continue
         try:
             message = record.about or orjson.loads(record.data)

@@ -68,6 +68,9 @@ _NEVER = -1  # when a recorder flushed that cannot: the next record of any kind 
 # What a client's records are kept under until they are packed: 4 * client + one of these. Our own are negative.
 _COMMAND, _REPLY, _REFUSED = 0, 1, 2
 _TICKS, _CLIENTS, _FAULTS, _POSES, _SCENE, _CHAIN, _CHECKSUMS = -1, -2, -3, -4, -5, -6, -7
+_VIEWS = {_POSES: scene.POSES_SCHEMA, _SCENE: scene.SCENE_SCHEMA}
+_BOXES = "/boxes/"  # how the topic of a cube's box begins; its key is its name
+_MANY_BOXES = 8192  # cubes; a channel each, of which a file has no more than 65,535
 _TOPICS = {_TICKS: "ticks", _CLIENTS: "clients", _FAULTS: "faults", _POSES: "/tf", _SCENE: "/scene", _CHAIN: "chain"}
 _END = "nmes.end"  # the metadata record that closes a file
 _SEQUENCE_MASK = 0xFFFFFFFF  # MCAP's sequence numbers have 32 bits
@@ -86,6 +89,7 @@ class Kind(StrEnum):
     FAULT = "fault"
     POSES = "poses"
     SCENE = "scene"
+    BOX = "box"
 
 
 class Record(NamedTuple):
@@ -98,7 +102,8 @@ class Record(NamedTuple):
         wall: The recorder's clock, ns since 1970.
         client: Whom it is about, if anybody.
         data: Its bytes: verbatim for a command, a refused frame and a reply.
-        about: What those of our own say (who came or went, ticks, faults): their JSON, as its schema says. Else None.
+        about: What those of our own say (who came or went, ticks, faults): their JSON, as its schema says. Of a box,
+            whose it is (`cube`). Else None.
     """
 
     kind: Kind
@@ -113,15 +118,17 @@ class Record(NamedTuple):
 # -- writing --------------------------------------------------------------------------------------------------------
 
 
-class _Channels(dict[int, int]):
+class _Channels(dict[int | str, int]):
     """The numbers of a file's channels by key; one is registered when it is first asked for."""
 
     def __init__(self, writer: Writer) -> None:
         self._writer = writer
         self._schemas: dict[str, int] = {}
 
-    def __missing__(self, key: int) -> int:
-        if key >= 0:
+    def __missing__(self, key: int | str) -> int:
+        if isinstance(key, str):
+            channel = self._view(_BOXES + key, scene.BOX_SCHEMA)
+        elif key >= 0:
             client, kind = divmod(key, 4)
             topic = f"client/{client}/{_CLIENT_TOPICS[kind]}"
             channel = (
@@ -131,15 +138,18 @@ class _Channels(dict[int, int]):
             )
         elif key == _CHECKSUMS:
             channel = self._writer.channel("checksums", "application/octet-stream")
-        elif key in (_POSES, _SCENE):
-            name = scene.POSES_SCHEMA if key == _POSES else scene.SCENE_SCHEMA
-            channel = self._writer.channel(
-                _TOPICS[key], "protobuf", self._writer.schema(name, "protobuf", scene.descriptors(name))
-            )
+        elif key in _VIEWS:
+            channel = self._view(_TOPICS[key], _VIEWS[key])
         else:
             channel = self._writer.channel(_TOPICS[key], "json", self._schema(_TOPICS[key]))
         self[key] = channel
         return channel
+
+    def _view(self, topic: str, name: str) -> int:
+        """Registers a channel for viewers."""
+        if name not in self._schemas:
+            self._schemas[name] = self._writer.schema(name, "protobuf", scene.descriptors(name))
+        return self._writer.channel(topic, "protobuf", self._schemas[name])
 
     def _schema(self, name: str) -> int:
         if name not in self._schemas:
@@ -191,6 +201,7 @@ class Recorder:
         self._rate: int = world.config["tick_rate"]
         self._pose_every = max(1, round(self._rate / pose_rate)) if pose_rate > 0 else 0
         self._painter = scene.Painter(world)
+        self._boxed = 0  # how many cubes have a channel for their box
         self._writer = Writer(path, profile=PROFILE, library=f"nmes {version('nmes')}")
         self._channels = _Channels(self._writer)
         self._notes: list[_Note] = []
@@ -274,6 +285,11 @@ class Recorder:
                 self._end_run()
             if key == _POSES:
                 view = self._painter.draw(what)
+                for name, box in view.boxes.items():
+                    new = name not in self._channels
+                    if not new or self._boxed < _MANY_BOXES:
+                        self._boxed += new
+                        self._add(name, frame, wall, box)
                 if view.scene is not None:
                     self._add(_SCENE, frame, wall, view.scene)
                 what = view.poses
@@ -290,7 +306,7 @@ class Recorder:
         self._run = []
         self._add(_TICKS, frame, wall, f'{{"frame":{first},"digests":["{digests}"]}}'.encode())
 
-    def _add(self, key: int, frame: int, wall: int, data: bytes) -> None:
+    def _add(self, key: int | str, frame: int, wall: int, data: bytes) -> None:
         if frame != self._frame:
             self._frame, self._time = frame, (frame * _NS + self._rate // 2) // self._rate
         self._writer.add(self._channels[key], self._sequence & _SEQUENCE_MASK, self._time, wall, data)
@@ -561,6 +577,7 @@ class _Chain:
         self.head = head
         self.sequence = 0
         self._kinds: dict[int, tuple[Kind | None, int | None]] = {}  # by channel; None: not known to this version
+        self._boxes: dict[int, str] = {}  # by channel: whose
 
     def records(self, block: Block) -> list[Record]:
         """Returns the records of the next chunk.
@@ -636,6 +653,9 @@ class _Chain:
     def _define(self, channel: Channel) -> None:
         if match := _CLIENT_TOPIC.fullmatch(channel.topic):
             self._kinds[channel.id] = _CLIENT_KINDS[match[2]], int(match[1])
+        elif channel.topic.startswith(_BOXES):
+            self._kinds[channel.id] = Kind.BOX, None
+            self._boxes[channel.id] = channel.topic.removeprefix(_BOXES)
         else:
             self._kinds[channel.id] = _KINDS.get(channel.topic), None
 
@@ -655,6 +675,8 @@ class _Chain:
         if kind is None:
             return None
         shape = _SHAPES.get(kind)
+        if kind is Kind.BOX:
+            return Record(kind, sequence, log_time, publish_time, None, data, {"cube": self._boxes[number]})
         if shape is None:
             return Record(kind, sequence, log_time, publish_time, client, data)
         about = orjson.loads(data)

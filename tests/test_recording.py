@@ -259,7 +259,7 @@ def test_poses_can_be_left_out(tmp_path: Path) -> None:
     path = record(tmp_path / "x.mcap", busy, pose_rate=0)
     kinds = {item.kind for item in Recording(path)}
     assert Kind.TICKS in kinds
-    assert not kinds & {Kind.POSES, Kind.SCENE}
+    assert not kinds & {Kind.POSES, Kind.SCENE, Kind.BOX}
 
 
 def test_an_hour_of_ticks_takes_at_most_10_mb(tmp_path: Path) -> None:

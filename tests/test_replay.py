@@ -315,7 +315,7 @@ def test_a_client_with_another_number_is_found(busy_file: Path, tmp_path: Path) 
 
 
 def test_a_changed_picture_is_found(busy_file: Path, tmp_path: Path) -> None:
-    for topic in ("/tf", "/scene"):
+    for topic in ("/tf", "/scene", "/boxes/two"):
 
         def edit(lines: list[Line], topic: str = topic) -> list[Line]:
             at = first(lines, topic)
