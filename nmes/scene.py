@@ -100,7 +100,8 @@ class Painter:
         """Returns the messages that show a snapshot to somebody who has seen all those before."""
         seconds, ticks = divmod(snapshot.frame, self._rate)
         nanos = ticks * 1_000_000_000 // self._rate
-        scene, boxes = None, {}
+        scene: bytes | None = None
+        boxes: dict[str, bytes] = {}
         if snapshot.shapes is not None:
             scene, boxes = self._changed(snapshot.shapes, seconds, nanos)
         poses: list[Pose] = snapshot.states[:, :7].astype(np.float32).tolist()
