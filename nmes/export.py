@@ -1,9 +1,6 @@
 """Recordings as data: tables of messages, and of the states after every tick, made by running the recording again.
 
-A recording holds inputs and digests, which is little; every pose and velocity follows from them. Here the inputs are
-fed to a fresh world, whose states are handed out tick by tick.
-
-Invariant: no state is handed out whose digest is not the recorded one, unless that was asked for.
+It hides the formats of the tables.
 """
 
 from __future__ import annotations
@@ -18,10 +15,8 @@ import orjson
 
 from nmes.backend import Array
 from nmes.errors import NmesError, RecordingError
-from nmes.feeding import feed, happenings
-from nmes.protocol import Request
+from nmes.playback import watch
 from nmes.recording import Kind, Recording
-from nmes.world import World
 
 __all__ = ["COLUMNS", "States", "messages", "state_rows", "states", "write_csv", "write_jsonl", "write_parquet"]
 
@@ -57,59 +52,7 @@ def states(recording: Recording | str | os.PathLike[str], *, anyway: bool = Fals
     """
     if not isinstance(recording, Recording):
         recording = Recording(recording)
-    watch = _Watch()
-    world = watch.world = World(recording.config, journal=watch)
-    try:
-        for happening in happenings(recording):
-            record = happening.record
-            match record.kind:
-                case Kind.TICKS:
-                    for digest in happening.digests:
-                        feed(world, record)
-                        yield from watch.take([digest], anyway)
-                case _:
-                    feed(world, record, happening.reply)
-                    yield from watch.take(happening.digests, anyway)
-    finally:
-        world.close()
-
-
-class _Watch:
-    """The journal of a world that is run again: it keeps the states after each tick until they are taken."""
-
-    world: World
-
-    def __init__(self) -> None:
-        self._seen: list[tuple[str, States]] = []
-
-    def take(self, digests: list[str], anyway: bool) -> Iterator[States]:
-        """Yields what was seen since the last time, which must be what was recorded."""
-        seen, self._seen = self._seen, []
-        for digest, (found, states) in zip(digests, seen, strict=False):
-            if digest != found and not anyway:
-                raise RecordingError("diverged", f"tick {states.frame} does not come out as recorded; see nmes replay")
-            yield states
-        if len(seen) < len(digests) and not anyway:
-            raise RecordingError("diverged", f"after frame {self.world.frame} there are fewer ticks than recorded")
-
-    def ticked(self, frame: int, digest: bytes) -> None:
-        """The world reached a frame."""
-        self._seen.append((digest.hex(), States(frame, self.world.time, *self.world.poses())))
-
-    def joined(self, client: int) -> None:
-        """A client came."""
-
-    def left(self, client: int) -> None:
-        """A client went."""
-
-    def received(self, client: int, request: Request) -> None:
-        """A frame is executed next."""
-
-    def replied(self, client: int, request: Request, reply: bytes) -> None:
-        """A frame was answered."""
-
-    def faulted(self, frame: int, code: str, message: str) -> None:
-        """The world stopped."""
+    yield from watch(recording, lambda world: States(world.frame, world.time, *world.poses()), anyway=anyway)
 
 
 # -- tables ----------------------------------------------------------------------------------------------------------
