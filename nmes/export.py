@@ -14,7 +14,7 @@ from typing import IO, Any, NamedTuple
 import orjson
 
 from nmes.backend import Array
-from nmes.errors import NmesError, RecordingError
+from nmes.errors import NmesError
 from nmes.playback import watch
 from nmes.recording import Kind, Recording
 
