@@ -1,0 +1,481 @@
+"""Objectives and conditions: expressions over what an episode left, in Google's Common Expression Language (CEL).
+
+Hides CEL, and how names become numbers. An expression is read once: its syntax, the names in it and the kinds of its
+values are judged before anything is run, and what is wrong is refused with its place. It can add, compare and choose,
+and nothing else: there are no lists, no macros over them, no text, so its cost is bounded by its length.
+
+Invariants: an expression is a pure function of the quantities that it `needs`, and may be used by several threads.
+Every number is a double: `2` means `2.0` (CEL itself would refuse `2 * height`), and there is no whole-number division.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal, NoReturn
+
+import cel
+
+from nmes.errors import WorldError
+
+__all__ = ["CUBE_QUANTITIES", "FOLDS", "FUNCTIONS", "QUANTITIES", "Condition", "Objective", "Quantity"]
+
+_AXES = {"x": "along x", "y": "upwards", "z": "along z"}
+
+
+def _vector(name: str, meaning: str, unit: str) -> dict[str, tuple[str, str]]:
+    return {f"{name}.{axis}": (f"{meaning}, {along}", unit) for axis, along in _AXES.items()}
+
+
+# What can be said of one cube as well as of a whole body.
+CUBE_QUANTITIES: Final[Mapping[str, tuple[str, str]]] = {
+    **_vector("position", "where the centre of mass is", "m"),
+    **_vector("displacement", "how far the centre of mass is from where it was at the start", "m"),
+    "displacement.horizontal": ("the same over the ground: the length of its x and z", "m"),
+    **_vector("velocity", "velocity of the centre of mass", "m/s"),
+    "speed": ("length of that velocity", "m/s"),
+    "distance": ("from the centre of mass to the target; without one, to where it was at the start", "m"),
+    "height": ("y of the centre of mass: how high it is above y = 0", "m"),
+    "lowest": ("y of the lowest point of any of its cubes", "m"),
+    "highest": ("y of the highest point of any of its cubes", "m"),
+    "reach": ("from the centre of mass to the farthest point of any of its cubes", "m"),
+    "uprightness": ("cosine of the angle between the first cube's own y axis and up: 1 upright, -1 upside down", ""),
+    "contacts": ("how many of its cubes touch something that is not one of them", ""),
+}
+"""What may be asked of a cube, `cube("id").height`: each name with its meaning and unit."""
+
+QUANTITIES: Final[Mapping[str, tuple[str, str]]] = {
+    **CUBE_QUANTITIES,
+    "time": ("since the start", "s"),
+    "time_upright": ("time so far in which uprightness was at least 0.5, which is 60 degrees from upright", "s"),
+    "energy": ("work of its motors since the start: the sum over ticks of |effort * velocity| times a tick", "J"),
+    "cubes": ("how many cubes it has", ""),
+    "mass": ("of all its cubes", "kg"),
+}
+"""What an expression may name: each name with its meaning and unit."""
+
+FOLDS: Final[Mapping[str, str]] = {
+    "final": "at the end, as without a word before it",
+    "min": "the least of the episode, its start included",
+    "max": "the greatest of the episode, its start included",
+    "mean": "the mean over the episode, its start included",
+}
+"""What may stand before a quantity, `max.height`."""
+
+
+def _total(function: Callable[[float], float], beyond: float) -> Callable[[float], float]:
+    """Makes a function of the standard library total: outside its domain nan, at its pole or beyond doubles inf."""
+
+    def call(x: float) -> float:
+        try:
+            return function(x)
+        except OverflowError:
+            return math.inf
+        except ValueError:
+            return beyond if x == 0.0 else math.nan
+
+    return call
+
+
+def _least(*values: float) -> float:
+    return math.nan if any(map(math.isnan, values)) else min(values)
+
+
+def _greatest(*values: float) -> float:
+    return math.nan if any(map(math.isnan, values)) else max(values)
+
+
+_FUNCTIONS: Final[dict[str, Callable[..., float]]] = {
+    "abs": abs,
+    "exp": _total(math.exp, math.nan),
+    "log": _total(math.log, -math.inf),
+    "max": _greatest,
+    "min": _least,
+    "sqrt": _total(math.sqrt, math.nan),
+}
+
+FUNCTIONS: Final[Mapping[str, str]] = {
+    "abs": "abs(x): its size",
+    "exp": "exp(x): e to the power of x",
+    "log": "log(x): natural logarithm",
+    "max": "max(x, y, ...): the greatest",
+    "min": "min(x, y, ...): the least",
+    "sqrt": "sqrt(x): square root",
+}
+"""The functions of an expression, and what each gives."""
+
+# Of an expression. CEL calls itself for each operator: a thousand of them would overflow a small stack.
+LENGTH: Final = 2000  # characters
+WORDS: Final = 500
+_NESTING: Final = 30
+
+_Kind = Literal["number", "truth"]
+_KIND = {"number": "a number", "truth": "true or false"}
+
+_TOKEN = re.compile(
+    r"""(?P<space>[ \t\r\n]+)
+    |(?P<number>(?:[0-9]+(?:\.[0-9]+)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)
+    |(?P<name>[A-Za-z_][A-Za-z0-9_]*)
+    |(?P<string>"[^"\\\r\n]*"|'[^'\\\r\n]*')
+    |(?P<mark><=|>=|==|!=|&&|\|\||[-+*/<>!?:().,])""",
+    re.VERBOSE,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Token:
+    kind: str  # a group of _TOKEN, or "end"
+    text: str
+    at: int
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """One thing that an expression names.
+
+    Attributes:
+        name: Of `QUANTITIES`, or, where there is a cube, of `CUBE_QUANTITIES`.
+        cube: The cube's id, or None for the whole body.
+        fold: Of `FOLDS`: what is made of its values over the episode.
+    """
+
+    name: str
+    cube: str | None = None
+    fold: str = "final"
+
+    def __str__(self) -> str:
+        """Returns it as an expression names it."""
+        fold = "" if self.fold == "final" else f"{self.fold}."
+        return fold + ("" if self.cube is None else f'cube("{self.cube}").') + self.name
+
+
+class _Expression:
+    """An expression that was read and compiled."""
+
+    _kind: _Kind
+
+    def __init__(self, text: str, path: str = "expression") -> None:
+        """Reads an expression.
+
+        Args:
+            text: In CEL, at most 2,000 characters, and 500 words and signs.
+            path: The field to blame.
+
+        Raises:
+            WorldError: `bad_expression`, with line and column of the mistake.
+        """
+        self.text = text
+        self._path = path
+        reader = _Reader(text, path)
+        reader.read(self._kind)
+        self.needs: tuple[Quantity, ...] = tuple(reader.needs)
+        """What it needs to know, in order of first use."""
+        self._functions = {name: _FUNCTIONS[name] for name in reader.called}
+        try:
+            self._program = cel.compile(reader.translated())
+        except ValueError as error:  # nothing is known that gets so far, but the judge here is CEL
+            raise WorldError("bad_expression", f"{path}: {str(error).splitlines()[0]}", path) from error
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.text!r})"
+
+    def _run(self, values: Mapping[Quantity, float]) -> Any:
+        given: dict[str, Any] = {f"v{i}": float(values[quantity]) for i, quantity in enumerate(self.needs)}
+        given.update(self._functions)
+        return self._program.execute(given)
+
+
+class Objective(_Expression):
+    """An expression that gives a number: what something is worth."""
+
+    _kind = "number"
+
+    def value(self, values: Mapping[Quantity, float]) -> float:
+        """Returns its value.
+
+        Args:
+            values: The value of each quantity that it `needs`.
+
+        Raises:
+            WorldError: `bad_expression`: the value is no finite number, as after a division by zero.
+        """
+        value = float(self._run(values))
+        if not math.isfinite(value):
+            known = ", ".join(f"{quantity} = {values[quantity]:g}" for quantity in self.needs)
+            where = f", where {known}" if known else ""
+            raise WorldError(
+                "bad_expression", f"{self._path}: its value is {value}, no finite number{where}", self._path
+            )
+        return value
+
+
+class Condition(_Expression):
+    """An expression that is true or false."""
+
+    _kind = "truth"
+
+    def holds(self, values: Mapping[Quantity, float]) -> bool:
+        """Tells whether it is true; `values` has the value of each quantity that it `needs`."""
+        return bool(self._run(values))
+
+
+class _Reader:
+    """Reads an expression by CEL's grammar, as far as objectives have it, and notes what it names.
+
+    One reader reads one expression. Each method of the grammar returns the kind of value that it has read.
+    """
+
+    def __init__(self, text: str, path: str) -> None:
+        self._text, self._path = text, path
+        self.needs: dict[Quantity, None] = {}
+        self.called: dict[str, None] = {}
+        self._out: list[str] = []
+        self._depth = 0
+        if len(text) > LENGTH:
+            self._refuse(LENGTH, f"it is longer than {LENGTH:,} characters")
+        self._tokens = self._split()
+        self._next = 0
+
+    def translated(self) -> str:
+        """Returns what CEL is to run: numbers are doubles, quantities are the variables `v0`, `v1`..."""
+        return " ".join(self._out)
+
+    def read(self, wanted: _Kind) -> None:
+        """Reads all of it."""
+        start = self._token
+        kind = self._choice()
+        if self._token.kind != "end":
+            self._refuse(self._token.at, f"expected an operator or the end, found {self._found()}")
+        if kind != wanted:
+            self._refuse(start.at, f"it must give {_KIND[wanted]}, but gives {_KIND[kind]}")
+
+    # -- words ---------------------------------------------------------------------------------------------------
+
+    def _refuse(self, at: int, message: str) -> NoReturn:
+        before = self._text[:at]
+        line = before.count("\n") + 1
+        column = at - (before.rfind("\n") + 1) + 1
+        raise WorldError(
+            "bad_expression", f"{self._path}: line {line}, column {column}: {message}", self._path
+        ) from None
+
+    def _split(self) -> list[_Token]:
+        tokens: list[_Token] = []
+        at = 0
+        while at < len(self._text):
+            match = _TOKEN.match(self._text, at)
+            if match is None:
+                character = self._text[at]
+                what = (
+                    "this text has no end, or a backslash in it"
+                    if character in "\"'"
+                    else f"{character!r} means nothing"
+                )
+                self._refuse(at, f"{what} here")
+            if match.lastgroup != "space":
+                if len(tokens) == WORDS:
+                    self._refuse(at, f"it has more than {WORDS} words and signs")
+                tokens.append(_Token(str(match.lastgroup), match[0], at))
+            at = match.end()
+        return [*tokens, _Token("end", "", len(self._text))]
+
+    @property
+    def _token(self) -> _Token:
+        return self._tokens[self._next]
+
+    def _found(self) -> str:
+        return "the end" if self._token.kind == "end" else repr(self._token.text)
+
+    def _take(self) -> _Token:
+        self._next += 1
+        return self._tokens[self._next - 1]
+
+    def _is(self, *marks: str) -> bool:
+        return self._token.kind == "mark" and self._token.text in marks
+
+    def _copy(self) -> _Token:
+        """Takes a mark, and passes it on to CEL."""
+        self._out.append(self._token.text)
+        return self._take()
+
+    def _expect(self, mark: str, why: str) -> None:
+        if not self._is(mark):
+            self._refuse(self._token.at, f"expected {mark!r} {why}, found {self._found()}")
+        self._copy()
+
+    # -- grammar -------------------------------------------------------------------------------------------------
+
+    def _want(self, wanted: _Kind, kind: _Kind, at: int, what: str) -> None:
+        if kind != wanted:
+            self._refuse(at, f"{what} takes {_KIND[wanted]}, but this is {_KIND[kind]}")
+
+    def _chain(self, below: Callable[[], _Kind], marks: Sequence[str], takes: _Kind, gives: _Kind) -> _Kind:
+        """Reads operands of one precedence."""
+        at = self._token.at
+        kind = below()
+        while self._is(*marks):
+            mark = self._copy().text
+            self._want(takes, kind, at, mark)
+            at = self._token.at
+            self._want(takes, below(), at, mark)
+            kind = gives
+        return kind
+
+    def _choice(self) -> _Kind:
+        self._depth += 1
+        if self._depth > _NESTING:
+            self._refuse(self._token.at, f"it is nested more than {_NESTING} deep")
+        at = self._token.at
+        kind = self._either()
+        if self._is("?"):
+            self._want("truth", kind, at, "?")
+            self._copy()
+            kind = self._either()
+            self._expect(":", "between the two choices")
+            at = self._token.at
+            other = self._choice()
+            if other != kind:
+                self._refuse(at, f"the choice before ':' is {_KIND[kind]}, but this is {_KIND[other]}")
+        self._depth -= 1
+        return kind
+
+    def _either(self) -> _Kind:
+        return self._chain(self._both, ("||",), "truth", "truth")
+
+    def _both(self) -> _Kind:
+        return self._chain(self._relation, ("&&",), "truth", "truth")
+
+    def _relation(self) -> _Kind:
+        at = self._token.at
+        kind = self._sum()
+        while self._is("<", "<=", ">", ">=", "==", "!="):
+            mark = self._copy().text
+            if mark not in ("==", "!="):
+                self._want("number", kind, at, mark)
+            at = self._token.at
+            self._want(kind, self._sum(), at, f"{mark} after {_KIND[kind]}")
+            kind = "truth"
+        return kind
+
+    def _sum(self) -> _Kind:
+        return self._chain(self._product, ("+", "-"), "number", "number")
+
+    def _product(self) -> _Kind:
+        return self._chain(self._signed, ("*", "/"), "number", "number")
+
+    def _signed(self) -> _Kind:
+        if not self._is("-", "!"):
+            return self._member()
+        mark = self._token.text
+        takes: _Kind = "number" if mark == "-" else "truth"
+        while self._is(mark):
+            self._copy()
+        at = self._token.at
+        self._want(takes, self._member(), at, mark)
+        return takes
+
+    def _member(self) -> _Kind:
+        token = self._token
+        if token.kind == "number":
+            self._take()
+            whole = token.text.isdigit()
+            if math.isinf(float(token.text)):
+                self._refuse(token.at, "this number is too large")
+            self._out.append(f"{token.text}.0" if whole else token.text)
+            return "number"
+        if token.kind == "name":
+            return self._name()
+        if self._is("("):
+            self._copy()
+            kind = self._choice()
+            self._expect(")", "after what is in parentheses")
+            return kind
+        if token.kind == "string":
+            self._refuse(token.at, 'there is no text in an objective but the id in cube("id")')
+        self._refuse(token.at, f"expected a value, found {self._found()}")
+
+    def _name(self) -> _Kind:
+        token = self._token
+        if token.text in ("true", "false"):
+            self._out.append(self._take().text)
+            return "truth"
+        following = self._tokens[self._next + 1]
+        if token.text != "cube" and following.kind == "mark" and following.text == "(":
+            return self._call()
+        quantity = self._quantity()
+        if quantity not in self.needs:
+            self.needs[quantity] = None
+        self._out.append(f"v{list(self.needs).index(quantity)}")
+        return "number"
+
+    def _call(self) -> _Kind:
+        name = self._take()
+        if name.text not in FUNCTIONS:
+            self._refuse(name.at, f"there is no function {name.text!r}{_near(name.text, FUNCTIONS)}")
+        self.called[name.text] = None
+        self._out.append(name.text)
+        self._copy()
+        count = 0
+        while not count or self._is(","):
+            if count:
+                self._copy()
+            at = self._token.at
+            self._want("number", self._choice(), at, f"{name.text}()")
+            count += 1
+        self._expect(")", f"after the arguments of {name.text}")
+        many = name.text in ("min", "max")
+        if (count < 2) if many else (count > 1):
+            self._refuse(name.at, f"{name.text} takes {'two numbers or more' if many else 'one number'}, not {count}")
+        return "number"
+
+    def _quantity(self) -> Quantity:
+        """Reads `height`, `displacement.x`, `max.speed`, `min.cube("id").position.y`."""
+        fold, cube, words = "final", None, list[_Token]()
+        first = self._token
+        if first.text in FOLDS:
+            fold = self._take().text
+            if not self._is("."):
+                self._refuse(first.at, f"{fold} of what? It goes before a quantity: {fold}.height")
+            self._take()
+        if self._token.text == "cube" and self._tokens[self._next + 1].text == "(":
+            cube = self._cube()
+        while True:
+            if self._token.kind != "name":
+                self._refuse(self._token.at, f"expected the name of a quantity, found {self._found()}")
+            words.append(self._take())
+            if not self._is("."):
+                break
+            self._take()
+        name = ".".join(word.text for word in words)
+        known = QUANTITIES if cube is None else CUBE_QUANTITIES
+        if name not in known:
+            parts = [other for other in known if other.startswith(f"{name}.")]
+            if parts:
+                said = f"{name} is a vector; take {', '.join(parts[:-1])} or {parts[-1]}"
+            elif name in QUANTITIES:
+                said = f"there is {name} of the whole only, not of one cube"
+            else:
+                said = f"there is no quantity {name!r}{_near(name, known)}"
+            self._refuse(words[0].at, said)
+        return Quantity(name, cube, fold)
+
+    def _cube(self) -> str:
+        self._take()
+        self._take()
+        token = self._token
+        if token.kind != "string":
+            self._refuse(token.at, f'expected the id of a cube, as in cube("leg"), found {self._found()}')
+        self._take()
+        for mark, why in ((")", "after the id of a cube"), (".", "and a quantity after the cube")):
+            if not self._is(mark):
+                self._refuse(self._token.at, f"expected {mark!r} {why}, found {self._found()}")
+            self._take()
+        return token.text[1:-1]
+
+
+def _near(name: str, known: Mapping[str, object]) -> str:
+    near = difflib.get_close_matches(name[:80], known, n=1)
+    return f"; did you mean {near[0]}?" if near else f"; there are {', '.join(known)}"
