@@ -110,6 +110,53 @@ class Assembly:
         self._spawned = 0
         self._joined = 0
 
+    # -- snapshots -----------------------------------------------------------------------------------------------
+
+    def snapshot(self) -> tuple[JsonObject, bytes]:
+        """Returns what the cubes and joints are as plain JSON data, and the engine's snapshot.
+
+        Raises:
+            WorldError: The engine has no snapshots (`unsupported`).
+            SimulationFault: It cannot take up what was edited since the last tick.
+        """
+        self.require("snapshot", "snapshots")
+        engine = self.simulation.snapshot()
+        cubes = [
+            {name: getattr(cube, name) for name in Cube.__slots__ if name != "joints"} for cube in self._cubes.values()
+        ]
+        joints = [
+            {
+                **{name: getattr(joint, name) for name in Joint.__slots__},
+                "cube1": joint.cube1.name,
+                "cube2": joint.cube2.name,
+            }
+            for joint in self._joints.values()
+        ]
+        state = {
+            "version": self.version,
+            "spawned": self._spawned,
+            "joined": self._joined,
+            "cubes": cubes,
+            "joints": joints,
+        }
+        return state, engine
+
+    def restore(self, state: JsonObject, engine: bytes) -> None:
+        """Takes up in an empty assembly what `snapshot` of another one returned, of the same config and seed."""
+        self.version, self._spawned, self._joined = state["version"], state["spawned"], state["joined"]
+        for given in state["cubes"]:
+            cube = Cube(**{**given, "size": _vector(given["size"]), "color": tuple(given["color"])})
+            self._cubes[cube.name] = cube
+            self._names[cube.body] = cube.name
+        for given in state["joints"]:
+            ends = self._cubes[given["cube1"]], self._cubes[given["cube2"]]
+            joint = Joint(**{**given, "cube1": ends[0], "cube2": ends[1]})
+            self._joints[joint.name] = joint
+            self._pairs[min(end.body for end in ends), max(end.body for end in ends)] = joint.name
+            for end in ends:
+                end.joints[joint.name] = None
+        self.simulation.restore(engine)
+
     # -- looking up ----------------------------------------------------------------------------------------------
 
     def names(self) -> list[str]:

@@ -192,6 +192,9 @@ class _Run:
         self.ticks += 1
         self._compare()
 
+    def keyframe(self, snapshot: bytes) -> None:
+        """The world was saved."""
+
     def faulted(self, frame: int, code: str, message: str) -> None:
         """The world stopped."""
 

@@ -87,5 +87,8 @@ class _Watcher(Generic[_Seen]):
     def replied(self, client: int, request: Request, reply: bytes) -> None:
         """A frame was answered."""
 
+    def keyframe(self, snapshot: bytes) -> None:
+        """The world was saved."""
+
     def faulted(self, frame: int, code: str, message: str) -> None:
         """The world stopped."""

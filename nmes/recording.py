@@ -256,6 +256,9 @@ class Recorder:
         if not 0 <= wall - self._flushed < self._flush_after or len(self._notes) > _MANY:
             self._pack()
 
+    def keyframe(self, snapshot: bytes) -> None:
+        """The world was saved."""
+
     def faulted(self, frame: int, code: str, message: str) -> None:
         """Records that the world stopped, and gives the file its end."""
         what = orjson.dumps({"frame": frame, "code": code, "message": message})

@@ -334,6 +334,9 @@ class _Run:
             except Exception as error:
                 self._mistake = error
 
+    def keyframe(self, snapshot: bytes) -> None:
+        """The world was saved."""
+
     def faulted(self, frame: int, code: str, message: str) -> None:
         """The world stopped."""
         record = self._expect(Kind.FAULT)

@@ -7,14 +7,15 @@ cubes cost one comparison of arrays. The World decides when an event is due.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
 from nmes.backend import Array
 from nmes.rotation import euler_from_quaternion
+from nmes.snapshot import pack_array, unpack_array
 
 __all__ = ["Subscription", "moving_part"]
 
@@ -31,6 +32,41 @@ class Subscription:
     _names: list[str] = field(default_factory=list)
     _sent: Array = field(default_factory=lambda: np.empty((0, 7)))  # poses as last sent; NaN: never
     _removed: list[str] = field(default_factory=list)
+
+    @classmethod
+    def restored(cls, state: Mapping[str, Any]) -> Self:
+        """Returns the subscription of which `state` tells.
+
+        Raises:
+            ValueError: What it was told last does not fit together.
+        """
+        sent = unpack_array(state["sent"], 7)
+        names = list(state["names"])
+        if len(sent) != len(names):
+            raise ValueError(f"{len(names)} cubes were told of, with {len(sent)} poses")
+        return cls(
+            events=tuple(state["events"]),
+            every=state["every"],
+            position_threshold=float(state["position_threshold"]),
+            rotation_threshold=float(state["rotation_threshold"]),
+            _version=state["version"],
+            _names=names,
+            _sent=sent,
+            _removed=list(state["removed"]),
+        )
+
+    def state(self) -> dict[str, Any]:
+        """Returns all of it as plain JSON data, for snapshots of the world."""
+        return {
+            "events": self.events,
+            "every": self.every,
+            "position_threshold": self.position_threshold,
+            "rotation_threshold": self.rotation_threshold,
+            "version": self._version,
+            "names": self._names,
+            "sent": pack_array(self._sent),
+            "removed": self._removed,
+        }
 
     def changes(self, version: int, names: Sequence[str], states: Array) -> tuple[list[dict[str, Any]], list[str]]:
         """Returns the cubes to send now, and the names of those that are gone; both count as sent.

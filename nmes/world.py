@@ -19,13 +19,16 @@ import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
+from math import inf
 from typing import Any, ClassVar, Protocol
 
 from nmes import protocol
 from nmes.assembly import Assembly, Cube, identity
 from nmes.backend import Array, Backend, Simulation, Vector, load_backend
+from nmes.clients import Client, Clients, Emit
 from nmes.errors import NmesError, RecordingError, RejectedMessage, SimulationFault, WorldError
 from nmes.protocol import Request
+from nmes.snapshot import pack, unpack
 from nmes.subscription import Subscription
 
 __all__ = ["Barrier", "Fault", "Journal", "World"]
@@ -62,6 +65,9 @@ class Journal(Protocol):
     def ticked(self, frame: int, digest: bytes) -> None:
         """The world reached `frame`."""
 
+    def keyframe(self, snapshot: bytes) -> None:
+        """The world was saved, as its config says that it is now and then."""
+
     def faulted(self, frame: int, code: str, message: str) -> None:
         """The world stopped at `frame`."""
 
@@ -83,13 +89,6 @@ class Barrier:
     timeout: float
 
 
-@dataclass(slots=True)
-class _Client:
-    number: int
-    owned: str | None = None
-    subscription: Subscription | None = None
-
-
 class World:
     """One simulated place.
 
@@ -108,7 +107,7 @@ class World:
         config: Mapping[str, Any] | None = None,
         *,
         journal: Journal | None = None,
-        emit: Callable[[int, bytes], None] | None = None,
+        emit: Emit | None = None,
     ) -> None:
         self.config: JsonObject = protocol.complete_config(config or {})
         self.journal = journal
@@ -121,12 +120,14 @@ class World:
         self._in_batch = False
         self._tick_rate: int = self.config["tick_rate"]
         self._substeps: int = self.config["substeps"]
-        self._clients: dict[int, _Client] = {}
-        self._next_client = 1
+        self._clients = Clients()
+        self._past = 0  # ticks before the last reset
+        self._stepping = False  # within a command's ticks
         try:
             self._begin(self.config["seed"], version=0)
         except WorldError as error:
             raise RejectedMessage(error.code, error.message, error.path) from error
+        self._keyframe_due = self._next_keyframe()
 
     def _begin(self, seed: int, version: int) -> None:
         """Makes the empty world of frame 0."""
@@ -141,6 +142,16 @@ class World:
     def time(self) -> float:
         """Simulation time in s."""
         return self.frame / self._tick_rate
+
+    @property
+    def ticks(self) -> int:
+        """How many ticks there were, over all resets."""
+        return self._past + self.frame
+
+    @property
+    def untouched(self) -> bool:
+        """Whether nothing has happened here: nobody came, and it never ticked."""
+        return not (self.ticks or self._clients.ever)
 
     @property
     def running(self) -> bool:
@@ -200,9 +211,7 @@ class World:
 
     def join(self) -> int:
         """Lets a client in and returns its number, never used before in this world."""
-        number = self._next_client
-        self._next_client += 1
-        self._clients[number] = _Client(number)
+        number = self._clients.join()
         self._tell(lambda journal: journal.joined(number))
         return number
 
@@ -215,15 +224,17 @@ class World:
         """Executes one frame and returns the encoded reply, without delimiter. The one door for commands."""
         journal = self.journal
         if journal is None:
-            return protocol.encode(self._answer(self._clients[client], request))
-        try:
-            journal.received(client, request)
-            reply = self._answer(self._clients[client], request)
-            encoded = protocol.encode(reply)
-            journal.replied(client, request, encoded)
-        except RecordingError as error:
-            self._lose_journal(error)
-            return protocol.encode(self._answer(self._clients[client], request))
+            encoded = protocol.encode(self._answer(self._clients[client], request))
+        else:
+            try:
+                journal.received(client, request)
+                encoded = protocol.encode(self._answer(self._clients[client], request))
+                journal.replied(client, request, encoded)
+            except RecordingError as error:
+                self._lose_journal(error)
+                return protocol.encode(self._answer(self._clients[client], request))
+        if self._past + self.frame >= self._keyframe_due:
+            self._keep_keyframe()
         return encoded
 
     def execute(self, client: int, command: Mapping[str, Any]) -> JsonObject:
@@ -242,9 +253,7 @@ class World:
             self._stop(fault.code, fault.message, fault.body)
             return
         except Exception as error:
-            # An adapter's own mistake must not take the host down with all its other worlds, but it must be loud.
-            logger.exception("the engine of world %r failed", self.config["name"])
-            self._stop("engine_failed", f"{type(error).__name__}: {error}", None)
+            self._engine_failed(error)
             return
         self.frame += 1
         if self.journal is not None:
@@ -254,7 +263,9 @@ class World:
                 self._lose_journal(error)
                 return
         if self._clients:
-            self._send_events()
+            self._clients.tick(self.emit, self.frame, self.time, self.structure_version, self.poses)
+        if self._past + self.frame >= self._keyframe_due and not self._stepping:
+            self._keep_keyframe()
 
     def stop_recording(self, error: RecordingError) -> None:
         """Faults the world because its history can no longer be kept; for hosts that flush on a timer."""
@@ -262,12 +273,90 @@ class World:
 
     def announce(self, event: Mapping[str, Any]) -> None:
         """Tells subscribers what only the host knows."""
-        self._emit_to_subscribers(dict(event))
+        self._clients.announce(self.emit, event)
 
     def close(self) -> None:
         """Tells subscribers that the world is closed and releases the engine."""
-        self._emit_to_subscribers({"type": "world_closed"})
+        self._clients.announce(self.emit, {"type": "world_closed"})
         self._assembly.simulation.close()
+
+    # -- snapshots -----------------------------------------------------------------------------------------------
+
+    def snapshot(self) -> bytes:
+        """Returns all that this world is but its config, such that `restore` goes on bit for bit.
+
+        This world then does what a restored one would: its engine has taken up what was edited since the last tick,
+        and readings (contacts, efforts) follow from the state alone. So a snapshot is itself an event of the history;
+        who wants it repeated with the history sets `keyframes` in the config.
+
+        Raises:
+            WorldError: The engine has no snapshots (`unsupported`), or the world is faulted.
+            SimulationFault: The engine cannot take up what was edited since the last tick.
+        """
+        if self.fault is not None:
+            raise WorldError("world_faulted", f"the world stopped at frame {self.fault.frame}: {self.fault.message}")
+        assembly, engine = self._assembly.snapshot()
+        barrier = self.barrier
+        state = {
+            "seed": self.seed,
+            "frame": self.frame,
+            "ticks": self.ticks,
+            "mode": self.mode,
+            "rate": self.rate,
+            "paused": self.paused,
+            "barrier": None if barrier is None else {"agents": barrier.agents, "timeout": barrier.timeout},
+            "assembly": assembly,
+            **self._clients.snapshot(),
+        }
+        return pack(self.config, state, engine)
+
+    def restore(self, snapshot: bytes) -> None:
+        """Takes up what `snapshot` of a world of the same config returned, in place of all that is here.
+
+        The journal is not told: its history begins with what is restored.
+
+        Raises:
+            WorldError: `bad_snapshot`: it is none, or of a world of another config. This world is as it was.
+        """
+        state, engine = unpack(snapshot, self.config)
+        assembly = Assembly(self.backend, self.config, state["seed"], version=0)
+        try:
+            assembly.restore(state["assembly"], engine)
+            clients = Clients.restored(state)
+        except Exception as error:  # an engine's bytes may be anything, and so may what its library thinks of them
+            assembly.simulation.close()
+            raise WorldError("bad_snapshot", f"the snapshot does not fit together: {error}") from error
+        self._assembly.simulation.close()
+        self._assembly = assembly
+        self.seed, self.frame, self._past = state["seed"], state["frame"], state["ticks"] - state["frame"]
+        self.fault = None
+        self.mode, self.rate, self.paused = state["mode"], float(state["rate"]), state["paused"]
+        self.barrier = None if state["barrier"] is None else Barrier(**state["barrier"])
+        self._clients = clients
+        self._keyframe_due = self._next_keyframe()
+
+    def _next_keyframe(self) -> float:
+        """Returns the number of ticks at which the next keyframe is due."""
+        seconds = self.config.get("keyframes", 0) if "snapshot" in self.backend.capabilities else 0
+        if seconds == 0:
+            return inf
+        every = max(1, round(seconds * self._tick_rate))
+        return (self.ticks // every + 1) * every
+
+    def _keep_keyframe(self) -> None:
+        """Saves the world, between two inputs: a tick of the clock or a command has just ended."""
+        if self.fault is not None:
+            return
+        try:
+            snapshot = self.snapshot()
+        except SimulationFault as fault:
+            self._stop(fault.code, fault.message, fault.body)
+            return
+        except Exception as error:
+            self._engine_failed(error)
+            return
+        self._keyframe_due = self._next_keyframe()
+        self._tell(lambda journal: journal.keyframe(snapshot))
 
     # -- faults and events ---------------------------------------------------------------------------------------
 
@@ -284,43 +373,23 @@ class World:
         if self.fault is None or self.fault.code != "recording_failed":
             self._stop("recording_failed", error.message, None)
 
+    def _engine_failed(self, error: Exception) -> None:
+        # An adapter's own mistake must not take the host down with all its other worlds, but it must be loud.
+        logger.exception("the engine of world %r failed", self.config["name"])
+        self._stop("engine_failed", f"{type(error).__name__}: {error}", None)
+
     def _stop(self, code: str, message: str, body: int | None) -> None:
         name = None if body is None else self._assembly.name_of(body)
         if name is not None:
             message = f"{message} (cube {name})"
         self.fault = fault = Fault(code, message, self.frame)
         self._tell(lambda journal: journal.faulted(fault.frame, code, message))
-        self._emit_to_subscribers({"type": "world_fault", "code": code, "frame": fault.frame, "message": message})
-
-    def _emit_to_subscribers(self, event: JsonObject) -> None:
-        if self.emit is not None:
-            encoded = protocol.encode(event)
-            for client in self._clients.values():
-                if client.subscription is not None:
-                    self.emit(client.number, encoded)
-
-    def _send_events(self) -> None:
-        emit, frame, tick = self.emit, self.frame, b""
-        names: list[str] = []
-        states: Array | None = None
-        for client in self._clients.values():
-            subscription = client.subscription
-            if subscription is None or emit is None or frame % subscription.every:
-                continue
-            if "tick" in subscription.events:
-                tick = tick or protocol.encode({"type": "tick", "t": self.time, "frame": frame})
-                emit(client.number, tick)
-            if "state" in subscription.events:
-                if states is None:
-                    names, states = self.poses()
-                cubes, removed = subscription.changes(self.structure_version, names, states)
-                if cubes or removed:
-                    event = {"type": "state", "t": self.time, "frame": frame, "cubes": cubes, "removed": removed}
-                    emit(client.number, protocol.encode(event))
+        event = {"type": "world_fault", "code": code, "frame": fault.frame, "message": message}
+        self._clients.announce(self.emit, event)
 
     # -- commands ------------------------------------------------------------------------------------------------
 
-    def _answer(self, client: _Client, request: Request) -> JsonObject:
+    def _answer(self, client: Client, request: Request) -> JsonObject:
         command = request.command
         if command is None:
             assert request.error is not None
@@ -333,7 +402,7 @@ class World:
             reply["id"] = command["id"]
         return reply
 
-    def _perform(self, client: _Client, command: JsonObject) -> JsonObject:
+    def _perform(self, client: Client, command: JsonObject) -> JsonObject:
         kind: str = command["type"]
         try:
             if self.fault is not None and (
@@ -355,7 +424,7 @@ class World:
             self._stop("internal", f"{type(error).__name__}: {error}", None)
             return protocol.error_reply(WorldError("internal", "the world failed; see the server's log"), kind)
 
-    def _cube_or_own(self, client: _Client, command: JsonObject) -> Cube:
+    def _cube_or_own(self, client: Client, command: JsonObject) -> Cube:
         name = command.get("cube_name")
         if name is not None:
             return self._assembly.cube(name)
@@ -368,7 +437,7 @@ class World:
 
     # -- commands: cubes -----------------------------------------------------------------------------------------
 
-    def _spawn_cube(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _spawn_cube(self, client: Client, c: JsonObject) -> JsonObject:
         cube = self._assembly.spawn(c)
         client.owned = cube.name
         reply: JsonObject = {"type": "cube_list", "spawned": cube.name}
@@ -376,32 +445,32 @@ class World:
             reply["cubes"] = self._assembly.names()
         return reply
 
-    def _despawn_cube(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _despawn_cube(self, client: Client, c: JsonObject) -> JsonObject:
         cube = self._assembly.cube(c["cube_name"])
         return {"type": "cube_despawned", "cube_name": cube.name, "joints": self._assembly.despawn(cube)}
 
-    def _apply_physics(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _apply_physics(self, client: Client, c: JsonObject) -> JsonObject:
         cube = self._cube_or_own(client, c)
         self._assembly.apply(cube, c)
         return {"type": "physics_applied", "cube_name": cube.name}
 
-    def _set_cube_state(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _set_cube_state(self, client: Client, c: JsonObject) -> JsonObject:
         cube = self._assembly.cube(c["cube_name"])
         self._assembly.move(cube, c)
         return {"type": "cube_state_set", "cube_name": cube.name}
 
-    def _freeze_cube(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _freeze_cube(self, client: Client, c: JsonObject) -> JsonObject:
         cube = self._assembly.cube(c["cube_name"])
         self._assembly.freeze(cube, c["freeze"])
         return {"type": "cube_frozen", "cube_name": cube.name, "freeze": cube.frozen}
 
-    def _get_cube_list(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _get_cube_list(self, client: Client, c: JsonObject) -> JsonObject:
         return {"type": "cube_list", "cubes": self._assembly.names()}
 
-    def _get_cube_state(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _get_cube_state(self, client: Client, c: JsonObject) -> JsonObject:
         return {"type": "cube_state", **self._assembly.cube_state(self._cube_or_own(client, c))}
 
-    def _get_cube_info(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _get_cube_info(self, client: Client, c: JsonObject) -> JsonObject:
         assembly = self._assembly
         cube = assembly.cube(c["cube_name"])
         reply = {"type": "cube_info", **assembly.cube_info(cube)}
@@ -412,37 +481,37 @@ class World:
             reply["ranges"] = assembly.ranges(cube, c["rays"], float(c.get("max_range", default["max_range"])))
         return reply
 
-    def _get_camera(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _get_camera(self, client: Client, c: JsonObject) -> JsonObject:
         return {"type": "camera_image", **self._assembly.camera(self._cube_or_own(client, c), c)}
 
     # -- commands: joints ----------------------------------------------------------------------------------------
 
-    def _create_joint(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _create_joint(self, client: Client, c: JsonObject) -> JsonObject:
         return {"type": "joint_created", "joint_name": self._assembly.connect(c, c["joint_type"], "joint")}
 
-    def _create_bone(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _create_bone(self, client: Client, c: JsonObject) -> JsonObject:
         skeleton = c.get("snake_id", protocol.COMMANDS["create_bone"].defaults["snake_id"])
         return {"type": "bone_created", "bone_name": self._assembly.connect(c, "conetwist", "bone", skeleton)}
 
-    def _remove_joint(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _remove_joint(self, client: Client, c: JsonObject) -> JsonObject:
         joint = self._assembly.joint(c["joint_name"])
         self._assembly.cut(joint)
         return {"type": "joint_removed", "joint_name": joint.name}
 
-    def _set_joint_param(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _set_joint_param(self, client: Client, c: JsonObject) -> JsonObject:
         joint, name, value = self._assembly.joint(c["joint_name"]), c["param_name"], c["value"]
         self._assembly.set_param(joint, name, value)
         return {"type": "joint_param_set", "joint_name": joint.name, "param_name": name, "value": value}
 
-    def _get_joint_list(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _get_joint_list(self, client: Client, c: JsonObject) -> JsonObject:
         return {"type": "joint_list", "joints": [identity(joint) for joint in self._assembly.joints()]}
 
-    def _get_joint_info(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _get_joint_info(self, client: Client, c: JsonObject) -> JsonObject:
         return {"type": "joint_info", **self._assembly.joint_info(self._assembly.joint(c["joint_name"]))}
 
     # -- commands: the world -------------------------------------------------------------------------------------
 
-    def _get_world_state(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _get_world_state(self, client: Client, c: JsonObject) -> JsonObject:
         assembly = self._assembly
         names = c.get("cubes")
         if names is None:
@@ -452,7 +521,7 @@ class World:
         moving = assembly.moving(cubes, sensors=bool(c.get("sensors")))
         return {"type": "world_state", "frame": self.frame, "t": self.time, "cubes": moving}
 
-    def _get_world_info(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _get_world_info(self, client: Client, c: JsonObject) -> JsonObject:
         fault = self.fault
         return {
             "type": "world_info",
@@ -482,7 +551,7 @@ class World:
             "fault": None if fault is None else {"code": fault.code, "frame": fault.frame, "message": fault.message},
         }
 
-    def _get_planets(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _get_planets(self, client: Client, c: JsonObject) -> JsonObject:
         return {"type": "planets", "planets": self._assembly.planets()}
 
     def capabilities(self) -> list[str]:
@@ -493,14 +562,15 @@ class World:
                 optional.discard(command)
         return sorted(optional | self.backend.capabilities)
 
-    def _reset(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _reset(self, client: Client, c: JsonObject) -> JsonObject:
         self._assembly.simulation.close()
+        self._past = self.ticks
         self._begin(c.get("seed", self.seed), version=self.structure_version + 1)
         for other in self._clients.values():
             other.owned = None
         return {"type": "world_reset", "frame": 0, "seed": self.seed}
 
-    def _step(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _step(self, client: Client, c: JsonObject) -> JsonObject:
         if self.mode != "lockstep" and not self.paused:
             raise WorldError("wrong_mode", f"step works in lockstep or in a paused world, not in {self.mode}")
         if self.barrier is not None:
@@ -508,21 +578,25 @@ class World:
             if self._in_batch:
                 raise WorldError("wrong_mode", "a step that waits for others cannot be part of a batch")
             return {"type": "stepped", "frame": self.frame, "t": self.time}
-        for _ in range(c.get("ticks", 1)):
-            self.tick()
-            if self.fault is not None:
-                raise WorldError("world_faulted", f"stopped at frame {self.fault.frame}: {self.fault.message}")
+        self._stepping = True
+        try:
+            for _ in range(c.get("ticks", 1)):
+                self.tick()
+                if self.fault is not None:
+                    raise WorldError("world_faulted", f"stopped at frame {self.fault.frame}: {self.fault.message}")
+        finally:
+            self._stepping = False
         return {"type": "stepped", "frame": self.frame, "t": self.time}
 
-    def _pause(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _pause(self, client: Client, c: JsonObject) -> JsonObject:
         self.paused = True
         return {"type": "paused", "frame": self.frame}
 
-    def _resume(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _resume(self, client: Client, c: JsonObject) -> JsonObject:
         self.paused = False
         return {"type": "resumed", "frame": self.frame}
 
-    def _set_mode(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _set_mode(self, client: Client, c: JsonObject) -> JsonObject:
         barrier: Barrier | None = None
         if c.get("barrier", False):
             if c["mode"] != "lockstep":
@@ -534,7 +608,7 @@ class World:
         reply: JsonObject = {"type": "mode_set", "mode": self.mode, "rate": self.rate}
         return {**reply, "barrier": True} if barrier is not None else reply
 
-    def _subscribe(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _subscribe(self, client: Client, c: JsonObject) -> JsonObject:
         default = protocol.COMMANDS["subscribe"].defaults
         client.subscription = s = Subscription(
             events=tuple(dict.fromkeys(c.get("events", default["events"]))),
@@ -550,11 +624,11 @@ class World:
             "rotation_threshold": s.rotation_threshold,
         }
 
-    def _unsubscribe(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _unsubscribe(self, client: Client, c: JsonObject) -> JsonObject:
         client.subscription = None
         return {"type": "unsubscribed"}
 
-    def _batch(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _batch(self, client: Client, c: JsonObject) -> JsonObject:
         ticks = sum(command.get("ticks", 1) for command in c["commands"] if command["type"] == "step")
         if ticks > _BATCH_TICKS:
             raise WorldError("invalid", f"commands: {ticks} ticks in one batch, at most {_BATCH_TICKS}", "commands")
@@ -571,10 +645,10 @@ class World:
                 self._in_batch = False
         return {"type": "batch_result", "results": results}
 
-    def _ping(self, client: _Client, c: JsonObject) -> JsonObject:
+    def _ping(self, client: Client, c: JsonObject) -> JsonObject:
         return {"type": "pong"}
 
-    COMMANDS: ClassVar[dict[str, Callable[[World, _Client, JsonObject], JsonObject]]] = {
+    COMMANDS: ClassVar[dict[str, Callable[[World, Client, JsonObject], JsonObject]]] = {
         "spawn_cube": _spawn_cube,
         "despawn_cube": _despawn_cube,
         "create_joint": _create_joint,

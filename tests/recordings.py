@@ -12,7 +12,7 @@ from mcap.records import Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
 from nmes.mcapfile import Writer
-from nmes.protocol import parse
+from nmes.protocol import Request, parse
 from nmes.recording import Recorder
 from nmes.world import World
 
@@ -26,6 +26,34 @@ class Line(NamedTuple):
 
 
 Edit = Callable[[list[Line]], list[Line]]
+
+
+class Script:
+    """A journal that keeps everything it is told."""
+
+    def __init__(self) -> None:
+        self.told: list[tuple[Any, ...]] = []
+
+    def joined(self, client: int) -> None:
+        self.told.append(("joined", client))
+
+    def left(self, client: int) -> None:
+        self.told.append(("left", client))
+
+    def received(self, client: int, request: Request) -> None:
+        self.told.append(("command" if request.error is None else "refused", client, request.raw))
+
+    def replied(self, client: int, request: Request, reply: bytes) -> None:
+        self.told.append(("reply", client, reply))
+
+    def ticked(self, frame: int, digest: bytes) -> None:
+        self.told.append(("tick", frame, digest.hex()))
+
+    def keyframe(self, snapshot: bytes) -> None:
+        self.told.append(("keyframe", snapshot))
+
+    def faulted(self, frame: int, code: str, message: str) -> None:
+        self.told.append(("fault", frame, code, message))
 
 
 def record(

@@ -677,7 +677,7 @@ class Onlooker:
     def _pass(self, *args: Any) -> None:
         pass
 
-    joined = left = received = replied = faulted = _pass
+    joined = left = received = replied = keyframe = faulted = _pass
 
     def ticked(self, frame: int, digest: bytes) -> None:
         if frame % 6 == 0:

@@ -30,37 +30,12 @@ from nmes.mcapfile import MAGIC, DamagedFile, Reader, Writer, split_chunk
 from nmes.recording import REFUSED_LIMIT, Kind, Record, Recorder, Recording
 from nmes.scene import ROOT, decode_poses
 from nmes.world import World
-from recordings import busy, record, rewrite, send
+from recordings import Script, busy, record, rewrite, send
 
 
 @pytest.fixture(scope="module")
 def busy_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record(tmp_path_factory.mktemp("recording") / "busy.mcap", busy)
-
-
-class Script:
-    """A journal that keeps everything it is told."""
-
-    def __init__(self) -> None:
-        self.told: list[tuple[Any, ...]] = []
-
-    def joined(self, client: int) -> None:
-        self.told.append(("joined", client))
-
-    def left(self, client: int) -> None:
-        self.told.append(("left", client))
-
-    def received(self, client: int, request: protocol.Request) -> None:
-        self.told.append(("command" if request.error is None else "refused", client, request.raw))
-
-    def replied(self, client: int, request: protocol.Request, reply: bytes) -> None:
-        self.told.append(("reply", client, reply))
-
-    def ticked(self, frame: int, digest: bytes) -> None:
-        self.told.append(("tick", frame, digest.hex()))
-
-    def faulted(self, frame: int, code: str, message: str) -> None:
-        self.told.append(("fault", frame, code, message))
 
 
 def told_by(recording: Recording) -> list[tuple[Any, ...]]:

@@ -423,12 +423,12 @@ class Full:
         if self.room < 0:
             raise RecordingError("recording_failed", "no space left")
 
-    joined = left = received = replied = ticked = faulted = _keep
+    joined = left = received = replied = ticked = keyframe = faulted = _keep
 
 
-@pytest.mark.parametrize("room", range(7))
+@pytest.mark.parametrize("room", range(8))
 def test_a_world_never_goes_on_unrecorded(room: int) -> None:
-    drive = Driver(backend="ballistic")
+    drive = Driver(backend="ballistic", keyframes=1 / 60)
     drive.ok("subscribe", events=["tick"])
     drive.world.journal = Full(room)
     replies = [drive("spawn_cube"), drive("step"), drive("get_cube_list")]

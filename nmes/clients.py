@@ -1,0 +1,115 @@
+"""Who is in a world: what each client owns and wants to be told, and the events that subscribers are sent.
+
+It hides how an event is made once for all who get it, and what must outlive a snapshot. It knows no sockets: where
+events go is the caller's.
+
+Invariants: numbers are never used twice; what subscribers were told does not depend on whether anybody listened.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from nmes import protocol
+from nmes.backend import Array
+from nmes.subscription import Subscription
+
+__all__ = ["Client", "Clients", "Emit"]
+
+Emit = Callable[[int, bytes], None]  # takes a client's number and an encoded event
+
+
+@dataclass(slots=True)
+class Client:
+    """One connection to a world: the cube that it spawned last, and what it is told unasked."""
+
+    number: int
+    owned: str | None = None
+    subscription: Subscription | None = None
+
+
+class Clients(dict[int, Client]):
+    """Those who are in, by number, in order of arrival."""
+
+    _next = 1
+
+    def join(self) -> int:
+        """Lets one in; returns its number."""
+        number = self._next
+        self._next += 1
+        self[number] = Client(number)
+        return number
+
+    @property
+    def ever(self) -> int:
+        """How many came so far."""
+        return self._next - 1
+
+    def announce(self, emit: Emit | None, event: Mapping[str, Any]) -> None:
+        """Sends an event to all subscribers."""
+        if emit is not None:
+            encoded = protocol.encode(event)
+            for client in self.values():
+                if client.subscription is not None:
+                    emit(client.number, encoded)
+
+    def tick(
+        self, emit: Emit | None, frame: int, time: float, version: int, poses: Callable[[], tuple[list[str], Array]]
+    ) -> None:
+        """Sends subscribers the events of a frame whose turn it is.
+
+        Args:
+            emit: Where they go; None: nowhere, but they count as sent.
+            frame: The frame.
+            time: The same in s.
+            version: The structure version.
+            poses: Returns names and states of the cubes; asked only when somebody is to be told of them.
+        """
+        tick = b""
+        names: list[str] = []
+        states: Array | None = None
+        for client in self.values():
+            subscription = client.subscription
+            if subscription is None or frame % subscription.every:
+                continue
+            if "tick" in subscription.events and emit is not None:
+                tick = tick or protocol.encode({"type": "tick", "t": time, "frame": frame})
+                emit(client.number, tick)
+            if "state" in subscription.events:
+                if states is None:
+                    names, states = poses()
+                cubes, removed = subscription.changes(version, names, states)
+                if (cubes or removed) and emit is not None:
+                    event = {"type": "state", "t": time, "frame": frame, "cubes": cubes, "removed": removed}
+                    emit(client.number, protocol.encode(event))
+
+    def snapshot(self) -> dict[str, Any]:
+        """Returns all of it as plain JSON data."""
+        return {
+            "next_client": self._next,
+            "clients": [
+                {
+                    "client": client.number,
+                    "owned": client.owned,
+                    "subscription": None if client.subscription is None else client.subscription.state(),
+                }
+                for client in self.values()
+            ],
+        }
+
+    @classmethod
+    def restored(cls, state: Mapping[str, Any]) -> Clients:
+        """Returns those of whom `snapshot` told.
+
+        Raises:
+            ValueError: What they were told does not fit together.
+        """
+        clients = cls()
+        clients._next = state["next_client"]
+        for given in state["clients"]:
+            told = given["subscription"]
+            subscription = None if told is None else Subscription.restored(told)
+            clients[given["client"]] = Client(given["client"], given["owned"], subscription)
+        return clients
