@@ -45,6 +45,7 @@ __all__ = [
     "SceneSpec",
     "Simulation",
     "StaticBox",
+    "Track",
     "entry_points_by_name",
     "load_backend",
 ]
@@ -298,6 +299,58 @@ class CameraSpec:
     shadows: bool = False
 
 
+class Track(ABC):
+    """What bodies and joints did, row by row: kept at little cost while a scene runs, computed with afterwards.
+
+    Args:
+        simulation: The scene.
+        bodies: Whose states are kept.
+        joints: Whose readings are kept: hinges and slides with motors.
+
+    Attributes:
+        rows: How many are kept.
+    """
+
+    def __init__(self, simulation: Simulation, bodies: Sequence[int], joints: Sequence[int]) -> None:
+        self._simulation = simulation
+        self._bodies, self._joints = list(bodies), list(joints)
+        self.rows = 0
+
+    @abstractmethod
+    def note(self) -> None:
+        """Keeps how things are now as the next row."""
+
+    @abstractmethod
+    def states(self, begin: int, end: int) -> Array:
+        """Returns the states of the rows from `begin` to before `end`, array (rows, n, 13), as `Simulation.states`."""
+
+    @abstractmethod
+    def drives(self, begin: int, end: int) -> tuple[Array, Array]:
+        """Returns the joints' velocities and efforts in those rows, each (rows, m), as `Simulation.joint_state`."""
+
+
+class _PlainTrack(Track):
+    """Asks the simulation for every row; does for every engine."""
+
+    def __init__(self, simulation: Simulation, bodies: Sequence[int], joints: Sequence[int], rows: int) -> None:
+        super().__init__(simulation, bodies, joints)
+        self._states = np.empty((rows, len(bodies), 13))
+        self._velocities, self._efforts = np.empty((2, rows, len(joints)))
+
+    def note(self) -> None:
+        self._states[self.rows] = self._simulation.states(self._bodies)
+        readings = [self._simulation.joint_state(joint) for joint in self._joints]
+        self._velocities[self.rows] = [reading.velocity for reading in readings]
+        self._efforts[self.rows] = [reading.effort for reading in readings]
+        self.rows += 1
+
+    def states(self, begin: int, end: int) -> Array:
+        return self._states[begin:end]
+
+    def drives(self, begin: int, end: int) -> tuple[Array, Array]:
+        return self._velocities[begin:end], self._efforts[begin:end]
+
+
 class Simulation(ABC):
     """One running scene inside an engine. Never touched by two threads at a time."""
 
@@ -400,6 +453,13 @@ class Simulation(ABC):
             WorldError: `unsupported`, since this machine has no renderer that the engine can use.
         """
         raise NotImplementedError
+
+    def track(self, bodies: Sequence[int], joints: Sequence[int], rows: int) -> Track:
+        """Returns what keeps up to so many rows of bodies' states, and of joints' with motors, as the scene runs.
+
+        An engine overrides it where it can keep a row at less cost than by being asked for it.
+        """
+        return _PlainTrack(self, bodies, joints, rows)
 
     # -- time ---------------------------------------------------------------------------------------------------
 

@@ -53,6 +53,7 @@ from nmes.backends.mujoco3d.layout import (
 )
 from nmes.backends.mujoco3d.scenery import Scenery
 from nmes.backends.mujoco3d.sensing import STATE, Senses, count_awake
+from nmes.backends.mujoco3d.tracking import MujocoTrack
 from nmes.errors import SimulationFault
 from nmes.rotation import conjugate, cross, multiply, normalize, rotate
 
@@ -299,6 +300,16 @@ class MujocoSimulation(Simulation):
             mujoco.mj_comPos(self._model, self._data)
             mujoco.mj_comVel(self._model, self._data)
             self._read = True
+
+    def track(self, bodies: Sequence[int], joints: Sequence[int], rows: int) -> MujocoTrack:
+        """Returns what keeps rows by copying what MuJoCo holds."""
+        return MujocoTrack(self, bodies, joints, rows, self._look)
+
+    def _look(self) -> tuple[Layout, mujoco.MjData] | None:
+        if self._edits:
+            return None
+        self._refresh()
+        return self._layout, self._data
 
     def sleeping(self, body: int) -> bool:
         """Tells whether the body's tree sleeps."""

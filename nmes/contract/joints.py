@@ -194,6 +194,30 @@ class JointChecks(Checks):
                 after = sim.joint_state(0)
                 close([after.velocity, after.effort], [reading.velocity, 0.0], 1e-3, f"{kind}: coasting")
 
+    def test_keeps_track(self) -> None:
+        """A track holds what states and readings said when its rows were kept, also while the structure changes."""
+        self.need("motor")
+        kind = next(kind for kind in ("hinge", "slide") if self.can(f"joint.{kind}"))
+        sim = self.machine(kind, JointParams("velocity", target_velocity=2.0, max_effort=5.0), gravity=(0.0, -G, 0.0))
+        bodies = [1, 0]
+        track, said = sim.track(bodies, [0], 9), []
+        for row in range(9):
+            if row == 4:
+                sim.set_body_state(1, replace(sim.body_state(1), linear_velocity=(0.0, 0.1, 0.0)))
+            if row == 6:
+                sim.add_body(7, box((30.0, 0.5, 0.0)))
+            track.note()
+            reading = sim.joint_state(0)
+            said.append((sim.states(bodies), reading.velocity, reading.effort))
+            sim.step(SUBSTEPS)
+        assert track.rows == 9
+        states, (velocities, efforts) = track.states(0, 9), track.drives(2, 9)
+        for row, (state, velocity, effort) in enumerate(said):
+            assert np.array_equal(states[row], state), f"row {row}: states"
+            if row >= 2:
+                assert (velocities[row - 2, 0], efforts[row - 2, 0]) == (velocity, effort), f"row {row}: readings"
+        assert np.array_equal(track.states(3, 5), states[3:5])
+
     def test_holds_servos(self) -> None:
         """A servo goes to its position and holds it there against gravity, with the effort that this takes."""
         self.need("servo")

@@ -1,0 +1,119 @@
+"""Rows of states kept while a MuJoCo scene runs, at the cost of a few copies a tick.
+
+What MuJoCo holds of a body (its pose, and its velocity at the centre of mass of its tree) is copied as it is. States
+are made of it when they are asked for, many rows at a time, element by element, so to the same bits as
+`MujocoSimulation.states`. Rows of a structure that the model does not have yet are kept in the same form.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from nmes.backend import Array, Simulation, Track
+from nmes.backends.mujoco3d.layout import Layout
+
+__all__ = ["MujocoTrack"]
+
+
+class MujocoTrack(Track):
+    """See `nmes.backend.Track`.
+
+    Args:
+        simulation: The scene.
+        bodies: Whose states are kept.
+        joints: Whose readings are kept.
+        rows: How many there is room for.
+        look: Returns the model and its data, with all that follows from the coordinates computed; or None while edits
+            are not in the model yet.
+    """
+
+    def __init__(
+        self,
+        simulation: Simulation,
+        bodies: Sequence[int],
+        joints: Sequence[int],
+        rows: int,
+        look: Callable[[], tuple[Layout, mujoco.MjData] | None],
+    ) -> None:
+        super().__init__(simulation, bodies, joints)
+        n, m = len(bodies), len(joints)
+        self._look = look
+        self._data: mujoco.MjData | None = None  # that of which the views are
+        self._pose, self._turn = np.empty((rows, n, 3)), np.empty((rows, n, 4))
+        self._motion, self._centre = np.empty((rows, n, 6)), np.empty((rows, n, 3))
+        self._velocity, self._effort = np.empty((rows, m)), np.empty((rows, m))
+        # Where the rows come from: views of what lies in one piece in the engine's arrays, and what must be gathered.
+        self._views: list[tuple[Array, Array]] = []
+        self._gathered: list[tuple[Array, Array, npt.NDArray[np.intp]]] = []
+
+    def note(self) -> None:
+        """Keeps how things are now as the next row."""
+        row, seen = self.rows, self._look()
+        if seen is None:
+            self._note_slowly(row)
+        else:
+            if seen[1] is not self._data:
+                self._find(*seen)
+            for rows, view in self._views:
+                rows[row] = view
+            for rows, held, index in self._gathered:
+                rows[row] = held[index]
+        self.rows = row + 1
+
+    def _find(self, layout: Layout, data: mujoco.MjData) -> None:
+        """Looks up where things are in the model."""
+        self._data = data
+        bodies = [layout.body[body] for body in self._bodies]
+        roots = layout.model.body_rootid[bodies].tolist()
+        # Bodies of one tree share its centre of mass, which numpy then copies to them all.
+        roots = roots[:1] if len(set(roots)) == 1 else roots
+        slots = [layout.joint[joint].v for joint in self._joints]
+        motors = [layout.actuator[joint] for joint in self._joints]
+        self._views, self._gathered = [], []
+        for rows, held, index in (
+            (self._pose, data.xpos, bodies),
+            (self._turn, data.xquat, bodies),
+            (self._motion, data.cvel, bodies),
+            (self._centre, data.subtree_com, roots),
+            (self._velocity, data.qvel, slots),
+            (self._effort, data.actuator_force, motors),
+        ):
+            first = index[0] if index else 0
+            if index == list(range(first, first + len(index))):
+                self._views.append((rows, held[first : first + len(index)]))
+            else:
+                self._gathered.append((rows, held, np.array(index, np.intp)))
+
+    def _note_slowly(self, row: int) -> None:
+        states = self._simulation.states(self._bodies)
+        # As if each were a tree of its own: no arm from the centre of mass to the body.
+        self._pose[row] = self._centre[row] = states[:, 0:3]
+        self._turn[row] = states[:, (6, 3, 4, 5)]
+        self._motion[row, :, :3], self._motion[row, :, 3:] = states[:, 10:13], states[:, 7:10]
+        readings = [self._simulation.joint_state(joint) for joint in self._joints]
+        self._velocity[row] = [reading.velocity for reading in readings]
+        self._effort[row] = [reading.effort for reading in readings]
+
+    def states(self, begin: int, end: int) -> Array:
+        """Returns the states of rows."""
+        rows = slice(begin, end)
+        pose, motion = self._pose[rows], self._motion[rows]
+        out = np.empty((*pose.shape[:2], 13))
+        out[:, :, 0:3] = pose
+        out[:, :, 3:7] = self._turn[rows][:, :, (1, 2, 3, 0)]
+        x, y, z = np.moveaxis(pose - self._centre[rows], 2, 0)
+        wx, wy, wz = np.moveaxis(motion[:, :, :3], 2, 0)
+        out[:, :, 7:10] = motion[:, :, 3:]
+        out[:, :, 7] += wy * z - wz * y
+        out[:, :, 8] += wz * x - wx * z
+        out[:, :, 9] += wx * y - wy * x
+        out[:, :, 10:13] = motion[:, :, :3]
+        return out
+
+    def drives(self, begin: int, end: int) -> tuple[Array, Array]:
+        """Returns the joints' velocities and efforts in rows."""
+        return self._velocity[begin:end], self._effort[begin:end]
