@@ -23,7 +23,7 @@ import struct
 import sys
 import zlib
 from array import array
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import BinaryIO, NamedTuple, TypeVar
@@ -56,6 +56,7 @@ __all__ = [
     "DamagedFile",
     "Message",
     "Reader",
+    "Skim",
     "Writer",
     "message_checksums",
     "skim_chunk",
@@ -503,23 +504,62 @@ def split_chunk(content: bytes) -> Iterator[Message | Channel]:
         position = end
 
 
-def skim_chunk(content: bytes) -> Iterator[tuple[int, int, int, int] | Channel]:
-    """Does as `split_chunk`, several times faster: of a message only channel, sequence, and where its data are."""
+class Skim(NamedTuple):
+    """What a chunk holds, its messages not looked into.
+
+    Attributes:
+        channels: Of each message, in order.
+        sequences: Of each message.
+        lengths: Of each message's record, in bytes, but for its type and length.
+        ends: Where each message's record ends in the chunk.
+        definitions: The channels that are defined in it, each with how many messages stand before it.
+    """
+
+    channels: Sequence[int]
+    sequences: Sequence[int]
+    lengths: Sequence[int]
+    ends: Sequence[int]
+    definitions: list[tuple[int, Channel]]
+
+    def data(self, content: bytes, number: int) -> bytes:
+        """Returns the data of one of its messages."""
+        end = self.ends[number]
+        return content[end - self.lengths[number] + _MESSAGE_FIELDS : end]
+
+
+def skim_chunk(content: bytes) -> Skim:
+    """Does as `split_chunk`, many times faster; raises the same."""
+    records: list[tuple[int, int, int, int]] = []
+    ends: list[int] = []
+    # A chunk has thousands of messages. This loop does what must be done for each; the rest is done for all at once.
+    add, end, unpack, prefix = records.append, ends.append, _SKIMMED.unpack_from, _PREFIX.size
     position, size = 0, len(content)
-    unpack, prefix, header = _SKIMMED.unpack_from, _PREFIX.size, _MESSAGE.size
-    while position < size:
-        if position + _SKIMMED.size > size:
-            raise ValueError("a record does not fit into its chunk")
-        opcode, length, channel, sequence = unpack(content, position)
-        start, position = position, position + prefix + length
-        if position > size:
-            raise ValueError("a record does not fit into its chunk")
-        if opcode == _OPCODE_MESSAGE:
-            if length < header - prefix:
-                raise ValueError("a message does not fit into its chunk")
-            yield channel, sequence, start + header, position
-        elif opcode == Opcode.CHANNEL:
-            yield _parsed(Channel, content[start + prefix : position], start)
+    try:
+        while position < size:
+            record = unpack(content, position)
+            add(record)
+            position += prefix + record[1]
+            end(position)
+    except struct.error:
+        position = -1
+    if position != size:
+        raise ValueError("a record does not fit into its chunk")
+    definitions: list[tuple[int, Channel]] = []
+    if [record[0] for record in records].count(_OPCODE_MESSAGE) < len(records):
+        messages: list[tuple[tuple[int, int, int, int], int]] = []
+        for record, stop in zip(records, ends, strict=True):
+            if record[0] == _OPCODE_MESSAGE:
+                messages.append((record, stop))
+            elif record[0] == Opcode.CHANNEL:
+                start = stop - record[1]
+                definitions.append((len(messages), _parsed(Channel, content[start:stop], start - prefix)))
+        records, ends = [record for record, _ in messages], [stop for _, stop in messages]
+    if not records:
+        return Skim((), (), (), (), definitions)
+    _, lengths, channels, sequences = zip(*records, strict=True)
+    if min(lengths) < _MESSAGE_FIELDS:
+        raise ValueError("a message does not fit into its chunk")
+    return Skim(channels, sequences, lengths, ends, definitions)
 
 
 def message_checksums(content: bytes | bytearray) -> Iterator[int]:

@@ -45,6 +45,7 @@ from nmes.mcapfile import (
     DamagedFile,
     Message,
     Reader,
+    Skim,
     Writer,
     message_checksums,
     skim_chunk,
@@ -405,7 +406,7 @@ def _now() -> str:
     return datetime.now(UTC).isoformat(timespec="milliseconds")
 
 
-def _next_head(head: bytes, content: bytes | bytearray) -> bytes:
+def _next_head(head: bytes, content: bytes | bytearray | memoryview) -> bytes:
     chain = hashlib.sha256(head)
     chain.update(content)
     return chain.digest()
@@ -599,24 +600,36 @@ class _Chain:
         return records
 
     def check(self, block: Block) -> None:
-        """Does as `records`, but makes none, which is several times faster."""
-        count = start = 0
+        """Does as `records`, but makes none, which is many times faster."""
+        content = block.content
         try:
-            for item in skim_chunk(block.content):
-                if not isinstance(item, tuple):
-                    self._define(item)
-                    continue
-                channel, sequence, start, end = item
-                self._place(sequence, count)
-                shape = _SHAPES.get(self._kinds[channel][0])  # type: ignore[arg-type]
-                if shape is not None and not shape.is_valid(orjson.loads(block.content[start:end])):
-                    raise ValueError(f"record {sequence} does not have the shape of {self._kinds[channel][0]}")
-                count += 1
-            head = self._next(block.content, MESSAGE_OVERHEAD + len(block.content) - start)
+            skim = skim_chunk(content)
+            count = len(skim.sequences)
+            expected = [number & _SEQUENCE_MASK for number in range(self.sequence, self.sequence + count)]
+            for number, other in zip(skim.sequences, expected, strict=True):
+                if number != other:
+                    raise ValueError(f"record {number} is out of its place")
+            done = 0
+            for before, channel in skim.definitions:
+                self._check_shapes(content, skim, done, before)
+                self._define(channel)
+                done = before
+            self._check_shapes(content, skim, done, count)
+            head = self._next(content, MESSAGE_OVERHEAD + len(skim.data(content, count - 1)))
         except _WRONG as error:
             raise self._damage(block, error) from error
         self.head = head
         self.sequence += count
+
+    def _check_shapes(self, content: bytes, skim: Skim, begin: int, end: int) -> None:
+        """Checks messages of our own against their schemas; raises ValueError or, for an unknown channel, KeyError."""
+        channels = skim.channels[begin:end]
+        kinds = {channel: self._kinds[channel][0] for channel in set(channels)}
+        ours = {channel: _SHAPES[kind] for channel, kind in kinds.items() if kind in _SHAPES}
+        for number in [n for n, channel in enumerate(channels, begin) if channel in ours]:
+            channel = channels[number - begin]
+            if not ours[channel].is_valid(orjson.loads(skim.data(content, number))):
+                raise ValueError(f"record {skim.sequences[number]} does not have the shape of {kinds[channel]}")
 
     def first_bad(self, content: bytes) -> int | None:
         """Returns the number of the next chunk's first record that does not match its checksum, if one does not.
@@ -640,7 +653,7 @@ class _Chain:
 
     def _next(self, content: bytes, link: int) -> bytes:
         """Returns the head that a chunk leads to, which the last `link` bytes of it must state."""
-        head = _next_head(self.head, content[:-link])
+        head = _next_head(self.head, memoryview(content)[:-link])
         if orjson.loads(content[len(content) - link + MESSAGE_OVERHEAD :]) != {"head": head.hex()}:
             raise ValueError("it does not continue the hash chain")
         return head

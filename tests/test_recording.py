@@ -26,7 +26,7 @@ from mcap_protobuf.decoder import DecoderFactory
 from nmes import protocol
 from nmes.errors import RecordingError
 from nmes.fingerprint import DECISIVE, differences
-from nmes.mcapfile import MAGIC, DamagedFile, Reader, Writer, split_chunk
+from nmes.mcapfile import MAGIC, DamagedFile, Message, Reader, Writer, skim_chunk, split_chunk
 from nmes.recording import REFUSED_LIMIT, Kind, Record, Recorder, Recording
 from nmes.scene import ROOT, decode_poses
 from nmes.world import World
@@ -369,6 +369,30 @@ def test_no_bytes_make_a_chunk_fail_otherwise(content: bytes) -> None:
         list(split_chunk(content))
     except (ValueError, DamagedFile):
         pass
+
+
+def message(channel: int, sequence: int, data: bytes) -> bytes:
+    return struct.pack("<BQHIQQ", 5, 22 + len(data), channel, sequence, 1, 2) + data
+
+
+record_bytes = st.one_of(
+    st.builds(message, st.integers(0, 3), st.integers(0, 9), st.binary(max_size=20)),
+    st.builds(lambda kind, body: struct.pack("<BQ", kind, len(body)) + body, st.integers(3, 9), st.binary(max_size=20)),
+)
+
+
+@given(st.lists(record_bytes, max_size=8).map(b"".join), st.data())
+def test_a_chunk_that_is_skimmed_is_the_one_that_is_read(content: bytes, data: st.DataObject) -> None:
+    if content and data.draw(st.booleans()):
+        at, byte = data.draw(st.tuples(st.integers(0, len(content) - 1), st.integers(0, 255)))
+        content = content[:at] + bytes([byte]) + content[at + 1 :]
+    try:
+        skim = skim_chunk(content)
+    except (ValueError, DamagedFile):
+        return
+    read = [item for item in split_chunk(content) if isinstance(item, Message)]
+    assert [(item.channel, item.sequence) for item in read] == list(zip(skim.channels, skim.sequences, strict=True))
+    assert [item.data for item in read] == [skim.data(content, number) for number in range(len(read))]
 
 
 def test_lengths_are_not_believed(busy_file: Path, tmp_path: Path) -> None:
