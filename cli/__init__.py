@@ -20,6 +20,7 @@ SUBCOMMANDS = {
     "diff": "Compare two recordings.",
     "export": "Write a recording as data for other programs.",
     "info": "Show what a recording holds.",
+    "render": "Make a film or a picture of recordings.",
     "replay": "Run a recording again and compare.",
     "serve": "Host worlds that clients drive over TCP.",
     "sign": "Vouch for a recording with an Ed25519 key.",

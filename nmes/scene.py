@@ -8,6 +8,7 @@ Rerun knows no scene updates. For it each box is said again, as a grid of one vo
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,9 +30,11 @@ __all__ = [
     "ROOT",
     "SCENE_SCHEMA",
     "Painter",
+    "Shape",
     "Snapshot",
     "View",
     "decode_poses",
+    "decode_shapes",
     "descriptors",
 ]
 
@@ -171,6 +174,25 @@ def decode_poses(data: bytes) -> dict[str, Pose]:
         )
         for transform in message.transforms
     }
+
+
+def decode_shapes(data: bytes, known: Mapping[str, Shape]) -> dict[str, Shape]:
+    """Returns the shapes of all cubes after a scene message, given those before it.
+
+    Raises:
+        ValueError: The bytes are no such message.
+    """
+    try:
+        update = SceneUpdate.FromString(data)
+    except Exception as error:  # as above
+        raise ValueError("not a scene message") from error
+    gone = {deletion.id for deletion in update.deletions}
+    shapes = {name: shape for name, shape in known.items() if name not in gone}
+    for entity in update.entities:
+        for cube in entity.cubes:
+            size, color = cube.size, cube.color
+            shapes[entity.id] = (size.x, size.y, size.z), (color.r, color.g, color.b, color.a)
+    return shapes
 
 
 def descriptors(name: str) -> bytes:

@@ -1,0 +1,105 @@
+"""`nmes render`: films and pictures of recordings."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+from nmes.cli.info import open_recording
+from nmes.film import Cut, Way, film
+from nmes.recording import Recording
+
+__all__ = ["command"]
+
+_PIXELS = 4096
+
+
+def _open(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> list[Recording]:
+    return [open_recording(context, parameter, value) for value in values]
+
+
+def _size(_: click.Context, parameter: click.Parameter, value: str) -> tuple[int, int]:
+    match = re.fullmatch(r"(\d+)x(\d+)", value)
+    if match is None or not all(16 <= int(number) <= _PIXELS for number in match.groups()):
+        raise click.BadParameter(f"expected WIDTHxHEIGHT, each from 16 to {_PIXELS}: 640x480", param=parameter)
+    return int(match[1]), int(match[2])
+
+
+@click.command("render")
+@click.argument("recordings", metavar="FILE...", nargs=-1, required=True, callback=_open)
+@click.option(
+    "-o",
+    "--output",
+    required=True,
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="The film (.mp4, .gif) or picture (.png).",
+)
+@click.option(
+    "--camera",
+    type=click.Choice(["follow", "orbit", "fixed"]),
+    default="follow",
+    show_default=True,
+    help="Keep what moves in view; go round it as well; or stand still and see the whole way.",
+)
+@click.option("--target", metavar="NAME", help="Look at this cube, or at those whose names begin so.")
+@click.option("--from", "begin", type=click.FloatRange(min=0), default=0.0, metavar="SECONDS", help="Begin here.")
+@click.option("--to", "end", type=click.FloatRange(min=0), metavar="SECONDS", help="End here; a .png shows it.")
+@click.option(
+    "--speed",
+    type=click.FloatRange(min=0.001, max=1000),
+    default=1.0,
+    show_default=True,
+    help="Seconds of simulation in a second of film.",
+)
+@click.option("--fps", type=click.IntRange(1, 120), default=30, show_default=True, help="Pictures a second.")
+@click.option(
+    "--size", callback=_size, default="640x480", show_default=True, metavar="WxH", help="Of all of it, in pixels."
+)
+def command(
+    recordings: list[Recording],
+    output: Path,
+    camera: Way,
+    target: str | None,
+    begin: float,
+    end: float | None,
+    speed: float,
+    fps: int,
+    size: tuple[int, int],
+) -> None:
+    r"""Make a film or a picture of recordings.
+
+    Works without a display, and for recordings of any engine. Several recordings are put side by side. Times count from
+    the beginning of the recording.
+
+    \b
+    nmes render walk.mcap -o walk.mp4
+    nmes render walk.mcap -o walk.gif --camera orbit --to 5 --size 320x240 --fps 20
+    nmes render a.mcap b.mcap c.mcap -o all.mp4
+    nmes render walk.mcap -o last.png
+    """
+    cut = Cut(camera, target, begin, end, speed)
+    with _progress() as progress:
+        film(recordings, output, cut, fps=fps, size=size, progress=progress)
+    click.echo(f"Wrote {output}")
+
+
+@contextmanager
+def _progress() -> Iterator[Callable[[str, int, int], None]]:
+    """Shows a bar for each thing that is being done, on a terminal."""
+    console = Console(stderr=True)
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
+        tasks: dict[str, TaskID] = {}
+
+        def progress(doing: str, done: int, total: int) -> None:
+            if doing not in tasks:
+                tasks[doing] = bars.add_task(doing, total=total)
+            bars.update(tasks[doing], completed=done, total=total)
+
+        yield progress
