@@ -17,7 +17,7 @@ import orjson
 from nmes import protocol
 from nmes.errors import RejectedMessage
 from nmes.protocol import NO_ID, Request
-from nmes.recording import REFUSED_LIMIT, Kind, Record
+from nmes.records import REFUSED_LIMIT, Kind, Record
 from nmes.world import World
 
 __all__ = ["Happening", "feed", "happenings"]

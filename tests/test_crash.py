@@ -152,7 +152,7 @@ def test_what_the_disk_does_not_take_is_not_told(tmp_path: Path, monkeypatch: py
 
 def test_a_recorder_keeps_its_interval(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now = 1_800_000_000 * 10**9
-    monkeypatch.setattr("nmes.recording.time_ns", lambda: now)
+    monkeypatch.setattr("nmes.recorder.time_ns", lambda: now)
     for interval in (0.25, 20.0):
         path = tmp_path / f"{interval}.mcap"
         world = World({"backend": "ballistic"})

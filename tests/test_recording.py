@@ -285,7 +285,7 @@ def test_what_was_flushed_survives_a_crash(tmp_path: Path) -> None:
 
 def test_nothing_waits_longer_than_a_second_while_records_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now = 1_800_000_000 * 10**9
-    monkeypatch.setattr("nmes.recording.time_ns", lambda: now)
+    monkeypatch.setattr("nmes.recorder.time_ns", lambda: now)
     path = tmp_path / "x.mcap"
     world = World({"backend": "ballistic"})
     world.journal = Recorder(path, world, pose_rate=0)
