@@ -21,6 +21,7 @@ from rich.table import Table
 
 import bodies
 import engines
+import recorded
 import roundtrip
 import ticking
 
@@ -29,6 +30,7 @@ SUITES = {
     "ticking": ticking.figures,
     "bodies": bodies.figures,
     "engines": engines.figures,
+    "recorded": recorded.figures,
 }
 
 
