@@ -17,6 +17,7 @@ __all__ = ["main"]
 # Each subcommand with what `nmes --help` says of it (a test compares): importing them all takes seconds.
 SUBCOMMANDS = {
     "backends": "List the physics engines that are installed.",
+    "conform": "Judge a server by the protocol.",
     "diff": "Compare two recordings.",
     "export": "Write a recording as data for other programs.",
     "info": "Show what a recording holds.",

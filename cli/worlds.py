@@ -9,19 +9,13 @@ from typing import Any
 import click
 import orjson
 
+from nmes.cli._address import split_address
 from nmes.cli._password import PASSWORD_VARIABLE, choose_password, password_options
 from nmes.client import Client
 
 
-def _split(context: click.Context, parameter: click.Parameter, value: str) -> tuple[str, int]:
-    host, _, port = value.rpartition(":")
-    if not host or not port.isdecimal() or not 0 < int(port) <= 65535:
-        raise click.BadParameter("expected HOST:PORT, such as 127.0.0.1:14000", context, parameter)
-    return host.removeprefix("[").removesuffix("]"), int(port)
-
-
 @click.command("worlds", short_help="List the worlds of a host.")
-@click.argument("address", metavar="HOST:PORT", callback=_split)
+@click.argument("address", metavar="HOST:PORT", callback=split_address)
 @password_options(f"The host's password; better in the variable {PASSWORD_VARIABLE}.")
 @click.option("--tls", is_flag=True, help="Speak TLS.")
 @click.option(

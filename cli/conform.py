@@ -1,0 +1,182 @@
+"""`nmes conform`: judge any server by the protocol."""
+
+from __future__ import annotations
+
+import sys
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import click
+import orjson
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from nmes.cli._address import split_address
+from nmes.cli._password import PASSWORD_VARIABLE, choose_password, password_options
+from nmes.conformance import CASES, CATEGORIES, Options, Report, Result, Target, Unreachable, Verdict, run, select
+from nmes.conformance.report import to_html, to_json, to_junit
+from nmes.errors import NmesError
+
+__all__ = ["command"]
+
+STYLES = {
+    Verdict.OK: "green",
+    Verdict.NON_STRICT: "yellow",
+    Verdict.UNIMPLEMENTED: "blue",
+    Verdict.FAILED: "bold red",
+    Verdict.SKIPPED: "dim",
+    Verdict.FAULT: "bold magenta",
+}
+_FILE = click.Path(path_type=Path, dir_okay=False, writable=True)
+
+
+@click.command("conform", short_help="Judge a server by the protocol.")
+@click.argument("address", metavar="[HOST:PORT]", required=False, callback=split_address)
+@password_options(f"The server's password; better in the variable {PASSWORD_VARIABLE}.")
+@click.option(
+    "--timeout",
+    type=click.FloatRange(0.1, 600),
+    default=5.0,
+    show_default=True,
+    help="How long one wait for the server may take, in s.",
+)
+@click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Of all that is drawn.")
+@click.option("--only", multiple=True, metavar="PATTERN", help="Only cases whose number fits, such as '4.*'.")
+@click.option("--category", "categories", multiple=True, metavar="NAME", help="Only cases of this category.")
+@click.option("--list", "as_list", is_flag=True, help="Print the cases, and run none.")
+@click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
+@click.option("--junit", type=_FILE, help="Write the report as JUnit XML.")
+@click.option("--report", "page", type=_FILE, help="Write the report as one HTML page.")
+def command(
+    address: tuple[str, int] | None,
+    password: str | None,
+    password_file: Path | None,
+    timeout: float,
+    seed: int,
+    only: tuple[str, ...],
+    categories: tuple[str, ...],
+    as_list: bool,
+    as_json: bool,
+    junit: Path | None,
+    page: Path | None,
+) -> None:
+    r"""Judge any server by the protocol.
+
+    Plays some hundred short conversations with the server and says of each whether it went as the protocol says.
+    What a server may leave out and does not claim is skipped. The server's world should be one for tests: cubes come
+    and go, time is stopped and moved on, and a world in lockstep is reset.
+
+    \b
+    nmes conform 127.0.0.1:14000 --password-file secret --report out.html
+    nmes conform --list --category physics
+    nmes conform 127.0.0.1:14000 --only '1.*' --only 4.3:null
+
+    Exit status: 0 conforming, 1 not, 2 unreachable, wrong usage or the suite's own fault.
+    """
+    options = Options(only, categories, seed)
+    try:
+        cases = select(options)
+    except NmesError as error:
+        raise click.UsageError(error.message) from error
+    if as_list:
+        _list(cases, as_json)
+        return
+    if address is None:
+        raise click.UsageError("give the server's HOST:PORT")
+    chosen = choose_password(password, password_file)
+    if chosen is None:
+        raise click.UsageError(f"give the server's password, in {PASSWORD_VARIABLE} or with --password-file")
+    try:
+        report = _run(Target(*address, chosen[0], timeout), options, len(cases))
+    except Unreachable as error:
+        click.echo(f"Error: {error.message}", err=True)
+        sys.exit(2)
+    if page is not None:
+        page.write_text(to_html(report), "utf-8")
+    if junit is not None:
+        junit.write_text(to_junit(report), "utf-8")
+    if as_json:
+        click.echo(orjson.dumps(to_json(report), option=orjson.OPT_INDENT_2))
+    else:
+        _print(report)
+    sys.exit(report.exit_status)
+
+
+def _list(cases: Any, as_json: bool) -> None:
+    if as_json:
+        rows = [
+            {
+                "case": case.number,
+                "category": case.category,
+                "level": case.level,
+                "clause": case.clause,
+                "needs": case.needs,
+                "title": case.title,
+            }
+            for case in cases
+        ]
+        click.echo(orjson.dumps(rows, option=orjson.OPT_INDENT_2))
+        return
+    for case in cases:
+        click.echo(f"{case.number:<28} {case.level:<6} {case.clause:<20} {case.title}")
+    click.echo(f"{len(cases)} of {len(CASES)} cases in {len(CATEGORIES)} categories")
+
+
+def _run(target: Target, options: Options, count: int) -> Report:
+    errors = Console(stderr=True)
+    progress = Progress(
+        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), console=errors
+    )
+    task = progress.add_task("judging", total=count)
+    failures = 0
+
+    def take(result: Result) -> None:
+        nonlocal failures
+        failures += result.verdict in (Verdict.FAILED, Verdict.FAULT)
+        said = f"[red]{failures} failed[/]" if failures else "judging"
+        progress.update(task, advance=1, description=said)
+
+    with progress if errors.is_terminal else nullcontext():
+        return run(target, options, take)
+
+
+def _print(report: Report) -> None:
+    console = Console(highlight=False, soft_wrap=True)
+    for result in report.results:
+        if result.verdict in (Verdict.FAILED, Verdict.FAULT, Verdict.NON_STRICT):
+            _print_result(console, result)
+    table = Table("category", *(verdict.value for verdict in Verdict))
+    for category in CATEGORIES:
+        verdicts = [result.verdict for result in report.results if result.case.category == category.name]
+        if verdicts:
+            table.add_row(category.name, *(_count(verdicts.count(verdict), verdict) for verdict in Verdict))
+    table.add_section()
+    table.add_row("all", *(_count(report.counts[verdict], verdict) for verdict in Verdict))
+    console.print(table)
+    where = f"{report.target.host}:{report.target.port}"
+    words = {0: "[green]conforms[/]", 1: "[bold red]does not conform[/]", 2: "[bold red]could not be judged[/]"}
+    console.print(
+        f"{where} {words[report.exit_status]}: {len(report.results)} cases in {report.seconds:.1f} s, "
+        f"seed {report.options.seed}"
+    )
+
+
+def _print_result(console: Console, result: Result) -> None:
+    style = STYLES[result.verdict]
+    console.print(f"[{style}]{result.verdict}[/] {escape(result.case.number)} {escape(result.case.title)}")
+    if result.verdict is Verdict.FAULT:
+        console.print(escape(result.reason or ""))
+        return
+    console.print(f"  expected  {escape(result.expected or '')}")
+    console.print(f"  received  {escape(result.received or '')}")
+    console.print(f"  clause    {result.case.clause} ({result.case.level}): {escape(result.clause)}")
+    ends = [f"{wire} {ending}" for wire, ending in result.endings.items() if ending != "open"]
+    if ends:
+        console.print(f"  ended     {', '.join(ends)}")
+
+
+def _count(number: int, verdict: Verdict) -> str:
+    return f"[{STYLES[verdict]}]{number}[/]" if number else ""

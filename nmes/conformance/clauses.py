@@ -1,0 +1,115 @@
+"""The sentences of the protocol that cases refer to, by address: section, paragraph (or table), sentence (or row).
+
+The words are those of docs/protocol.md, which a test compares. Section 4 is made of messages, so its addresses are
+`4.spawn_cube`, and their sentences come from the schemas.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+from nmes.protocol import COMMANDS, ERROR_CODES, EVENTS
+
+__all__ = ["CLAUSES", "UNTESTED", "sentence"]
+
+_PROSE: Final[Mapping[str, str]] = {
+    "1.1.1": "TCP, or TLS over it, as the host is set up.",
+    "1.1.2": "UTF-8 JSON objects, each followed by the 14 bytes `<???DONE???---`.",
+    "1.1.3": "White space around a message (a newline typed in netcat) is ignored, and so is an empty frame.",
+    "1.2.1": "Frames are split on raw bytes, before decoding.",
+    "1.2.2": "The delimiter is legal inside a JSON string, so an encoder writes `<` as `\\u003c` inside "
+    "strings; a peer that does not gets a parse error, not a hang.",
+    "1.3.1": "JSON is strict (RFC 8259 as narrowed by I-JSON, RFC 7493)",
+    "1.3.2": "no NaN or Infinity, nor a number like `1e400` that becomes one",
+    "1.3.3": "no duplicate keys",
+    "1.3.4": "no lone surrogates",
+    "1.3.5": "valid UTF-8",
+    "1.3.6": "nesting at most 200 deep",
+    "1.4.1": "a client's frame before auth | 16 KiB | `frame_too_large`, closed",
+    "1.4.2": "a client's frame after auth | 1 MiB | `frame_too_large`, closed",
+    "1.4.3": "time until auth | 5 s | `auth_timeout`, closed",
+    "1.4.4": "time without a frame in either direction | 5 min; a `ping` keeps the connection open | closed",
+    "1.4.5": "bytes that a peer leaves unread | 8 MiB, or 10 s | `slow_consumer`, closed",
+    "1.4.6": "connections to a host | 1,024 | `too_many_connections`, closed",
+    "1.4.7": "cubes and joints in a world | 10,000 and 20,000 | `limit_reached`",
+    "2.1.1": "The first frame decides: one that begins with `{` is JSON, anything else is a bare password",
+    "2.2.1": "accepted | [`auth_success`](messages.md#auth_success) | the bare text `auth_success`",
+    "2.2.2": "refused | `error` `auth_failed`, closed | the bare text `auth_failed`, closed",
+    "2.2.3": "every command gets exactly one reply, in order, with its `id` if it had one",
+    "2.2.4": "silent, on success **and** on failure, after `spawn_cube`, `despawn_cube`, `apply_force`, "
+    "`apply_physics` and `freeze_cube`; everything else replies as in the json dialect, except that "
+    "the reply to `get_planets` holds `planets` and nothing else",
+    "2.2.5": "frames not asked for | only after `subscribe` | only after `subscribe`",
+    "2.3.1": 'An `auth` with `"list": true` enters no world: it is answered by '
+    "[`world_list`](messages.md#world_list), and the connection is closed.",
+    "2.4.1": "A silent command that fails is still recorded, with its error.",
+    "2.4.2": "Passwords are compared in constant time and never logged or recorded.",
+    "2.4.3": "One failed auth costs the peer 1 s before the answer.",
+    "2.4.4": "A frame that is no JSON object has no type by which to tell that silence is due: it gets an "
+    "`error` in both dialects.",
+    "3.1.1": "SI units: metres, kilograms, seconds, newtons, radians.",
+    "3.1.2": "Right-handed, **Y up**, gravity (0, -9.81, 0) on the flat ground `y = 0`.",
+    "3.1.3": "Vectors are arrays of 3 numbers, also in a planar world (where z, and rotation about x and y, "
+    "are 0 in every answer and ignored in every command).",
+    "3.1.4": "A rotation in a command is 3 numbers (Euler angles in radians, applied in the order Y, X, Z) or "
+    "4 (a quaternion `[x, y, z, w]`).",
+    "3.1.5": "Answers carry both: `rotation` (3) and `quaternion` (4).",
+    "3.2.1": "Fields that are not known are ignored; a type that is not known gets `unknown_type`.",
+    "3.2.2": "Any JSON value is allowed as `id`.",
+    "3.2.3": "Names are 1 to 128 printable characters without white space.",
+    "3.3.1": "Anything that is not a valid command gets an [`error`](messages.md#error) and changes nothing.",
+    "3.3.2": "Its `field` is the JSON Pointer of the value that is to blame, without the leading slash",
+    "3.3.3": "A batch that holds an invalid command is refused as a whole; one whose commands are valid but "
+    "cannot all be done is done as far as it can.",
+    "3.4.1": "A world advances in ticks of `1 / tick_rate` s (60 a second by default), each of `substeps` "
+    "engine steps (4 by default).",
+    "3.4.2": "`frame` counts ticks, `t = frame / tick_rate`.",
+    "3.4.3": "Modes: `realtime` (the default: ticks by the clock), `lockstep` (only when told to `step`), "
+    "`fast` (as fast as it can).",
+    "3.4.4": "Commands act in the order in which the host received them, before the next tick; a force acts "
+    "during the next tick only.",
+    "3.5.1": "After `set_mode` with `lockstep` and `barrier`, a `step` waits: the world ticks when every "
+    "connection that controls it has said `step`, and then all get their answers, with the same "
+    "`frame`.",
+    "3.5.2": "`agents` says how many have to be there before the first tick, so that nobody starts alone.",
+    "3.5.3": "Who keeps the others waiting for longer than `timeout` is told of by `barrier_timeout` to those "
+    "who subscribed, and counts again when it says `step` again.",
+    "3.5.4": "A fault, or another `set_mode`, ends the waiting.",
+    "3.5.5": "With a barrier, a batch holds no `step`.",
+    "3.6.1": "A cube spawned without `cube_name` is called `cube_<n>_<8 hex digits>`, the digits drawn from "
+    "the world's seed, so that a name is never used twice in a world and a replay gives the same "
+    "names.",
+    "3.6.2": "With `is_base` the cube starts frozen and `_BASE` is appended to its name.",
+    "3.6.3": "A connection owns the cube that it spawned last; commands that may omit `cube_name` mean that one.",
+    "3.6.4": "Cubes outlive their connection.",
+    "3.6.5": "`cube_list` is in order of creation.",
+    "5.1.1": "Required of every conforming server: sections 1 to 3, and the commands that messages.md says "
+    "every server must have (of the joints `fixed`, `hinge` and `slide`).",
+    "5.1.2": "The rest is optional and named in the `capabilities` of `world_info`; a server answers a command"
+    " that it does not have with `unsupported` or `unknown_type`.",
+}
+
+CLAUSES: Final[Mapping[str, str]] = {
+    **_PROSE,
+    **{
+        f"4.{kind}": f"{kind}: {command.schema['description']} Answered by {command.reply}."
+        for kind, command in COMMANDS.items()
+    },
+    **{f"4.{kind}": f"{kind}: {event.schema['description']}" for kind, event in EVENTS.items()},
+    **{f"4.error.{code}": f"{code}: {meaning}" for code, meaning in ERROR_CODES.items()},
+}
+"""Every sentence by its address."""
+
+UNTESTED: Final[Mapping[str, str]] = {
+    "1.1.1": "cases speak plain TCP",
+    "1.4.4": "it would take five minutes",
+    "2.4.1": "what a server records is not on the wire",
+    "2.4.2": "it cannot be told apart from outside",
+}
+"""Sentences without a case, and why they have none."""
+
+
+def sentence(address: str) -> str:
+    """Returns the words at an address."""
+    return CLAUSES[address]

@@ -1,0 +1,325 @@
+"""Runs cases against a server and collects verdicts.
+
+It hides the order and the threads: cases that share nothing run side by side, those that wait longest first, the others
+one by one. Invariants: a case starts as failed and only a run to its end makes it anything else; whatever a case raises
+that is no `Finding` is the suite's own fault and is reported as that; the verdicts do not depend on how many cases run
+at once; the server is left in the mode in which it was found.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+import traceback
+from collections import Counter
+from collections.abc import Callable, Sequence
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from enum import StrEnum
+from fnmatch import fnmatchcase
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+from nmes.conformance.case import Case, Finding, Level, Scope, Unimplemented
+from nmes.conformance.cases import CASES, CATEGORIES
+from nmes.conformance.clauses import sentence
+from nmes.conformance.trial import Probe, Target, Trial
+from nmes.conformance.wire import Entry, Log, frame_of, read_json
+from nmes.errors import NmesError
+from nmes.protocol import DELIMITER
+from nmes.schemas import schema_hash
+
+__all__ = ["Options", "Report", "Result", "Unreachable", "Verdict", "run", "select", "suite_hash"]
+
+SIDE_BY_SIDE = 24  # cases at once; nearly all of the time they wait
+
+
+class Unreachable(NmesError):
+    """There is no server to judge, or it does not let the suite in."""
+
+
+class Verdict(StrEnum):
+    """What a case found out. `fault` is a mistake of the suite, none of the server's."""
+
+    OK = "ok"
+    NON_STRICT = "non-strict"
+    UNIMPLEMENTED = "unimplemented"
+    FAILED = "failed"
+    SKIPPED = "skipped"
+    FAULT = "fault"
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What to run.
+
+    Attributes:
+        only: Patterns of case numbers (`3.*`, `4.12:mass*`); all cases if empty.
+        categories: Names of categories; all if empty.
+        seed: Of all that cases draw.
+    """
+
+    only: Sequence[str] = ()
+    categories: Sequence[str] = ()
+    seed: int = 0
+
+
+@dataclass(slots=True)
+class Result:
+    """What became of one case.
+
+    Attributes:
+        case: The case.
+        verdict: What was found out.
+        expected: What should have happened, where the verdict is failed or non-strict.
+        received: What happened instead.
+        reason: Why it was skipped or is unimplemented; the traceback of a fault.
+        endings: How each of its connections ended, by their names in the log.
+        log: All that went over its wires.
+        seconds: How long it took.
+    """
+
+    case: Case
+    verdict: Verdict = Verdict.FAILED
+    expected: str | None = None
+    received: str | None = None
+    reason: str | None = None
+    endings: dict[str, str] = field(default_factory=dict)
+    log: list[Entry] = field(default_factory=list)
+    seconds: float = 0.0
+
+    @property
+    def clause(self) -> str:
+        """The sentence of the protocol that this is about."""
+        return sentence(self.case.clause)
+
+
+@dataclass(slots=True)
+class Report:
+    """What a run found out about a server."""
+
+    target: Target
+    probe: Probe
+    options: Options
+    results: list[Result]
+    started: str
+    seconds: float
+
+    @property
+    def counts(self) -> Counter[Verdict]:
+        """How many cases have each verdict."""
+        return Counter(result.verdict for result in self.results)
+
+    @property
+    def exit_status(self) -> int:
+        """0 conforming, 1 not, 2 where the suite has failed or found nothing that it could run."""
+        counts = self.counts
+        if counts[Verdict.FAULT] or len(self.results) == counts[Verdict.SKIPPED]:
+            return 2
+        return 1 if counts[Verdict.FAILED] else 0
+
+
+@cache
+def suite_hash() -> str:
+    """Returns the SHA-256 of the suite's own files and of the schemas: equal hashes, equal judgement."""
+    total = hashlib.sha256(schema_hash().encode())
+    root = files("nmes.conformance")
+    sources = [entry for folder in (root, root / "cases") for entry in folder.iterdir() if entry.name.endswith(".py")]
+    for entry in sorted(sources, key=str):
+        total.update(f"\0{entry.name}\0".encode() + entry.read_bytes())
+    return total.hexdigest()
+
+
+def select(options: Options) -> list[Case]:
+    """Returns the cases that options ask for, in order.
+
+    Raises:
+        NmesError: There is no such category, or no case that fits.
+    """
+    unknown = set(options.categories) - {category.name for category in CATEGORIES}
+    if unknown:
+        known = ", ".join(category.name for category in CATEGORIES)
+        raise NmesError("invalid", f"there is no category {', '.join(sorted(unknown))}; there are {known}")
+    chosen = [
+        case
+        for case in CASES
+        if (not options.categories or case.category in options.categories)
+        and (not options.only or any(fnmatchcase(case.number, pattern) for pattern in options.only))
+    ]
+    if not chosen:
+        raise NmesError("invalid", "no case fits; `nmes conform --list` shows them all")
+    return chosen
+
+
+def run(target: Target, options: Options | None = None, on_result: Callable[[Result], None] | None = None) -> Report:
+    """Judges a server.
+
+    Args:
+        target: The server.
+        options: What to run; everything if left out.
+        on_result: Called with each result as it comes, in the calling thread.
+
+    Raises:
+        Unreachable: Nothing listens there, or the password is refused in both dialects.
+        NmesError: The options fit no case.
+    """
+    options = options or Options()
+    cases = select(options)
+    started, began = datetime.now(UTC).isoformat(timespec="seconds"), time.monotonic()
+    probe = examine(target)
+    plots = {case.number: index for index, case in enumerate(CASES)}
+    results: dict[str, Result] = {}
+
+    def take(result: Result) -> None:
+        results[result.case.number] = result
+        if on_result is not None:
+            on_result(result)
+
+    def job(case: Case) -> Result:
+        return play(target, probe, case, plots[case.number], options.seed)
+
+    playable: list[Case] = []
+    for case in cases:
+        reasons = [reason for need in case.needs if (reason := probe.lacks(need)) is not None]
+        if reasons:
+            take(Result(case, Verdict.SKIPPED, reason="; ".join(dict.fromkeys(reasons))))
+        else:
+            playable.append(case)
+    together = [case for case in playable if case.scope is Scope.CONNECTION]
+    _side_by_side(sorted(together, key=lambda case: -case.wait), job, take)
+    for scope in (Scope.TIME, Scope.WORLD):
+        alone = [case for case in playable if case.scope is scope]
+        if alone:
+            _govern(target, probe, scope is Scope.TIME)
+            try:
+                for case in alone:
+                    take(job(case))
+            finally:
+                _release(target, probe)
+    ordered = [results[case.number] for case in cases]
+    return Report(target, probe, options, ordered, started, time.monotonic() - began)
+
+
+def _side_by_side(cases: Sequence[Case], job: Callable[[Case], Result], take: Callable[[Result], None]) -> None:
+    pool = ThreadPoolExecutor(SIDE_BY_SIDE, thread_name_prefix="case")
+    try:
+        pending = {pool.submit(job, case) for case in cases}
+        while pending:
+            done, pending = wait(pending, return_when=FIRST_COMPLETED)
+            for future in done:
+                take(future.result())
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+def examine(target: Target) -> Probe:
+    """Asks a server what it is.
+
+    Raises:
+        Unreachable: Nothing listens there, or the password is refused in both dialects.
+    """
+    log = Log()
+    try:
+        wire = target.connect(log, "probe")
+    except Finding as finding:
+        raise Unreachable(
+            "unreachable", f"nothing answers at {target.host}:{target.port}: {finding.received}"
+        ) from finding
+    info: dict[str, Any] = {}
+    taken: set[str] = set()
+    trouble: str | None = None
+    with wire:
+        try:
+            welcome = target.enter(wire)
+        except Finding as finding:
+            if _refuses(target, log):
+                raise Unreachable("auth_failed", "the server refuses that password in both dialects") from finding
+            return Probe({}, {}, frozenset(), "r0", str(finding))
+        try:
+            wire.say({"type": "get_world_info"})
+            info = read_json(wire.frame(what="a reply to get_world_info"))
+            wire.say({"type": "get_cube_list"})
+            cubes = read_json(wire.frame(what="a reply to get_cube_list")).get("cubes")
+            taken = {name for name in cubes if isinstance(name, str)} if isinstance(cubes, list) else set()
+        except Finding as finding:
+            trouble = str(finding)
+    info = {} if info.get("type") != "world_info" else info
+    claimed = info.get("capabilities")
+    capabilities = frozenset(name for name in claimed if isinstance(name, str)) if isinstance(claimed, list) else ()
+    tag = f"r{welcome['client']}"
+    while any(name.startswith(f"{tag}-") for name in taken):
+        tag += "x"
+    return Probe(welcome, info, frozenset(capabilities), tag, trouble)
+
+
+def _refuses(target: Target, log: Log) -> bool:
+    """Whether a server says `auth_failed` in either dialect."""
+    frames = [frame_of({"type": "auth", "password": target.password}), target.password.encode() + DELIMITER]
+    for first in frames:
+        try:
+            with target.connect(log, "probe") as wire:
+                wire.send(first)
+                if b"auth_failed" not in wire.frame(what="an answer"):
+                    return False
+        except Finding:
+            return False
+    return True
+
+
+def _govern(target: Target, probe: Probe, still: bool) -> None:
+    """Makes the world stand still between steps, where the suite can; a case will tell if it does not."""
+    if still and probe.stepping and probe.mode != "lockstep":
+        if {"pause", "resume"} <= probe.capabilities:
+            _tell(target, {"type": "pause"})
+        else:
+            _tell(target, {"type": "set_mode", "mode": "lockstep"})
+
+
+def _release(target: Target, probe: Probe) -> None:
+    """Puts the world's mode, rate and pause back to what they were."""
+    if "set_mode" in probe.capabilities:
+        rate = probe.info.get("rate", 1)
+        _tell(target, {"type": "set_mode", "mode": probe.mode, "rate": rate if isinstance(rate, (int, float)) else 1})
+    if "pause" in probe.capabilities:
+        _tell(target, {"type": "pause" if probe.info.get("paused") is True else "resume"})
+
+
+def _tell(target: Target, command: dict[str, Any]) -> None:
+    """Says something about the world's time; that it works is judged by the cases, not here."""
+    log = Log()
+    try:
+        with target.connect(log, "clock") as wire:
+            target.enter(wire)
+            wire.say(command)
+            wire.frame(what="a reply")
+    except Finding as finding:
+        log.add("clock", "note", str(finding).encode())
+
+
+def play(target: Target, probe: Probe, case: Case, plot: int, seed: int) -> Result:
+    """Plays one case."""
+    result = Result(case)
+    trial = Trial(target, probe, case, plot, seed)
+    began = time.monotonic()
+    try:
+        case.run(trial)
+        result.verdict = Verdict.OK
+        if trial.remarks:
+            result.verdict = Verdict.NON_STRICT
+            result.expected = "; ".join(remark.expected for remark in trial.remarks)
+            result.received = "; ".join(remark.received for remark in trial.remarks)
+    except Unimplemented as lack:
+        result.verdict, result.reason = Verdict.UNIMPLEMENTED, str(lack)
+    except Finding as finding:
+        result.verdict = Verdict.NON_STRICT if case.level is Level.SHOULD else Verdict.FAILED
+        result.expected, result.received = finding.expected, finding.received
+    except Exception:
+        # Not the server's fault, whatever it sent: the report shows it, and the run ends with status 2.
+        result.verdict, result.reason = Verdict.FAULT, traceback.format_exc()
+    result.endings = trial.close_all()
+    trial.clean_up()
+    result.seconds = time.monotonic() - began
+    result.log = trial.log.entries
+    return result

@@ -1,0 +1,317 @@
+"""One case being played against one server: its connections, its names, its place in the world, and how it judges.
+
+It hides what must not matter to a case: which cubes the world holds already, who else plays beside it, and whether
+time is moved on by `step` or passes by the clock. Invariants: every name is new in the world, every case has a plot of
+its own (12 m along x), what was spawned is despawned afterwards, and every wire is closed.
+"""
+
+from __future__ import annotations
+
+import random
+import time
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from nmes.conformance.case import Case, Finding
+from nmes.conformance.wire import Log, Message, Wire, clip, frame_of, read_json
+from nmes.protocol import COMMANDS, DELIMITER
+
+__all__ = ["ABSENT", "Probe", "Target", "Trial"]
+
+PLOT = 12.0  # m along x for each case
+FIRST_PLOT = 10  # the first ones, round the origin, are left to what is in the world already
+GLANCE = 1 / 30  # s between two looks where time passes by the clock
+CLOCK_SLACK = 3.0  # how much longer than it should something may take where time passes by the clock
+ABSENT = frozenset({"unsupported", "unknown_type"})
+# Engines must have these unless they list their joints and leave some out.
+_REQUIRED_JOINTS = frozenset({"joint.fixed", "joint.hinge", "joint.slide"})
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """The server under test.
+
+    Attributes:
+        host: Its name or address.
+        port: Its port.
+        password: Its password.
+        timeout: How long one wait for it may take, s.
+    """
+
+    host: str
+    port: int
+    password: str
+    timeout: float = 5.0
+
+    def connect(self, log: Log, name: str) -> Wire:
+        """Connects, without authenticating."""
+        return Wire(self.host, self.port, self.timeout, log, name)
+
+    def enter(self, wire: Wire) -> Message:
+        """Authenticates in the json dialect; returns the server's `auth_success`."""
+        wire.say({"type": "auth", "password": self.password})
+        welcome = wire.hear(what="auth_success")
+        if welcome["type"] != "auth_success":
+            raise Finding("auth_success", clip(welcome))
+        return welcome
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """What the server says of itself before any case is run.
+
+    Attributes:
+        banner: Its `auth_success`, as far as it could be read.
+        info: Its `world_info`, as far as it could be read; empty if it has none.
+        capabilities: What it claims there.
+        tag: What all names of this run begin with.
+        trouble: Why there is no banner, if there is none.
+    """
+
+    banner: Mapping[str, Any]
+    info: Mapping[str, Any]
+    capabilities: frozenset[str]
+    tag: str
+    trouble: str | None = None
+
+    @property
+    def planar(self) -> bool:
+        """Whether the world is a plane."""
+        return self.banner.get("dims") == 2
+
+    @property
+    def mode(self) -> str:
+        """What made the world tick when it was found."""
+        return str(self.info.get("mode", self.banner.get("mode", "realtime")))
+
+    @property
+    def tick_rate(self) -> float:
+        """Ticks in a second."""
+        rate = self.banner.get("tick_rate")
+        return float(rate) if isinstance(rate, (int, float)) and rate > 0 else 60.0
+
+    @property
+    def stepping(self) -> bool:
+        """Whether the suite can move the time on itself."""
+        return "step" in self.capabilities and (
+            self.mode == "lockstep" or {"pause", "resume"} <= self.capabilities or "set_mode" in self.capabilities
+        )
+
+    def claims(self, capability: str) -> bool:
+        """Whether the server must have something: because all must, or because it says that it has."""
+        if capability in COMMANDS and COMMANDS[capability].required:
+            return True
+        if capability in _REQUIRED_JOINTS and not any(name.startswith("joint.") for name in self.capabilities):
+            return True
+        return capability in self.capabilities
+
+    def lacks(self, need: str) -> str | None:
+        """Says why a case with that need cannot be run; None if it can.
+
+        A need is a command, a capability of an engine, or one of: `3d`, `planar`; `stepping` (the suite can move the
+        time on), `time` (that, or time passes by the clock), `lockstep` (the world was found in that mode, so that it
+        is a test world which may be reset).
+        """
+        if need in ("3d", "planar"):
+            return None if self.planar == (need == "planar") else f"the world is {'planar' if self.planar else '3d'}"
+        if need == "stepping":
+            return None if self.stepping else "the suite cannot move the time on: step with lockstep, pause or set_mode"
+        if need == "time":
+            still = self.mode == "lockstep" and not self.stepping
+            return "the world's time stands still, and there is no step" if still else None
+        if need == "lockstep":
+            return None if self.mode == "lockstep" else f"the world is not in lockstep but in {self.mode}: it is spared"
+        return None if self.claims(need) else f"not claimed: {need}"
+
+
+class Trial:
+    """What a case gets: ways to connect, to name, to wait and to judge."""
+
+    def __init__(self, target: Target, probe: Probe, case: Case, plot: int, seed: int) -> None:
+        self.target = target
+        self.probe = probe
+        self.case = case
+        self.log = Log()
+        self.random = random.Random(f"{seed}:{case.number}")
+        self.remarks: list[Finding] = []
+        self.wires: list[Wire] = []
+        self._plot = plot
+        self._x = PLOT * ((FIRST_PLOT + plot // 2) * (-1 if plot % 2 else 1))
+        self._names = 0
+        self._spawned: list[str] = []
+
+    # -- connections -----------------------------------------------------------------------------------------------
+
+    def connect(self) -> Wire:
+        """Returns a connection that has said nothing yet."""
+        number = len(self.wires)
+        wire = self.target.connect(self.log, chr(ord("a") + number) if number < 26 else f"w{number}")
+        self.wires.append(wire)
+        return wire
+
+    def join(self) -> Wire:
+        """Returns a connection in the json dialect."""
+        wire = self.connect()
+        self.target.enter(wire)
+        return wire
+
+    def raw(self) -> Wire:
+        """Returns a connection in the raw dialect."""
+        wire = self.connect()
+        wire.send(self.target.password.encode() + DELIMITER)
+        self.equal(wire.frame(what="auth_success"), b"auth_success", "the answer to the bare password")
+        return wire
+
+    def fence(self, wire: Wire) -> None:
+        """Makes sure that the server has answered all that it had to, and not more, and still serves."""
+        mark = f"fence-{self._count()}"
+        wire.say({"type": "ping", "id": mark})
+        reply = wire.reply("pong")
+        if reply["type"] != "pong" or reply.get("id") != mark:
+            raise Finding(f"nothing before the pong to ping {mark}", clip(reply))
+
+    # -- names, places, cubes --------------------------------------------------------------------------------------
+
+    def name(self, hint: str = "cube") -> str:
+        """Returns a name that nobody has, and remembers to despawn a cube of that name."""
+        name = f"{self.probe.tag}-{self._plot}-{self._count()}-{hint}"
+        self._spawned.append(name)
+        return name
+
+    def at(self, x: float = 0.0, y: float = 3.0, z: float = 0.0) -> list[float]:
+        """Returns a point, x from -5 to 5, of the case's own plot."""
+        return [self._x + x, y, 0.0 if self.probe.planar else z]
+
+    def spawn(self, wire: Wire, hint: str = "cube", **fields: Any) -> str:
+        """Spawns a cube (on the plot, if no position is given) and returns its name as the server tells it."""
+        command = {"type": "spawn_cube", "cube_name": self.name(hint), "position": self.at(), "list": False, **fields}
+        reply = self.ask(wire, command, "cube_list")
+        name = reply["spawned"]
+        self.adopt(name)
+        return str(name)
+
+    def base(self, wire: Wire, hint: str = "base", **fields: Any) -> str:
+        """Spawns a frozen cube."""
+        return self.spawn(wire, hint, is_base=True, **fields)
+
+    def adopt(self, name: str) -> None:
+        """Remembers to despawn a cube that the server named."""
+        self._spawned.append(name)
+
+    def info(self, wire: Wire, name: str) -> Message:
+        """Returns a cube's `cube_info`."""
+        return self.ask(wire, {"type": "get_cube_info", "cube_name": name}, "cube_info")
+
+    def cubes(self, wire: Wire) -> list[str]:
+        """Returns the names of all cubes."""
+        return list(self.ask(wire, {"type": "get_cube_list"}, "cube_list")["cubes"])
+
+    def join_cubes(self, wire: Wire, one: str, two: str, kind: str = "fixed", **fields: Any) -> str:
+        """Makes a joint and returns its name."""
+        command = {"type": "create_joint", "cube1": one, "cube2": two, "joint_type": kind, **fields}
+        return str(self.ask(wire, command, "joint_created")["joint_name"])
+
+    def ask(self, wire: Wire, command: Mapping[str, Any], wanted: str) -> Message:
+        """Sends a command and returns its reply, which must be of the wanted type."""
+        reply = wire.ask(command)
+        if reply["type"] == wanted:
+            return reply
+        raise Finding(f"{wanted} in reply to {clip(command)}", clip(reply))
+
+    # -- time ------------------------------------------------------------------------------------------------------
+
+    def advance(self, wire: Wire, seconds: float) -> None:
+        """Moves the world's time on by `step`, or waits by the clock."""
+        if self.probe.stepping:
+            ticks = max(round(seconds * self.probe.tick_rate), 1)
+            self.ask(wire, {"type": "step", "ticks": ticks}, "stepped")
+        else:
+            time.sleep(seconds)
+
+    def watch(self, wire: Wire, name: str, seconds: float) -> Iterator[Message]:
+        """Yields a cube's info now and then while that much of the world's time passes, at its end too."""
+        yield self.info(wire, name)
+        looks = max(round(seconds / GLANCE), 1)
+        for _ in range(looks):
+            self.advance(wire, seconds / looks)
+            yield self.info(wire, name)
+
+    def until(self, wire: Wire, name: str, seconds: float, done: Callable[[Message], bool], wanted: str) -> Message:
+        """Returns the first info of a cube that is as wanted; by the clock it may come later."""
+        slack = 1.0 if self.probe.stepping else CLOCK_SLACK
+        info: Message | None = None
+        for info in self.watch(wire, name, seconds * slack):
+            if done(info):
+                return info
+        raise Finding(f"{wanted} within {seconds:g} s of the world's time", clip(info))
+
+    # -- judging ---------------------------------------------------------------------------------------------------
+
+    def true(self, condition: bool, expected: str, received: Any) -> None:
+        """Makes sure of something."""
+        if not condition:
+            raise Finding(expected, clip(received))
+
+    def equal(self, got: Any, wanted: Any, what: str) -> None:
+        """Makes sure that two values are the same, true and 1 not being so."""
+        if got != wanted or isinstance(got, bool) != isinstance(wanted, bool):
+            raise Finding(f"{what}: {clip(wanted)}", clip(got))
+
+    def close(self, got: Sequence[float] | float, wanted: Sequence[float] | float, error: float, what: str) -> None:
+        """Makes sure that numbers differ by no more than `error`."""
+        ours = list(wanted) if isinstance(wanted, Sequence) else [wanted]
+        theirs = list(got) if isinstance(got, Sequence) else [got]
+        if len(ours) != len(theirs) or not all(abs(a - b) <= error for a, b in zip(ours, theirs, strict=True)):
+            raise Finding(f"{what}: {wanted}, {error:g} more or less", clip(got))
+
+    def should(self, condition: bool, expected: str, received: Any) -> None:
+        """Notes something that a strict server would do; the case goes on."""
+        if not condition:
+            self.remarks.append(Finding(expected, clip(received)))
+
+    def error(self, reply: Message, codes: str | Collection[str], field: str | None = None) -> Message:
+        """Makes sure that a reply is an error with that code; a wrong or missing `field` is not strict."""
+        allowed = {codes} if isinstance(codes, str) else set(codes)
+        wanted = " or ".join(sorted(allowed))
+        if reply["type"] != "error" or reply["code"] not in allowed:
+            raise Finding(f"error {wanted}" + (f" with field {field}" if field else ""), clip(reply))
+        if field is not None:
+            self.should(reply.get("field") == field, f"field {field!r}", reply)
+        return reply
+
+    def refused(
+        self, wire: Wire, command: Mapping[str, Any], codes: str | Collection[str], field: str | None = None
+    ) -> Message:
+        """Sends a command that must fail with one of these codes."""
+        reply = self.error(wire.ask(command), codes, field)
+        self.should(reply.get("command") == command["type"], f"command {command['type']!r}", reply)
+        return reply
+
+    # -- the end ---------------------------------------------------------------------------------------------------
+
+    def clean_up(self) -> None:
+        """Despawns what the case spawned. What goes wrong with that is no finding: the case has been judged."""
+        if not self._spawned or any(wire.ending == "timed out" for wire in self.wires):
+            return
+        try:
+            with self.target.connect(Log(), "cleaner") as wire:
+                self.target.enter(wire)
+                names: Iterable[str] = dict.fromkeys(self._spawned)
+                wire.send(b"".join(frame_of({"type": "despawn_cube", "cube_name": name}) for name in names))
+                wire.say({"type": "ping", "id": "done"})
+                while read_json(wire.frame()).get("id") != "done":
+                    pass
+        except Finding as finding:
+            self.log.add("cleaner", "note", f"could not clean up: {finding}".encode())
+
+    def close_all(self) -> dict[str, str]:
+        """Closes the wires; returns how each of them had ended."""
+        endings = {wire.name: wire.ending for wire in self.wires}
+        for wire in self.wires:
+            wire.close()
+        return endings
+
+    def _count(self) -> int:
+        self._names += 1
+        return self._names

@@ -1,0 +1,305 @@
+"""One connection to a server under test, as the suite sees it: bytes both ways, all of them kept, nothing assumed.
+
+It hides sockets. A `Wire` sends what it is told, valid or not, and cuts what comes into frames; `Log` keeps both
+directions byte for byte with times. Invariants: no call waits for longer than the time-out it was given; what the
+server does wrong (silence, hanging up, JSON that is none) is a `Finding`, never another exception; every message that
+`hear` returns is strict JSON and as its schema says.
+"""
+
+from __future__ import annotations
+
+import json
+import socket
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NoReturn, Self
+
+from nmes.conformance.case import Finding
+from nmes.errors import NmesError
+from nmes.protocol import DELIMITER, EVENTS, validate_event, validate_reply
+
+__all__ = ["Entry", "Log", "Message", "Wire", "clip", "frame_of"]
+
+READ = 64 << 10
+SHOWN = 300  # characters of what was received that a finding repeats
+FRAME_LIMIT = 64 << 20  # a server that sends more without a delimiter will not send one
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """Something that happened on a wire.
+
+    Attributes:
+        at: Seconds since the case began.
+        wire: Which connection of the case.
+        kind: `sent`, `received` or `note`.
+        data: The bytes, or the note.
+    """
+
+    at: float
+    wire: str
+    kind: str
+    data: bytes
+
+
+@dataclass(slots=True)
+class Log:
+    """What happened on the wires of one case."""
+
+    entries: list[Entry] = field(default_factory=list)
+    began: float = field(default_factory=time.monotonic)
+
+    def add(self, wire: str, kind: str, data: bytes) -> None:
+        """Writes down what happens now."""
+        self.entries.append(Entry(time.monotonic() - self.began, wire, kind, data))
+
+
+class Message(dict[str, Any]):
+    """A JSON object of the server's. To read a field that is not there is a finding, not a mistake of the suite."""
+
+    def __missing__(self, key: str) -> NoReturn:
+        raise Finding(f"a field {key!r}", clip(self))
+
+
+class Wire:
+    """A connection. Frames that `hear` finds are kept in order until asked for."""
+
+    def __init__(self, host: str, port: int, timeout: float, log: Log, name: str) -> None:
+        """Connects.
+
+        Raises:
+            Finding: Nobody answers.
+        """
+        self.timeout = timeout
+        self.name = name
+        self.ending = "open"
+        self._log = log
+        self._buffer = bytearray()
+        self._said = 0
+        try:
+            self._socket = socket.create_connection((host, port), timeout)
+        except OSError as error:
+            log.add(name, "note", f"cannot connect: {error}".encode())
+            raise Finding("a connection", str(error)) from error
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    # -- out -------------------------------------------------------------------------------------------------------
+
+    def send(self, data: bytes) -> None:
+        """Sends bytes. Where the server has hung up, that is noted, and the next read tells."""
+        self._log.add(self.name, "sent", data)
+        self._socket.settimeout(self.timeout)
+        try:
+            self._socket.sendall(data)
+        except TimeoutError:
+            raise Finding(f"a server that reads, within {self.timeout:g} s", "nothing is read") from None
+        except OSError as error:
+            self._end("reset by the server", f"sending failed: {error}")
+
+    def say(self, *messages: Mapping[str, Any]) -> None:
+        """Sends messages in one write."""
+        self.send(b"".join(map(frame_of, messages)))
+
+    def hang_up(self) -> None:
+        """Says that nothing more will be sent, and goes on reading."""
+        self._log.add(self.name, "note", b"nothing more will be sent")
+        try:
+            self._socket.shutdown(socket.SHUT_WR)
+        except OSError as error:
+            self._end("reset by the server", str(error))
+
+    def reset(self) -> None:
+        """Breaks the connection off without a goodbye."""
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
+        self.close()
+
+    def close(self) -> None:
+        """Closes the connection."""
+        self._socket.close()
+        self._end("closed by the suite", "closed by the suite")
+
+    def _end(self, ending: str, note: str) -> None:
+        if self.ending == "open":
+            self.ending = ending
+            self._log.add(self.name, "note", note.encode())
+
+    # -- in --------------------------------------------------------------------------------------------------------
+
+    def frame(self, timeout: float | None = None, what: str = "a frame") -> bytes:
+        """Returns the next frame that is not empty, without white space around it."""
+        until = time.monotonic() + (self.timeout if timeout is None else timeout)
+        while True:
+            end = self._buffer.find(DELIMITER)
+            if end >= 0:
+                frame = bytes(self._buffer[:end]).strip(b" \t\r\n")
+                del self._buffer[: end + len(DELIMITER)]
+                if frame:
+                    return frame
+            elif not self._receive(until, what):
+                held = f" with {bytes(self._buffer[:SHOWN])!r} and no delimiter" if self._buffer else ""
+                raise Finding(what, f"the end of the connection{held} ({self.ending})")
+
+    def hear(self, timeout: float | None = None, what: str = "a message") -> Message:
+        """Returns the next message, strict JSON that its schema allows."""
+        return read_message(self.frame(timeout, what))
+
+    def reply(self, what: str = "a reply", timeout: float | None = None) -> Message:
+        """Returns the next message that is no event."""
+        while is_event(message := self.hear(timeout, what)):
+            pass
+        return message
+
+    def ask(self, command: Mapping[str, Any], timeout: float | None = None) -> Message:
+        """Sends a command and returns what comes next, whether reply or error. With an `id` of its own if it has none.
+
+        Raises:
+            Finding: Nothing comes, it is no valid message, or its `id` is not the command's.
+        """
+        if "id" not in command:
+            self._said += 1
+            command = {**command, "id": f"{self.name}-{self._said}"}
+        self.say(command)
+        reply = self.reply(f"a reply to {command['type']}", timeout)
+        if "id" not in reply or reply["id"] != command["id"]:
+            raise Finding(f"a reply with id {json.dumps(command['id'])}", clip(reply))
+        return reply
+
+    def rest(self, timeout: float | None = None) -> list[bytes]:
+        """Waits until the server hangs up; returns the frames that came before.
+
+        Raises:
+            Finding: It does not hang up in time.
+        """
+        until = time.monotonic() + (self.timeout if timeout is None else timeout)
+        while self._receive(until, "the end of the connection"):
+            pass
+        frames = [frame.strip(b" \t\r\n") for frame in bytes(self._buffer).split(DELIMITER)]
+        self._buffer.clear()
+        if frames.pop():
+            raise Finding("whole frames before the end of the connection", "one without its delimiter")
+        return [frame for frame in frames if frame]
+
+    def quiet(self, seconds: float) -> None:
+        """Makes sure that nothing comes for a while.
+
+        Raises:
+            Finding: Something does.
+        """
+        until = time.monotonic() + seconds
+        while DELIMITER not in self._buffer:
+            self._socket.settimeout(max(until - time.monotonic(), 0.001))
+            try:
+                data = self._socket.recv(READ)
+            except TimeoutError:
+                return
+            except OSError as error:
+                self._end("reset by the server", str(error))
+                data = b""
+            if not data:
+                self._end("closed by the server", "closed by the server")
+                raise Finding("silence and an open connection", f"the end of the connection ({self.ending})")
+            self._take(data)
+        raise Finding("no frame", clip(bytes(self._buffer)))
+
+    def _receive(self, until: float, what: str) -> bool:
+        """Reads once; returns False at the end of the connection."""
+        left = until - time.monotonic()
+        if left > 0 and len(self._buffer) < FRAME_LIMIT:
+            self._socket.settimeout(left)
+            try:
+                data = self._socket.recv(READ)
+            except TimeoutError:
+                pass
+            except OSError as error:
+                self._end("reset by the server", str(error))
+                return False
+            else:
+                if not data:
+                    self._end("closed by the server", "closed by the server")
+                    return False
+                self._take(data)
+                return True
+        self._log.add(self.name, "note", b"time is up")
+        self.ending = "timed out" if self.ending == "open" else self.ending
+        held = f"only {clip(bytes(self._buffer))}" if self._buffer else "nothing"
+        raise Finding(f"{what} in time", held)
+
+    def _take(self, data: bytes) -> None:
+        self._log.add(self.name, "received", data)
+        self._buffer += data
+
+
+def frame_of(message: Mapping[str, Any]) -> bytes:
+    """Returns a message as its bytes, delimiter included."""
+    return json.dumps(message, separators=(",", ":")).replace("<", "\\u003c").encode() + DELIMITER
+
+
+def clip(value: Any) -> str:
+    """Returns a value as short text."""
+    text = value if isinstance(value, str) else value.decode("utf-8", "replace") if isinstance(value, bytes) else ""
+    text = text or json.dumps(value, default=repr)
+    return text if len(text) <= SHOWN else f"{text[:SHOWN]}... ({len(text)} characters)"
+
+
+def read_message(frame: bytes) -> Message:
+    """Reads a frame of a server's: strict JSON, an object, of a known type, and as its schema says.
+
+    Raises:
+        Finding: It is not.
+    """
+    message = read_json(frame)
+    try:
+        if is_event(message):
+            validate_event(message)
+        else:
+            validate_reply(message)
+    except NmesError as error:
+        raise Finding(f"a message as its schema says ({error.message})", clip(frame)) from error
+    return message
+
+
+def is_event(message: Mapping[str, Any]) -> bool:
+    """Whether a message was not asked for."""
+    kind = message.get("type")
+    return isinstance(kind, str) and kind in EVENTS
+
+
+def read_json(frame: bytes) -> Message:
+    """Reads a frame as a strict JSON object.
+
+    Raises:
+        Finding: It is not one.
+    """
+
+    def refuse(constant: str) -> NoReturn:
+        raise ValueError(f"{constant} is not JSON")
+
+    def number(text: str) -> float:
+        value = float(text)
+        if value in (float("inf"), float("-inf")):
+            raise ValueError(f"{text} is infinite")
+        return value
+
+    def pairs(items: list[tuple[str, Any]]) -> Message:
+        message = Message(items)
+        if len(message) != len(items):
+            raise ValueError("a key occurs twice")
+        return message
+
+    try:
+        text = frame.decode()
+        value = json.loads(text, object_pairs_hook=pairs, parse_constant=refuse, parse_float=number)
+        if "\\u" in text:
+            json.dumps(value, ensure_ascii=False).encode()  # refuses lone surrogates
+    except (ValueError, RecursionError) as error:
+        raise Finding(f"strict JSON ({error})", clip(frame)) from error
+    if not isinstance(value, Message):
+        raise Finding("a JSON object", clip(frame))
+    return value

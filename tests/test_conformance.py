@@ -1,0 +1,199 @@
+"""The suite over our own server, and over what is none: the broken servers proper stand elsewhere."""
+
+from __future__ import annotations
+
+import html
+import json
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+from click.testing import CliRunner
+from click.testing import Result as Outcome
+
+from layout import ROOT
+from nmes.cli import main
+from nmes.conformance import CASES, Options, Report, Target, Verdict, run, select, suite_hash
+from nmes.conformance.clauses import CLAUSES
+from nmes.protocol import DELIMITER
+from serving import PASSWORD, Served, served
+
+BAD = {Verdict.FAILED, Verdict.FAULT, Verdict.NON_STRICT}
+
+
+def judge(server: Served, *only: str, **options: Any) -> Report:
+    return run(Target("127.0.0.1", server.port, PASSWORD), Options(only=only, **options))
+
+
+def bad(report: Report) -> list[tuple[str, Any, Any, Any]]:
+    return [(r.case.number, r.expected, r.received, r.reason) for r in report.results if r.verdict in BAD]
+
+
+def cli(*arguments: str) -> Outcome:
+    return CliRunner().invoke(main, ["conform", *arguments], env={"NMES_PASSWORD": PASSWORD})
+
+
+@contextmanager
+def listening(answer: Callable[[socket.socket], None]) -> Iterator[int]:
+    """Runs a server that does with each connection what `answer` says."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        held = []
+
+        def serve() -> None:
+            while True:
+                try:
+                    connection, _ = server.accept()
+                except OSError:
+                    return
+                held.append(connection)
+                with suppress(OSError):  # the suite has hung up
+                    answer(connection)
+
+        thread = threading.Thread(target=serve, daemon=True)
+        thread.start()
+        yield server.getsockname()[1]
+        server.shutdown(socket.SHUT_RDWR)
+        thread.join()
+        for connection in held:
+            connection.close()
+
+
+# -- our own server ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("backend", "mode"), [("ballistic", "lockstep"), ("mujoco", "realtime"), ("pymunk", "lockstep")]
+)
+def test_our_server_conforms(backend: str, mode: str) -> None:
+    with served({"backend": backend, "mode": mode}, auth_delay=1.0) as server:
+        report = judge(server)
+        assert bad(report) == []
+        assert report.exit_status == 0
+        assert server.call(server.hosted.world.cubes) == []  # it cleans up
+        assert server.call(lambda: (server.hosted.world.mode, server.hosted.world.paused)) == (mode, False)
+
+
+# -- servers that are none --------------------------------------------------------------------------------------------
+
+
+def test_a_deaf_server_costs_a_time_out_a_case_and_fails() -> None:
+    with listening(lambda connection: None) as port:
+        report = run(Target("127.0.0.1", port, PASSWORD, timeout=0.3), Options(only=["1.5", "1.7", "4.1:n*"]))
+    assert {result.verdict for result in report.results} == {Verdict.FAILED}
+    assert {ending for result in report.results for ending in result.endings.values()} <= {"timed out"}
+    assert max(result.seconds for result in report.results) < 0.3 * 3
+    assert report.exit_status == 1
+
+
+def test_a_server_that_hangs_up_fails() -> None:
+    with listening(lambda connection: connection.shutdown(socket.SHUT_RDWR)) as port:
+        report = run(Target("127.0.0.1", port, PASSWORD), Options(only=["1.*"]))
+    assert set(report.counts) == {Verdict.FAILED, Verdict.NON_STRICT}  # the latter where the case is a SHOULD
+
+
+@pytest.mark.parametrize(
+    "reply",
+    [
+        b'{"type":"auth_success"}',
+        b'{"type":"auth_success","protocol":NaN}',
+        b"[]",
+        b"\xff",
+        b'{"type":["auth_success"]}',
+        b'{"type":"tick","frame":"x"}',
+        b"{" * 100_000,
+    ],
+)
+def test_rubbish_is_the_servers_fault_not_ours(reply: bytes) -> None:
+    with listening(lambda connection: connection.sendall((reply + DELIMITER) * 20)) as port:
+        report = run(Target("127.0.0.1", port, PASSWORD, timeout=0.3), Options(only=["1.*", "3.10*", "4.3*"]))
+    assert report.counts[Verdict.FAULT] == 0
+    assert report.exit_status == 1
+
+
+# -- the command line -------------------------------------------------------------------------------------------------
+
+
+def test_nobody_there_is_status_2() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    outcome = cli(f"127.0.0.1:{port}")
+    assert outcome.exit_code == 2
+    assert "nothing answers" in outcome.output
+
+
+def test_a_wrong_password_is_status_2() -> None:
+    with served() as server:
+        outcome = cli(f"127.0.0.1:{server.port}", "--password", "wrong")
+    assert outcome.exit_code == 2
+    assert "refuses that password" in outcome.output
+
+
+@pytest.mark.parametrize(
+    "arguments", [("--only", "99.*"), ("--category", "manners"), (), ("nowhere",), ("127.0.0.1:1", "--timeout", "0")]
+)
+def test_wrong_usage_is_status_2(arguments: tuple[str, ...]) -> None:
+    assert cli(*arguments).exit_code == 2
+
+
+def test_a_failure_is_shown_and_is_status_1() -> None:
+    with listening(lambda connection: connection.sendall(b'{"type":"pong"}' + DELIMITER)) as port:
+        outcome = cli(f"127.0.0.1:{port}", "--only", "1.1", "--timeout", "0.5")
+    assert outcome.exit_code == 1
+    assert "failed 1.1" in outcome.output
+    assert 'received  {"type": "pong"}' in outcome.output
+    assert CLAUSES["1.1.2"] in outcome.output
+
+
+def test_the_list_names_every_case() -> None:
+    outcome = cli("--list")
+    assert outcome.exit_code == 0
+    assert [line.split()[0] for line in outcome.output.splitlines()[:-1]] == [case.number for case in CASES]
+    assert json.loads(cli("--list", "--json", "--category", "auth").output)[0]["case"] == "2.1"
+
+
+def test_the_reports_hold_it_all(tmp_path: Path) -> None:
+    with listening(lambda connection: connection.sendall(b'{"type":"<b>"}' + DELIMITER)) as port:
+        page, junit = tmp_path / "out.html", tmp_path / "out.xml"
+        arguments = ["--only", "1.1", "--only", "3.14", "--timeout", "0.5", "--seed", "7", "--json"]
+        outcome = cli(f"127.0.0.1:{port}", *arguments, "--report", str(page), "--junit", str(junit))
+    assert outcome.exit_code == 1
+    report = json.loads(outcome.output)
+    failed, skipped = report["results"]
+    assert (report["seed"], report["suite"]["hash"]) == (7, suite_hash())
+    assert (failed["verdict"], failed["clause"], skipped["verdict"]) == ("failed", "1.1.2", "skipped")
+    assert skipped["reason"] == "not claimed: get_planets"
+    assert {entry["kind"] for entry in failed["log"]} >= {"sent", "received"}
+    text = page.read_text()
+    for told in (
+        suite_hash(),
+        "seed 7",
+        html.escape(failed["expected"]),
+        "not claimed: get_planets",
+        "&lt;b&gt;",
+        "does not conform",
+    ):
+        assert told in text
+    assert '<b>"' not in text and "http" not in text  # nothing unescaped, nothing from elsewhere
+    suites = ElementTree.parse(junit).getroot()
+    assert [(suite.get("failures"), suite.get("skipped")) for suite in suites] == [("1", "0"), ("0", "1")]
+
+
+# -- the cases themselves ---------------------------------------------------------------------------------------------
+
+
+def test_numbers_are_unique_and_clauses_exist() -> None:
+    assert len({case.number for case in CASES}) == len(CASES) >= 190
+    assert {case.clause for case in CASES} <= CLAUSES.keys()
+    assert select(Options(only=["4.3:null"]))[0].number == "4.3:null"
+
+
+def test_the_sentences_are_those_of_the_protocol() -> None:
+    words = " ".join((ROOT / "docs" / "protocol.md").read_text().split())
+    for address, sentence in CLAUSES.items():
+        if not address.startswith("4."):
+            assert " ".join(sentence.split()) in words, address
