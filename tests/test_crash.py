@@ -79,17 +79,16 @@ def crash(folder: Path, interval: float, seed: int) -> None:
     recording = Recording(said["recording"])
     kept = {str(protocol.parse(item.data).id) for item in recording if item.kind is Kind.COMMAND}
     assert recording.damage is not None and recording.damage.cut
-    # What the operating system does between our flush and the kill is beyond a promise; on a busy machine, too.
-    late = 0.0 if interval == 0 else interval + 1.0
+    # A host flushes twice in each interval, so that it keeps it where it comes to that half an interval late.
     for talker in talkers:
-        due = {name for name, at in talker.answered if at < killed - late or not interval}
+        due = {name for name, at in talker.answered if at < killed - interval or not interval}
         assert due <= kept, f"seed {seed}: lost {sorted(due - kept)[:5]} of {len(due)}"
     report = replay(recording)
     assert (report.verdict, report.cut) == ("reproduced", True)
     assert report.ticks == recording.summary().ticks
 
 
-@pytest.mark.parametrize(("interval", "seed"), [(0, 1), (0, 2), (0.2, 3)])
+@pytest.mark.parametrize(("interval", "seed"), [(0, 1), (0, 2), (1, 3)])
 def test_a_killed_host_leaves_what_it_promised(tmp_path: Path, interval: float, seed: int) -> None:
     crash(tmp_path, interval, seed)
 
@@ -97,7 +96,7 @@ def test_a_killed_host_leaves_what_it_promised(tmp_path: Path, interval: float, 
 @pytest.mark.long
 @pytest.mark.parametrize("seed", range(100, 300))
 def test_a_host_killed_at_any_moment_leaves_what_it_promised(tmp_path: Path, seed: int) -> None:
-    crash(tmp_path, 0 if seed % 2 else 0.2, seed)
+    crash(tmp_path, seed % 2, seed)
 
 
 def test_nothing_is_told_before_it_is_on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
