@@ -5,7 +5,8 @@ It hides sockets, time-outs and back-pressure. A `Host` listens and keeps the co
 
 Invariants:
 
-- What a socket brings is executed as it arrives, by one thread.
+- What a socket brings is executed as it arrives; what has to wait, for its world or for others, keeps its place, and
+  nothing more is read from that socket meanwhile.
 - All replies to what one read brought leave in one write, in the order of the requests; events keep their place.
 - Nobody waits for long: commands run in slices of `SLICE` s, then others have their turn.
 - What a peer does not read is bounded: over half the limit its commands wait, over the limit it is cut.
@@ -23,13 +24,14 @@ from collections import deque
 from collections.abc import Mapping
 from hashlib import blake2b
 from pathlib import Path
+from time import monotonic
 from types import TracebackType
 from typing import Any, Self, cast
 
 from nmes.errors import NmesError, RejectedMessage, WorldError
-from nmes.hosting import SLICE, HostedWorld
+from nmes.hosting import SLICE, Crew, HostedWorld
 from nmes.metrics import CONTENT_TYPE, Figures, Metrics
-from nmes.protocol import DELIMITER, Auth, Limits, Request, Session, complete_config
+from nmes.protocol import Auth, Limits, Request, Session, complete_config
 
 __all__ = ["Host"]
 
@@ -52,6 +54,7 @@ class Connection(asyncio.BufferedProtocol):
         self._limits = host.limits
         self._default_world = default_world
         self._session = Session(host.limits)
+        self._wanted: HostedWorld | None = None  # the world to join
         self._world: HostedWorld | None = None  # the world joined
         self._client = 0
         self._timer: asyncio.TimerHandle | None = None  # the deadline that applies: auth, its answer, hanging up
@@ -72,12 +75,12 @@ class Connection(asyncio.BufferedProtocol):
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Waits for authentication; or says that the host is full."""
-        loop = asyncio.get_running_loop()
         self._transport = cast(asyncio.Transport, transport)
         self._transport.set_write_buffer_limits(high=self._limits.pending // 2)
-        self._active_at = self._taken_at = loop.time()
+        self._active_at = self._taken_at = monotonic()
         over = self._host.admit(self) - self._limits.connections
         if over <= 0:
+            loop = asyncio.get_running_loop()
             self._timer = loop.call_later(self._limits.auth_timeout, self._auth_timed_out)
         elif over <= SPARE:
             most = self._limits.connections
@@ -98,15 +101,17 @@ class Connection(asyncio.BufferedProtocol):
         try:
             messages = self._session.receive(bytes(self._host.buffer[:nbytes]))
             if self._world is None:
-                messages = self._authenticate(messages)
-            if messages:
-                self._active_at = asyncio.get_running_loop().time()
-                self._backlog.extend(cast(list[Request], messages))
-            self._work()
+                self._authenticate(messages)
+            else:
+                self._take(messages)
+                self._work()
         except Exception:
-            # A mistake of ours must neither reach the peer as a traceback nor hurt anybody else.
-            logger.exception("a connection failed")
-            self._end(NmesError("internal", "the server failed; see its log"))
+            self._failed()
+
+    def _failed(self) -> None:
+        """A mistake of ours must neither reach the peer as a traceback nor hurt anybody else."""
+        logger.exception("a connection failed")
+        self._end(NmesError("internal", "the server failed; see its log"))
 
     def eof_received(self) -> bool:
         """Hangs up: everything is answered, for while something waits nothing is read."""
@@ -134,12 +139,12 @@ class Connection(asyncio.BufferedProtocol):
 
     # -- authentication --------------------------------------------------------------------------------------------
 
-    def _authenticate(self, messages: list[Auth | Request]) -> list[Auth | Request]:
-        """Deals with the first frame, if it has come; returns the requests that came after it."""
+    def _authenticate(self, messages: list[Auth | Request]) -> None:
+        """Deals with the first frame, if it has come."""
         if not messages:
             if self._session.violation is not None:
                 self._end(self._session.violation)
-            return []
+            return
         self._cancel_timer()
         auth = cast(Auth, messages[0])
         if auth.error is not None:
@@ -151,14 +156,22 @@ class Connection(asyncio.BufferedProtocol):
             self._end(None)
         else:
             try:
-                self._world = self._host.find(auth.world or self._default_world)
+                self._wanted = self._host.find(auth.world or self._default_world)
             except WorldError as error:
                 self._end(error)
-                return []
-            self._client = self._world.join(self)
-            self._put(self._session.accept(self._world.world.welcome(self._client)))
-            return self._session.receive(b"")
-        return []
+                return
+            self._transport.pause_reading()
+            self._join()
+
+    def _join(self) -> None:
+        """Joins the world as soon as it can be joined, and executes what came behind the password."""
+        world = self._wanted
+        if world is not None and world.admits(self):
+            self._wanted, self._world = None, world
+            self._client, welcome = world.join(self)
+            self._put(self._session.accept(welcome))
+            self._take(self._session.receive(b""))
+            self._work()
 
     def _refuse(self, error: NmesError) -> None:
         """Says no after a while, so that guessing passwords is slow; what comes meanwhile is not even read."""
@@ -171,21 +184,33 @@ class Connection(asyncio.BufferedProtocol):
 
     # -- commands --------------------------------------------------------------------------------------------------
 
+    def _take(self, messages: list[Auth | Request]) -> None:
+        """Queues what came."""
+        if messages:
+            self._active_at = monotonic()
+            self._backlog.extend(cast(list[Request], messages))
+        if self._session.violation is not None:
+            # It goes through the world, so that the recording tells of it; of the frame itself nothing is kept.
+            self._backlog.append(Request(b"", None, self._session.violation))
+
     def go_on(self) -> None:
         """Goes on with what had to wait for others."""
-        if self._backlog:
-            self._work()
+        try:
+            self._join()
+            if self._backlog:
+                self._work()
+        except Exception:
+            self._failed()
 
     def _work(self) -> None:
         """Executes what is in the backlog for one slice."""
         world, session, backlog = self._world, self._session, self._backlog
         if world is None:
             return
-        clock = asyncio.get_running_loop().time
-        until = clock() + SLICE
+        until = monotonic() + SLICE
         held = False
         while backlog and not self._full:
-            held = world.holds(self, backlog[0])
+            held = world.holds(self._client, backlog[0])
             if held:
                 break
             request = backlog.popleft()
@@ -194,7 +219,9 @@ class Connection(asyncio.BufferedProtocol):
                 self._put(reply)
                 if self._output_size > CHUNK:
                     self.flush()
-            if clock() >= until:
+            if request.error is not None and request.error is session.violation:
+                self._end(None)
+            if monotonic() >= until:
                 break
         world.settle()
         if backlog:
@@ -203,10 +230,6 @@ class Connection(asyncio.BufferedProtocol):
                 asyncio.get_running_loop().call_soon(self._work)
         elif self._lost:
             self._leave()
-        elif session.violation is not None:
-            # It goes through the world, so that the recording tells of it; of the frame itself nothing is kept.
-            self._put(world.handle(self._client, Request(b"", None, session.violation)) + DELIMITER)
-            self._end(None)
         else:
             self._transport.resume_reading()
 
@@ -247,7 +270,7 @@ class Connection(asyncio.BufferedProtocol):
             if not self._lost:
                 self._written += len(data)
                 self._host.sent += len(data)
-                self._active_at = asyncio.get_running_loop().time()
+                self._active_at = monotonic()
                 self._transport.write(data)
         if self._overflowed:
             self._cut()
@@ -263,6 +286,8 @@ class Connection(asyncio.BufferedProtocol):
                 self._transport.abort()
         elif now - self._taken_at >= self._limits.stall_timeout:
             self._cut()
+        elif self._backlog:
+            self._active_at = now  # it waits for us
         elif self._world is not None and now - self._active_at >= self._limits.idle_timeout:
             logger.info("%s was idle for %g s", self._peer, self._limits.idle_timeout)
             self._end(None)
@@ -292,15 +317,15 @@ class Connection(asyncio.BufferedProtocol):
             return
         self._closing = True
         self._overflowed = False
+        self._wanted = None
         self._backlog.clear()
         self._cancel_timer()
         if error is not None:
             self._output.append(self._session.refuse(error))
         self.flush()
         self._leave()
-        loop = asyncio.get_running_loop()
-        self._taken_at = loop.time()
-        self._timer = loop.call_later(self._limits.idle_timeout, self._transport.abort)
+        self._taken_at = monotonic()
+        self._timer = asyncio.get_running_loop().call_later(self._limits.idle_timeout, self._transport.abort)
         if self._ended or not self._transport.can_write_eof():
             self._transport.close()
         else:
@@ -368,6 +393,7 @@ class Host:
         self.limits = limits or Limits()
         self.auth_delay = auth_delay
         self._flush_interval = flush_interval
+        self._crew = Crew()
         self.worlds: dict[str, HostedWorld] = {}  # those that there are
         self._offered: dict[str, dict[str, Any]] = {}  # the configs of all that there may be
         self._ports: dict[str, int] = {}  # where a client that names no world gets which
@@ -427,7 +453,7 @@ class Host:
 
     def _create(self, name: str) -> HostedWorld:
         hosted = self.worlds[name] = HostedWorld(
-            self._offered[name], self.record_to, self._flush_interval, self._metrics
+            self._offered[name], self._crew, self.record_to, self._flush_interval, self._metrics
         )
         if self._servers:
             hosted.start()
@@ -458,16 +484,16 @@ class Host:
         listed = []
         for name, config in self._offered.items():
             hosted = self.worlds.get(name)
-            world = hosted.world if hosted is not None else None
+            status = hosted.status if hosted is not None else None
             listed.append(
                 {
                     "world": name,
                     "port": self._ports.get(name, port),
                     "backend": config["backend"],
-                    "mode": world.mode if world is not None else config["mode"],
-                    "frame": world.frame if world is not None else None,
+                    "mode": status.mode if status is not None else config["mode"],
+                    "frame": status.frame if status is not None else None,
                     "clients": hosted.clients if hosted is not None else 0,
-                    "fault": world.fault.code if world is not None and world.fault is not None else None,
+                    "fault": status.fault.code if status is not None and status.fault is not None else None,
                 }
             )
         return {"type": "world_list", "worlds": listed}
@@ -560,7 +586,7 @@ class Host:
         interval = min(1.0, self.limits.stall_timeout / 4, self.limits.idle_timeout / 4)
         while True:
             await asyncio.sleep(interval)
-            now = asyncio.get_running_loop().time()
+            now = monotonic()
             for connection in list(self._connections):
                 connection.inspect(now)
 
@@ -580,15 +606,13 @@ class Host:
             chore.cancel()
         await asyncio.gather(*self._chores, return_exceptions=True)
         self._chores.clear()
-        for hosted in self.worlds.values():
-            hosted.close()
+        await asyncio.gather(*(hosted.close() for hosted in self.worlds.values()))
         for connection in list(self._connections):
             connection.hang_up()
         # Peers get a moment to hang up themselves, and those that still read get some more.
-        loop = asyncio.get_running_loop()
-        began = loop.time()
-        while self._connections and loop.time() - began < LINGER:
-            if loop.time() - began > LINGER / 8 and not any(connection.draining for connection in self._connections):
+        began = monotonic()
+        while self._connections and monotonic() - began < LINGER:
+            if monotonic() - began > LINGER / 8 and not any(connection.draining for connection in self._connections):
                 break
             await asyncio.sleep(0.01)
         for connection in list(self._connections):
@@ -600,6 +624,7 @@ class Host:
                 for server in self._servers:
                     await server.wait_closed()
         self._servers.clear()
+        self._crew.close()
 
 
 def _digest(password: str) -> bytes:

@@ -97,6 +97,11 @@ class World:
         journal: Where the history goes. May be set later, before the first input that it should see.
         emit: Called with a client's number and an encoded event (no delimiter) for each event to a subscriber.
 
+    Attributes:
+        between: Called after each tick of a command, if set: there a host lets others have their turn. A RecordingError
+            that it raises counts as the journal's; with a BaseException that is no Exception it ends the world's
+            history in the middle of the command, and the world must only be closed then.
+
     Raises:
         RejectedMessage: The config is not valid, or asks for what the engine cannot do; `path` names the field.
         BackendNotFound: No such engine.
@@ -112,6 +117,7 @@ class World:
         self.config: JsonObject = protocol.complete_config(config or {})
         self.journal = journal
         self.emit = emit
+        self.between: Callable[[], None] | None = None
         self.backend: Backend = load_backend(self.config["backend"])
         self.mode: str = self.config["mode"]
         self.rate = float(self.config["rate"])
@@ -582,6 +588,8 @@ class World:
         try:
             for _ in range(c.get("ticks", 1)):
                 self.tick()
+                if self.between is not None:
+                    self.between()
                 if self.fault is not None:
                     raise WorldError("world_faulted", f"stopped at frame {self.fault.frame}: {self.fault.message}")
         finally:
