@@ -22,7 +22,7 @@ FILES = {path.relative_to(ROOT / "schemas").as_posix(): path for path in sorted(
 MESSAGES = {
     path: schemas.load(path) for path in FILES if path.split("/")[0] in ("commands", "replies", "events", "auth.json")
 }
-READ_FROM_CLIENTS = ("commands/", "auth.json", "world_config.json")
+READ_FROM_CLIENTS = ("commands/", "auth.json", "world_config.json", "brain-")
 
 
 def parts(schema: Any, description: str = "") -> Iterator[tuple[dict[str, Any], str]]:

@@ -1,0 +1,430 @@
+"""What all brains share: documents and their numbers, names and wildcards, and how a brain is run.
+
+A brain is two things. A `Brain` is a checked document, tied to the names of a body's sensors and motors; it never
+changes. A `Kernel` is what runs: arrays, buffers, a clock of its own. Kernels are written for any number of brains at
+once: their arrays may have an axis in front, so that one brain and a batch of brains run the very same code.
+
+Invariants. A row of a batch is bit-equal to that brain alone, whatever the batch: sums of products are `numpy.vecdot`
+over rows that each begin on a 64-byte line and are filled up with zeros (how a library treats the ends of a row and
+rows that begin elsewhere thus never shows), and all else is taken element by element. Nothing depends on anything but
+the document, the seed, dt and the inputs. Outputs are finite and from -1 to 1.
+"""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+import orjson
+from numpy.typing import NDArray
+
+from nmes.errors import DocumentError
+from nmes.protocol import MessageSchema, did_you_mean, document_schema, encode, problems
+from nmes.schemas import Schema
+
+__all__ = ["LIMIT", "Array", "Brain", "BrainBatch", "Findings", "JsonObject", "Kernel", "OpenLoop", "lines", "stack"]
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.intp]
+JsonObject = dict[str, Any]
+
+LIMIT = 1e6
+"""What goes through a brain, sensors' values first, is kept within this, so that no sum overflows."""
+
+_BLOCK = 64  # steps of an open-loop brain that are computed at once
+_LINE = 64 // 8  # numbers in a 64-byte line
+_LISTED = 12  # names that a message lists
+
+
+def lines(*shape: int) -> Array:
+    """Returns zeros of a shape whose last axis is rounded up to whole lines of 64 bytes, and that begin on one."""
+    *front, last = shape
+    whole = (*front, -(-last // _LINE) * _LINE)
+    count = int(np.prod(whole))
+    room = np.zeros(count + _LINE)
+    skip = -room.ctypes.data % 64 // 8
+    return room[skip : skip + count].reshape(whole)
+
+
+# -- documents --------------------------------------------------------------------------------------------------------
+
+
+class Findings:
+    """Collects all that is wrong with a document, and matches its names and wildcards."""
+
+    def __init__(self, where: str) -> None:
+        """Begins with nothing wrong; `where` is where the document itself is found."""
+        self._where = where
+        self._found: list[tuple[str, str]] = []
+
+    def add(self, pointer: str, said: str) -> None:
+        """Notes what is wrong with the value at a pointer."""
+        self._found.append(("/".join(filter(None, (self._where, pointer))), said))
+
+    def check(self) -> None:
+        """Raises DocumentError if anything was wrong."""
+        if self._found:
+            raise DocumentError(self._found)
+
+    def match(self, entry: str, names: Sequence[str], what: str, pointer: str) -> list[int]:
+        """Returns the indices of the names that an entry stands for: its own, else those that fit its wildcards."""
+        if entry in names:
+            return [names.index(entry)]
+        pattern = re.compile(re.escape(entry).replace(r"\*", ".*").replace(r"\?", "."), re.DOTALL)
+        found = [i for i, name in enumerate(names) if pattern.fullmatch(name)]
+        if not found:
+            self.unknown(entry, names, what, pointer)
+        return found
+
+    def unknown(self, name: str, names: Sequence[str], what: str, pointer: str) -> None:
+        """Notes that there is no such name."""
+        near = did_you_mean(name, names)
+        self.add(pointer, f"there is no {what} {name!r}{near or '; there ' + _list(names, what)}")
+
+    def owners(self, entries: Sequence[str], names: Sequence[str], what: str, pointers: Sequence[str]) -> list[int]:
+        """Deals names out to entries; returns for each name the index of its entry, or -1.
+
+        A name belongs to the entry that is this very name, else to the first entry whose wildcards fit it.
+        """
+        owner = [-1] * len(names)
+        matches = [self.match(entry, names, what, at) for entry, at in zip(entries, pointers, strict=True)]
+        exact = [number for number, entry in enumerate(entries) if entry in names]
+        others = [number for number, entry in enumerate(entries) if entry not in names]
+        for number in exact + others:
+            free = [i for i in matches[number] if owner[i] < 0]
+            if matches[number] and not free:
+                self.add(pointers[number], f"every {what} that {entries[number]!r} stands for has another entry")
+            for i in free:
+                owner[i] = number
+        return owner
+
+
+def _list(names: Sequence[str], what: str) -> str:
+    if not names:
+        return f"are no {what}s at all"
+    more = f" and {len(names) - _LISTED} more" if len(names) > _LISTED else ""
+    return f"{'is' if len(names) == 1 else 'are'} {', '.join(names[:_LISTED])}{more}"
+
+
+def _fill(schema: Schema, value: JsonObject) -> JsonObject:
+    """Returns a valid document with defaults filled in and rows of parameters as arrays."""
+    full = dict(value)
+    for name, part in schema["properties"].items():
+        if name in full or "default" in part:
+            full[name] = _filled(part, full[name] if name in full else copy.deepcopy(part["default"]))
+    return full
+
+
+def _filled(part: Schema, value: Any) -> Any:
+    if part.get("type") == "object":
+        return _fill(part, value)
+    if part.get("type") == "array" and not _is_row(part):
+        return [_filled(part["items"], item) for item in value]
+    if part.get("x-parameter"):
+        return float(value)
+    return np.array(value, np.float64) if _is_row(part) else value
+
+
+def _is_row(part: Schema) -> bool:
+    """Whether this is an array of parameters, or of rows of them."""
+    items = part.get("items", {})
+    return bool(items.get("x-parameter")) or (items.get("type") == "array" and _is_row(items))
+
+
+def _plain(value: Any) -> Any:
+    """Returns a document without arrays of numpy's."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_plain(item) for item in value]
+    return value.tolist() if isinstance(value, np.ndarray) else value
+
+
+Parameter = tuple[Any, Any, float, float]  # container, key, least, most
+
+
+def _parameters(schema: Schema, value: JsonObject) -> Iterator[Parameter]:
+    """Yields where a filled document's parameters stand, in the order of the schema, and their bounds."""
+    for name, part in schema["properties"].items():
+        if part.get("x-parameter"):
+            yield value, name, part["minimum"], part["maximum"]
+        elif _is_row(part):
+            while "items" in part:
+                part = part["items"]
+            yield value, name, part["minimum"], part["maximum"]
+        elif part.get("items", {}).get("type") == "object":
+            for item in value[name]:
+                yield from _parameters(part["items"], item)
+
+
+# -- what runs --------------------------------------------------------------------------------------------------------
+
+
+class Kernel(ABC):
+    """The running part of one brain or of many; `lead` is the shape in front of its arrays, () or (brains,)."""
+
+    open_loop = False
+
+    @abstractmethod
+    def reset(self, seeds: Sequence[int], dt: float) -> None:
+        """Goes to the start; one seed a brain; `dt` is a control step, s."""
+
+    @abstractmethod
+    def step(self, inputs: Array) -> Array:
+        """Goes one control step on: inputs (*lead, sensors), outputs (*lead, motors) in a buffer that is reused."""
+
+    def controls(self, ticks: int) -> Array:
+        """Goes many steps on; returns the outputs (ticks, *lead, motors). Only if `open_loop`."""
+        raise ValueError("this brain needs its sensors: only step by step can it be known what it does")
+
+
+class OpenLoop(Kernel):
+    """A kernel that looks at nothing and so computes many steps at once."""
+
+    open_loop = True
+
+    def reset(self, seeds: Sequence[int], dt: float) -> None:
+        """Goes to the start."""
+        self._block = self._more(0)
+        self._next = 0
+
+    @abstractmethod
+    def _more(self, count: int) -> Array:
+        """Computes the next steps' outputs (count, *lead, motors)."""
+
+    def step(self, inputs: Array) -> Array:
+        """Goes one control step on."""
+        if self._next == len(self._block):
+            self._block = self._more(_BLOCK)
+            self._next = 0
+        row: Array = self._block[self._next]
+        self._next += 1
+        return row
+
+    def controls(self, ticks: int) -> Array:
+        """Goes many steps on; returns the outputs (ticks, *lead, motors)."""
+        begun = self._block[self._next : self._next + ticks]
+        self._next += len(begun)
+        rest = ticks - len(begun)
+        if rest == 0:
+            return begun.copy()
+        return np.concatenate([begun, self._more(rest)]) if len(begun) else self._more(rest)
+
+
+# -- brains -----------------------------------------------------------------------------------------------------------
+
+
+class Brain(ABC):
+    """A controller as a document describes it, tied to the sensors and motors of a body.
+
+    Attributes:
+        inputs: Names of the sensors, in the order of `step`'s inputs.
+        outputs: Names of the motors, in the order of `step`'s outputs.
+    """
+
+    kind: ClassVar[str]
+    shape: ClassVar[MessageSchema]
+
+    def __init_subclass__(cls, **named: Any) -> None:
+        super().__init_subclass__(**named)
+        cls.shape = document_schema(f"brain-{cls.kind}.json")
+
+    def __init__(
+        self, document: Mapping[str, Any], inputs: Sequence[str], outputs: Sequence[str], where: str = ""
+    ) -> None:
+        """Checks a document; see `load_brain`."""
+        self.inputs = tuple(inputs)
+        self.outputs = tuple(outputs)
+        found = Findings(where)
+        try:
+            # A copy of its own; what is no JSON (NaN too, which is written as null) is found by the schema.
+            plain = orjson.loads(encode(document))
+        except (TypeError, ValueError) as error:
+            raise DocumentError([(where, f"this is not JSON data: {error}")]) from None
+        for problem in problems(self.shape, plain):
+            found.add(problem.pointer, problem.said)
+        found.check()
+        self._check_rows(found, self.shape.schema, plain, "")
+        found.check()
+        self._document = _fill(self.shape.schema, plain)
+        self._resolve(self._document, found)
+        found.check()
+        self._kernel: Kernel | None = None
+
+    def _check_rows(self, found: Findings, schema: Schema, value: JsonObject, path: str) -> None:
+        """Finds rows of unequal length."""
+        for name, part in schema["properties"].items():
+            here = path + name
+            if name in value and _is_row(part) and part["items"].get("type") == "array":
+                for number, row in enumerate(value[name]):
+                    if len(row) != len(value[name][0]):
+                        found.add(f"{here}/{number}", f"has {len(row)} numbers, the first row {len(value[name][0])}")
+            elif part.get("items", {}).get("type") == "object":
+                for number, item in enumerate(value.get(name, ())):
+                    self._check_rows(found, part["items"], item, f"{here}/{number}/")
+
+    # What a kind of brain provides:
+
+    @abstractmethod
+    def _resolve(self, document: JsonObject, found: Findings) -> None:
+        """Looks names up and compares lengths; keeps what follows from them and not from the parameters."""
+
+    @abstractmethod
+    def _arrays(self) -> tuple[Array, ...]:
+        """Returns the parameters in the form that the kernel wants; brains of one form can be stacked."""
+
+    @abstractmethod
+    def _run(self, *arrays: Array) -> Kernel:
+        """Returns a kernel for these arrays, which all have the same axes in front."""
+
+    # What brains do:
+
+    @property
+    def open_loop(self) -> bool:
+        """Whether it looks at no sensor: `step` may then be given anything, and `controls` knows it all at once."""
+        return self._running().open_loop
+
+    def document(self) -> JsonObject:
+        """Returns the brain as plain JSON data, with defaults filled in; loading it gives this brain again."""
+        document = _plain(self._document)
+        assert isinstance(document, dict)
+        return document
+
+    def reset(self, seed: int, dt: float) -> None:
+        """Goes to the start.
+
+        Args:
+            seed: Of whatever the brain draws; from 0.
+            dt: A control step, s: the brain's time is the number of its steps times this.
+        """
+        self._running().reset((seed,), dt)
+
+    def step(self, inputs: Array) -> Array:
+        """Goes one control step on, from what sensors read to what motors shall do; after `reset`.
+
+        Args:
+            inputs: Shape (sensors,), float64, finite.
+
+        Returns:
+            Shape (motors,), each from -1 to 1: a buffer, which the next step may reuse.
+        """
+        assert self._kernel is not None, "reset comes first"
+        return self._kernel.step(inputs)
+
+    def controls(self, ticks: int) -> Array:
+        """Returns what as many steps would give, shape (ticks, motors), bit for bit, and goes on by as many.
+
+        Raises:
+            ValueError: The brain is not `open_loop`.
+        """
+        return self._running().controls(ticks)
+
+    def _running(self) -> Kernel:
+        if self._kernel is None:
+            self._kernel = self._run(*self._arrays())
+        return self._kernel
+
+    def to_vector(self) -> Array:
+        """Returns all parameters (what the schema marks with `x-parameter`), in the order of the document."""
+        parts = [np.ravel(where[key]) for where, key, _, _ in self._parameters(self._document)]
+        return np.concatenate([np.empty(0), *parts])
+
+    def with_vector(self, vector: Array) -> Brain:
+        """Returns this brain with other parameters.
+
+        Args:
+            vector: As many numbers as `to_vector` gives. What is out of a parameter's bounds is put on the bound.
+
+        Raises:
+            DocumentError: There are too few or too many numbers, or some are not finite.
+        """
+        vector = np.asarray(vector, np.float64)
+        twin = copy.copy(self)
+        twin._kernel = None
+        twin._document = copy.deepcopy(self._document)
+        places = list(self._parameters(twin._document))
+        count = sum(np.size(where[key]) for where, key, _, _ in places)
+        if vector.shape != (count,):
+            raise DocumentError([("", f"this brain has {count} parameters; the vector has shape {vector.shape}")])
+        if not np.isfinite(vector).all():
+            raise DocumentError([("", f"number {int(np.argmin(np.isfinite(vector)))} of the vector is not finite")])
+        at = 0
+        for where, key, low, high in places:
+            size = np.size(where[key])
+            part = np.clip(vector[at : at + size], low, high)
+            where[key] = part.reshape(where[key].shape) if isinstance(where[key], np.ndarray) else float(part[0])
+            at += size
+        return twin
+
+    def _parameters(self, document: JsonObject) -> Iterator[Parameter]:
+        return _parameters(self.shape.schema, document)
+
+    def form(self) -> str:
+        """Says all about the brain but its parameters: brains of the same form can be stacked."""
+        bare = copy.deepcopy(self._document)
+        for where, key, _, _ in self._parameters(bare):
+            where[key] = list(np.shape(where[key]))
+        return json.dumps([self.inputs, self.outputs, bare])
+
+
+class BrainBatch:
+    """Brains of the same form that are run together; see `stack`.
+
+    Attributes:
+        inputs: Names of the sensors.
+        outputs: Names of the motors.
+    """
+
+    def __init__(self, brains: Sequence[Brain]) -> None:
+        """See `stack`."""
+        if not brains:
+            raise ValueError("there are no brains to stack")
+        form = brains[0].form()
+        for number, brain in enumerate(brains):
+            if brain.form() != form:
+                raise ValueError(f"brain {number} differs from brain 0 by more than its parameters")
+        self.inputs = brains[0].inputs
+        self.outputs = brains[0].outputs
+        self._count = len(brains)
+        arrays = zip(*(brain._arrays() for brain in brains), strict=True)
+        self._kernel = brains[0]._run(*(np.stack(same) for same in arrays))
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def open_loop(self) -> bool:
+        """Whether the brains look at no sensor."""
+        return self._kernel.open_loop
+
+    def reset(self, seeds: Sequence[int], dt: float) -> None:
+        """Goes to the start: a seed for each brain; `dt` is a control step, s."""
+        if len(seeds) != self._count:
+            raise ValueError(f"there are {self._count} brains and {len(seeds)} seeds")
+        self._kernel.reset(seeds, dt)
+
+    def step(self, inputs: Array) -> Array:
+        """Goes one control step on: inputs (brains, sensors), outputs (brains, motors) in a buffer that is reused."""
+        return self._kernel.step(inputs)
+
+    def controls(self, ticks: int) -> Array:
+        """Returns what as many steps would give, shape (ticks, brains, motors), and goes on by as many.
+
+        Raises:
+            ValueError: The brains are not `open_loop`.
+        """
+        return self._kernel.controls(ticks)
+
+
+def stack(brains: Sequence[Brain]) -> BrainBatch:
+    """Returns brains that are run together, each row bit-equal to the brain alone.
+
+    Raises:
+        ValueError: There are none, or they differ by more than their parameters.
+    """
+    return BrainBatch(brains)
