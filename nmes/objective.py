@@ -59,6 +59,7 @@ QUANTITIES: Final[Mapping[str, tuple[str, str]]] = {
 
 FOLDS: Final[Mapping[str, str]] = {
     "final": "at the end, as without a word before it",
+    "start": "at the start",
     "min": "the least of the episode, its start included",
     "max": "the greatest of the episode, its start included",
     "mean": "the mean over the episode, its start included",

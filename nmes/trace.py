@@ -70,7 +70,7 @@ class Trace:
     Attributes:
         cast: Who it is about.
         states: Array (rows, n, 13) of the states of the cast's cubes, as `Simulation.states` has them.
-        work: Array (rows, m): what each motor of the body has worked by then, J, counted from any time on.
+        work: Array (rows, m): what each motor of the body has worked since the start, J; see `meter`.
         touches: Array (rows, n, 2), whether a cube touches anything, and anything that is not of the body; where no
             quantity of the episode is about contacts, it may have no rows.
         rows: How many rows are written.
@@ -85,6 +85,17 @@ class Trace:
         self.touches: Flags = np.zeros((ticks + 1 if contacts else 0, n, 2), np.bool_)
         self.rows = 0
 
+    def meter(self, velocities: Array, efforts: Array) -> None:
+        """Writes `work`, given what the motors' joints did.
+
+        Args:
+            velocities: Row by row from the start on, shape (k, m), rad/s or m/s.
+            efforts: What the motors gave, the same shape, N m or N.
+        """
+        powers = np.abs(velocities * efforts)
+        powers[:1] = 0.0  # what they gave before the start
+        self.work[: len(powers)] = np.add.accumulate(powers) / self.cast.tick_rate
+
     def series(self, quantity: Quantity, begin: int = 0, end: int | None = None) -> Array:
         """Returns a quantity row by row, array (end - begin,), whatever its fold.
 
@@ -97,7 +108,7 @@ class Trace:
         if quantity.name == "time_upright":
             upright = self.series(Quantity("uprightness"), 1, end) >= UPRIGHT
             return np.concatenate([[0.0], np.cumsum(upright) / self.cast.tick_rate])[begin:end]
-        work = _in_order(self.work[begin:end] - self.work[0])
+        work = _in_order(self.work[begin:end])
         block = _Block(self.cast, self.states[0], begin, self.states[begin:end], work, self.touches[begin:end])
         return block.series(quantity)
 
@@ -106,9 +117,9 @@ class Trace:
         return {quantity: self._fold(quantity) for quantity in quantities}
 
     def _fold(self, quantity: Quantity) -> float:
-        if quantity.fold == "final":
-            # The start says what it began with; what lies between does not matter.
-            return float(self.series(quantity, self.rows - 1)[0])
+        if quantity.fold in ("start", "final"):
+            row = 0 if quantity.fold == "start" else self.rows - 1
+            return float(self.series(quantity, row, row + 1)[0])
         series = self.series(quantity)
         if quantity.fold == "mean":
             return float(np.add.accumulate(series)[-1] / len(series))
@@ -144,6 +155,8 @@ class Trace:
     def _so_far(self, quantity: Quantity, looked: range) -> Array:
         if quantity.fold == "final":
             return self.series(quantity, looked.start, looked[-1] + 1)[:: looked.step]
+        if quantity.fold == "start":
+            return np.repeat(self.series(quantity, 0, 1), len(looked))
         series = self.series(quantity, 0, looked[-1] + 1)
         if quantity.fold == "mean":
             folded = np.add.accumulate(series) / np.arange(1, len(series) + 1)
@@ -171,18 +184,18 @@ class Tally:
         self._upright = 0
         self._counts = any(quantity.name == "time_upright" for quantity in self._quantities)
         self._folds = {quantity: 0.0 for quantity in self._quantities if quantity.fold != "final"}
-        self.watches = bool(self._folds) or self._counts
+        self.watches = self._counts or any(quantity.fold != "start" for quantity in self._folds)
         """Whether it must be told every row; else only how many ticks have passed."""
         if self._folds:
-            row = self._row(states, 0.0, touches)
+            row = self._row(states, np.zeros(0), touches)
             self._folds = {quantity: self._now(quantity, row) for quantity in self._folds}
 
-    def add(self, states: Array, work: float, touches: Flags) -> None:
+    def add(self, states: Array, work: Array, touches: Flags) -> None:
         """Takes the row of the next tick.
 
         Args:
             states: Array (n, 13).
-            work: Of the body's motors since the start, J.
+            work: Of each of the body's motors since the start, array (m,), J.
             touches: Array (n, 2); as in `Trace`.
         """
         self.ticks += 1
@@ -193,10 +206,10 @@ class Tally:
             now = self._now(quantity, row)
             if quantity.fold == "mean":  # the sum, until somebody asks
                 self._folds[quantity] = before + now
-            else:
+            elif quantity.fold != "start":
                 self._folds[quantity] = min(before, now) if quantity.fold == "min" else max(before, now)
 
-    def values(self, states: Array, work: float, touches: Flags) -> dict[Quantity, float]:
+    def values(self, states: Array, work: Array, touches: Flags) -> dict[Quantity, float]:
         """Returns what the quantities are, given how things are now (as in `add`)."""
         row = self._row(states, work, touches)
         values = {}
@@ -207,8 +220,9 @@ class Tally:
                 values[quantity] = self._folds[quantity] / (self.ticks + 1 if quantity.fold == "mean" else 1)
         return values
 
-    def _row(self, states: Array, work: float, touches: Flags) -> _Block:
-        return _Block(self.cast, self._start, self.ticks, states[np.newaxis], np.array([work]), touches[np.newaxis])
+    def _row(self, states: Array, work: Array, touches: Flags) -> _Block:
+        rows = states[np.newaxis], _in_order(work[np.newaxis]), touches[np.newaxis]
+        return _Block(self.cast, self._start, self.ticks, *rows)
 
     def _now(self, quantity: Quantity, row: _Block) -> float:
         if quantity.name == "time_upright":

@@ -1,0 +1,192 @@
+"""Tasks: which documents are tasks, what is said of those that are not, and what a seed decides."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from layout import ROOT
+from nmes.errors import DocumentError
+from nmes.objective import Quantity
+from nmes.task import Limits, Task
+from nmes.trace import Cast, Trace
+
+TEN = [
+    "carry", "gaps", "jump-far", "jump-high", "planar-walk", "pole", "reach", "rough", "stairs", "walk",
+]  # fmt: skip
+PLAIN: dict[str, Any] = {
+    "format": "nmes-task/1", "name": "sprint", "description": "Run.", "duration": 5, "seeds": [1, 2],
+    "objective": "displacement.x",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Cube:
+    id: str
+    size: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class Block:
+    """As much of a body as a task looks at."""
+
+    cubes: tuple[Cube, ...] = (Cube("root"),)
+    mass: float = 10.0
+    low: tuple[float, float, float] = (-0.5, 0.0, -0.5)
+    high: tuple[float, float, float] = (0.5, 1.0, 0.5)
+
+    def bounds(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        return self.low, self.high
+
+
+def test_ten_tasks_come_with_the_package() -> None:
+    assert list(Task.names()) == TEN
+    assert {path.stem for path in (ROOT / "nmes" / "tasks").glob("*.json")} == set(TEN)
+
+
+@pytest.mark.parametrize("name", TEN)
+def test_each_of_them_is_whole(name: str) -> None:
+    task = Task.load(name)
+    assert task.name == name
+    assert len(task.seeds) >= 3
+    assert None not in (task.limits.cubes, task.limits.mass, task.limits.size, task.limits.energy)
+    configs = [task.world_config(seed) for seed in task.seeds]
+    assert all((config["name"], config["mode"]) == (name, "lockstep") for config in configs)
+    # Seeds make different episodes, and the same seed the same.
+    episodes = [json.dumps([task.world_config(s), task.target(s), task.entry(s, {}, Block())]) for s in task.seeds * 2]
+    assert len(set(episodes)) == len(task.seeds)
+
+
+def test_a_task_is_loaded_from_a_file_and_hashed_by_what_it_says(tmp_path: Path) -> None:
+    path = tmp_path / "mine.json"
+    path.write_text(json.dumps(PLAIN, indent=4))
+    task = Task.load(path)
+    assert (task.name, task.duration, task.ticks, task.settle_ticks, task.stride) == ("sprint", 5.0, 300, 30, 6)
+    assert task.limits == Limits()
+    assert task.hash == Task(dict(reversed(PLAIN.items()))).hash
+    assert task.hash != Task({**PLAIN, "duration": 6}).hash
+
+
+def test_what_is_no_task_is_refused_with_everything_that_is_wrong(tmp_path: Path) -> None:
+    document = {
+        **PLAIN,
+        "world": {"seed": 3, "gravity": [0, -9.81], "friction": 1},
+        "duration": "long",
+        "vary": {"yaw": [1, -1]},
+        "objective": "heigth",
+        "ends": [{"name": "up", "when": "height"}],
+        "colour": 1,
+    }
+    with pytest.raises(DocumentError) as caught:
+        Task(document)
+    assert {path for path, _ in caught.value.problems} == {"duration", "colour", "world/gravity"}
+    del document["colour"]
+    with pytest.raises(DocumentError) as caught:
+        Task({**document, "duration": 5, "world": {"seed": 3}})
+    said = dict(caught.value.problems)
+    assert set(said) == {"world/seed", "vary/yaw", "objective", "ends/0/when"}
+    assert said["objective"] == "line 1, column 1: there is no quantity 'heigth'; did you mean height?"
+    assert "it must give true or false" in said["ends/0/when"]
+
+
+@pytest.mark.parametrize(
+    ("changed", "place", "word"),
+    [
+        ({"props": [{"id": "a", "size": [1, 1, 1], "mass": 1}] * 2}, "props/1/id", "already"),
+        ({"props": [{"id": "creature.a", "size": [1, 1, 1], "mass": 1}]}, "props/0/id", "creature"),
+        ({"target": {"distance": [2, 1]}}, "target/distance", "the lowest first"),
+        ({"world": {"scene": {"type": "flat", "heightfield": {}}}}, "world/scene/heightfield", "only where type is"),
+        ({"seeds": [1, 1]}, "seeds", "different seeds"),
+        ({"limits": {"cubes": 0}}, "limits/cubes", "from 1"),
+    ],
+)
+def test_what_is_wrong_has_its_place(changed: dict[str, Any], place: str, word: str) -> None:
+    with pytest.raises(DocumentError) as caught:
+        Task({**PLAIN, **changed})
+    ((path, said),) = caught.value.problems
+    assert path == place and word in said
+
+
+def test_a_name_that_is_none_is_answered_with_the_nearest(tmp_path: Path) -> None:
+    with pytest.raises(DocumentError, match=r"no task 'wlak'.*did you mean walk"):
+        Task.load("wlak")
+    (tmp_path / "bad.json").write_text('{"a": 1, "a": 2}')
+    with pytest.raises(DocumentError, match=r"bad\.json: this is not JSON"):
+        Task.load(tmp_path / "bad.json")
+
+
+def test_a_creature_is_set_down_on_the_ground_and_turned() -> None:
+    task = Task({**PLAIN, "vary": {"yaw": [0.5, 0.5], "drop": [0.25, 0.25], "friction": [0.7, 0.7]}})
+    body = Block(low=(-1.0, 2.0, -1.0), high=(1.0, 3.0, 1.0))
+    spawn, turn = task.entry(1, {"name": "x"}, body)
+    assert (spawn["type"], spawn["genome"], spawn["position"]) == ("spawn_creature", {"name": "x"}, [0.0, -1.75, 0.0])
+    assert (turn["type"], turn["cube_name"]) == ("set_cube_state", "creature.root")
+    assert turn["rotation"] == pytest.approx([0.0, math.sin(0.25), 0.0, math.cos(0.25)])
+    assert task.world_config(1)["friction"] == 0.7
+    assert len(Task(PLAIN).entry(1, {}, body)) == 1
+
+
+def test_targets_lie_where_they_are_said_to_and_fill_the_range() -> None:
+    task = Task(
+        {**PLAIN, "target": {"distance": [3, 5], "bearing": [-0.5, 1], "height": 0.25}, "seeds": list(range(200))}
+    )
+    points = np.array([task.target(seed) for seed in task.seeds])
+    far, bearing = np.hypot(points[:, 0], points[:, 2]), np.arctan2(-points[:, 2], points[:, 0])
+    assert 3 <= far.min() < 3.1 and 4.9 < far.max() <= 5
+    assert -0.5 <= bearing.min() < -0.4 and 0.9 < bearing.max() <= 1
+    assert (points[:, 1] == 0.25).all()
+    assert abs(np.corrcoef(far, bearing)[0, 1]) < 0.2
+    assert Task(PLAIN).target(1) is None
+
+
+def test_props_stand_on_the_top_of_the_root() -> None:
+    stick = {"id": "stick", "size": [0.1, 2, 0.1], "mass": 1, "hinge": True, "lean": [0.3, 0.3]}
+    task = Task({**PLAIN, "props": [stick, {"id": "cargo", "size": [0.2, 0.2, 0.2], "mass": 2}]})
+    state = np.array([5.0, 1.0, 2.0, 0.0, 0.0, math.sin(math.pi / 8), math.cos(math.pi / 8), *[0.0] * 6])
+    pole, joint, cargo = task.props(1, Block(), state)
+    top = 1.0 + math.sqrt(2) / 2  # of a cube that stands on its edge
+    assert (joint["type"], joint["cube1"], joint["cube2"]) == ("create_joint", "creature.root", "stick")
+    assert joint["position"] == pytest.approx([5.0, top, 2.0])
+    assert pole["position"] == pytest.approx([5.0 - math.sin(0.3), top + math.cos(0.3), 2.0])
+    assert cargo["position"] == pytest.approx([5.0, top + 0.1, 2.0], abs=0.002)
+    assert cargo["position"][1] > top + 0.1
+
+
+def test_what_a_body_may_not_be_is_said() -> None:
+    limits = {"cubes": 2, "mass": 20, "size": 1.5}
+    about = 'cube("tail").height + cube("cargo").height + cube("root").height'
+    props = [{"id": "cargo", "size": [1, 1, 1], "mass": 1}]
+    task = Task({**PLAIN, "limits": limits, "objective": about, "props": props})
+    assert task.check(Block((Cube("root"), Cube("tail")))) == []
+    assert task.check(Block((Cube("root"), Cube("tail"), Cube("cargo")), 21.0, high=(0.5, 2.0, 0.5))) == [
+        "the body has 3 cubes, at most 2 are allowed",
+        "the body has 21 kg, at most 20 are allowed",
+        "the body has 2 m from end to end, at most 1.5 are allowed",
+        "the task puts a cube 'cargo' there, and the body has one of that id",
+    ]
+    assert task.check(Block()) == ["the task is about a cube 'tail', which the body has not"]
+
+
+def test_an_episode_ends_at_the_first_row_of_a_look_at_which_a_condition_holds_or_the_energy_is_spent() -> None:
+    ends = [
+        {"name": "high", "when": "height > 2"},
+        {"name": "higher", "when": "height > 1.5"},
+        {"name": "odd", "when": "height > 2"},
+    ]
+    task = Task({**PLAIN, "ends": ends, "limits": {"energy": 6}})
+    assert Quantity("energy") in task.needs
+    trace = Trace(Cast(("root",), 1, np.ones((1, 3)), np.ones(1), 60), 100, 1)
+    trace.states[:, 0, 1] = np.arange(101) * 0.05
+    trace.rows = 101
+    assert task.ended(trace, 0, 101) == (36, "higher")
+    assert task.ended(trace, 37, 101) == (42, "high")
+    trace.meter(np.ones((101, 1)), np.full((101, 1), 12.5))
+    assert task.ended(trace, 0, 101) == (30, "energy")
+    assert task.ended(trace, 0, 30) is None
