@@ -25,11 +25,12 @@ NMES = str(Path(sys.executable).parent / "nmes")
 
 
 class Talker(threading.Thread):
-    """A client that never stops talking, and notes when which of its commands was answered."""
+    """A client that talks on and on, with a rest after each command (s), and notes when which of them was answered."""
 
-    def __init__(self, port: int, number: int) -> None:
+    def __init__(self, port: int, number: int, rest: float) -> None:
         super().__init__(daemon=True)
         self.number = number
+        self.rest = rest
         self.answered: list[tuple[str, float]] = []
         self._peer = Peer(port)
 
@@ -49,6 +50,7 @@ class Talker(threading.Thread):
                     name = f"{self.number}/{i}"
                     assert peer.ask({**command, "id": name})["id"] == name
                     self.answered.append((name, time.monotonic()))
+                    time.sleep(self.rest)
             except (OSError, AssertionError):
                 return  # it was killed
 
@@ -66,7 +68,8 @@ def crash(folder: Path, interval: float, seed: int) -> None:
     ) as server:
         assert server.stdout is not None
         said = json.loads(server.stdout.readline())
-        talkers = [Talker(said["port"], number) for number in range(2)]
+        # Where there is an interval, less than makes the host write because there is so much.
+        talkers = [Talker(said["port"], number, 0.02 * interval) for number in range(2)]
         for talker in talkers:
             talker.start()
         time.sleep(rng.uniform(0, 2.5 * interval + 0.5))
