@@ -86,7 +86,8 @@ class Assembly:
         backend: The engine.
         config: The world's complete config.
         seed: What names are drawn from.
-        version: The first structure version; it increases with every change of cubes, joints or frozenness.
+        version: The first structure version; it increases with every change of cubes, joints or frozenness, and
+            `tuned` with every `set_param`.
 
     Raises:
         WorldError: The engine cannot make the config's scene, or does not know its settings.
@@ -94,6 +95,7 @@ class Assembly:
 
     def __init__(self, backend: Backend, config: Mapping[str, Any], seed: int, version: int) -> None:
         self.version = version
+        self.tuned = 0
         self._backend = backend
         self._config = config
         self._seed = seed
@@ -209,6 +211,10 @@ class Assembly:
             raise WorldError("joint_not_found", f"there is no joint {name!r}", "joint_name")
         return joint
 
+    def find_joint(self, name: str) -> Joint | None:
+        """Returns a joint, or None."""
+        return self._joints.get(name)
+
     def planets(self) -> list[JsonObject]:
         """Returns the planets as `get_planets` tells them."""
         return scenery.planet_list(self._config, self._seed)
@@ -220,10 +226,21 @@ class Assembly:
 
     # -- cubes ---------------------------------------------------------------------------------------------------
 
+    def require_room(self, cubes: int = 0, joints: int = 0) -> None:
+        """Raises `limit_reached` unless the world may hold so many more."""
+        for held, more, what in ((self._cubes, cubes, "cubes"), (self._joints, joints, "joints")):
+            most = self._config["limits"][what]
+            if len(held) + more > most:
+                raise WorldError("limit_reached", f"the world holds {len(held)} of its {most} {what} already")
+
+    def require_plane(self, planar: bool, what: str, path: str) -> None:
+        """Raises `unsupported` where the engine is one of the XY plane and the thing is not in it."""
+        if self._planar and not planar:
+            raise WorldError("unsupported", f"the {self._backend.name} backend is planar and has no {what}", path)
+
     def spawn(self, c: JsonObject) -> Cube:
         """Makes the cube that a `spawn_cube` command describes."""
-        if len(self._cubes) >= self._config["limits"]["cubes"]:
-            raise WorldError("limit_reached", f"the world holds its {len(self._cubes)} cubes already")
+        self.require_room(cubes=1)
         default = protocol.COMMANDS["spawn_cube"].defaults
         suffix = "_BASE" if c.get("is_base") else ""
         count = self._spawned + 1
@@ -235,7 +252,7 @@ class Assembly:
                 raise WorldError("cube_exists", f"there is a cube {name!r} already", "cube_name")
         else:
             # A client may have given its cube the very name that comes next.
-            while (name := self._draw("cube", count) + suffix) in self._cubes:
+            while (name := self.draw("cube", count) + suffix) in self._cubes:
                 count += 1
         size = c.get("size", default["size"])
         friction, restitution = self._config["friction"], self._config["restitution"]
@@ -418,10 +435,12 @@ class Assembly:
 
     # -- joints --------------------------------------------------------------------------------------------------
 
-    def connect(self, c: JsonObject, kind: str, prefix: str, skeleton: str | int | None = None) -> str:
+    def connect(
+        self, c: JsonObject, kind: str, prefix: str, skeleton: str | int | None = None, name: str | None = None
+    ) -> str:
         """Makes the joint that a `create_joint` or `create_bone` command describes; returns its name.
 
-        A bone belongs to a `skeleton`.
+        A bone belongs to a `skeleton`. A `name` that is not given is drawn; one that is must not be taken.
         """
         kind = "slide" if kind == "slider" else kind
         self.require(f"joint.{kind}", f"joints of type {kind}")
@@ -431,8 +450,7 @@ class Assembly:
         pair = (min(cube1.body, cube2.body), max(cube1.body, cube2.body))
         if pair in self._pairs:
             raise WorldError("joint_exists", f"these cubes are joined by {self._pairs[pair]!r} already")
-        if len(self._joints) >= self._config["limits"]["joints"]:
-            raise WorldError("limit_reached", f"the world holds its {len(self._joints)} joints already")
+        self.require_room(joints=1)
         here, there = (self.simulation.body_state(cube.body).position for cube in (cube1, cube2))
         if "position" in c:
             anchor = self._position(c["position"])
@@ -454,17 +472,18 @@ class Assembly:
             kind, jointparams.default_params(self._engine_step), given, self._engine_step, path=None
         )
         count = self._joined + 1
-        while (name := self._draw(prefix, count)) in self._joints:
+        while name is None and self.draw(prefix, count) in self._joints:
             count += 1
+        drawn = name or self.draw(prefix, count)
         self.simulation.add_joint(
             count, JointSpec(kind, cube1.body, cube2.body, anchor, axis, jointparams.engine_params(params))
         )
         self._joined = count
-        self._joints[name] = Joint(name, count, kind, cube1, cube2, params, skeleton)
-        self._pairs[pair] = name
-        cube1.joints[name] = cube2.joints[name] = None
+        self._joints[drawn] = Joint(drawn, count, kind, cube1, cube2, params, skeleton)
+        self._pairs[pair] = drawn
+        cube1.joints[drawn] = cube2.joints[drawn] = None
         self.version += 1
-        return name
+        return drawn
 
     def _axis(self, kind: str, value: list[float]) -> Vector:
         axis = self._turn(value) if kind == "hinge" else self._position(value)
@@ -487,6 +506,7 @@ class Assembly:
         params = jointparams.adjust(joint.kind, joint.params, {name: value}, self._engine_step, path="value")
         self.simulation.set_joint_params(joint.number, jointparams.engine_params(params))
         joint.params = params
+        self.tuned += 1
 
     def _require_param(self, kind: str, name: str, path: str) -> None:
         if kind not in ("hinge", "slide") and not (kind == "conetwist" and name.startswith("limit")):
@@ -508,7 +528,7 @@ class Assembly:
 
     # -- reading fields ------------------------------------------------------------------------------------------
 
-    def _draw(self, prefix: str, count: int) -> str:
+    def draw(self, prefix: str, count: int) -> str:
         """Draws the name of the `count`-th thing of its kind from the seed."""
         digits = blake2b(f"{self._seed}:{prefix}:{count}".encode(), digest_size=4).hexdigest()
         return f"{prefix}_{count}_{digits}"

@@ -19,7 +19,7 @@ from __future__ import annotations
 import difflib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Literal, NamedTuple
 
@@ -219,6 +219,12 @@ class JointParams:
     damping: float = 0.0
     limits: tuple[float, float] | None = None
 
+    def aimed(self, target: float) -> JointParams:
+        """Returns the same with another target of the motor, in the unit of its mode."""
+        if self.motor == "velocity":
+            return replace(self, target_velocity=target)
+        return replace(self, target_position=target)
+
 
 @dataclass(frozen=True, slots=True)
 class JointSpec:
@@ -409,6 +415,26 @@ class Simulation(ABC):
     @abstractmethod
     def joint_state(self, joint: int) -> JointState:
         """Returns one joint's reading. For `fixed` and `pin` position, velocity and effort are 0."""
+
+    def set_motor_targets(self, joints: Sequence[int], params: Sequence[JointParams], targets: Array) -> None:
+        """Sets what motors aim at, as `set_joint_params` of each in turn would. Engines may have a faster way.
+
+        Args:
+            joints: Hinges and slides.
+            params: What each of them has now, but for its target; no motor is off.
+            targets: Shape (n,): a velocity (rad/s or m/s) or a position (rad or m), whichever the motor drives towards.
+        """
+        for joint, held, target in zip(joints, params, targets.tolist(), strict=True):
+            self.set_joint_params(joint, held.aimed(target))
+
+    def joint_readings(self, joints: Sequence[int]) -> Array:
+        """Returns a new array (n, 3): position, velocity and effort of hinges and slides, as `joint_state` has them."""
+        states = [self.joint_state(joint) for joint in joints]
+        return np.array([(s.position, s.velocity, s.effort) for s in states]).reshape(-1, 3)
+
+    def touching(self, bodies: Sequence[int]) -> Array:
+        """Returns a new array (n,): 1 for each body that touched anything in the last step, as `contacts`, else 0."""
+        return np.array([float(bool(self.contacts(body))) for body in bodies])
 
     @abstractmethod
     def contacts(self, body: int) -> list[Contact]:

@@ -93,6 +93,26 @@ class JointParamSet(TypedDict):
     value: float | bool
 
 
+class CreatureSpawned(TypedDict):
+    type: Literal["creature_spawned"]
+    creature: str
+    cubes: dict[str, str]
+    joints: dict[str, str]
+    motors: Names
+    sensors: Names
+
+
+class Driven(TypedDict):
+    type: Literal["driven"]
+    creature: str
+
+
+class Senses(TypedDict):
+    type: Literal["senses"]
+    creature: str
+    values: list[float]
+
+
 class WorldSummary(TypedDict):
     world: str
     port: int
@@ -573,6 +593,23 @@ class Commands:
     def get_cube_state(self, cube_name: str | None = None) -> type[CubeState]:
         """Reads where a cube is and how it moves."""
         return CubeState
+
+    @command
+    def spawn_creature(
+        self, genome: Mapping[str, Any], *, position: Vector | None = None, name: str | None = None
+    ) -> type[CreatureSpawned]:
+        """Makes the body of a genome (its document) live; its brain stays outside."""
+        return CreatureSpawned
+
+    @command
+    def drive(self, creature: str, controls: Vector) -> type[Driven]:
+        """Sets what a creature's motors aim at: one number from -1 to 1 a motor, in their order."""
+        return Driven
+
+    @command
+    def sense(self, creature: str) -> type[Senses]:
+        """Reads a creature's sensors, in their order."""
+        return Senses
 
     @command
     def get_world_state(self, *, cubes: Sequence[str] | None = None, sensors: bool | None = None) -> type[WorldState]:

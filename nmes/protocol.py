@@ -47,6 +47,7 @@ __all__ = [
     "encode",
     "error_reply",
     "parse",
+    "parse_json",
     "problems",
     "request_from",
     "schema_hash",
@@ -445,6 +446,18 @@ def request_from(command: Mapping[str, Any]) -> Request:
     except (TypeError, ValueError, RecursionError) as error:
         return Request(b"", None, RejectedMessage("bad_json", f"this cannot be written as JSON: {error}"))
     return parse(raw)
+
+
+def parse_json(text: bytes) -> Any:
+    """Reads strict JSON that is no message: a document of a person's.
+
+    Raises:
+        RejectedMessage: It is not strict JSON.
+    """
+    value = _parse_json(text)
+    if isinstance(value, RejectedMessage):
+        raise value
+    return value
 
 
 def _parse_json(raw: bytes) -> Any:

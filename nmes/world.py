@@ -22,11 +22,15 @@ from importlib.metadata import version
 from math import inf
 from typing import Any, ClassVar, Protocol
 
+import numpy as np
+
 from nmes import protocol
 from nmes.assembly import Assembly, Cube, identity
 from nmes.backend import Array, Backend, Simulation, Vector, load_backend
 from nmes.clients import Client, Clients, Emit
-from nmes.errors import NmesError, RecordingError, RejectedMessage, SimulationFault, WorldError
+from nmes.creature import Creature, Creatures
+from nmes.errors import DocumentError, NmesError, RecordingError, RejectedMessage, SimulationFault, WorldError
+from nmes.genome import Genome
 from nmes.protocol import Request
 from nmes.snapshot import pack, unpack
 from nmes.subscription import Subscription
@@ -138,6 +142,7 @@ class World:
     def _begin(self, seed: int, version: int) -> None:
         """Makes the empty world of frame 0."""
         self._assembly = Assembly(self.backend, self.config, seed, version)
+        self._creatures = Creatures(self._assembly)
         self.seed = seed
         self.frame = 0
         self.fault: Fault | None = None
@@ -189,6 +194,18 @@ class World:
     def clients(self) -> list[int]:
         """Returns the numbers of those who are in, in the order in which they came."""
         return list(self._clients)
+
+    def creatures(self) -> list[str]:
+        """Returns the creatures' names in order of creation."""
+        return self._creatures.names()
+
+    def creature(self, name: str) -> Creature:
+        """Returns a creature, whose `sense` may be called at any time; to drive it is an input, see `drive`.
+
+        Raises:
+            WorldError: `creature_not_found`.
+        """
+        return self._creatures.find(name)
 
     def poses(self) -> tuple[list[str], Array]:
         """Returns the names and a new array (n, 13) of positions, quaternions, linear and angular velocities."""
@@ -246,6 +263,34 @@ class World:
     def execute(self, client: int, command: Mapping[str, Any]) -> JsonObject:
         """Executes a command given as a dict and returns the reply as one; else the same as `handle`."""
         return protocol.decode(self.handle(client, protocol.request_from(dict(command))))
+
+    def drive(self, client: int, creature: str, controls: Array) -> None:
+        """Drives a creature: the command `drive` for callers in this process, the same in effect and in the journal.
+
+        Args:
+            client: Whose command it is.
+            creature: Its name.
+            controls: Shape (m,), float64, each from -1 to 1, in the order of the creature's motors.
+
+        Raises:
+            WorldError: As the reply `error` to the command says; that is what the journal has, too.
+        """
+        held = self._creatures.get(creature)
+        if held is None or self.fault is not None or not held.accepts(controls):
+            refusal = self.execute(client, {"type": "drive", "creature": creature, "controls": controls.tolist()})
+            raise WorldError(refusal["code"], refusal["message"], refusal.get("field"))
+        journal = self.journal
+        if journal is None:
+            held.drive(controls)
+            return
+        request, reply = held.message(controls)
+        try:
+            journal.received(client, request)
+            held.drive(controls)
+            journal.replied(client, request, reply)
+        except RecordingError as error:
+            self._lose_journal(error)
+            raise WorldError("world_faulted", error.message) from error
 
     def tick(self) -> None:
         """Advances by one tick of `1 / tick_rate` s. Does nothing in a faulted world."""
@@ -312,6 +357,7 @@ class World:
             "paused": self.paused,
             "barrier": None if barrier is None else {"agents": barrier.agents, "timeout": barrier.timeout},
             "assembly": assembly,
+            "creatures": self._creatures.snapshot(),
             **self._clients.snapshot(),
         }
         return pack(self.config, state, engine)
@@ -328,12 +374,14 @@ class World:
         assembly = Assembly(self.backend, self.config, state["seed"], version=0)
         try:
             assembly.restore(state["assembly"], engine)
+            creatures = Creatures(assembly)
+            creatures.restore(state["creatures"])
             clients = Clients.restored(state)
         except Exception as error:  # an engine's bytes may be anything, and so may what its library thinks of them
             assembly.simulation.close()
             raise WorldError("bad_snapshot", f"the snapshot does not fit together: {error}") from error
         self._assembly.simulation.close()
-        self._assembly = assembly
+        self._assembly, self._creatures = assembly, creatures
         self.seed, self.frame, self._past = state["seed"], state["frame"], state["ticks"] - state["frame"]
         self.fault = None
         self.mode, self.rate, self.paused = state["mode"], float(state["rate"]), state["paused"]
@@ -515,6 +563,36 @@ class World:
     def _get_joint_info(self, client: Client, c: JsonObject) -> JsonObject:
         return {"type": "joint_info", **self._assembly.joint_info(self._assembly.joint(c["joint_name"]))}
 
+    # -- commands: creatures -------------------------------------------------------------------------------------
+
+    def _spawn_creature(self, client: Client, c: JsonObject) -> JsonObject:
+        try:
+            genome = Genome(c["genome"])
+        except DocumentError as error:
+            raise WorldError("invalid", f"genome: {error.message}", f"genome/{error.path or ''}".rstrip("/")) from error
+        x, y, z = c.get("position", protocol.COMMANDS["spawn_creature"].defaults["position"])
+        creature = self._creatures.spawn(genome, (float(x), float(y), float(z)), c.get("name"))
+        return {
+            "type": "creature_spawned",
+            "creature": creature.name,
+            "cubes": creature.cubes,
+            "joints": creature.joints,
+            "motors": [motor.id for motor in creature.motors],
+            "sensors": [sensor.id for sensor in creature.sensors],
+        }
+
+    def _drive(self, client: Client, c: JsonObject) -> JsonObject:
+        creature, controls = self._creatures.find(c["creature"]), c["controls"]
+        if len(controls) != len(creature.motors):
+            said = f"controls: {len(controls)} numbers for the {len(creature.motors)} motors of {creature.name!r}"
+            raise WorldError("invalid", said, "controls")
+        creature.drive(np.array(controls, float))
+        return {"type": "driven", "creature": creature.name}
+
+    def _sense(self, client: Client, c: JsonObject) -> JsonObject:
+        creature = self._creatures.find(c["creature"])
+        return {"type": "senses", "creature": creature.name, "values": creature.sense()}
+
     # -- commands: the world -------------------------------------------------------------------------------------
 
     def _get_world_state(self, client: Client, c: JsonObject) -> JsonObject:
@@ -673,6 +751,9 @@ class World:
         "get_cube_info": _get_cube_info,
         "get_cube_state": _get_cube_state,
         "get_camera": _get_camera,
+        "spawn_creature": _spawn_creature,
+        "drive": _drive,
+        "sense": _sense,
         "get_world_state": _get_world_state,
         "get_world_info": _get_world_info,
         "get_planets": _get_planets,

@@ -27,7 +27,7 @@ def page() -> str:
         "Commands": load_all("commands"),
         "Replies": load_all("replies"),
         "Events": load_all("events"),
-        "Files": {kind: load(f"{kind}.json") for kind in ("world_config", "recording_metadata")},
+        "Files": {kind: load(f"{kind}.json") for kind in ("genome", "world_config", "recording_metadata")},
     }
     parts = [_INTRODUCTION]
     for heading, schemas in sections.items():

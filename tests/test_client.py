@@ -189,6 +189,10 @@ def test_every_command_works_once() -> None:
         assert c.despawn_cube("b") == {"type": "cube_despawned", "cube_name": "b", "joints": []}
         assert c.get_world_info()["counts"] == {"cubes": 1, "joints": 0, "clients": 1}
         assert c.get_planets()["planets"] == []
+        rocker = protocol.COMMANDS["spawn_creature"].schema["examples"][0]["genome"]
+        assert c.spawn_creature(rocker, name="r", position=[3, 0, 0])["motors"] == ["shoulder"]
+        assert c.drive("r", [0.5])["creature"] == "r"
+        assert len(c.sense("r")["values"]) == 12
         assert c.subscribe(events=["state"], every=2)["every"] == 2
         assert c.unsubscribe()
         assert c.batch([{"type": "ping"}, {"type": "step"}])["results"][1]["frame"] == 3

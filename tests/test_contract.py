@@ -352,6 +352,24 @@ class SleepsOnInTheAir(PlantedInThePlane):
                 other.sleep()
 
 
+class DrivesOnlyTheFirst(PlantedInThePlane):
+    class Defect(PymunkSimulation):
+        def set_motor_targets(self, joints: Sequence[int], params: Sequence[JointParams], targets: Array) -> None:
+            super().set_motor_targets(joints[:1], params[:1], targets[:1])
+
+
+class ReadsManyInItsOwnOrder(PlantedInThePlane):
+    class Defect(PymunkSimulation):
+        def joint_readings(self, joints: Sequence[int]) -> Array:
+            return super().joint_readings(sorted(joints))
+
+
+class FeelsOnlyTheGround(PlantedInThePlane):
+    class Defect(PymunkSimulation):
+        def touching(self, bodies: Sequence[int]) -> Array:
+            return np.array([float(any(c.other is None for c in self.contacts(body))) for body in bodies[::-1]])
+
+
 CAUGHT = {
     DropsImpulses: "applies_forces_and_impulses",
     TurnsTheWrongWay: "applies_forces_and_impulses",
@@ -391,6 +409,9 @@ CAUGHT = {
     SpringsTooSoftly: "hangs_a_mass_on_a_spring",
     LosesItsScenery: "stands_on_scenery",
     ConfusesSwingAndTwist: "swings_and_twists_within_a_cone",
+    DrivesOnlyTheFirst: "drives_and_reads_many_joints_at_once",
+    ReadsManyInItsOwnOrder: "drives_and_reads_many_joints_at_once",
+    FeelsOnlyTheGround: "drives_and_reads_many_joints_at_once",
     SleepsOnInTheAir: "sleeps_only_if_it_says_so",
 }
 

@@ -329,7 +329,7 @@ def test_an_ill_typed_field_is_named(command: dict[str, Any], field: str, messag
     assert error is not None and (message is None or error.message == message)
 
 
-@pytest.mark.parametrize("kind", ["fly", "", "PING", "pong", "auth", "ping ", "spawn_creature"])
+@pytest.mark.parametrize("kind", ["fly", "", "PING", "pong", "auth", "ping ", "spawn_creatures"])
 def test_unknown_types(kind: str) -> None:
     request = parse(encode({"type": kind, "id": 3}))
     assert request.error is not None and request.error.code == "unknown_type" and request.error.path == "type"

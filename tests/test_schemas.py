@@ -22,7 +22,7 @@ FILES = {path.relative_to(ROOT / "schemas").as_posix(): path for path in sorted(
 MESSAGES = {
     path: schemas.load(path) for path in FILES if path.split("/")[0] in ("commands", "replies", "events", "auth.json")
 }
-READ_FROM_CLIENTS = ("commands/", "auth.json", "world_config.json", "brain-")
+READ_FROM_CLIENTS = ("commands/", "auth.json", "genome.json", "world_config.json", "brain-")
 
 
 def parts(schema: Any, description: str = "") -> Iterator[tuple[dict[str, Any], str]]:
@@ -143,7 +143,7 @@ def test_the_reference_page_is_the_one_that_the_schemas_give() -> None:
 def test_every_type_is_documented_once() -> None:
     headings = re.findall(r"^### (\w+)$", page(), flags=re.MULTILINE)
     messages = [*protocol.COMMANDS, *protocol.REPLIES, *protocol.EVENTS]
-    assert sorted(headings) == sorted([*messages, "auth", "world_config", "recording_metadata"])
+    assert sorted(headings) == sorted([*messages, "auth", "genome", "world_config", "recording_metadata"])
 
 
 def test_every_error_code_is_documented_and_only_documented_codes_are_sent() -> None:

@@ -95,6 +95,7 @@ def test_every_reply_is_of_the_shape_that_its_schema_states(drive: Driver) -> No
         {"type": "resume"},
         {"type": "set_mode", "mode": "lockstep"},
         {"type": "batch", "commands": [{"type": "ping"}, {"type": "spawn_cube"}]},
+        *(protocol.COMMANDS[kind].schema["examples"][0] for kind in ("spawn_creature", "drive", "sense")),
         {"type": "remove_joint", "joint_name": joint},
         {"type": "despawn_cube", "cube_name": a},
         {"type": "reset", "seed": 3},

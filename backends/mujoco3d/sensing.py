@@ -105,6 +105,17 @@ class Senses:
             found += self._resting[tree][1].of(index, self._numbers, bodies)
         return found
 
+    @property
+    def resting(self) -> bool:
+        """Whether anything sleeps."""
+        return bool((self._asleep >= 0).any())
+
+    def touching(self, indices: list[int]) -> Array:
+        """Returns a new array: 1 for each of these bodies that has contacts, else 0. Only where nothing sleeps."""
+        contact, touched = self._data.contact, np.zeros(self._model.nbody)
+        touched[self._model.geom_bodyid[contact.geom[contact.efc_address >= 0]]] = 1.0
+        return np.asarray(touched[indices])
+
     def _sleepers_near(self, index: int) -> list[int]:
         """Returns the sleeping trees of which a bounding sphere meets one of the body's."""
         model, data = self._model, self._data

@@ -51,6 +51,7 @@ from nmes.backends.mujoco3d.layout import (
     weigh,
     write_params,
 )
+from nmes.backends.mujoco3d.reins import Reins
 from nmes.backends.mujoco3d.scenery import Scenery
 from nmes.backends.mujoco3d.sensing import STATE, Senses, count_awake
 from nmes.backends.mujoco3d.tracking import MujocoTrack
@@ -114,6 +115,7 @@ class MujocoSimulation(Simulation):
         self._xfrc, self._xpos, self._xquat, self._cvel = data.xfrc_applied, data.xpos, data.xquat, data.cvel
         self._asleep = data.tree_asleep
         self._senses = Senses(layout, data, self._scenery)
+        self._reins = Reins(layout, data, self._joints)
 
     # -- structure ----------------------------------------------------------------------------------------------
 
@@ -172,6 +174,7 @@ class MujocoSimulation(Simulation):
 
     def remove_joint(self, joint: int) -> None:
         """Cuts a joint."""
+        self._reins.note()
         cut = self._joints.pop(joint)
         self._identity ^= _hash_joint(cut)
         self._edited(cut.body1)
@@ -179,6 +182,7 @@ class MujocoSimulation(Simulation):
 
     def set_joint_params(self, joint: int, params: JointParams) -> None:
         """Sets motor, spring and limits; the model is rebuilt only where a motor comes or goes."""
+        self._reins.note()
         held = self._joints[joint]
         before, form = held.params, held.form
         if params == before:
@@ -190,6 +194,7 @@ class MujocoSimulation(Simulation):
                 self._aim(held)
                 self._wake(self._layout.body[held.body1], self._layout.body[held.body2])
             return
+        self._reins.forget()
         self._identity ^= _hash_joint(held)
         held.params = params
         self._identity ^= _hash_joint(held)
@@ -201,6 +206,14 @@ class MujocoSimulation(Simulation):
         elif joint in self._layout.joint:
             self._drive(held)
             self._wake(self._layout.body[held.body1], self._layout.body[held.body2])
+
+    def set_motor_targets(self, joints: Sequence[int], params: Sequence[JointParams], targets: Array) -> None:
+        """Sets the controls of motors; their parameters follow when somebody looks at them."""
+        woken = None if self._edits else self._reins.aim(tuple(joints), targets)
+        if woken is None:
+            super().set_motor_targets(joints, params, targets)
+        elif woken:
+            self._wake(*woken)
 
     def set_frozen(self, body: int, frozen: bool) -> None:
         """Makes a body part of the world, or lets it go at rest."""
@@ -350,6 +363,16 @@ class MujocoSimulation(Simulation):
                 effort = float(self._data.actuator_force[motor])
         return JointState(position, velocity, effort, anchor, axis)
 
+    def joint_readings(self, joints: Sequence[int]) -> Array:
+        """Returns a new array (n, 3), read all at once where nothing was edited since the last step."""
+        return super().joint_readings(joints) if self._edits else self._reins.readings(tuple(joints))
+
+    def touching(self, bodies: Sequence[int]) -> Array:
+        """Returns a new array (n,), from the engine's list of contacts where all is awake."""
+        if self._edits or self._senses.resting:
+            return super().touching(bodies)
+        return self._senses.touching([self._layout.body[body] for body in bodies])
+
     def contacts(self, body: int) -> list[Contact]:
         """Returns what the body touched in the last step."""
         index = self._layout.body.get(body)
@@ -491,6 +514,7 @@ class MujocoSimulation(Simulation):
         h.update(self._identity.to_bytes(16, "little"))
         if self._edits or self._force or self._impulse:
             h.update(repr((sorted(self._touched), self._override, self._force, self._impulse)).encode())
+            self._reins.note()
             # The targets of motors that are not built yet are in no control.
             targets = [(joint.params.target_velocity, joint.params.target_position) for joint in self._joints.values()]
             h.update(repr(targets).encode())
@@ -505,6 +529,7 @@ class MujocoSimulation(Simulation):
         (contacts, efforts) from the state alone.
         """
         self._take_up()
+        self._reins.note()
         self._settle(self._asleep.copy())
         mujoco.mj_getState(self._model, self._data, self._state, STATE)
         return orjson.dumps(
@@ -571,6 +596,7 @@ class MujocoSimulation(Simulation):
         """Takes up all edits since the last step, the cheapest way."""
         if not self._edits:
             return
+        self._reins.note()
         room = len(self._layout.spares) + len(self._left)
         if self._stale_model or len(self._arrived) > room or not self._touched <= self._free_bodies():
             self._rebuild()

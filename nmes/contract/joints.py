@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
-from nmes.backend import JointParams, JointSpec
+from nmes.backend import JointParams, JointSpec, Simulation
 from nmes.contract.base import (
     KINDS,
     SUBSTEPS,
@@ -26,6 +28,8 @@ from nmes.contract.base import (
     run,
     vector,
 )
+
+Joints = dict[int, JointParams]
 
 
 class JointChecks(Checks):
@@ -233,6 +237,59 @@ class JointChecks(Checks):
                 close([reading.velocity], [0.0], 0.01, f"{kind}: velocity while holding")
                 weight = G * 0.5 * math.cos(target) if kind == "hinge" else G
                 close([reading.effort], [weight], 0.05 * G, f"{kind}: effort while holding")
+
+    def test_drives_and_reads_many_joints_at_once(self) -> None:
+        """Many targets set, many joints read and many touches felt in one call are what one by one gives."""
+        modes: tuple[tuple[Literal["position", "velocity"], str], ...] = (("position", "servo"), ("velocity", "motor"))
+        for motor, capability in modes:
+            kinds = [kind for kind in ("hinge", "slide") if self.can(f"joint.{kind}")]
+            if not self.can(capability) or not kinds:
+                continue
+            one, many = self.chain(kinds, motor), self.chain(kinds, motor)
+            params = [one[1][joint] for joint in sorted(one[1])]
+            joints = tuple(sorted(one[1]))
+            for tick in range(40):
+                targets = np.array([0.4 * math.sin(0.3 * tick + joint) for joint in joints])
+                if tick % 5 != 4:
+                    many[0].set_motor_targets(joints, params, targets)
+                    for joint, held, target in zip(joints, params, targets.tolist(), strict=True):
+                        one[0].set_joint_params(joint, held.aimed(target))
+                if tick == 20:  # a change of another kind finds the targets that were set
+                    params[0] = replace(params[0], max_effort=3.0).aimed(float(targets[0]))
+                    for sim in (one[0], many[0]):
+                        sim.set_joint_params(joints[0], params[0])
+                if tick == 30:  # and so does a change of structure
+                    for sim in (one[0], many[0]):
+                        sim.add_body(9, box((0.0, 9.0, 0.0)))
+                assert one[0].digest() == many[0].digest(), f"{motor}: another digest before tick {tick}"
+                for sim in (one[0], many[0]):
+                    sim.step(SUBSTEPS)
+                assert one[0].digest() == many[0].digest(), f"{motor}: another digest after tick {tick}"
+                states = [many[0].joint_state(joint) for joint in reversed(joints)]
+                wanted = [(state.position, state.velocity, state.effort) for state in states]
+                assert many[0].joint_readings(joints[::-1]).tolist() == [list(row) for row in wanted]
+                bodies = [3, 0, 1]
+                assert many[0].touching(bodies).tolist() == [bool(many[0].contacts(body)) for body in bodies]
+            if self.can("snapshot"):
+                again = self.sim()
+                again.restore(many[0].snapshot())
+                for sim in (one[0], again):
+                    sim.set_joint_params(joints[0], params[0].aimed(0.1))
+                    sim.step(SUBSTEPS)
+                close(again.joint_readings(joints), one[0].joint_readings(joints), 1e-9, f"{motor}: restored")
+
+    def chain(self, kinds: Sequence[str], motor: Literal["position", "velocity"]) -> tuple[Simulation, Joints]:
+        """Returns four cubes on the ground in a row, and the parameters of the motors between them."""
+        sim = self.sim()
+        for i in range(4):
+            sim.add_body(i, box((1.2 * i, 0.5 + (i == 3), 0.0)))
+        made = {}
+        for i in range(3):
+            kind = kinds[i % len(kinds)]
+            axis = (0.0, 0.0, 1.0) if kind == "hinge" else (1.0, 0.0, 0.0)
+            made[i] = JointParams(motor, max_effort=20.0)
+            sim.add_joint(i, JointSpec(kind, i, i + 1, (1.2 * i + 0.6, 0.5, 0.0), axis, made[i]))
+        return sim, made
 
     def test_stops_at_limits(self) -> None:
         """What falls stops at the joint's limit; lifting the limit lets it go on."""
