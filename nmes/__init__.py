@@ -7,11 +7,23 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from nmes.client import AsyncClient, Client
+    from nmes.evaluation import Episode, Evaluation, evaluate
+    from nmes.genome import Genome
+    from nmes.task import Task
     from nmes.world import World
 
-__all__ = ["AsyncClient", "Client", "World"]
+__all__ = ["AsyncClient", "Client", "Episode", "Evaluation", "Genome", "Task", "World", "evaluate"]
 
-_HOMES = {"AsyncClient": "nmes.client", "Client": "nmes.client", "World": "nmes.world"}
+_HOMES = {
+    "AsyncClient": "nmes.client",
+    "Client": "nmes.client",
+    "Episode": "nmes.evaluation",
+    "Evaluation": "nmes.evaluation",
+    "Genome": "nmes.genome",
+    "Task": "nmes.task",
+    "World": "nmes.world",
+    "evaluate": "nmes.evaluation",
+}
 
 
 def __getattr__(name: str) -> Any:

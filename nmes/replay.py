@@ -158,7 +158,7 @@ def replay(
         anyway: Run it also where the fingerprint differs, to see how far it agrees.
         progress: Called now and then with how many bytes of the file are done, and its size.
         watch: Called with the world after each frame of a client that was answered as recorded, with that frame, and
-            after each tick that came out as recorded, with None. What it raises ends the replay.
+            after each tick that came out as recorded, a fault among them, with None. What it raises ends the replay.
 
     Raises:
         RecordingError: The file cannot be read as a recording.
@@ -343,6 +343,8 @@ class _Run:
         if record is not None and record.about != {"frame": frame, "code": code, "message": message}:
             self._diverge("fault", record, f"the recording has {_describe(record)}; now: {code}: {message}")
             self._over = True
+        elif record is not None and self.divergence is None:
+            self._show_to_watch(None)
 
     def _expect(self, kind: Kind) -> Record | None:
         """Takes the next record, which must be of a kind; None where there is nothing to compare with."""

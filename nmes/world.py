@@ -16,7 +16,7 @@ Invariants:
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from math import inf
@@ -26,7 +26,7 @@ import numpy as np
 
 from nmes import protocol
 from nmes.assembly import Assembly, Cube, identity
-from nmes.backend import Array, Backend, Simulation, Vector, load_backend
+from nmes.backend import Array, Backend, Simulation, Track, Vector, load_backend
 from nmes.clients import Client, Clients, Emit
 from nmes.creature import Creature, Creatures
 from nmes.errors import DocumentError, NmesError, RecordingError, RejectedMessage, SimulationFault, WorldError
@@ -210,6 +210,16 @@ class World:
     def poses(self) -> tuple[list[str], Array]:
         """Returns the names and a new array (n, 13) of positions, quaternions, linear and angular velocities."""
         return self._assembly.names(), self._assembly.states()
+
+    def track(self, cubes: Sequence[str], joints: Sequence[str], rows: int) -> Track:
+        """Returns what keeps up to so many rows of the states of cubes, and of joints with motors, as the world ticks.
+
+        Raises:
+            WorldError: `cube_not_found`, `joint_not_found`.
+        """
+        assembly = self._assembly
+        bodies = [assembly.cube(name).body for name in cubes]
+        return assembly.simulation.track(bodies, [assembly.joint(name).number for name in joints], rows)
 
     def cube_shape(self, name: str) -> tuple[Vector, tuple[float, float, float, float]]:
         """Returns a cube's edge lengths (m) and colour (RGBA, 0 to 1)."""
