@@ -20,6 +20,7 @@ from rich.console import Console
 from rich.table import Table
 
 import bodies
+import brains
 import engines
 import recorded
 import roundtrip
@@ -29,6 +30,7 @@ SUITES = {
     "roundtrip": roundtrip.figures,
     "ticking": ticking.figures,
     "bodies": bodies.figures,
+    "brains": brains.figures,
     "engines": engines.figures,
     "recorded": recorded.figures,
 }

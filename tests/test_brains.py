@@ -13,9 +13,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from brains import DT, MAKERS, MOTORS, SENSORS, Made, bits, brains, episodes, examples_of, load, run
+from brainmaking import ACTIVATIONS, DT, MAKERS, MOTORS, SENSORS, Made, bits, brains, episodes, examples_of, load, run
 from nmes import schemas
 from nmes.brain import KINDS, load_brain, stack
+from nmes.brain.base import lines
 
 
 def test_every_kind_has_a_schema_with_its_name_a_maker_and_the_other_way_round() -> None:
@@ -70,6 +71,19 @@ def test_a_row_of_a_batch_is_the_brain_alone(made: Made, data: st.DataObject) ->
     if batch.open_loop:
         batch.reset(range(count), DT)
         assert bits(batch.controls(70)) == bits(together)
+
+
+@pytest.mark.parametrize("activation", ACTIVATIONS)
+def test_rows_of_single_units_which_stand_far_apart_are_the_brain_alone(activation: str) -> None:
+    layers = [{"weights": [[0.75]], "biases": [0.25], "activation": activation}] * 2
+    brain = load_brain({"kind": "mlp", "layers": layers}, ["s"], ["m"])
+    population = [brain.with_vector(brain.to_vector() - 0.1 * number) for number in range(9)]
+    batch = stack(population)
+    batch.reset([0] * 9, DT)
+    values = np.linspace(-1, 1, 9)[:, None]
+    together = batch.step(values).copy()
+    for number, alone in enumerate(population):
+        assert run(alone, values[[number]]) == bits(together[number])
 
 
 @given(brains(), st.data())
@@ -158,6 +172,14 @@ def test_fresh_processes_agree_whatever_the_threads_and_rows_do_whatever_the_lib
     assert told() == told(OPENBLAS_NUM_THREADS="1", PYTHONHASHSEED="1")
     # Routines for old processors look at where rows begin; their sums may differ, but never between rows.
     told(OPENBLAS_CORETYPE="Prescott")
+
+
+def test_every_row_begins_on_a_line_of_64_bytes_and_is_filled_up_with_zeros() -> None:
+    for shape in ((1,), (8,), (3, 9), (2, 3, 17)):
+        made = [lines(*shape) for _ in range(5)]
+        assert all(rows.ctypes.data % 64 == 0 and rows.strides[-1] == 8 for rows in made)
+        assert all(stride % 64 == 0 for rows in made for stride in rows.strides[:-1])
+        assert not np.any(made)
 
 
 @pytest.mark.parametrize("function", [np.sin, np.cos, np.tanh, np.exp], ids=lambda f: str(f.__name__))

@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from nmes.brain.base import Brain, BrainBatch, stack
+from nmes.brain.models import OnnxBrain
 from nmes.brain.networks import CtrnnBrain, GraphBrain, MlpBrain
 from nmes.brain.oscillators import CpgBrain, SineBrain
 from nmes.errors import DocumentError
@@ -22,7 +23,7 @@ from nmes.protocol import did_you_mean
 __all__ = ["KINDS", "Brain", "BrainBatch", "load_brain", "stack"]
 
 KINDS: Final[Mapping[str, type[Brain]]] = {
-    kind.kind: kind for kind in (SineBrain, CpgBrain, MlpBrain, CtrnnBrain, GraphBrain)
+    kind.kind: kind for kind in (SineBrain, CpgBrain, MlpBrain, CtrnnBrain, GraphBrain, OnnxBrain)
 }
 """Every kind of brain."""
 
@@ -38,6 +39,7 @@ def load_brain(document: Any, inputs: Sequence[str], outputs: Sequence[str], whe
 
     Raises:
         DocumentError: It is none, or does not fit the body; `problems` are all that was found.
+        NmesError: It needs a package that is not installed (`missing_package`).
     """
     kind = document.get("kind") if isinstance(document, Mapping) else None
     if kind is None:

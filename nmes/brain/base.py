@@ -27,7 +27,19 @@ from nmes.errors import DocumentError
 from nmes.protocol import MessageSchema, did_you_mean, document_schema, encode, problems
 from nmes.schemas import Schema
 
-__all__ = ["LIMIT", "Array", "Brain", "BrainBatch", "Findings", "JsonObject", "Kernel", "OpenLoop", "lines", "stack"]
+__all__ = [
+    "LIMIT",
+    "Array",
+    "Brain",
+    "BrainBatch",
+    "Findings",
+    "JsonObject",
+    "Kernel",
+    "OpenLoop",
+    "Parameter",
+    "lines",
+    "stack",
+]
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
@@ -145,7 +157,8 @@ def _plain(value: Any) -> Any:
     return value.tolist() if isinstance(value, np.ndarray) else value
 
 
-Parameter = tuple[Any, Any, float, float]  # container, key, least, most
+Parameter = tuple[Any, Any, float, float]
+"""Where a parameter, or an array of them, stands: container, key; and its least and greatest value."""
 
 
 def _parameters(schema: Schema, value: JsonObject) -> Iterator[Parameter]:
@@ -275,11 +288,11 @@ class Brain(ABC):
         """Looks names up and compares lengths; keeps what follows from them and not from the parameters."""
 
     @abstractmethod
-    def _arrays(self) -> tuple[Array, ...]:
+    def _arrays(self) -> tuple[NDArray[Any], ...]:
         """Returns the parameters in the form that the kernel wants; brains of one form can be stacked."""
 
     @abstractmethod
-    def _run(self, *arrays: Array) -> Kernel:
+    def _run(self, *arrays: NDArray[Any]) -> Kernel:
         """Returns a kernel for these arrays, which all have the same axes in front."""
 
     # What brains do:
@@ -368,8 +381,8 @@ class Brain(ABC):
         """Says all about the brain but its parameters: brains of the same form can be stacked."""
         bare = copy.deepcopy(self._document)
         for where, key, _, _ in self._parameters(bare):
-            where[key] = list(np.shape(where[key]))
-        return json.dumps([self.inputs, self.outputs, bare])
+            where[key] = np.zeros(np.shape(where[key]))
+        return json.dumps([self.inputs, self.outputs, _plain(bare)])
 
 
 class BrainBatch:

@@ -18,6 +18,7 @@ from typing import Final
 import numpy as np
 
 from nmes.brain.base import LIMIT, Array, Brain, Findings, Indices, JsonObject, Kernel, lines
+from nmes.brain.naming import Entries, Inputs, Outputs
 
 __all__ = ["CtrnnBrain", "GraphBrain", "MlpBrain"]
 
@@ -46,7 +47,7 @@ def _cos(sums: Array) -> None:
 
 def _gauss(sums: Array) -> None:
     np.multiply(sums, sums, out=sums)
-    np.negative(sums, out=sums)
+    np.multiply(sums, -1.0, out=sums)  # numpy 2.4's negative is wrong in place where numbers stand 64 bytes apart
     np.exp(sums, out=sums)
 
 
@@ -83,69 +84,7 @@ _ACTIVATIONS: Final[Mapping[str, Callable[[Array], None]]] = {
 _UNBOUNDED: Final = {"relu", "abs", "identity"}
 
 
-# -- what networks share ----------------------------------------------------------------------------------------------
-
-
-class _Inputs:
-    """Where the inputs stand in a buffer, kept within the limit, with a 1 behind them."""
-
-    def __init__(self, row: Array, count: int) -> None:
-        """Takes a buffer (*lead, 1, columns)."""
-        self._x = row[..., 0, :count]
-        self._low, self._high = np.full(count, -LIMIT), np.full(count, LIMIT)
-        row[..., 0, count] = 1.0
-
-    def read(self, inputs: Array) -> None:
-        np.maximum(inputs, self._low, out=self._x)
-        np.minimum(self._x, self._high, out=self._x)
-
-
-class _Outputs:
-    """Which value drives which motor."""
-
-    def __init__(self, owner: Sequence[int], unbounded: bool) -> None:
-        """Takes for each motor the index of its value, or -1; `unbounded` if values may be out of -1 to 1."""
-        self._owner = np.array(owner, np.intp)
-        self._idle = self._owner < 0
-        self._in_order = owner == list(range(len(owner)))
-        self._unbounded = unbounded
-
-    def pick(self, values: Array) -> Array:
-        """Takes values (*lead, at least one for each index)."""
-        out = values[..., : len(self._owner)] if self._in_order else values[..., self._owner]
-        if not self._in_order:
-            out[..., self._idle] = 0.0
-        return np.minimum(np.maximum(out, -1.0), 1.0) if self._unbounded else out
-
-
-class _Named:
-    """The entries of `inputs` and `outputs`, dealt out to a body's sensors and motors."""
-
-    def __init__(self, brain: Brain, document: JsonObject, found: Findings) -> None:
-        self.given = {side: side in document for side in ("inputs", "outputs")}
-        self.counts: dict[str, int] = {}
-        self.owners: dict[str, list[int]] = {}
-        for side, names, what in (("inputs", brain.inputs, "sensor"), ("outputs", brain.outputs, "motor")):
-            entries = document.get(side, list(names))
-            pointers = [f"{side}/{number}" for number in range(len(entries))]
-            self.counts[side] = len(entries)
-            self.owners[side] = found.owners(entries, names, what, pointers)
-
-    def expect(self, found: Findings, pointer: str, got: int, side: str, each: str) -> None:
-        """Compares a length with the number of entries of one side."""
-        wanted = self.counts[side]
-        if got == wanted:
-            return
-        what = "sensors" if side == "inputs" else "motors"
-        if self.given[side]:
-            found.add(pointer, f"has {got} {each}, and there must be {wanted}, one for each entry of {side}")
-        else:
-            said = f"has {got} {each}, and the body has {wanted} {what}: a list {side!r} would say which are meant"
-            found.add(pointer, said)
-
-    def spread(self, matrix: Array) -> Array:
-        """Returns a matrix with a column for each entry as one with a column for each sensor."""
-        return np.hstack([matrix, np.zeros((len(matrix), 1))])[:, self.owners["inputs"]]
+# -- lengths ---------------------------------------------------------------------------------------------------------
 
 
 def _same_length(found: Findings, pointer: str, got: int, wanted: int, each: str, other: str) -> None:
@@ -165,7 +104,7 @@ class MlpKernel(Kernel):
         """Takes for each layer a matrix (*lead, units, what is before + 1), whose last column are the biases."""
         lead = matrices[0].shape[:-2]
         source = lines(*lead, 1, inputs + 1)
-        self._inputs = _Inputs(source, inputs)
+        self._inputs = Inputs(source, inputs)
         self._layers = []
         for name, matrix in zip(activations, matrices, strict=True):
             units, before = matrix.shape[-2:]
@@ -177,7 +116,7 @@ class MlpKernel(Kernel):
             self._layers.append((weights, source, target, _ACTIVATIONS[name]))
             source = row
         self._last = target
-        self._outputs = _Outputs(owner, activations[-1] in _UNBOUNDED)
+        self._outputs = Outputs(owner, activations[-1] in _UNBOUNDED)
 
     def reset(self, seeds: Sequence[int], dt: float) -> None:
         """Has nothing to forget."""
@@ -197,30 +136,30 @@ class MlpBrain(Brain):
     kind = "mlp"
 
     def _resolve(self, document: JsonObject, found: Findings) -> None:
-        self._named = _Named(self, document, found)
+        self._entries = Entries(self, document, found)
         layers = document["layers"]
         for number, layer in enumerate(layers):
             here = f"layers/{number}/"
             columns = layer["weights"].shape[1]
             if number == 0:
-                self._named.expect(found, here + "weights", columns, "inputs", "columns")
+                self._entries.expect(found, here + "weights", columns, "inputs", "columns")
             else:
                 before = len(layers[number - 1]["weights"])
                 _same_length(found, here + "weights", columns, before, "columns", "unit of the layer before")
             units = len(layer["weights"])
             _same_length(found, here + "biases", len(layer["biases"]), units, "numbers", "row of the weights")
         last = f"layers/{len(layers) - 1}/weights"
-        self._named.expect(found, last, len(layers[-1]["weights"]), "outputs", "rows")
+        self._entries.expect(found, last, len(layers[-1]["weights"]), "outputs", "rows")
 
     def _arrays(self) -> tuple[Array, ...]:
         layers = self._document["layers"]
         matrices = [layer["weights"] for layer in layers]
-        matrices[0] = self._named.spread(matrices[0])
+        matrices[0] = self._entries.spread(matrices[0])
         return tuple(np.column_stack([m, layer["biases"]]) for m, layer in zip(matrices, layers, strict=True))
 
     def _run(self, *arrays: Array) -> Kernel:
         activations = [layer["activation"] for layer in self._document["layers"]]
-        return MlpKernel(activations, self._named.owners["outputs"], len(self.inputs), arrays)
+        return MlpKernel(activations, self._entries.owners["outputs"], len(self.inputs), arrays)
 
 
 # -- continuous-time recurrent networks -------------------------------------------------------------------------------
@@ -243,10 +182,10 @@ class CtrnnKernel(Kernel):
         self._drive[..., m] = 0.5 * (biases + 0.5 * weights.sum(axis=-1))
         self._drive[..., m + 1 : m + 1 + n] = 0.25 * weights
         self._row = lines(*lead, 1, m + 1 + n)
-        self._inputs = _Inputs(self._row, m)
+        self._inputs = Inputs(self._row, m)
         self._u = self._row[..., 0, m + 1 : m + 1 + n]
         self._v, self._pull = np.empty_like(biases), np.empty_like(biases)
-        self._outputs = _Outputs(owner, unbounded=False)
+        self._outputs = Outputs(owner, unbounded=False)
 
     def reset(self, seeds: Sequence[int], dt: float) -> None:
         """Goes to the start, at which every y is 0."""
@@ -273,7 +212,7 @@ class CtrnnBrain(Brain):
     kind = "ctrnn"
 
     def _resolve(self, document: JsonObject, found: Findings) -> None:
-        self._named = _Named(self, document, found)
+        self._entries = Entries(self, document, found)
         n = len(document["time_constants"])
         other = "neuron, of which there are as many as time_constants"
         _same_length(found, "biases", len(document["biases"]), n, "numbers", other)
@@ -281,18 +220,18 @@ class CtrnnBrain(Brain):
         _same_length(found, "weights", document["weights"].shape[1], n, "columns", other)
         _same_length(found, "input_weights", len(document["input_weights"]), n, "rows", other)
         columns = document["input_weights"].shape[1]
-        self._named.expect(found, "input_weights", columns, "inputs", "columns")
-        motors = self._named.counts["outputs"]
+        self._entries.expect(found, "input_weights", columns, "inputs", "columns")
+        motors = self._entries.counts["outputs"]
         if n < motors:
             found.add("time_constants", f"has {n} neurons, too few for {motors} outputs")
 
     def _arrays(self) -> tuple[Array, ...]:
         document = self._document
-        spread = self._named.spread(document["input_weights"])
+        spread = self._entries.spread(document["input_weights"])
         return document["time_constants"], document["biases"], document["weights"], spread
 
     def _run(self, *arrays: Array) -> Kernel:
-        return CtrnnKernel(self._named.owners["outputs"], *arrays)
+        return CtrnnKernel(self._entries.owners["outputs"], *arrays)
 
 
 # -- graphs -----------------------------------------------------------------------------------------------------------
@@ -311,7 +250,7 @@ class GraphKernel(Kernel):
         weights = lines(*lead, n, columns)
         weights[..., :columns] = matrix
         self._row = lines(*lead, 1, columns)
-        self._inputs = _Inputs(self._row, inputs)
+        self._inputs = Inputs(self._row, inputs)
         self._now = self._row[..., 0, inputs + 1 : inputs + 1 + n]
         self._before = self._row[..., 0, inputs + 1 + n : columns]
         self._sums = [np.empty((*lead, which.stop - which.start)) for which, _ in groups]
@@ -319,7 +258,7 @@ class GraphKernel(Kernel):
             (weights[..., which, :], sums, self._now[..., which], _ACTIVATIONS[name])
             for (which, name), sums in zip(groups, self._sums, strict=True)
         ]
-        self._outputs = _Outputs(owner, unbounded)
+        self._outputs = Outputs(owner, unbounded)
 
     def reset(self, seeds: Sequence[int], dt: float) -> None:
         """Goes to the start, at which every node is 0."""

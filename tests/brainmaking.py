@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from base64 import b64encode
 from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
@@ -12,6 +13,7 @@ from hypothesis import strategies as st
 
 from nmes import schemas
 from nmes.brain import KINDS, Brain, load_brain
+from onnxmodels import DOUBLE, FLOAT, layer
 
 SENSORS = ("hip.position", "hip.velocity", "knee.position", "root.up.y", "foot.contact")
 MOTORS = ("hip", "hip_left", "hip_right", "knee", "tail")
@@ -106,9 +108,9 @@ def make_cpg(draw: st.DrawFn, inputs: list[str], outputs: list[str]) -> dict[str
     return document
 
 
-ACTIVATIONS = st.sampled_from(
-    schemas.load("brain-mlp.json")["properties"]["layers"]["items"]["properties"]["activation"]["enum"]
-)
+ACTIVATIONS: list[str] = schemas.load("brain-mlp.json")["properties"]["layers"]["items"]["properties"]["activation"][
+    "enum"
+]
 
 
 def make_mlp(draw: st.DrawFn, inputs: list[str], outputs: list[str]) -> dict[str, Any]:
@@ -119,7 +121,7 @@ def make_mlp(draw: st.DrawFn, inputs: list[str], outputs: list[str]) -> dict[str
         {
             "weights": table(draw, after, before),
             "biases": table(draw, 1, after)[0],
-            "activation": draw(ACTIVATIONS),
+            "activation": draw(st.sampled_from(ACTIVATIONS)),
         }
         for before, after in pairwise(widths)
     ]
@@ -140,7 +142,7 @@ def make_ctrnn(draw: st.DrawFn, inputs: list[str], outputs: list[str]) -> dict[s
 def make_graph(draw: st.DrawFn, inputs: list[str], outputs: list[str]) -> dict[str, Any]:
     n = draw(st.integers(1, 12))
     weight = numbers(-(2.0**19), 2.0**19) | st.floats(-3, 3, width=16)
-    nodes = [{"id": f"n{i}", "activation": draw(ACTIVATIONS), "bias": draw(weight)} for i in range(n)]
+    nodes = [{"id": f"n{i}", "activation": draw(st.sampled_from(ACTIVATIONS)), "bias": draw(weight)} for i in range(n)]
     for number, motor in enumerate(outputs[:n]):
         if number == 0 or draw(st.booleans()):
             nodes[number]["motor"] = motor
@@ -155,12 +157,22 @@ def make_graph(draw: st.DrawFn, inputs: list[str], outputs: list[str]) -> dict[s
     return {"kind": "graph", "nodes": nodes, "links": links}
 
 
+def make_onnx(draw: st.DrawFn, inputs: list[str], outputs: list[str]) -> dict[str, Any]:
+    inputs[:] = inputs or ["none"]
+    kind = draw(st.sampled_from([FLOAT, DOUBLE]))
+    way = draw(st.sampled_from(["raw", "packed", "loose"])) if kind == FLOAT else "raw"
+    shape: Any = draw(st.sampled_from([[1, len(inputs)], [len(inputs)], ["batch", len(inputs)]]))
+    weights, biases = table(draw, len(inputs), len(outputs)), table(draw, 1, len(outputs))
+    return {"kind": "onnx", "model": b64encode(layer(weights, biases, shape=shape, kind=kind, way=way)).decode()}
+
+
 MAKERS: dict[str, Callable[[st.DrawFn, list[str], list[str]], dict[str, Any]]] = {
     "sine": make_sine,
     "cpg": make_cpg,
     "mlp": make_mlp,
     "ctrnn": make_ctrnn,
     "graph": make_graph,
+    "onnx": make_onnx,
 }
 
 

@@ -1,0 +1,149 @@
+"""ONNX models as brains: what they compute, and which are refused."""
+
+from __future__ import annotations
+
+import base64
+import subprocess
+import sys
+from typing import Any
+
+import numpy as np
+import pytest
+
+from brainmaking import DT, MOTORS, SENSORS, load
+from nmes.brain import Brain, load_brain
+from nmes.errors import DocumentError
+from onnxmodels import DOUBLE, FLOAT, INT64, field, layer, model, node, tensor, value_info
+
+W = np.array([[0.5, -1], [1, 0.25], [2, -0.125]])
+B = np.array([0.25, -0.5])
+
+
+def document(made: bytes, **more: Any) -> dict[str, Any]:
+    names = {"inputs": ["hip.*", "root.up.y", "foot.contact"], "outputs": ["tail", "hip_*"]}
+    return {"kind": "onnx", "model": base64.b64encode(made).decode(), **names, **more}
+
+
+def onnx(made: bytes) -> Brain:
+    brain = load(document(made))
+    brain.reset(0, DT)
+    return brain
+
+
+@pytest.mark.parametrize("kind", [FLOAT, DOUBLE])
+@pytest.mark.parametrize("shape", [[1, 3], [3], ["batch", "width"]])
+def test_a_model_is_run_with_named_inputs_and_outputs(kind: int, shape: list[int | str]) -> None:
+    brain = onnx(layer(W, B, kind=kind, shape=shape))
+    values = np.array([0.5, 0.25, 99, -1, 0.125])
+    tail, hips = np.tanh(np.array([0.75, -1, 0.125]) @ W + B)
+    np.testing.assert_allclose(brain.step(values), [0, hips, hips, 0, tail], atol=1e-6)
+    assert not brain.open_loop
+
+
+@pytest.mark.parametrize("way", ["raw", "packed", "loose"])
+def test_its_weights_are_the_vector(way: str) -> None:
+    brain = onnx(layer(W, B, way=way))
+    vector = brain.to_vector()
+    np.testing.assert_array_equal(vector, [*W.ravel(), *B])
+    changed = brain.with_vector(vector * 2 + 1)
+    np.testing.assert_array_equal(changed.to_vector(), vector * 2 + 1)
+    assert changed.document()["model"] == document(layer(W * 2 + 1, B * 2 + 1, way=way))["model"]
+    changed.reset(0, DT)
+    expected = onnx(layer(W * 2 + 1, B * 2 + 1)).step(np.ones(5))
+    np.testing.assert_array_equal(changed.step(np.ones(5)), expected)
+
+
+def test_whole_numbers_of_a_model_are_no_parameters() -> None:
+    made = model(
+        [node("Reshape", ["x", "shape"], ["y"])],
+        [tensor("shape", [2], INT64)],
+        [value_info("x", FLOAT, [1, 2])],
+        [value_info("y", FLOAT, [2])],
+    )
+    brain = load(document(made, inputs=["hip.position", "root.up.y"]))
+    assert brain.to_vector().shape == (0,)
+    brain.reset(0, DT)
+    assert brain.step(np.array([0.5, 0, 0, -3, 0])).tolist() == [0, -1, -1, 0, 0.5]
+
+
+def test_what_is_not_a_number_becomes_0_and_what_is_too_large_is_cut_off() -> None:
+    made = model([node("Log", ["x"], ["y"])], [], [value_info("x", FLOAT, [1, 2])], [value_info("y", FLOAT, [1, 2])])
+    brain = load(document(made, inputs=["hip.position", "root.up.y"]))
+    brain.reset(0, DT)
+    assert brain.step(np.array([-1.0, 0, 0, 0, 0])).tolist() == [0, -1, -1, 0, 0]
+
+
+RANDOM = model(
+    [node("RandomNormalLike", ["x"], ["y"])], [], [value_info("x", FLOAT, [1, 3])], [value_info("y", FLOAT, [1, 2])]
+)
+# The same, in the body of a function of the model's.
+HIDDEN = model([], [], [], []) + field(25, field(1, "f") + field(7, node("Bernoulli", ["x"], ["y"])))
+NESTED = node("If", ["x"], ["y"], field(5, field(1, "then_branch") + field(6, field(1, node("Multinomial", [], [])))))
+
+
+@pytest.mark.parametrize(
+    ("made", "words"),
+    [
+        (b"junk", "is no ONNX model"),
+        (b"", "onnxruntime refuses it"),
+        (layer(W, B)[:-20], "is no ONNX model: a field is longer than what holds it"),
+        (b"\xff" * 20, "is no ONNX model: a number has no end"),
+        (b"\x0b", "is no ONNX model: there is no wire type 3"),
+        (field(7, b"")[:1] + b"\x00" + layer(W, B), None),
+        (RANDOM, "draws random numbers (RandomNormalLike)"),
+        (HIDDEN, "draws random numbers (Bernoulli)"),
+        (model([NESTED], [], [], []), "draws random numbers (Multinomial)"),
+        (layer(W, B, way="external"), "keeps numbers in other files"),
+        (layer(W[:2], B), "has 2 inputs, and there must be 3, one for each entry of inputs"),
+        (layer(W[:, :1], B[:1]), "has 1 outputs, and there must be 2, one for each entry of outputs"),
+        (
+            model([node("Identity", ["x"], ["y"])], [], [value_info("x", INT64, [3])], [value_info("y", INT64, [3])]),
+            "must have one tensor of floats or doubles for its inputs, has x: tensor(int64)",
+        ),
+        (
+            model(
+                [node("Reshape", ["x", "shape"], ["y"])],
+                [tensor("shape", [7], INT64)],
+                [value_info("x", FLOAT, ["some", 3])],
+                [value_info("y", FLOAT, ["any"])],
+            ),
+            "fails on inputs of 0",
+        ),
+    ],
+)
+def test_what_cannot_be_a_brain_is_refused(made: bytes, words: str | None, capfd: pytest.CaptureFixture[str]) -> None:
+    if words is None:  # a message may come in parts
+        load(document(made))
+        return
+    with pytest.raises(DocumentError) as caught:
+        load(document(made))
+    assert any(path == "brain/model" and words in said for path, said in caught.value.problems), caught.value.problems
+    assert capfd.readouterr() == ("", "")
+
+
+def test_nesting_without_end_is_refused() -> None:
+    inner = b""
+    for _ in range(2000):
+        inner = field(5, field(6, field(1, inner)))
+    with pytest.raises(DocumentError, match="nested too deeply"):
+        load(document(field(7, field(1, inner))))
+
+
+def test_a_model_must_be_base64() -> None:
+    with pytest.raises(DocumentError, match="brain/model: is not base64"):
+        load_brain({"kind": "onnx", "model": "***"}, SENSORS, MOTORS)
+
+
+def test_without_onnxruntime_a_model_names_the_extra() -> None:
+    program = f"""
+import sys
+sys.modules["onnxruntime"] = None
+from nmes.brain import load_brain
+from nmes.errors import NmesError
+try:
+    load_brain({document(layer(W, B))!r}, {SENSORS!r}, {MOTORS!r})
+except NmesError as error:
+    print(error.code, error)
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "missing_package an onnx brain needs onnxruntime: pip install 'nmes[onnx]'\n"
