@@ -22,6 +22,7 @@ from rich.table import Table
 import bodies
 import brains
 import engines
+import hosting
 import recorded
 import roundtrip
 import ticking
@@ -32,6 +33,7 @@ SUITES = {
     "bodies": bodies.figures,
     "brains": brains.figures,
     "engines": engines.figures,
+    "hosting": hosting.figures,
     "recorded": recorded.figures,
 }
 
