@@ -175,6 +175,12 @@ class _Base:
             raise self._conversation.lost
 
 
+def _listed(answer: Any) -> list[WorldSummary]:
+    if answer["type"] != "world_list":
+        raise CommandFailed("unsupported", "this server does not list its worlds")
+    return cast(list[WorldSummary], answer["worlds"])
+
+
 # -- the clients ------------------------------------------------------------------------------------------------------
 
 
@@ -219,12 +225,9 @@ class Client(_Base, BlockingCommands):
         """Asks which worlds the server has, over a connection that joins none of them; raises as `connect` does."""
         asking = Client(self.host, self.port, password=self._password, timeout=self.timeout, tls=self._tls or False)
         try:
-            answer = asking._enter(list=True)
+            return _listed(asking._enter(list=True))
         finally:
             asking.close()
-        if answer["type"] != "world_list":
-            raise CommandFailed("unsupported", "this server does not list its worlds")
-        return cast(list[WorldSummary], answer["worlds"])
 
     def _enter(self, **wishes: Any) -> Any:
         """Connects and authenticates; returns the server's answer."""
@@ -357,6 +360,21 @@ class AsyncClient(_Base, AsyncCommands):
 
     async def connect(self) -> Self:
         """Connects and authenticates; raises as `Client.connect` does."""
+        self._welcome = await self._enter(world=self.world)
+        return self
+
+    async def worlds(self) -> list[WorldSummary]:
+        """Asks which worlds the server has, over a connection that joins none of them; raises as `connect` does."""
+        asking = AsyncClient(
+            self.host, self.port, password=self._password, timeout=self.timeout, tls=self._tls or False
+        )
+        try:
+            return _listed(await asking._enter(list=True))
+        finally:
+            await asking.close()
+
+    async def _enter(self, **wishes: Any) -> Any:
+        """Connects and authenticates; returns the server's answer."""
         if self._link is not None:
             raise RuntimeError("the client is connected already; reconnect() starts anew")
         conversation = self._new_conversation()
@@ -371,15 +389,14 @@ class AsyncClient(_Base, AsyncCommands):
         except OSError as error:
             raise self._unreachable(error) from error
         self._conversation = conversation
-        data, answer = conversation.authenticate(self._password, world=self.world)
+        data, answer = conversation.authenticate(self._password, **wishes)
         self._link.transport.write(data)
         try:
             await self._reply(answer)
-            self._welcome = answer.result()
+            return answer.result()
         except BaseException:
             await self.close()
             raise
-        return self
 
     async def reconnect(self) -> Self:
         """Connects anew, as another client of the world: subscriptions and events not yet taken are gone."""

@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
-from nmes import Client
+from nmes import AsyncClient, Client
 from nmes.cli import main
 from nmes.errors import CommandFailed, Disconnected, RecordingError, RejectedMessage, WorldError
 from nmes.hosting import HostedWorld
@@ -156,10 +156,24 @@ def test_a_list_is_one_valid_message_and_then_the_end(server: Served) -> None:
     assert server.call(lambda: server.host.worlds) == {}
 
 
-def test_a_server_that_lists_nothing_is_told_apart(server: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_an_awaiting_client_lists_too(server: Served) -> None:
+    asker = AsyncClient(port=server.port, password=PASSWORD, timeout=PATIENCE)
+    assert await asker.worlds() == server.client().worlds()
+    async with asker:
+        assert [world["clients"] for world in await asker.worlds()] == [1, 0, 0]
+        assert (await asker.ping())["type"] == "pong"  # it is in its world as before
+    with pytest.raises(CommandFailed) as refused:
+        await AsyncClient(port=server.port, password="guess", timeout=PATIENCE).worlds()
+    assert refused.value.code == "auth_failed"
+
+
+async def test_a_server_that_lists_nothing_is_told_apart(server: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Host, "list_worlds", lambda self, port: self.find(None).world.welcome(1))
     with pytest.raises(CommandFailed) as failed:
         server.client().worlds()
+    assert failed.value.code == "unsupported"
+    with pytest.raises(CommandFailed) as failed:
+        await AsyncClient(port=server.port, password=PASSWORD, timeout=PATIENCE).worlds()
     assert failed.value.code == "unsupported"
 
 
