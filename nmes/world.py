@@ -46,6 +46,7 @@ _WHEN_FAULTED = frozenset({"ping", "get_world_info", "reset", "subscribe", "unsu
 
 
 _BATCH_TICKS = 10_000  # as many as one `step` may ask for: others wait meanwhile
+_BATCH_REPLY = 8 << 20  # bytes of replies after which the rest of a batch is refused
 
 
 class Journal(Protocol):
@@ -728,17 +729,23 @@ class World:
         ticks = sum(command.get("ticks", 1) for command in c["commands"] if command["type"] == "step")
         if ticks > _BATCH_TICKS:
             raise WorldError("invalid", f"commands: {ticks} ticks in one batch, at most {_BATCH_TICKS}", "commands")
-        results = []
+        results: list[JsonObject] = []
+        size = 0
         for command in c["commands"]:
             if command["type"] == "spawn_cube" and "list" not in command:
                 command = {**command, "list": False}
             # It was validated with the batch.
-            request = Request(b"", command, None, command["type"], command.get("id", protocol.NO_ID))
+            kind, number = command["type"], command.get("id", protocol.NO_ID)
+            request = Request(b"", command, None, kind, number)
+            if size > _BATCH_REPLY:
+                message = f"the replies of this batch are over {_BATCH_REPLY >> 20} MiB; send the rest anew"
+                request = Request(b"", None, RejectedMessage("limit_reached", message), kind, number)
             self._in_batch = True
             try:
                 results.append(self._answer(client, request))
             finally:
                 self._in_batch = False
+            size += len(protocol.encode(results[-1]))
         return {"type": "batch_result", "results": results}
 
     def _ping(self, client: Client, c: JsonObject) -> JsonObject:

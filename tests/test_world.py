@@ -265,6 +265,21 @@ def test_no_value_of_any_field_makes_a_world_raise_or_change(value: Any) -> None
         assert drive.world.digest() == before
 
 
+def test_a_batch_whose_replies_are_too_long_is_cut_short() -> None:
+    drive = Driver(backend="ballistic")
+    drive.ok("batch", commands=[{"type": "spawn_cube"}] * 1000)
+    parts = [{"type": "get_world_state", "id": n} for n in range(200)] + [{"type": "spawn_cube", "id": "x"}]
+    results = drive.ok("batch", commands=parts)["results"]
+    done = [result for result in results if result["type"] != "error"]
+    size = len(protocol.encode(done[0]))
+    assert len(done) == (8 << 20) // size + 1  # the one that goes over the limit is the last
+    assert [result["id"] for result in results] == [*range(200), "x"]
+    assert {result["code"] for result in results[len(done) :]} == {"limit_reached"}
+    assert len(drive.world.cubes()) == 1000
+    protocol.validate_reply({"type": "batch_result", "results": results})
+    assert len(drive.ok("get_world_state")["cubes"]) == 1000  # alone it is answered
+
+
 def test_a_batch_is_applied_in_order_and_a_failing_part_leaves_the_rest(drive: Driver) -> None:
     parts = [
         {"type": "spawn_cube", "cube_name": "a", "id": 1},
