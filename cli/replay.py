@@ -27,13 +27,26 @@ _LONG = 1 << 20  # bytes of recording from which on it is worth showing how far 
 @click.argument("recording", metavar="FILE", callback=open_recording)
 @click.option("--backend", metavar="NAME", help="Run it on this engine instead, and show how far each cube drifts.")
 @click.option("--plot", "plot_to", type=click.Path(dir_okay=False, path_type=Path), help="Write the drift to an SVG.")
+@click.option("--from", "first", type=click.IntRange(0), help="Begin at the last keyframe before this frame.")
+@click.option("--to", "last", type=click.IntRange(0), help="End at this frame.")
 @click.option("--anyway", is_flag=True, help="Run it also where engine or machine differ, to see how far it agrees.")
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
-def command(recording: Recording, backend: str | None, plot_to: Path | None, anyway: bool, as_json: bool) -> None:
+def command(
+    recording: Recording,
+    backend: str | None,
+    plot_to: Path | None,
+    first: int | None,
+    last: int | None,
+    anyway: bool,
+    as_json: bool,
+) -> None:
     """Run a recording again and compare.
 
     The recorded commands and ticks are fed to a fresh world, and every tick's digest and every reply is compared with
     what was recorded. Prints the verdict, or the first difference.
+
+    With --from and --to only a part is run, bit for bit as it would be if all were. What stands before the keyframe at
+    which it begins is not even read. Frames are counted on through resets.
 
     With --backend it is run on another engine, and instead of a verdict a table shows how far each cube is, over time,
     from where it was recorded.
@@ -41,11 +54,16 @@ def command(recording: Recording, backend: str | None, plot_to: Path | None, any
     Exit status: 0 reproduced, 1 diverged or not comparable, 2 wrong usage or an unreadable file (for a damaged file,
     after replaying what comes before the damage).
     """
+    if first is not None and last is not None and last < first:
+        raise click.UsageError(f"--to {last} is before --from {first}")
+    if backend is not None and (first, last) != (None, None):
+        raise click.UsageError("--from and --to: another engine cannot take up a keyframe")
     if backend is not None:
         sys.exit(_drift(recording, backend, plot_to, as_json))
     if plot_to is not None:
         raise click.UsageError("--plot shows the drift between two engines: it needs --backend")
-    report = _replay(recording, anyway)
+    with _progress(recording) as progress:
+        report = replay(recording, anyway=anyway, progress=progress, first=first, last=last)
     if as_json:
         click.echo(orjson.dumps(report.to_json(), option=orjson.OPT_INDENT_2))
     else:
@@ -54,11 +72,6 @@ def command(recording: Recording, backend: str | None, plot_to: Path | None, any
     if report.damage is not None and not report.cut:
         sys.exit(2)
     sys.exit(0 if report.verdict == "reproduced" else 1)
-
-
-def _replay(recording: Recording, anyway: bool) -> ReplayReport:
-    with _progress(recording) as progress:
-        return replay(recording, anyway=anyway, progress=progress)
 
 
 def _drift(recording: Recording, backend: str, plot_to: Path | None, as_json: bool) -> int:
@@ -85,6 +98,8 @@ def _progress(recording: Recording) -> Iterator[Callable[[int, int], None]]:
 
 def _lines(report: ReplayReport) -> list[str]:
     amount = f"{report.ticks:,} ticks, {report.commands:,} commands"
+    if report.part:
+        amount += f", from frame {report.frames[0]:,} to frame {report.frames[1]:,}"
     speed = f"{report.speed:,.0f} times faster than real time" if report.ticks else "no simulation time"
     if report.verdict == "not_comparable":
         lines = ["not comparable: it was recorded with another"]

@@ -22,6 +22,7 @@ from nmes.server import Host
 from nmes.world import World
 
 MOST_WORLDS = 1000
+KEYFRAMES = 10.0  # s of a world's time
 
 
 class _Worlds(click.ParamType["int | list[str]"]):
@@ -84,6 +85,12 @@ class _Worlds(click.ParamType["int | list[str]"]):
     show_default=True,
     help="Seconds of the recording that a crash may lose; with 0 nothing is told before it is on disk.",
 )
+@click.option(
+    "--keyframes",
+    type=click.FloatRange(0, 86400),
+    help="Seconds of a world's time after which it saves itself, so that recordings can be replayed or resumed from "
+    "there; 0 for never.  [default: 10]",
+)
 @password_options(f"Password that clients must give; better in the variable {PASSWORD_VARIABLE}.")
 @click.option(
     "--tls-cert",
@@ -117,6 +124,7 @@ def command(
     record_to: Path,
     no_record: bool,
     flush_interval: float,
+    keyframes: float | None,
     password: str | None,
     password_file: Path | None,
     tls_cert: Path | None,
@@ -131,11 +139,9 @@ def command(
     password one is made up and printed, which is allowed only on an address of this machine alone.
     """
     config = _read_config(config_file) if config_file is not None else {}
-    config |= {
-        key: value
-        for key, value in {"backend": backend, "seed": seed, "mode": mode, "rate": rate}.items()
-        if value is not None
-    }
+    given = {"backend": backend, "seed": seed, "mode": mode, "rate": rate, "keyframes": keyframes}
+    config |= {key: value for key, value in given.items() if value is not None}
+    config.setdefault("keyframes", KEYFRAMES)
     password, source = choose_password(password, password_file) or (secrets.token_urlsafe(12), "generated")
     if source == "generated" and not _is_local(host):
         raise click.UsageError(

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 
 import orjson
 
+from nmes.errors import RecordingError
 from nmes.feeding import feed, happenings
 from nmes.protocol import Request
 from nmes.recording import Kind, Record, Recording
@@ -82,7 +83,7 @@ def measure_drift(
         progress: Called now and then with how many bytes of the file are done, and its size.
 
     Raises:
-        RecordingError: The file cannot be read as a recording.
+        RecordingError: The file cannot be read as a recording, or begins at a keyframe, which is of another engine.
         BackendNotFound: There is no such engine.
         RejectedMessage: The engine cannot make a world of this config.
     """
@@ -117,6 +118,12 @@ class _Run:
         # The settings of one engine mean nothing to another.
         settings = config["engine"] if backend == config["backend"] else {}
         self.world = World({**config, "backend": backend, "engine": settings}, journal=self)
+        if (start := recording.start()).snapshot is not None:
+            self.world.close()
+            if backend != config["backend"]:
+                reason = f"it begins at frame {start.frame} with what only {config['backend']} can take up"
+                raise RecordingError("unsupported", f"{recording.path} cannot be run on {backend}: {reason}")
+            self.world = recording.begin(start, self)
         self.ticks = 0  # of our world
         self._recorded = 0  # ticks of the recorded one
         self._shown: dict[int, bytes] = {}  # recorded poses that our world has not come to yet, by ticks

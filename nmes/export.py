@@ -64,7 +64,7 @@ def messages(recording: Recording) -> Iterator[Row]:
     A frame that is not JSON stands as text.
     """
     for record in recording:
-        if record.kind in (Kind.POSES, Kind.SCENE, Kind.BOX):
+        if record.kind in (Kind.POSES, Kind.SCENE, Kind.BOX, Kind.KEYFRAME):
             continue
         try:
             message = record.about or orjson.loads(record.data)

@@ -10,17 +10,18 @@ were shown in between, a fault, its reply) stands between it and its reply, and 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from itertools import zip_longest
 from typing import Any, NamedTuple
 
 import orjson
 
 from nmes import protocol
-from nmes.errors import RejectedMessage
+from nmes.errors import RecordingError, RejectedMessage
 from nmes.protocol import NO_ID, Request
 from nmes.records import REFUSED_LIMIT, Kind, Record
 from nmes.world import World
 
-__all__ = ["Happening", "feed", "happenings"]
+__all__ = ["Happening", "advance", "feed", "happenings"]
 
 _FRAMES = (Kind.COMMAND, Kind.REFUSED)
 
@@ -75,6 +76,62 @@ def feed(world: World, record: Record, reply: Record | None = None) -> None:
             world.leave(record.client)
         case Kind.COMMAND | Kind.REFUSED if record.client in world.clients():
             world.handle(record.client, _request(record, reply))
+
+
+def advance(world: World, records: Iterable[Record], frame: int) -> None:
+    """Feeds a world what was recorded until a frame is over: the next thing to come is a tick, or nothing.
+
+    Of a command that ticks beyond it, only that much is executed.
+
+    Args:
+        world: The world, at the place where the records begin.
+        records: What was recorded from there on.
+        frame: The frame, counted on through resets (`World.ticks`).
+
+    Raises:
+        RecordingError: A tick does not come out as recorded (`diverged`).
+    """
+    for happening in happenings(records):
+        record, digests, left = happening.record, happening.digests, frame - world.ticks
+        faults = any(each.kind is Kind.FAULT for each in (record, *happening.effects))
+        enough = len(digests) > left or (faults and len(digests) == left)
+        if not enough or record.kind is Kind.TICKS:
+            for _ in digests[:left] if record.kind is Kind.TICKS else (None,):
+                feed(world, record, happening.reply)
+        elif record.kind is Kind.COMMAND and record.client in world.clients():
+            command = _part(happening, left)
+            if command is not None:
+                world.execute(record.client, command)
+        # A digest is of the moment after its tick; what comes later in a batch may be an edit.
+        last = digests[:left][-1:]
+        told = bool(last) and world.fault is None and (record.kind is Kind.TICKS or _is_step(record))
+        if told and world.digest().hex() != last[0]:
+            raise RecordingError("diverged", f"frame {world.ticks} does not come out as recorded; see nmes replay")
+        if enough:
+            return
+
+
+def _part(happening: Happening, ticks: int) -> dict[str, Any] | None:
+    """Returns as much of a command that ticks as comes before its tick after so many; None: nothing of it."""
+    command = protocol.parse(happening.record.data).command or {}
+    if command["type"] == "step":
+        return {**command, "ticks": ticks} if ticks else None
+    results = _told(happening.reply).get("results", ())
+    parts = []
+    for part, result in zip_longest(command.get("commands", ()), results):
+        # Where the reply is missing, all its steps are taken to have ticked; if not, the digests will tell.
+        if part["type"] == "step" and (result is None or result.get("code", "world_faulted") == "world_faulted"):
+            count = part.get("ticks", 1)
+            if count > ticks:
+                parts += [{**part, "ticks": ticks}] if ticks else []
+                break
+            ticks -= count
+        parts.append(part)
+    return {**command, "commands": parts} if parts else None
+
+
+def _is_step(record: Record) -> bool:
+    return record.kind is Kind.COMMAND and protocol.parse(record.data).type == "step"
 
 
 def _request(record: Record, reply: Record | None) -> Request:

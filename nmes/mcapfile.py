@@ -57,6 +57,7 @@ __all__ = [
     "Message",
     "Reader",
     "Skim",
+    "Summary",
     "Writer",
     "message_checksums",
     "skim_chunk",
@@ -76,7 +77,7 @@ _MESSAGE_FIELDS = _MESSAGE.size - _PREFIX.size
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, checksum
 _LEVEL = 1  # of zstd: digests do not compress, and what does is already small at the fastest level
 
-_Record = TypeVar("_Record", Header, Metadata, Chunk, Channel, DataEnd)
+_Record = TypeVar("_Record", Header, Metadata, Chunk, ChunkIndex, Channel, DataEnd)
 
 
 class Message(NamedTuple):
@@ -346,6 +347,18 @@ class Block(NamedTuple):
     content: bytes
 
 
+class Summary(NamedTuple):
+    """What a file that has its end says of itself there.
+
+    Attributes:
+        channels: All channels.
+        chunks: Of each chunk, in file order, where it begins and which channels have messages in it.
+    """
+
+    channels: list[Channel]
+    chunks: list[tuple[int, frozenset[int]]]
+
+
 class Reader:
     """Reads one file from its beginning, in file order, believing nothing.
 
@@ -381,25 +394,72 @@ class Reader:
         except OSError as error:
             raise RecordingError("recording_unreadable", f"cannot read {self.path}: {error.strerror}") from error
 
-    def blocks(self) -> Iterator[Block]:
+    def summary(self) -> Summary | None:
+        """Returns the file's summary, or None where there is no sound one. What it says of the rest is not checked."""
+        try:
+            with open(self.path, "rb") as file:
+                end = _FOOTER.size + len(MAGIC)
+                file.seek(max(self.size - end, 0))
+                tail = file.read(end)
+                start = _FOOTER.unpack_from(tail)[2] if len(tail) == end else self.size
+                if start >= self.size:
+                    return None
+                file.seek(start)
+                self._check_end(file, start)
+                return self._summary(file, start)
+        except (DamagedFile, OSError):
+            return None
+
+    def _summary(self, file: BinaryIO, offset: int) -> Summary:
+        summary = Summary([], [])
+        file.seek(offset)
+        while True:
+            opcode, body = self._record(file, offset)
+            if opcode == Opcode.FOOTER:
+                return summary
+            if opcode == Opcode.CHANNEL:
+                summary.channels.append(_parsed(Channel, body, offset))
+            elif opcode == Opcode.CHUNK_INDEX:
+                index = _parsed(ChunkIndex, body, offset)
+                summary.chunks.append((index.chunk_start_offset, frozenset(index.message_index_offsets)))
+            offset += _PREFIX.size + len(body)
+
+    def blocks(self, start: int | None = None) -> Iterator[Block]:
         """Yields metadata and chunks in file order; ends when the whole file was read and is sound.
+
+        Args:
+            start: Where the first of them begins; None: at the beginning. What stands before is not read, and so the
+                checksum over all of the data section not checked.
 
         Raises:
             DamagedFile: Where the file is cut or damaged.
         """
         try:
             with open(self.path, "rb") as file:
-                yield from self._blocks(file)
+                yield from self._blocks(file, start)
         except OSError as error:
             raise DamagedFile(0, f"{self.path} can no longer be read: {error.strerror}") from error
 
-    def _blocks(self, file: BinaryIO) -> Iterator[Block]:
-        offset = self._start
-        crc = zlib.crc32(file.read(offset))
+    def block(self, offset: int) -> Block:
+        """Returns the chunk or metadata that begins at `offset`.
+
+        Raises:
+            DamagedFile: It is cut or damaged.
+        """
+        for block in self.blocks(offset):
+            if block.offset == offset:
+                return block
+            break
+        raise DamagedFile(offset, f"no chunk begins at byte {offset}")
+
+    def _blocks(self, file: BinaryIO, start: int | None) -> Iterator[Block]:
+        offset = self._start if start is None else start
+        crc = zlib.crc32(file.read(self._start))
+        file.seek(offset)
         while True:
             opcode, body = self._record(file, offset)
             if opcode == Opcode.DATA_END:
-                if _parsed(DataEnd, body, offset).data_section_crc != crc:
+                if _parsed(DataEnd, body, offset).data_section_crc != crc and start is None:
                     raise DamagedFile(offset, "the checksum of the data section does not match")
                 break
             size = _PREFIX.size + len(body)

@@ -36,7 +36,7 @@ def watch(recording: Recording, look: Callable[[World], _Seen], *, anyway: bool 
         BackendNotFound: Its engine is not there.
     """
     watcher = _Watcher(look)
-    world = watcher.world = World(recording.config, journal=watcher)
+    world = watcher.world = recording.begin(recording.start(), watcher)
     try:
         for happening in happenings(recording):
             record = happening.record

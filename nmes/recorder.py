@@ -20,11 +20,11 @@ from typing import Any, NoReturn
 import orjson
 
 from nmes import protocol, scene
-from nmes.errors import RecordingError
+from nmes.errors import RecordingError, SimulationFault, WorldError
 from nmes.fingerprint import fingerprint
 from nmes.mcapfile import Writer, message_checksums
 from nmes.protocol import Request
-from nmes.records import BOXES, END, FORMAT, PROFILE, REFUSED_LIMIT, SEQUENCE_MASK, next_head
+from nmes.records import BOXES, END, FORMAT, KEYFRAMES, PROFILE, REFUSED_LIMIT, SEQUENCE_MASK, next_head
 from nmes.schemas import load
 from nmes.world import World
 
@@ -38,10 +38,11 @@ _NEVER = -1  # when a recorder flushed that cannot: the next record of any kind 
 
 # What a client's records are kept under until they are packed: 4 * client + one of these. Our own are negative.
 _COMMAND, _REPLY, _REFUSED = 0, 1, 2
-_TICKS, _CLIENTS, _FAULTS, _POSES, _SCENE, _CHAIN, _CHECKSUMS = -1, -2, -3, -4, -5, -6, -7
+_TICKS, _CLIENTS, _FAULTS, _POSES, _SCENE, _CHAIN, _CHECKSUMS, _KEYFRAMES = -1, -2, -3, -4, -5, -6, -7, -8
 _VIEWS = {_POSES: scene.POSES_SCHEMA, _SCENE: scene.SCENE_SCHEMA}
 _MANY_BOXES = 8192  # cubes; a channel each, of which a file has no more than 65,535
 _TOPICS = {_TICKS: "ticks", _CLIENTS: "clients", _FAULTS: "faults", _POSES: "/tf", _SCENE: "/scene", _CHAIN: "chain"}
+_OCTETS = {_CHECKSUMS: "checksums", _KEYFRAMES: KEYFRAMES}
 _CLIENT_TOPICS = {_COMMAND: "commands", _REPLY: "replies", _REFUSED: "refused"}
 
 
@@ -63,8 +64,8 @@ class _Channels(dict[int | str, int]):
                 if kind == _REFUSED
                 else self._writer.channel(topic, "json", self._schema("command" if kind == _COMMAND else "reply"))
             )
-        elif key == _CHECKSUMS:
-            channel = self._writer.channel("checksums", "application/octet-stream")
+        elif key in _OCTETS:
+            channel = self._writer.channel(_OCTETS[key], "application/octet-stream")
         elif key in _VIEWS:
             channel = self._view(_TOPICS[key], _VIEWS[key])
         else:
@@ -102,14 +103,14 @@ class Recorder:
 
     Args:
         path: A file that does not exist yet.
-        world: The world to record, new and empty.
+        world: The world to record. Where it has a past, the recording begins with a keyframe.
         pose_rate: How often the poses are kept for viewers, in Hz of simulation time; 0 for never.
         flush_interval: For how long (s) a record may wait while others come in. With 0, `commit` waits for the disk.
         about: Further metadata records by name: what the run was for.
 
     Raises:
-        RecordingError: The file cannot be created, or the world is not new. Every other method raises it when the
-            file cannot be written (`recording_failed`), and from then on.
+        RecordingError: The file cannot be created, or the world has a past and cannot be saved. Every other method
+            raises it when the file cannot be written (`recording_failed`), and from then on.
     """
 
     def __init__(
@@ -121,8 +122,7 @@ class Recorder:
         flush_interval: float = 1.0,
         about: Mapping[str, Mapping[str, str]] | None = None,
     ) -> None:
-        if world.frame or world.cubes():
-            raise RecordingError("recording_failed", "a recording begins with its world; this one has a past")
+        past = None if world.untouched else _saved(world)
         self.path = Path(path)
         self._world = world
         self._rate: int = world.config["tick_rate"]
@@ -144,6 +144,8 @@ class Recorder:
             metadata = {**_metadata(world), **(about or {})}
             begin = [self._writer.metadata(name, values) for name, values in metadata.items()]
             self._head = next_head(b"", b"".join(begin))
+            if past is not None:
+                self.keyframe(past)
         except RecordingError:
             self._writer.close()
             raise
@@ -184,7 +186,10 @@ class Recorder:
             self._pack()
 
     def keyframe(self, snapshot: bytes) -> None:
-        """The world was saved."""
+        """Records what the world is. It begins a chunk, so that a reader can begin there."""
+        self.flush()
+        self._notes.append((_KEYFRAMES, self._world.frame, time_ns(), snapshot))
+        self._pack()
 
     def faulted(self, frame: int, code: str, message: str) -> None:
         """Records that the world stopped, and gives the file its end."""
@@ -314,6 +319,14 @@ class Recorder:
         self._writer.seal(END, end)
 
 
+def _saved(world: World) -> bytes:
+    try:
+        return world.snapshot()
+    except (WorldError, SimulationFault) as error:
+        reason = f"this world has a past, and cannot be saved: {error.message}"
+        raise RecordingError("recording_failed", reason) from error
+
+
 def _metadata(world: World) -> dict[str, dict[str, str]]:
     return {
         "nmes.recording": {
@@ -323,7 +336,7 @@ def _metadata(world: World) -> dict[str, dict[str, str]]:
             "schemas": protocol.schema_hash(),
             "created": _now(),
         },
-        "nmes.world": {"config": protocol.encode(world.config).decode(), "seed": str(world.config["seed"])},
+        "nmes.world": {"config": protocol.encode(world.config).decode(), "seed": str(world.seed)},
         "nmes.fingerprint": fingerprint(world.backend),
     }
 

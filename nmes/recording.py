@@ -8,11 +8,12 @@ Invariants:
 
 - File order is the order of the history, and a message's sequence number is its place in it.
 - What a client sent is kept byte for byte. Passwords never get here: a client joins after it was authenticated.
-- Recording does not change what a world does: it only asks for poses.
+- Recording does not change what a world does: it only asks for poses. Keyframes are the world's own.
 - A SHA-256 chain runs over the metadata and every chunk, each chunk ending with its head, so that no byte of the
   history can be changed, dropped or moved without breaking it. Checksums of the single records stand before the head:
   the chain shows whether a chunk is as it was written, they show which record is not.
 - A reader returns what comes before the first damage, and says where and what that is. It never guesses beyond it.
+- One that begins at a keyframe has not read what stands before it, and says nothing of that.
 """
 
 from __future__ import annotations
@@ -20,9 +21,11 @@ from __future__ import annotations
 import os
 import re
 import struct
+from bisect import bisect_right
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any, TypeVar
@@ -32,7 +35,8 @@ import orjson
 from mcap.records import Channel
 
 from nmes import protocol
-from nmes.errors import NmesError, RecordingError
+from nmes.errors import NmesError, RecordingError, WorldError
+from nmes.feeding import advance
 from nmes.mcapfile import (
     MESSAGE_OVERHEAD,
     Block,
@@ -45,23 +49,39 @@ from nmes.mcapfile import (
     split_chunk,
 )
 from nmes.recorder import Recorder
-from nmes.records import BOXES, END, FORMAT, PROFILE, REFUSED_LIMIT, SEQUENCE_MASK, Kind, Record, next_head
+from nmes.records import (
+    BOXES,
+    END,
+    FORMAT,
+    FORMATS,
+    KEYFRAMES,
+    PROFILE,
+    REFUSED_LIMIT,
+    SEQUENCE_MASK,
+    Kind,
+    Record,
+    next_head,
+)
 from nmes.schemas import load
+from nmes.snapshot import ticks_of
+from nmes.world import Journal, World
 
-__all__ = ["FORMAT", "PROFILE", "REFUSED_LIMIT", "Kind", "Record", "Recorder", "Recording", "Summary"]
+__all__ = ["FORMAT", "PROFILE", "REFUSED_LIMIT", "Kind", "Record", "Recorder", "Recording", "Start", "Summary"]
 
 _CLIENT_TOPIC = re.compile(r"client/(\d{1,9})/(commands|replies|refused)")
 _CLIENT_KINDS = {"commands": Kind.COMMAND, "replies": Kind.REPLY, "refused": Kind.REFUSED}
 _KINDS = {"clients": Kind.JOINED, "ticks": Kind.TICKS, "faults": Kind.FAULT, "/tf": Kind.POSES, "/scene": Kind.SCENE}
+_KINDS[KEYFRAMES] = Kind.KEYFRAME
 _SHAPES = {
     kind: jsonschema_rs.Draft202012Validator(load(f"recording/{topic}.json"))
     for topic, kind in _KINDS.items()
-    if not topic.startswith("/")
+    if not topic.startswith("/") and topic != KEYFRAMES
 }
 _WRONG = (ValueError, KeyError, TypeError, IndexError)  # what a chunk that is not ours may lead to
 _RECORD_START = struct.Struct("<BQ")
 _LINK_SIZE = len('{"head":""}') + 64  # bytes of a message on `chain`
 _Taken = TypeVar("_Taken")
+_NEVER = 2**63  # a frame that no world comes to
 _ERROR = b'{"type":"error",'  # how the world's encoder begins an error
 
 
@@ -119,6 +139,7 @@ class Recording:
         fingerprint: What the run's numbers depended on.
         size: Of the file, in bytes.
         end: What it states of itself at its end (`nmes.end`); empty until all of it was read and is sound.
+        stopped: Why the last reading ended before the file does, if it did.
 
     Raises:
         RecordingError: The file cannot be read as a recording at all: it is not one, or it is damaged before the
@@ -133,6 +154,7 @@ class Recording:
             raise RecordingError(
                 "not_a_recording", f"{path} is an MCAP file of profile {self._reader.profile!r}, not {PROFILE!r}"
             )
+        self.stopped: DamagedFile | None = None
         self._damage: DamagedFile | None = None
         self._checked = False
         self.end: dict[str, str] = {}
@@ -148,9 +170,10 @@ class Recording:
             reason = f": {error.message}"
         self._head = next_head(b"", beginning)
         written = self.metadata.get("nmes.recording", {}).get("format", FORMAT)
-        if written != FORMAT:
+        if written not in FORMATS:
+            known = " and ".join(sorted(FORMATS))
             raise RecordingError(
-                "unknown_format", f"{path} is a recording of format {written}; this nmes reads format {FORMAT}"
+                "unknown_format", f"{path} is a recording of format {written}; this nmes reads formats {known}"
             )
         try:
             protocol.validate_metadata(self.metadata)
@@ -174,19 +197,31 @@ class Recording:
         return self.damage is None
 
     def __iter__(self) -> Iterator[Record]:
-        for _, records in self.chunks():
+        return self.records()
+
+    def records(self, start: Start | None = None) -> Iterator[Record]:
+        """Yields the records in file order, from a `start` or the beginning on."""
+        for _, records in self.chunks(start):
             yield from records
 
-    def chunks(self) -> Iterator[tuple[int, list[Record]]]:
-        """Yields the records in file order, a chunk at a time, with how far into the file (in bytes) that reaches."""
-        return self._walk(_Chain.records)
+    def chunks(self, start: Start | None = None) -> Iterator[tuple[int, list[Record]]]:
+        """Yields the records in file order, a chunk at a time, with how far into the file (in bytes) that reaches.
 
-    def _walk(self, take: Callable[[_Chain, Block], _Taken]) -> Iterator[tuple[int, _Taken]]:
+        Args:
+            start: Where to begin, from `start`; None: at the beginning.
+        """
+        return self._walk(_Chain.records, start)
+
+    def _walk(
+        self, take: Callable[[_Chain, Block], _Taken], start: Start | None = None
+    ) -> Iterator[tuple[int, _Taken]]:
         """Goes through the chunks, and notes where that ends."""
-        chain = _Chain(self._head)
+        chain = _Chain(self._head) if start is None else start._chain.copy()
+        offset = None if start is None else start._offset
+        self.stopped = None
         end: dict[str, str] = {}
         try:
-            for block in self._reader.blocks():
+            for block in self._reader.blocks(offset):
                 if block.metadata is None:
                     yield block.offset + block.size, take(chain, block)
                 elif block.metadata.name == END:
@@ -198,9 +233,143 @@ class Recording:
             read = f"read up to record {chain.sequence - 1}" if chain.sequence else "no record can be read"
             which = None if error.content is None else chain.first_bad(error.content)
             told = "" if which is None else f"; record {which} is not as it was written"
-            self._damage = DamagedFile(error.offset, f"{error.message}{told}; {read}", cut=error.cut)
-            self._damage.record = which
-        self._checked = True
+            self.stopped = DamagedFile(error.offset, f"{error.message}{told}; {read}", cut=error.cut)
+            self.stopped.record = which
+        if offset is None:
+            self._damage, self._checked = self.stopped, True
+
+    # -- seeking ---------------------------------------------------------------------------------------------------
+
+    def start(self, frame: int | None = None) -> Start:
+        """Finds where to begin reading in order to come to a frame: at the last keyframe before it, or the beginning.
+
+        A whole file says where its keyframes are; of one that was cut, all that comes before is read.
+
+        Args:
+            frame: The frame, counted on through resets; None: that with which the recording begins.
+
+        Raises:
+            RecordingError: The recording begins after that frame (`no_such_frame`).
+        """
+        first = self._first
+        if frame is None:
+            return first
+        if frame < first.frame:
+            raise RecordingError("no_such_frame", f"{self.path} begins at frame {first.frame}; it has no frame {frame}")
+        if frame == first.frame or not self.config.get("keyframes"):
+            return first
+        return self._indexed(frame) or self._scanned(frame) or first
+
+    @cached_property
+    def _first(self) -> Start:
+        """The beginning."""
+        chain, snapshot = _Chain(self._head), None
+        try:
+            block = next((block for block in self._reader.blocks() if block.metadata is None), None)
+            if block is not None:
+                snapshot = chain.copy().keyframe(block)
+        except DamagedFile:
+            pass  # whoever reads from here will be told
+        return Start(0 if snapshot is None else ticks_of(snapshot), snapshot, None, chain)
+
+    def _indexed(self, frame: int) -> Start | None:
+        """Finds the last keyframe before a frame by the file's summary; None where that is of no use."""
+        summary = self._reader.summary()
+        if summary is None:
+            return None
+        chain = _Chain(self._head)
+        for channel in summary.channels:
+            chain.define(channel)
+        channels = {channel.id for channel in summary.channels if channel.topic == KEYFRAMES}
+        places = [i for i, (_, held) in enumerate(summary.chunks) if held & channels]
+
+        def found(i: int) -> Start:
+            block = self._reader.block(summary.chunks[i][0])
+            snapshot = chain.keyframe(block)
+            if snapshot is None:
+                raise DamagedFile(block.offset, "the summary does not fit the chunks")
+            return Start(ticks_of(snapshot), snapshot, block.offset, chain)
+
+        try:
+            count = bisect_right(places, frame, key=lambda i: found(i).frame)
+            if count == 0:
+                return None
+            chain.follow(self._reader.block(summary.chunks[places[count - 1] - 1][0]) if places[count - 1] else None)
+            return found(places[count - 1])
+        except (DamagedFile, WorldError):
+            return None  # what the file is like will come out when it is read from its beginning
+
+    def _scanned(self, frame: int) -> Start | None:
+        """Finds the last keyframe before a frame by reading all that comes before."""
+        chain, best = _Chain(self._head), None
+        try:
+            for block in self._reader.blocks():
+                if block.metadata is None:
+                    before = chain.copy()
+                    chain.check(block)
+                    snapshot = chain.keyframe(block)
+                    if snapshot is not None:
+                        ticks = ticks_of(snapshot)
+                        if ticks > frame:
+                            break
+                        best = Start(ticks, snapshot, block.offset, before)
+        except (DamagedFile, WorldError):
+            pass  # what comes before the damage is sound
+        return best
+
+    @property
+    def last_frame(self) -> int:
+        """The frame to which it comes, counted on through resets; read from its last keyframe on."""
+        start = self.start(_NEVER)
+        runs = [record.about["digests"] for record in self.records(start) if record.kind is Kind.TICKS and record.about]
+        return start.frame + sum(map(len, runs))
+
+    def begin(self, start: Start, journal: Journal | None = None) -> World:
+        """Makes the world that the recording has at a start, to be fed what follows.
+
+        Raises:
+            RecordingError: The keyframe is no snapshot of such a world (`recording_damaged`).
+            BackendNotFound: The engine is not there.
+        """
+        world = World(self.config, journal=journal)
+        if start.snapshot is not None:
+            try:
+                world.restore(start.snapshot)
+            except WorldError as error:
+                world.close()
+                raise RecordingError(
+                    "recording_damaged", f"the keyframe at frame {start.frame} cannot be used: {error.message}"
+                ) from error
+        return world
+
+    def world_at(self, frame: int | None = None, journal: Journal | None = None) -> World:
+        """Returns the world as it was at a frame: all that was sent then has acted, and the next tick is to come.
+
+        It is alive and may be driven on, by its clients as they were then or by others. Within a `batch` that ticks, no
+        more of it has acted than stands before the next tick.
+
+        Args:
+            frame: The frame, counted on through resets; None: where the recording ends.
+            journal: Told of what is fed to the world since it began, at the keyframe before.
+
+        Raises:
+            RecordingError: There is no such frame (`no_such_frame`), or a tick does not come out as recorded, as on
+                another machine (`diverged`).
+            BackendNotFound: The engine is not there.
+        """
+        wanted = self.last_frame if frame is None else frame
+        start = self.start(wanted)
+        world = self.begin(start, journal)
+        try:
+            advance(world, self.records(start), wanted)
+            if world.ticks != wanted:
+                raise RecordingError(
+                    "no_such_frame", f"{self.path} ends at frame {world.ticks}; it has no frame {wanted}"
+                )
+        except BaseException:
+            world.close()
+            raise
+        return world
 
     def summary(self) -> Summary:
         """Counts what is in the recording, by reading all of it."""
@@ -208,6 +377,26 @@ class Recording:
         for record in self:
             result._count(record)
         return result
+
+
+@dataclass(frozen=True, slots=True)
+class Start:
+    """A place from which a recording can be read.
+
+    Attributes:
+        frame: Which frame it is, counted on through resets.
+        snapshot: What the world is there; None: a new one.
+    """
+
+    frame: int
+    snapshot: bytes | None
+    _offset: int | None
+    _chain: _Chain
+
+    @property
+    def within(self) -> bool:
+        """Whether something was recorded before it."""
+        return self._offset is not None
 
 
 class _Chain:
@@ -218,6 +407,40 @@ class _Chain:
         self.sequence = 0
         self._kinds: dict[int, tuple[Kind | None, int | None]] = {}  # by channel; None: not known to this version
         self._boxes: dict[int, str] = {}  # by channel: whose
+
+    def copy(self) -> _Chain:
+        """Returns one that stands at the same place."""
+        other = _Chain(self.head)
+        other.sequence, other._kinds, other._boxes = self.sequence, dict(self._kinds), dict(self._boxes)
+        return other
+
+    def follow(self, block: Block | None) -> None:
+        """Takes its place behind a chunk, by what that says of itself; None: at the beginning."""
+        if block is None:
+            return
+        try:
+            *_, last = split_chunk(block.content)
+            if not isinstance(last, Message):
+                raise ValueError("its last record is no message")
+            self.head = bytes.fromhex(orjson.loads(last.data)["head"])
+            self.sequence = last.sequence + 1
+        except _WRONG as error:
+            raise self._damage(block, error) from error
+
+    def keyframe(self, block: Block) -> bytes | None:
+        """Returns the keyframe with which a chunk begins, if it does; no more of it is looked at.
+
+        Raises:
+            DamagedFile: It does not consist of records.
+        """
+        try:
+            for item in split_chunk(block.content):
+                if isinstance(item, Message):
+                    return item.data if self._kinds[item.channel][0] is Kind.KEYFRAME else None
+                self.define(item)
+        except _WRONG as error:
+            raise self._damage(block, error) from error
+        return None
 
     def records(self, block: Block) -> list[Record]:
         """Returns the records of the next chunk.
@@ -248,7 +471,7 @@ class _Chain:
             done = 0
             for before, channel in skim.definitions:
                 self._check_shapes(content, skim, done, before)
-                self._define(channel)
+                self.define(channel)
                 done = before
             self._check_shapes(content, skim, done, count)
             head = self._next(content, MESSAGE_OVERHEAD + len(skim.data(content, count - 1)))
@@ -302,7 +525,8 @@ class _Chain:
         if sequence != (self.sequence + count) & SEQUENCE_MASK:
             raise ValueError(f"record {sequence} is out of its place")
 
-    def _define(self, channel: Channel) -> None:
+    def define(self, channel: Channel) -> None:
+        """Takes note of what a channel is for."""
         if match := _CLIENT_TOPIC.fullmatch(channel.topic):
             self._kinds[channel.id] = _CLIENT_KINDS[match[2]], int(match[1])
         elif channel.topic.startswith(BOXES):
@@ -318,7 +542,7 @@ class _Chain:
                 self._place(item.sequence, len(messages))
                 messages.append(item)
             else:
-                self._define(item)
+                self.define(item)
         return messages
 
     def _record(self, message: Message) -> Record | None:

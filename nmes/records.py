@@ -9,12 +9,28 @@ import hashlib
 from enum import StrEnum
 from typing import Any, Final, NamedTuple
 
-__all__ = ["BOXES", "END", "FORMAT", "PROFILE", "REFUSED_LIMIT", "SEQUENCE_MASK", "Kind", "Record", "next_head"]
+__all__ = [
+    "BOXES",
+    "END",
+    "FORMAT",
+    "FORMATS",
+    "KEYFRAMES",
+    "PARENT",
+    "PROFILE",
+    "REFUSED_LIMIT",
+    "SEQUENCE_MASK",
+    "Kind",
+    "Record",
+    "next_head",
+]
 
 PROFILE: Final = "nmes"
-FORMAT: Final = "1"
+FORMAT: Final = "2"
+FORMATS: Final = frozenset({"1", FORMAT})  # that can be read: version 1 had no keyframes
 REFUSED_LIMIT: Final = 64 << 10  # bytes of a refused frame that are kept
+PARENT: Final = "nmes.parent"  # the metadata record that says of which recording this one is a branch
 END: Final = "nmes.end"  # the metadata record that closes a file
+KEYFRAMES: Final = "keyframes"  # their topic
 BOXES: Final = "/boxes/"  # how the topic of a cube's box begins
 SEQUENCE_MASK: Final = 0xFFFFFFFF  # MCAP's sequence numbers have 32 bits
 
@@ -32,6 +48,7 @@ class Kind(StrEnum):
     POSES = "poses"
     SCENE = "scene"
     BOX = "box"
+    KEYFRAME = "keyframe"
 
 
 class Record(NamedTuple):
@@ -43,7 +60,7 @@ class Record(NamedTuple):
         time: Simulation time in ns.
         wall: The recorder's clock, ns since 1970.
         client: Whom it is about, if anybody.
-        data: Its bytes: verbatim for a command, a refused frame and a reply.
+        data: Its bytes: verbatim for a command, a refused frame and a reply; of a keyframe a snapshot of the world.
         about: What those of our own say (who came or went, ticks, faults): their JSON, as its schema says. Of a box,
             whose it is (`cube`). Else None.
     """

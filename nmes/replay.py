@@ -25,11 +25,11 @@ import orjson
 
 from nmes import protocol
 from nmes.backend import load_backend
-from nmes.errors import BackendNotFound
+from nmes.errors import BackendNotFound, RecordingError
 from nmes.feeding import feed
 from nmes.fingerprint import differences, fingerprint
 from nmes.protocol import Request
-from nmes.recording import Kind, Record, Recording
+from nmes.recording import Kind, Record, Recording, Start
 from nmes.scene import POSE_FIELDS, Painter, decode_poses
 from nmes.world import World
 
@@ -67,8 +67,8 @@ class Divergence:
     """The first difference between a recording and its replay.
 
     Attributes:
-        kind: What differs: a tick's `digest`, a `reply`, the `poses`, a `fault`, a `client`'s number, or the `order`
-            in which things happen.
+        kind: What differs: a tick's `digest`, a `reply`, the `poses`, a `keyframe`, a `fault`, a `client`'s number, or
+            the `order` in which things happen.
         frame: Where the world was.
         record: The number of the record in the recording.
         message: All of it in a sentence.
@@ -103,17 +103,21 @@ class ReplayReport:
 
     Attributes:
         verdict: `not_comparable` stands whenever the fingerprints differ, whatever came out.
+        frames: From which frame to which it was run, counted on through resets.
+        part: Whether only a part was asked for.
         ticks: How many ticks were compared and equal.
         commands: How many frames of clients were executed and answered the same.
         sim_seconds: The simulation time of those ticks, s.
         wall_seconds: How long it took, s.
         divergence: The first difference, if there is any.
         differences: The items of the fingerprint that differ: recorded, here.
-        damage: Why the recording ends early, if it does.
+        damage: Why the recording ends early, if it does; of a part, why that does.
         cut: Whether it just ends there, as after a crash, rather than being damaged.
     """
 
     verdict: Verdict
+    frames: tuple[int, int] = (0, 0)
+    part: bool = False
     ticks: int = 0
     commands: int = 0
     sim_seconds: float = 0.0
@@ -132,6 +136,7 @@ class ReplayReport:
         """Returns it as plain data."""
         return {
             "verdict": self.verdict,
+            "frames": list(self.frames),
             "ticks": self.ticks,
             "commands": self.commands,
             "sim_seconds": self.sim_seconds,
@@ -150,8 +155,10 @@ def replay(
     anyway: bool = False,
     progress: Progress | None = None,
     watch: Watch | None = None,
+    first: int | None = None,
+    last: int | None = None,
 ) -> ReplayReport:
-    """Runs a recording again in a fresh world.
+    """Runs a recording again in a fresh world, or a part of it.
 
     Args:
         recording: The recording, or its file.
@@ -159,9 +166,13 @@ def replay(
         progress: Called now and then with how many bytes of the file are done, and its size.
         watch: Called with the world after each frame of a client that was answered as recorded, with that frame, and
             after each tick that came out as recorded, a fault among them, with None. What it raises ends the replay.
+        first: From which frame on, counted on through resets. The replay begins at the last keyframe before it, or at
+            the beginning; what stands before is not read. None: from the beginning.
+        last: Up to which frame, with what was sent then, or to the end of the command that ticks beyond it; None: to
+            the end.
 
     Raises:
-        RecordingError: The file cannot be read as a recording.
+        RecordingError: The file cannot be read as a recording, or has no frame `first`.
         BackendNotFound: Its engine is not there, and it was to be run `anyway`.
     """
     if not isinstance(recording, Recording):
@@ -170,12 +181,17 @@ def replay(
     if unlike and not anyway:
         return ReplayReport("not_comparable", differences=unlike)
     began = time.perf_counter()
-    run = _Run(recording, progress, watch)
+    start = recording.start(first)
+    run = _Run(recording, start, last, progress, watch)
     run.play()
     took = time.perf_counter() - began
-    damage = recording.damage
+    if first is not None and run.frame < first and run.divergence is None:
+        raise RecordingError("no_such_frame", f"{recording.path} ends at frame {run.frame}; it has no frame {first}")
+    damage = recording.stopped if start.within or last is not None else recording.damage
     return ReplayReport(
         verdict="not_comparable" if unlike else "diverged" if run.divergence else "reproduced",
+        frames=(start.frame, run.frame),
+        part=(first, last) != (None, None),
         ticks=run.ticks,
         commands=run.commands,
         sim_seconds=run.ticks / recording.config["tick_rate"],
@@ -198,12 +214,12 @@ def _differences(recording: Recording) -> dict[str, tuple[str, str]]:
 class _Tape:
     """The recorded history, record by record, with a look ahead; it ends where the recording does."""
 
-    def __init__(self, recording: Recording, progress: Progress | None) -> None:
+    def __init__(self, recording: Recording, start: Start, progress: Progress | None) -> None:
         self._queue: deque[Record] = deque()
-        self._chunks = self._read(recording, progress)
+        self._chunks = self._read(recording, start, progress)
 
-    def _read(self, recording: Recording, progress: Progress | None) -> Iterator[None]:
-        for reached, records in recording.chunks():
+    def _read(self, recording: Recording, start: Start, progress: Progress | None) -> Iterator[None]:
+        for reached, records in recording.chunks(start):
             self._queue.extend(records)
             if progress is not None:
                 progress(reached, recording.size)
@@ -226,14 +242,19 @@ class _Tape:
 class _Run:
     """One replay: it feeds a world, and it is that world's journal, which compares."""
 
-    def __init__(self, recording: Recording, progress: Progress | None, watch: Watch | None) -> None:
+    def __init__(
+        self, recording: Recording, start: Start, until: int | None, progress: Progress | None, watch: Watch | None
+    ) -> None:
+        self.frame = start.frame
         self.ticks = 0
         self.commands = 0
         self.divergence: Divergence | None = None
         self._watch = watch
-        self._tape = _Tape(recording, progress)
-        self._world = World(recording.config, journal=self)
+        self._tape = _Tape(recording, start, progress)
+        self._world = recording.begin(start, self)
+        self._until = until
         self._painter = Painter(self._world)
+        self._unseen = start.within  # whether viewers were shown things before that this painter has not drawn
         self._digests: list[str] = []  # of the run of ticks at hand, the next one last
         self._over = False  # whether there is nothing more to be learnt
         self._mistake: Exception | None = None
@@ -243,7 +264,9 @@ class _Run:
         """Feeds the world the whole recording, or as much as it takes to see where it parts."""
         world, tape = self._world, self._tape
         try:
-            while not self._over and (record := tape.peek()) is not None:
+            if (record := tape.peek()) is not None and record.kind is Kind.KEYFRAME:
+                tape.take()  # with which the world began
+            while not self._over and (record := tape.peek()) is not None and not self._reached(record):
                 told = self._told
                 feed(world, record, tape.peek(1) if record.kind is Kind.REFUSED else None)
                 if self._mistake is not None:
@@ -252,7 +275,15 @@ class _Run:
                     self._diverge("order", record, f"the recording has {_describe(record)}; nothing such happens now")
                     self._over = True
         finally:
+            self.frame = world.ticks
             world.close()
+
+    def _reached(self, record: Record) -> bool:
+        """Whether the next tick, which comes now, is beyond what was asked for."""
+        if self._until is None or self._world.ticks < self._until:
+            return False
+        following = self._tape.peek(1) if record.kind is Kind.COMMAND else record
+        return self._world.ticks > self._until or following is None or following.kind in (Kind.TICKS, Kind.FAULT)
 
     # -- the journal -----------------------------------------------------------------------------------------------
 
@@ -336,6 +367,12 @@ class _Run:
 
     def keyframe(self, snapshot: bytes) -> None:
         """The world was saved."""
+        record = self._expect(Kind.KEYFRAME)
+        if record is not None and record.data != snapshot:
+            frame = self._world.frame
+            self._diverge(
+                "keyframe", record, f"the world that was saved at frame {frame} does not come out as recorded"
+            )
 
     def faulted(self, frame: int, code: str, message: str) -> None:
         """The world stopped."""
@@ -376,6 +413,9 @@ class _Run:
         if Kind.POSES not in recorded:
             return  # cut between the two
         view = self._painter.draw(self._painter.look())
+        if self._unseen:
+            self._unseen = False
+            recorded[Kind.SCENE], boxes = view.scene, {}
         # Not every cube has a box of its own in the file, nor has every file: the scene has them all.
         same = (recorded.get(Kind.SCENE), recorded[Kind.POSES]) == (view.scene, view.poses)
         if not same or not boxes.items() <= view.boxes.items():
@@ -408,6 +448,8 @@ def _describe(record: Record) -> str:
             return f"a fault at frame {about['frame']} ({about['code']}: {about['message']})"
         case Kind.COMMAND | Kind.REFUSED | Kind.REPLY:
             return f"client {record.client}'s {record.kind} (record {record.sequence})"
+        case Kind.KEYFRAME:
+            return f"a keyframe (record {record.sequence})"
     return f"a picture of the scene (record {record.sequence})"
 
 

@@ -22,7 +22,7 @@ from nmes.backend import Array
 from nmes.errors import WorldError
 from nmes.schemas import load
 
-__all__ = ["pack", "pack_array", "unpack", "unpack_array"]
+__all__ = ["pack", "pack_array", "ticks_of", "unpack", "unpack_array"]
 
 _VERSION: Final = 1
 _SHAPE = jsonschema_rs.Draft202012Validator(load("recording/keyframes.json"))
@@ -40,6 +40,22 @@ def unpack(snapshot: bytes, config: Mapping[str, Any]) -> tuple[dict[str, Any], 
         WorldError: `bad_snapshot`: it is none, or of a version that this nmes does not know, or of another config.
     """
     line, _, engine = snapshot.partition(b"\n")
+    state = _state(line)
+    if state["config"] != _hash(config):
+        raise WorldError("bad_snapshot", "this is a snapshot of a world of another config")
+    return state, engine
+
+
+def ticks_of(snapshot: bytes) -> int:
+    """Returns how many ticks there were before a snapshot.
+
+    Raises:
+        WorldError: `bad_snapshot`: it is none.
+    """
+    return int(_state(snapshot.partition(b"\n")[0])["ticks"])
+
+
+def _state(line: bytes) -> dict[str, Any]:
     try:
         state = orjson.loads(line)
     except ValueError:
@@ -52,9 +68,7 @@ def unpack(snapshot: bytes, config: Mapping[str, Any]) -> tuple[dict[str, Any], 
         )
     for error in _SHAPE.iter_errors(state):
         raise WorldError("bad_snapshot", f"not a snapshot of a world: {error.message}")
-    if state["config"] != _hash(config):
-        raise WorldError("bad_snapshot", "this is a snapshot of a world of another config")
-    return state, engine
+    return state
 
 
 def _hash(config: Mapping[str, Any]) -> str:
