@@ -26,7 +26,7 @@ from rich.table import Table
 from common import Figure
 
 HERE = Path(__file__).parent
-EXAMPLES = ["tier1_target", "tier2_grid", "tier2_pole", "tier3_swarm"]
+EXAMPLES = ["tier1_target", "tier2_grid", "tier2_pole", "tier3_swarm", "tier3_creature"]
 NMES = [str(Path(sys.executable).parent / "nmes")]
 TIMEOUT = 60.0  # s, for any one step
 

@@ -29,6 +29,12 @@ AIMS = {
         "cubes rammed": (5, 5),
         "least knocked away": (0.2, 100.0),
     },
+    "tier3_creature": {
+        "motors": (5, 5),
+        "strongest control": (0.7, 1.0),
+        "crawled forwards": (0.8, 5.0),
+        "strayed sideways": (0.0, 0.3),
+    },
 }
 
 
