@@ -6,15 +6,21 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import click
 import orjson
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
+from nmes.against import replay_against
+from nmes.cli import _against
+from nmes.cli._address import split_address
+from nmes.cli._connection import connection_options, connector
 from nmes.cli._drift import plot, show
 from nmes.cli.info import open_recording
 from nmes.drift import measure_drift
+from nmes.errors import NmesError
 from nmes.recording import Recording
 from nmes.replay import Divergence, ReplayReport, replay
 
@@ -30,6 +36,13 @@ _LONG = 1 << 20  # bytes of recording from which on it is worth showing how far 
 @click.option("--from", "first", type=click.IntRange(0), help="Begin at the last keyframe before this frame.")
 @click.option("--to", "last", type=click.IntRange(0), help="End at this frame.")
 @click.option("--anyway", is_flag=True, help="Run it also where engine or machine differ, to see how far it agrees.")
+@click.option("--against", metavar="HOST:PORT", callback=split_address, help="Play it to this server, and compare.")
+@click.option(
+    "--tolerance",
+    type=click.FloatRange(min=0),
+    help="With --against: by how much numbers may differ, of larger ones than 1 relatively.  [default: 1e-6]",
+)
+@connection_options
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
 def command(
     recording: Recording,
@@ -38,9 +51,12 @@ def command(
     first: int | None,
     last: int | None,
     anyway: bool,
+    against: tuple[str, int] | None,
+    tolerance: float | None,
     as_json: bool,
+    **connection: Any,
 ) -> None:
-    """Run a recording again and compare.
+    r"""Run a recording again and compare.
 
     The recorded commands and ticks are fed to a fresh world, and every tick's digest and every reply is compared with
     what was recorded. Prints the verdict, or the first difference.
@@ -51,11 +67,26 @@ def command(
     With --backend it is run on another engine, and instead of a verdict a table shows how far each cube is, over time,
     from where it was recorded.
 
-    Exit status: 0 reproduced, 1 diverged or not comparable, 2 wrong usage or an unreadable file (for a damaged file,
-    after replaying what comes before the damage).
+    With --against the commands are sent to a server, whoever wrote it, at the same ticks, and its answers are compared
+    field by field. Its world is set to lockstep and reset first.
+
+    \b
+    nmes replay run.mcap
+    nmes replay run.mcap --from 36000 --to 36600
+    nmes replay run.mcap --backend pymunk --plot drift.svg
+    nmes replay run.mcap --against 127.0.0.1:14000 --tolerance 1e-3
+
+    Exit status: 0 reproduced, or equal answers; 1 diverged, different or not comparable; 2 wrong usage or an unreadable
+    file (for a damaged file, after replaying what comes before the damage).
     """
     if first is not None and last is not None and last < first:
         raise click.UsageError(f"--to {last} is before --from {first}")
+    if against is not None:
+        if backend is not None or plot_to is not None or anyway or (first, last) != (None, None):
+            raise click.UsageError("--against goes with none of --backend, --plot, --from, --to and --anyway")
+        sys.exit(_played(recording, against, 1e-6 if tolerance is None else tolerance, as_json, connection))
+    if tolerance is not None or any(connection.values()):
+        raise click.UsageError("--tolerance and what is said of a connection need --against")
     if backend is not None and (first, last) != (None, None):
         raise click.UsageError("--from and --to: another engine cannot take up a keyframe")
     if backend is not None:
@@ -84,6 +115,24 @@ def _drift(recording: Recording, backend: str, plot_to: Path | None, as_json: bo
     else:
         show(report, Console(highlight=False, markup=False))
     return 0 if report.ended is None else 1
+
+
+def _played(
+    recording: Recording, address: tuple[str, int], tolerance: float, as_json: bool, connection: dict[str, Any]
+) -> int:
+    client = connector(address, **connection, timeout=60.0)
+    with _progress(recording) as progress:
+        try:
+            report = replay_against(recording, lambda: client().connect(), tolerance=tolerance, progress=progress)
+        except (NmesError, TimeoutError) as error:
+            # Usage, or a file that cannot be read: nothing was compared.
+            click.echo(f"Error: {error}", err=True)
+            return 2
+    if as_json:
+        click.echo(orjson.dumps(report.to_json(), option=orjson.OPT_INDENT_2))
+    else:
+        _against.show(report, Console(highlight=False, markup=False))
+    return 0 if report.verdict == "equal" else 1
 
 
 @contextmanager
