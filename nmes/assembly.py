@@ -31,6 +31,7 @@ from nmes.backend import (
     Vector,
 )
 from nmes.errors import WorldError
+from nmes.meter import Meter
 from nmes.rotation import (
     conjugate,
     cross,
@@ -63,6 +64,8 @@ class Cube:
     restitution: float
     color: tuple[float, float, float, float]
     frozen: bool
+    origin: Vector  # where it was spawned
+    past_work: float = 0.0  # J that motors of joints which it had, and has no more, have worked
     joints: dict[str, None] = field(default_factory=dict)  # in order of creation
 
 
@@ -111,6 +114,8 @@ class Assembly:
         self._names: dict[int, str] = {}  # by body number
         self._spawned = 0
         self._joined = 0
+        self.tick_rate: int = config["tick_rate"]
+        self.meter = Meter(self.simulation)
 
     # -- snapshots -----------------------------------------------------------------------------------------------
 
@@ -131,6 +136,7 @@ class Assembly:
                 **{name: getattr(joint, name) for name in Joint.__slots__},
                 "cube1": joint.cube1.name,
                 "cube2": joint.cube2.name,
+                "watts": self.meter.watts(joint.number),
             }
             for joint in self._joints.values()
         ]
@@ -147,12 +153,16 @@ class Assembly:
         """Takes up in an empty assembly what `snapshot` of another one returned, of the same config and seed."""
         self.version, self._spawned, self._joined = state["version"], state["spawned"], state["joined"]
         for given in state["cubes"]:
-            cube = Cube(**{**given, "size": _vector(given["size"]), "color": tuple(given["color"])})
+            vectors = {name: _vector(given[name]) for name in ("size", "origin")}
+            cube = Cube(**{**given, **vectors, "color": tuple(given["color"])})
             self._cubes[cube.name] = cube
             self._names[cube.body] = cube.name
         for given in state["joints"]:
             ends = self._cubes[given["cube1"]], self._cubes[given["cube2"]]
-            joint = Joint(**{**given, "cube1": ends[0], "cube2": ends[1]})
+            watts = given["watts"]
+            joint = Joint(**{**{k: v for k, v in given.items() if k != "watts"}, "cube1": ends[0], "cube2": ends[1]})
+            if watts is not None:
+                self.meter.add(joint.number, watts)
             self._joints[joint.name] = joint
             self._pairs[min(end.body for end in ends), max(end.body for end in ends)] = joint.name
             for end in ends:
@@ -266,6 +276,7 @@ class Assembly:
             restitution=float(c.get("restitution", restitution)),
             color=(color[0], color[1], color[2], color[3] if len(color) == 4 else 1.0),
             frozen=bool(suffix),
+            origin=self._position(c.get("position", default["position"])),
         )
         self.simulation.add_body(
             cube.body,
@@ -274,7 +285,7 @@ class Assembly:
                 mass=cube.mass,
                 friction=cube.friction,
                 restitution=cube.restitution,
-                position=self._position(c.get("position", default["position"])),
+                position=cube.origin,
                 quaternion=self._rotation(c.get("rotation", default["rotation"])),
                 linear_velocity=self._position(c.get("linear_velocity", ZERO)),
                 angular_velocity=self._turn(c.get("angular_velocity", ZERO)),
@@ -482,6 +493,8 @@ class Assembly:
         self._joints[drawn] = Joint(drawn, count, kind, cube1, cube2, params, skeleton)
         self._pairs[pair] = drawn
         cube1.joints[drawn] = cube2.joints[drawn] = None
+        if params["motor_enabled"]:
+            self.meter.add(count)
         self.version += 1
         return drawn
 
@@ -495,6 +508,9 @@ class Assembly:
     def cut(self, joint: Joint) -> None:
         """Removes a joint; its cubes keep their motion."""
         self.simulation.remove_joint(joint.number)
+        work = self.meter.remove(joint.number) / self.tick_rate
+        joint.cube1.past_work += work
+        joint.cube2.past_work += work
         bodies = joint.cube1.body, joint.cube2.body
         del self._joints[joint.name], self._pairs[min(bodies), max(bodies)]
         del joint.cube1.joints[joint.name], joint.cube2.joints[joint.name]
@@ -506,6 +522,8 @@ class Assembly:
         params = jointparams.adjust(joint.kind, joint.params, {name: value}, self._engine_step, path="value")
         self.simulation.set_joint_params(joint.number, jointparams.engine_params(params))
         joint.params = params
+        if params["motor_enabled"]:
+            self.meter.add(joint.number)
         self.tuned += 1
 
     def _require_param(self, kind: str, name: str, path: str) -> None:
@@ -525,6 +543,11 @@ class Assembly:
             "effort": reading.effort,
             "params": joint.params,
         }
+
+    def work(self, cube: Cube) -> float:
+        """Returns what the motors of all joints that a cube has, or had, have worked so far, J."""
+        sums = (self.meter.watts(self._joints[name].number) for name in cube.joints)
+        return cube.past_work + sum(watts for watts in sums if watts is not None) / self.tick_rate
 
     # -- reading fields ------------------------------------------------------------------------------------------
 

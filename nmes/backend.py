@@ -436,6 +436,14 @@ class Simulation(ABC):
         """Returns a new array (n,): 1 for each body that touched anything in the last step, as `contacts`, else 0."""
         return np.array([float(bool(self.contacts(body))) for body in bodies])
 
+    def powers(self, joints: Sequence[int]) -> Array:
+        """Returns a new array (n,): the power of joints' motors, effort times velocity as `joint_state` has them, W.
+
+        Asked right after a step, of the same tuple of joints at each tick for as long as they stay the same.
+        """
+        states = [self.joint_state(joint) for joint in joints]
+        return np.array([state.effort * state.velocity for state in states])
+
     @abstractmethod
     def contacts(self, body: int) -> list[Contact]:
         """Returns what a body touched in the last step, in a deterministic order.

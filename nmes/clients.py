@@ -9,11 +9,13 @@ Invariants: numbers are never used twice; what subscribers were told does not de
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from nmes import protocol
+from nmes.assembly import Assembly
 from nmes.backend import Array
+from nmes.goals import Goals
 from nmes.subscription import Subscription
 
 __all__ = ["Client", "Clients", "Emit"]
@@ -23,11 +25,12 @@ Emit = Callable[[int, bytes], None]  # takes a client's number and an encoded ev
 
 @dataclass(slots=True)
 class Client:
-    """One connection to a world: the cube that it spawned last, and what it is told unasked."""
+    """One connection to a world: the cube that it spawned last, what it is told unasked, and its objectives."""
 
     number: int
     owned: str | None = None
     subscription: Subscription | None = None
+    goals: Goals = field(default_factory=Goals)
 
 
 class Clients(dict[int, Client]):
@@ -54,6 +57,12 @@ class Clients(dict[int, Client]):
             for client in self.values():
                 if client.subscription is not None:
                     emit(client.number, encoded)
+
+    def measure(self, assembly: Assembly) -> None:
+        """Has all objectives note what they must of a tick that has just ended."""
+        for client in self.values():
+            if client.goals:
+                client.goals.tick(assembly)
 
     def tick(
         self, emit: Emit | None, frame: int, time: float, version: int, poses: Callable[[], tuple[list[str], Array]]
@@ -94,22 +103,26 @@ class Clients(dict[int, Client]):
                     "client": client.number,
                     "owned": client.owned,
                     "subscription": None if client.subscription is None else client.subscription.state(),
+                    "objectives": client.goals.state(),
                 }
                 for client in self.values()
             ],
         }
 
     @classmethod
-    def restored(cls, state: Mapping[str, Any]) -> Clients:
-        """Returns those of whom `snapshot` told.
+    def restored(cls, state: Mapping[str, Any], assembly: Assembly) -> Clients:
+        """Returns those of whom `snapshot` told, in a world of these cubes.
 
         Raises:
             ValueError: What they were told does not fit together.
+            WorldError: Their objectives do not fit the cubes.
         """
         clients = cls()
         clients._next = state["next_client"]
         for given in state["clients"]:
             told = given["subscription"]
             subscription = None if told is None else Subscription.restored(told)
-            clients[given["client"]] = Client(given["client"], given["owned"], subscription)
+            clients[given["client"]] = Client(
+                given["client"], given["owned"], subscription, Goals.restored(given["objectives"], assembly)
+            )
         return clients

@@ -310,6 +310,21 @@ class Unsubscribed(TypedDict):
     type: Literal["unsubscribed"]
 
 
+class ObjectiveSet(TypedDict):
+    type: Literal["objective_set"]
+    name: str
+    cubes: Names
+    needs: list[str]
+
+
+class Reward(TypedDict):
+    type: Literal["reward"]
+    value: float
+    objective: NotRequired[str]
+    metric: NotRequired[str]
+    cube_name: NotRequired[str]
+
+
 class BatchResult(TypedDict):
     type: Literal["batch_result"]
     results: list[dict[str, Any]]
@@ -675,6 +690,32 @@ class Commands:
     def unsubscribe(self) -> type[Unsubscribed]:
         """Asks for events no more."""
         return Unsubscribed
+
+    @command
+    def set_objective(
+        self,
+        expression: str,
+        *,
+        name: str | None = None,
+        cubes: Sequence[str] | None = None,
+        creature: str | None = None,
+        target: Vector | None = None,
+    ) -> type[ObjectiveSet]:
+        """Sets an objective: an expression over what cubes do from now on (docs/objectives.md)."""
+        return ObjectiveSet
+
+    @command
+    def compute_reward(
+        self,
+        *,
+        objective: str | None = None,
+        metric: Literal["distance", "displacement", "height", "speed", "uprightness", "energy"] | None = None,
+        cube: str | None = None,
+        target: Vector | None = None,
+        axis: Vector | None = None,
+    ) -> type[Reward]:
+        """Asks what an objective is worth now, or a metric of a cube."""
+        return Reward
 
     @command
     def batch(self, commands: Sequence[Mapping[str, Any]]) -> type[BatchResult]:

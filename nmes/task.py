@@ -17,13 +17,14 @@ from functools import cached_property
 from hashlib import blake2b, sha256
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 import jiter
 import orjson
 
 from nmes import protocol
 from nmes.backend import Array, Quaternion, Vector
+from nmes.body import Body
 from nmes.errors import DocumentError, NmesError
 from nmes.objective import Condition, Objective, Quantity
 from nmes.rotation import multiply, quaternion_from_euler, rotate
@@ -39,26 +40,6 @@ _LOOKS = 10  # in a second, at the conditions that end an episode
 _GAP = 0.001  # m between a prop that lies and what it lies on, so that the engine does not find them overlapping
 CREATURE: Final = "creature"
 """The name of the creature in a task's world; its cubes are `creature.ID`."""
-
-
-class _Cube(Protocol):
-    @property
-    def id(self) -> str: ...
-    @property
-    def size(self) -> Vector: ...
-    @property
-    def quaternion(self) -> Quaternion: ...
-
-
-class Body(Protocol):
-    """What a task asks of a creature's body at rest: `cubes`, the root first, `mass` in kg, and `bounds` in m."""
-
-    @property
-    def cubes(self) -> Sequence[_Cube]: ...
-    @property
-    def mass(self) -> float: ...
-    def bounds(self) -> tuple[Vector, Vector]:
-        """Returns the lowest and the highest corner of the box around it."""
 
 
 @dataclass(frozen=True, slots=True)

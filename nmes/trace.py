@@ -18,11 +18,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from nmes.backend import Array, Simulation
 from nmes.objective import Condition, Objective, Quantity
 
-__all__ = ["UPRIGHT", "Cast", "Tally", "Trace"]
+__all__ = ["UPRIGHT", "Cast", "Tally", "Trace", "touches"]
 
-Array = npt.NDArray[np.float64]
 Flags = npt.NDArray[np.bool_]
 
 UPRIGHT: Final = 0.5  # uprightness from which on a body counts as upright
@@ -245,6 +245,13 @@ class Tally:
         assert isinstance(ticks, int) and isinstance(upright, int) and isinstance(folds, Sequence)
         self.ticks, self._upright = ticks, upright
         self._folds = dict(zip(self._folds, map(float, folds), strict=True))
+
+
+def touches(simulation: Simulation, bodies: Sequence[int], body: int) -> Flags:
+    """Returns the row of `Trace.touches`, array (n, 2), for bodies of which the first `body` are the body's."""
+    own = set(bodies[:body])
+    partners = [[contact.other for contact in simulation.contacts(number)] for number in bodies]
+    return np.array([(bool(others), any(other not in own for other in others)) for others in partners]).reshape(-1, 2)
 
 
 # -- formulas ---------------------------------------------------------------------------------------------------------

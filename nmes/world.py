@@ -31,6 +31,7 @@ from nmes.clients import Client, Clients, Emit
 from nmes.creature import Creature, Creatures
 from nmes.errors import DocumentError, NmesError, RecordingError, RejectedMessage, SimulationFault, WorldError
 from nmes.genome import Genome
+from nmes.goals import Goals, metric
 from nmes.protocol import Request
 from nmes.snapshot import pack, unpack
 from nmes.subscription import Subscription
@@ -310,6 +311,8 @@ class World:
         simulation = self._assembly.simulation
         try:
             simulation.step(self._substeps)
+            self._assembly.meter.tick()
+            self._clients.measure(self._assembly)
             digest = b"" if self.journal is None else simulation.digest()  # nobody else is told
         except SimulationFault as fault:
             self._stop(fault.code, fault.message, fault.body)
@@ -387,7 +390,7 @@ class World:
             assembly.restore(state["assembly"], engine)
             creatures = Creatures(assembly)
             creatures.restore(state["creatures"])
-            clients = Clients.restored(state)
+            clients = Clients.restored(state, assembly)
         except Exception as error:  # an engine's bytes may be anything, and so may what its library thinks of them
             assembly.simulation.close()
             raise WorldError("bad_snapshot", f"the snapshot does not fit together: {error}") from error
@@ -662,7 +665,7 @@ class World:
         self._past = self.ticks
         self._begin(c.get("seed", self.seed), version=self.structure_version + 1)
         for other in self._clients.values():
-            other.owned = None
+            other.owned, other.goals = None, Goals()
         return {"type": "world_reset", "frame": 0, "seed": self.seed}
 
     def _step(self, client: Client, c: JsonObject) -> JsonObject:
@@ -725,6 +728,28 @@ class World:
         client.subscription = None
         return {"type": "unsubscribed"}
 
+    def _set_objective(self, client: Client, c: JsonObject) -> JsonObject:
+        assembly = self._assembly
+        if "creature" in c:
+            if "cubes" in c:
+                raise WorldError("invalid", "cubes: either cubes or a creature, not both", "cubes")
+            parts = self._creatures.find(c["creature"]).cubes
+            body = {part: assembly.cube(name) for part, name in parts.items()}
+        elif "cubes" in c:
+            body = {name: assembly.cube(name, f"cubes/{i}") for i, name in enumerate(c["cubes"])}
+        else:
+            own = self._cube_or_own(client, {})
+            body = {own.name: own}
+        return client.goals.set(assembly, self.frame, body, c)
+
+    def _compute_reward(self, client: Client, c: JsonObject) -> JsonObject:
+        if "metric" not in c:
+            return client.goals.value(self._assembly, self.frame, c.get("objective"))
+        if "objective" in c:
+            raise WorldError("invalid", "objective: either a metric or an objective, not both", "objective")
+        cube = self._assembly.cube(c["cube"], "cube") if "cube" in c else self._cube_or_own(client, {})
+        return metric(self._assembly, cube, c)
+
     def _batch(self, client: Client, c: JsonObject) -> JsonObject:
         ticks = sum(command.get("ticks", 1) for command in c["commands"] if command["type"] == "step")
         if ticks > _BATCH_TICKS:
@@ -781,6 +806,8 @@ class World:
         "set_mode": _set_mode,
         "subscribe": _subscribe,
         "unsubscribe": _unsubscribe,
+        "set_objective": _set_objective,
+        "compute_reward": _compute_reward,
         "batch": _batch,
         "ping": _ping,
     }

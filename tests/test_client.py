@@ -193,6 +193,11 @@ def test_every_command_works_once() -> None:
         assert c.spawn_creature(rocker, name="r", position=[3, 0, 0])["motors"] == ["shoulder"]
         assert c.drive("r", [0.5])["creature"] == "r"
         assert len(c.sense("r")["values"]) == 12
+        assert c.set_objective("height", creature="r", target=[1, 0, 0])["needs"] == ["height"]
+        assert c.set_objective("time", name="b", cubes=["a_BASE"])["cubes"] == ["a_BASE"]
+        assert c.compute_reward(objective="b")["value"] == 0.0
+        assert c.compute_reward(metric="displacement", cube="a_BASE", axis=[0, 0, 1])["metric"] == "displacement"
+        assert c.compute_reward(metric="distance", cube="a_BASE", target=[0, 0, 0])["value"] > 0.0
         assert c.subscribe(events=["state"], every=2)["every"] == 2
         assert c.unsubscribe()
         assert c.batch([{"type": "ping"}, {"type": "step"}])["results"][1]["frame"] == 3

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import numpy as np
 import pytest
 
 from layout import ROOT
+from nmes.body import Body, BodyCube
 from nmes.errors import DocumentError
 from nmes.objective import Quantity
 from nmes.task import Limits, Task
@@ -26,24 +26,12 @@ PLAIN: dict[str, Any] = {
 }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Cube:
-    id: str
-    size: tuple[float, float, float] = (1.0, 1.0, 1.0)
-    quaternion: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
-
-
-@dataclass(frozen=True)
-class Block:
-    """As much of a body as a task looks at."""
-
-    cubes: tuple[Cube, ...] = (Cube("root"),)
-    mass: float = 10.0
-    low: tuple[float, float, float] = (-0.5, 0.0, -0.5)
-    high: tuple[float, float, float] = (0.5, 1.0, 0.5)
-
-    def bounds(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
-        return self.low, self.high
+def block(*ids: str, mass: float = 10.0, size: float = 1.0, low: float = 0.0) -> Body:
+    """A body of cubes all in one place, which is all one to a task."""
+    place, turn = (0.0, low + size / 2, 0.0), (0.0, 0.0, 0.0, 1.0)
+    parts = ids or ("root",)
+    cubes = (BodyCube(part, (size,) * 3, mass / len(parts), place, turn, None, None, None) for part in parts)
+    return Body(tuple(cubes), (), ())
 
 
 def test_ten_tasks_come_with_the_package() -> None:
@@ -60,7 +48,7 @@ def test_each_of_them_is_whole(name: str) -> None:
     configs = [task.world_config(seed) for seed in task.seeds]
     assert all((config["name"], config["mode"]) == (name, "lockstep") for config in configs)
     # Seeds make different episodes, and the same seed the same.
-    episodes = [json.dumps([task.world_config(s), task.target(s), task.entry(s, {}, Block())]) for s in task.seeds * 2]
+    episodes = [json.dumps([task.world_config(s), task.target(s), task.entry(s, {}, block())]) for s in task.seeds * 2]
     assert len(set(episodes)) == len(task.seeds)
 
 
@@ -124,7 +112,7 @@ def test_a_name_that_is_none_is_answered_with_the_nearest(tmp_path: Path) -> Non
 
 def test_a_creature_is_set_down_on_the_ground_and_turned() -> None:
     task = Task({**PLAIN, "vary": {"yaw": [0.5, 0.5], "drop": [0.25, 0.25], "friction": [0.7, 0.7]}})
-    body = Block(low=(-1.0, 2.0, -1.0), high=(1.0, 3.0, 1.0))
+    body = block(low=2.0)
     spawn, turn = task.entry(1, {"name": "x"}, body)
     assert (spawn["type"], spawn["genome"], spawn["position"]) == ("spawn_creature", {"name": "x"}, [0.0, -1.75, 0.0])
     assert (turn["type"], turn["cube_name"]) == ("set_cube_state", "creature.root")
@@ -150,7 +138,7 @@ def test_props_stand_on_the_top_of_the_root() -> None:
     stick = {"id": "stick", "size": [0.1, 2, 0.1], "mass": 1, "hinge": True, "lean": [0.3, 0.3]}
     task = Task({**PLAIN, "props": [stick, {"id": "cargo", "size": [0.2, 0.2, 0.2], "mass": 2}]})
     state = np.array([5.0, 1.0, 2.0, 0.0, 0.0, math.sin(math.pi / 8), math.cos(math.pi / 8), *[0.0] * 6])
-    pole, joint, cargo = task.props(1, Block(), state)
+    pole, joint, cargo = task.props(1, block(), state)
     top = 1.0 + math.sqrt(2) / 2  # of a cube that stands on its edge
     assert (joint["type"], joint["cube1"], joint["cube2"]) == ("create_joint", "creature.root", "stick")
     assert joint["position"] == pytest.approx([5.0, top, 2.0])
@@ -164,14 +152,14 @@ def test_what_a_body_may_not_be_is_said() -> None:
     about = 'cube("tail").height + cube("cargo").height + cube("root").height'
     props = [{"id": "cargo", "size": [1, 1, 1], "mass": 1}]
     task = Task({**PLAIN, "limits": limits, "objective": about, "props": props})
-    assert task.check(Block((Cube("root"), Cube("tail")))) == []
-    assert task.check(Block((Cube("root"), Cube("tail"), Cube("cargo")), 21.0, high=(0.5, 2.0, 0.5))) == [
+    assert task.check(block("root", "tail")) == []
+    assert task.check(block("root", "tail", "cargo", mass=21.0, size=2.0)) == [
         "the body has 3 cubes, at most 2 are allowed",
         "the body has 21 kg, at most 20 are allowed",
         "the body has 2 m from end to end, at most 1.5 are allowed",
         "the task puts a cube 'cargo' there, and the body has one of that id",
     ]
-    assert task.check(Block()) == ["the task is about a cube 'tail', which the body has not"]
+    assert task.check(block()) == ["the task is about a cube 'tail', which the body has not"]
 
 
 def test_an_episode_ends_at_the_first_row_of_a_look_at_which_a_condition_holds_or_the_energy_is_spent() -> None:

@@ -114,6 +114,8 @@ class MujocoSimulation(Simulation):
         self._calm = self._warnings.tobytes()
         self._xfrc, self._xpos, self._xquat, self._cvel = data.xfrc_applied, data.xpos, data.xquat, data.cvel
         self._asleep = data.tree_asleep
+        self._efforts, self._speeds = data.actuator_force, data.qvel
+        self._powered: Sequence[int] | None = None  # the joints that the motors were last looked up for
         self._senses = Senses(layout, data, self._scenery)
         self._reins = Reins(layout, data, self._joints)
 
@@ -372,6 +374,27 @@ class MujocoSimulation(Simulation):
         if self._edits or self._senses.resting:
             return super().touching(bodies)
         return self._senses.touching([self._layout.body[body] for body in bodies])
+
+    def powers(self, joints: Sequence[int]) -> Array:
+        """Returns a new array (n,), read all at once where nothing was edited since the last step."""
+        if self._edits or not self._layout.actuator:
+            return super().powers(joints)
+        if joints is not self._powered:
+            self._find_motors(joints)
+        powers: Array = self._efforts[self._motors] * self._speeds[self._driven]
+        if self._idle:
+            powers[self._idle] = 0.0
+        return powers
+
+    def _find_motors(self, joints: Sequence[int]) -> None:
+        """Looks up where the efforts and the velocities of joints are; those without a motor now are idle."""
+        motors, places = self._layout.actuator, self._layout.joint
+        self._idle = [row for row, joint in enumerate(joints) if joint not in motors]
+        any_other = next(iter(motors))
+        driven = [joint if joint in motors else any_other for joint in joints]
+        self._motors = _run([motors[joint] for joint in driven])
+        self._driven = _run([places[joint].v for joint in driven])
+        self._powered = joints
 
     def contacts(self, body: int) -> list[Contact]:
         """Returns what the body touched in the last step."""
@@ -721,6 +744,13 @@ class MujocoSimulation(Simulation):
         if woken:
             count_awake(self._model, self._data)
             self._read = False  # what was read of a static root left its sleeping branches out
+
+
+def _run(indices: list[int]) -> slice | npt.NDArray[np.intp]:
+    """Returns indices as a slice where they are in a row: a view is taken in half the time of a copy."""
+    first = indices[0] if indices else 0
+    together = indices == list(range(first, first + len(indices)))
+    return slice(first, first + len(indices)) if together else np.array(indices, np.intp)
 
 
 def _hash(*parts: object) -> int:

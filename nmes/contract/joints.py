@@ -198,6 +198,32 @@ class JointChecks(Checks):
                 after = sim.joint_state(0)
                 close([after.velocity, after.effort], [reading.velocity, 0.0], 1e-3, f"{kind}: coasting")
 
+    def test_tells_power(self) -> None:
+        """The power of motors is effort times velocity, of as many joints as are asked for, motors or not."""
+        self.need("motor")
+        kind = next(kind for kind in ("hinge", "slide") if self.can(f"joint.{kind}"))
+        motor = JointParams("velocity", target_velocity=2.0, max_effort=1.0)
+        sim = self.machine(kind, motor)
+        for number, x in ((1, 5.0), (2, 10.0)):
+            sim.add_body(10 * number, box((x, 0.0, 0.0), frozen=True))
+            sim.add_body(10 * number + 1, box((x + 2.0, 0.0, 0.0)))
+            params = JointParams() if number == 1 else replace(motor, max_effort=0.5)
+            axis = (0.0, 0.0, 1.0) if kind == "hinge" else (1.0, 0.0, 0.0)
+            spec = JointSpec(kind, 10 * number, 10 * number + 1, (x + 2.0, 0.0, 0.0), axis, params)
+            sim.add_joint(number, spec)
+        seen = []
+        for tick, joints in enumerate([(0, 1, 2)] * 4 + [(2,), (1,), (2, 0), (), (0, 1, 2)]):
+            if tick == 3:
+                sim.set_joint_params(0, JointParams())
+            sim.step(SUBSTEPS)
+            wanted = [(state := sim.joint_state(number)).effort * state.velocity for number in joints]
+            powers = sim.powers(joints)
+            assert powers.tolist() == wanted, f"tick {tick}: joints {joints}"
+            seen += wanted
+            if 0 in joints and tick < 3:
+                assert powers[0] > 0.0, "a motor that accelerates has power"
+        assert 0.0 in seen
+
     def test_keeps_track(self) -> None:
         """A track holds what states and readings said when its rows were kept, also while the structure changes."""
         self.need("motor")
