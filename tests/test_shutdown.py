@@ -64,3 +64,24 @@ def test_sigterm_under_load(tmp_path: Path, record_property: Callable[[str, obje
     assert all(recording.complete for recording in recordings)
     smallest = min(recordings, key=lambda recording: recording.size)
     assert replay(smallest).verdict == "reproduced"
+
+
+def test_sigterm_in_the_middle_of_a_long_step(tmp_path: Path) -> None:
+    options = ["--port", "0", "--mode", "lockstep", "--record", str(tmp_path)]
+    with process("serve", "--json", *options, NMES_PASSWORD=PASSWORD) as server:
+        said = ready(server)
+        with Peer(said["port"]) as peer:
+            assert peer.ask({"type": "auth", "password": PASSWORD})["type"] == "auth_success"
+            places = [[1.2 * (n % 20), 1 + n // 20, 0.7 * (n // 20)] for n in range(200)]
+            peer.ask({"type": "batch", "commands": [{"type": "spawn_cube", "position": place} for place in places]})
+            peer.ask({"type": "subscribe", "events": ["tick"]})
+            peer.say({"type": "step", "ticks": 10_000})  # for half a minute
+            assert peer.hear()["frame"] == 1
+            began = time.monotonic()
+            server.send_signal(signal.SIGTERM)
+            assert types(peer.rest())[-1] == "world_closed"
+        assert server.wait(PATIENCE) == 0, server.communicate()
+        assert time.monotonic() - began < 5.0
+    recording = Recording(said["recording"])
+    assert recording.complete
+    assert 0 < recording.summary().ticks < 10_000
