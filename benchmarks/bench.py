@@ -25,6 +25,7 @@ import engines
 import hosting
 import recorded
 import roundtrip
+import survival
 import ticking
 
 SUITES = {
@@ -34,6 +35,7 @@ SUITES = {
     "brains": brains.figures,
     "engines": engines.figures,
     "hosting": hosting.figures,
+    "survival": survival.figures,
     "recorded": recorded.figures,
 }
 

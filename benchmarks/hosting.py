@@ -14,9 +14,10 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 from measure import Figure, in_turns, ratio, summary
 from nmes import Client
@@ -29,11 +30,11 @@ PINGS = 400
 
 
 @contextmanager
-def served(folder: Path, *worlds: str) -> Iterator[int]:
-    """Runs `nmes serve`; yields the port."""
-    config = folder / "config.json"
-    config.write_text(json.dumps({"mode": "lockstep", "engine": {"sleep": False}}))
-    options = ["--worlds", ",".join(worlds), "--config", str(config), "--record", str(folder)]
+def served(folder: Path, config: Mapping[str, Any], *worlds: str) -> Iterator[int]:
+    """Runs `nmes serve` with worlds in lockstep that it records; yields the port."""
+    file = folder / "config.json"
+    file.write_text(json.dumps({"mode": "lockstep", **config}))
+    options = ["--worlds", ",".join(worlds), "--config", str(file), "--record", str(folder)]
     server = subprocess.Popen(
         [str(Path(sys.executable).parent / "nmes"), "serve", "--json", "--port", "0", *options],
         env={**os.environ, "NMES_PASSWORD": PASSWORD},
@@ -87,10 +88,11 @@ def figures() -> Iterator[Figure]:
     """Measures."""
     with ExitStack() as stack:
         folders = [Path(stack.enter_context(tempfile.TemporaryDirectory())) for _ in range(2)]
-        port = stack.enter_context(served(folders[0], "red", "green", "blue"))
+        config = {"engine": {"sleep": False}}
+        port = stack.enter_context(served(folders[0], config, "red", "green", "blue"))
         red, green = (stack.enter_context(busy(port, name)) for name in ("red", "green"))
         other = stack.enter_context(Client(port=port, password=PASSWORD, world="blue", timeout=60))
-        apart = stack.enter_context(busy(stack.enter_context(served(folders[1], "red")), "red"))
+        apart = stack.enter_context(busy(stack.enter_context(served(folders[1], config, "red")), "red"))
         samples = in_turns(
             {"one": lambda: rate([red]), "two": lambda: rate([red, green]), "apart": lambda: rate([red, apart])}, ROUNDS
         )
