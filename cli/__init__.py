@@ -19,6 +19,7 @@ SUBCOMMANDS = {
     "backends": "List the physics engines that are installed.",
     "conform": "Judge a server by the protocol.",
     "diff": "Compare two recordings.",
+    "eval": "Score creatures on a task.",
     "export": "Write a recording as data for other programs.",
     "info": "Show what a recording holds.",
     "render": "Make a film or a picture of recordings.",

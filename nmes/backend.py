@@ -20,6 +20,7 @@ import difflib
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from typing import Any, Literal, NamedTuple
 
@@ -553,18 +554,24 @@ def entry_points_by_name() -> dict[str, EntryPoint]:
     return {point.name: point for point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda p: p.name)}
 
 
-def load_backend(name: str) -> Backend:
-    """Loads a backend by name.
-
-    Raises:
-        BackendNotFound: None has that name (with the nearest names), or its engine cannot be imported.
-    """
+@cache  # looking through all that is installed takes as long as compiling a model
+def _entry_point(name: str) -> EntryPoint:
     points = entry_points_by_name()
     point = points.get(name)
     if point is None:
         near = difflib.get_close_matches(name, points, n=1)
         hint = f"; did you mean {near[0]!r}?" if near else ""
         raise BackendNotFound(f"no backend is called {name!r}{hint} (installed: {', '.join(points) or 'none'})")
+    return point
+
+
+def load_backend(name: str) -> Backend:
+    """Loads a backend by name.
+
+    Raises:
+        BackendNotFound: None has that name (with the nearest names), or its engine cannot be imported.
+    """
+    point = _entry_point(name)
     try:
         backend = point.load()()
     except (Exception, SystemExit) as error:  # whatever a stranger's package does when it is imported

@@ -101,6 +101,22 @@ class Evaluation:
     recordings: tuple[str, ...] = field(default=(), compare=False)
     wall_seconds: float = field(default=0.0, compare=False)
 
+    @classmethod
+    def of(cls, proofs: Sequence[Proof], *, wall_seconds: float = 0.0) -> Evaluation:
+        """Returns what the recordings of one genome on one task prove; seeds are in the order that the task has."""
+        task, genome = proofs[0].task, proofs[0].genome
+        place = {seed: index for index, seed in enumerate(task.seeds)}
+        ordered = sorted(proofs, key=lambda proof: (place.get(proof.result.seed, len(place)), proof.result.seed))
+        return cls(
+            genome=genome.name,
+            genome_hash=genome.hash,
+            task=task.name,
+            task_hash=task.hash,
+            results=tuple(proof.result for proof in ordered),
+            recordings=tuple(proof.path for proof in ordered),
+            wall_seconds=wall_seconds,
+        )
+
     @property
     def score(self) -> float | None:
         """The mean over the seeds; None where one of them has no score."""

@@ -1,0 +1,155 @@
+"""`nmes eval`: tables, files, processes, interruptions."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+
+from creatures import cpg, mlp, snake
+from nmes.cli import main
+from test_evaluation import DASH
+
+NMES = str(Path(sys.executable).parent / "nmes")
+PATIENCE = 60
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(main, ["eval", *map(str, arguments)])
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder with a task and, in `zoo`, three creatures and something that is none."""
+    (tmp_path / "dash.json").write_text(json.dumps(DASH))
+    zoo = tmp_path / "zoo"
+    zoo.mkdir()
+    for name, brain in {"a-wave": None, "b-cpg": cpg(4), "c-net": mlp(4)}.items():
+        (zoo / f"{name}.json").write_text(json.dumps(snake(brain, name=name) if brain else snake(name=name)))
+    (zoo / "d-ill.json").write_text(json.dumps(snake(name="ill", body={"cubes": []})))
+    return tmp_path
+
+
+def timeless(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [{key: value for key, value in each.items() if key not in ("wall_seconds", "recordings")} for each in found]
+
+
+def test_results_do_not_depend_on_processes_order_or_recording(folder: Path) -> None:
+    task = ("--task", folder / "dash.json", "--json")
+    whole = run(folder / "zoo", *task, "--jobs", 3)
+    assert whole.exit_code == 1  # of the one that is ill
+    found = json.loads(whole.stdout)
+    assert [each["genome"] for each in found] == ["a-wave", "b-cpg", "c-net", "d-ill"]
+    assert "cubes" in found[3]["error"] and found[3]["score"] is None
+    alone = run(folder / "zoo" / "c-net.json", folder / "zoo" / "b*.json", *task, "--jobs", 1, "--record", folder / "r")
+    assert alone.exit_code == 0
+    assert timeless(json.loads(alone.stdout)) == timeless([found[2], found[1]])
+    # In a fresh process, from nothing but the recordings.
+    recordings = [f"--from-recording={path}" for each in json.loads(alone.stdout) for path in each["recordings"]]
+    again = subprocess.run([NMES, "eval", "--json", *reversed(recordings)], capture_output=True, timeout=PATIENCE)
+    assert again.returncode == 0, again.stderr
+    assert timeless(json.loads(again.stdout)) == timeless([found[1], found[2]])
+
+
+def test_a_table_and_csv(folder: Path) -> None:
+    table = run(
+        folder / "zoo" / "a-wave.json", folder / "zoo" / "d-ill.json", "--task", folder / "dash.json", "--seeds", 4
+    )
+    assert table.exit_code == 1
+    assert "a-wave" in table.stdout and "dash" in table.stdout and "d-ill: body/cubes" in table.stdout
+    rows = run(folder / "zoo" / "a-wave.json", "--task", folder / "dash.json", "--csv", "--seeds", "4,7-9")
+    (row,) = csv.DictReader(io.StringIO(rows.stdout))
+    assert row["genome"] == "a-wave" and float(row["score"]) > -1.0 and row["faults"] == "0"
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "name a genome"),
+        (["nobody"], "there is no file nobody"),
+        (["x.json", "--seeds", "1,x"], "no list of seeds"),
+        (["x.json", "--seeds", "1,1"], "each once"),
+        (["x.json", "--json", "--csv"], "either --json or --csv"),
+        (["x.json", "--jobs", "2", "--ray", "auto"], "either --jobs or --ray"),
+        (["x.json", "--from-recording", __file__], "takes no GENOME"),
+        ([str(Path(__file__).parent)], "no .json file"),
+    ],
+)
+def test_wrong_usage_is_said(arguments: list[str], said: str) -> None:
+    result = run(*arguments)
+    assert result.exit_code == 2 and said in result.stderr
+
+
+def test_what_is_no_task_or_recording_is_said(folder: Path) -> None:
+    result = run(folder / "zoo", "--task", "wlak")
+    assert result.exit_code == 2 and "did you mean walk?" in result.stderr
+    result = run("--from-recording", folder / "dash.json")
+    assert result.exit_code == 1 and "dash.json" in result.stderr
+
+
+def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(folder: Path) -> None:
+    many = folder / "many"
+    many.mkdir()
+    for i in range(20):
+        (many / f"{i:02}.json").write_text(json.dumps(snake(mlp(4, seed=i), name=f"n{i}")))
+    kept = folder / "kept.jsonl"
+    command = [NMES, "eval", str(many), "--task", str(folder / "dash.json"), "--jobs", "2", "--json"]
+    with subprocess.Popen([*command, "--resume", str(kept)], stderr=subprocess.PIPE, stdout=subprocess.PIPE) as running:
+        deadline = time.monotonic() + PATIENCE
+        while not (kept.exists() and kept.read_bytes().count(b"\n") >= 3):
+            assert time.monotonic() < deadline and running.poll() is None
+            time.sleep(0.01)
+        running.send_signal(signal.SIGINT)
+        stdout, stderr = running.communicate(timeout=PATIENCE)
+    done = kept.read_bytes().count(b"\n")
+    assert running.returncode == 1 and 3 <= done < 20
+    assert b"of 20 done" in stderr and b"the same command goes on" in stderr and b"Traceback" not in stderr
+    assert len(json.loads(stdout)) == done
+    with kept.open("ab") as file:  # as a run that was killed in the midst of a line leaves it
+        file.write(b'{"key": "')
+    rest = run(many, "--task", folder / "dash.json", "--json", "--resume", kept)
+    assert rest.exit_code == 0 and kept.read_bytes().count(b"\n") == 20
+    first = [each for each in json.loads(rest.stdout) if each["genome"] in ("n0", "n19")]
+    fresh = run(many / "00.json", many / "19.json", "--task", folder / "dash.json", "--json")
+    assert timeless(first) == timeless(json.loads(fresh.stdout))
+
+
+def test_without_a_file_to_resume_from_ctrl_c_makes_one(folder: Path) -> None:
+    for i in range(30):
+        (folder / "zoo" / f"x{i:02}.json").write_text(json.dumps(snake(mlp(4, seed=i))))
+    command = [NMES, "eval", str(folder / "zoo"), "--task", str(folder / "dash.json"), "--jobs", "1", "--record", "r"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, cwd=folder) as running:
+        deadline = time.monotonic() + PATIENCE
+        while not (folder / "r").is_dir() or len(list((folder / "r").glob("*.mcap"))) < 4:
+            assert time.monotonic() < deadline and running.poll() is None
+            time.sleep(0.01)
+        running.send_signal(signal.SIGINT)
+        stdout, stderr = running.communicate(timeout=PATIENCE)
+    (kept,) = folder.glob("eval-*.jsonl")
+    assert f"--resume {kept.name}" in stderr.decode() and b"a-wave" in stdout
+    assert len(kept.read_bytes().splitlines()) >= 1
+    # What has the name of a recording is one.
+    assert all(path.stat().st_size > 10_000 for path in (folder / "r").glob("*.mcap"))
+
+
+@pytest.mark.long
+def test_a_ray_cluster_gives_the_same(folder: Path) -> None:
+    pytest.importorskip("ray")
+    command = [NMES, "eval", str(folder / "zoo"), "--task", str(folder / "dash.json"), "--json"]
+    quiet = {**os.environ, "RAY_AUTH_MODE": "disabled", "RAY_USAGE_STATS_ENABLED": "0"}
+    cluster, here = (
+        subprocess.run([*command, *more], capture_output=True, timeout=300, env=quiet)
+        for more in (("--ray", "local"), ("--jobs", "1"))
+    )
+    assert cluster.returncode == here.returncode == 1, cluster.stderr
+    assert timeless(json.loads(cluster.stdout)) == timeless(json.loads(here.stdout))
