@@ -21,6 +21,7 @@ SUBCOMMANDS = {
     "diff": "Compare two recordings.",
     "eval": "Score creatures on a task.",
     "export": "Write a recording as data for other programs.",
+    "fork": "Take the world out of a recording as it was at a frame.",
     "info": "Show what a recording holds.",
     "render": "Make a film or a picture of recordings.",
     "replay": "Run a recording again and compare.",

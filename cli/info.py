@@ -55,7 +55,10 @@ def _about(recording: Recording) -> dict[str, Any]:
         "commands": dict(summary.commands.most_common()),
         "refused": summary.refused,
         "errors": summary.errors,
+        "first_frame": recording.start().frame,
+        "parent": recording.metadata.get("nmes.parent"),
         "ticks": summary.ticks,
+        "keyframes": summary.keyframes,
         "faults": summary.faults,
         "sim_seconds": summary.ticks / config["tick_rate"],
         "wall_seconds": (summary.ended - summary.began) / 1e9,
@@ -70,17 +73,22 @@ def _rows(about: dict[str, Any]) -> list[tuple[str, str]]:
     engine = [fingerprint["backend"], fingerprint.get("engine.version", ""), f"nmes {fingerprint['nmes']}"]
     created = datetime.fromisoformat(about["created"]).astimezone(UTC)
     commands = sum(about["commands"].values())
+    parent = about["parent"]
+    begins = f", from frame {about['first_frame']:,} on" if about["first_frame"] else ""
+    saved = f", {about['keyframes']:,} keyframes" if about["keyframes"] else ""
     rows = [
         ("world", f"{about['world']}, seed {about['seed']}"),
         ("engine", ", ".join(part for part in engine if part)),
         ("machine", ", ".join(fingerprint[name] for name in ("cpu", "simd", "libc", "python"))),
         ("created", f"{created:%Y-%m-%d %H:%M:%S} UTC"),
         ("duration", f"{about['sim_seconds']:,.2f} s of simulation in {about['wall_seconds']:,.2f} s"),
-        ("ticks", f"{about['ticks']:,}"),
+        ("ticks", f"{about['ticks']:,}{begins}{saved}"),
         ("clients", f"{about['clients']:,}"),
         ("commands", f"{commands:,}, and {about['refused']:,} refused frames; {about['errors']:,} errors"),
     ]
     rows += [(f"  {name}", f"{count:,}") for name, count in about["commands"].items()]
+    if parent is not None:
+        rows.append(("parent", f"{parent['file']}, frame {int(parent['frame']):,} ({parent['recording'][:16]})"))
     if about["faults"]:
         rows.append(("faults", f"{about['faults']:,}"))
     rows.append(("size", decimal(about["size"])))

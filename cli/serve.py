@@ -16,8 +16,10 @@ import click
 
 from nmes.cli import _logs
 from nmes.cli._password import PASSWORD_VARIABLE, choose_password, password_options
+from nmes.cli.info import open_recording
 from nmes.errors import RejectedMessage, WorldError
 from nmes.metrics import Metrics
+from nmes.recording import Recording
 from nmes.server import Host
 from nmes.world import World
 
@@ -38,6 +40,10 @@ class _Worlds(click.ParamType["int | list[str]"]):
         if not 1 <= int(value) <= MOST_WORLDS:
             self.fail(f"a number of worlds is from 1 to {MOST_WORLDS}", parameter, context)
         return int(value)
+
+
+def _open_parent(context: click.Context, parameter: click.Parameter, value: str | None) -> Recording | None:
+    return None if value is None else open_recording(context, parameter, value)
 
 
 @click.command("serve", short_help="Host worlds that clients drive over TCP.")
@@ -91,6 +97,13 @@ class _Worlds(click.ParamType["int | list[str]"]):
     help="Seconds of a world's time after which it saves itself, so that recordings can be replayed or resumed from "
     "there; 0 for never.  [default: 10]",
 )
+@click.option(
+    "--resume",
+    metavar="FILE",
+    callback=_open_parent,
+    help="Go on from a recording, in a new one; its world is what its own config says.",
+)
+@click.option("--at", "frame", type=click.IntRange(0), help="With --resume: from this frame.  [default: the last]")
 @password_options(f"Password that clients must give; better in the variable {PASSWORD_VARIABLE}.")
 @click.option(
     "--tls-cert",
@@ -125,6 +138,8 @@ def command(
     no_record: bool,
     flush_interval: float,
     keyframes: float | None,
+    resume: Recording | None,
+    frame: int | None,
     password: str | None,
     password_file: Path | None,
     tls_cert: Path | None,
@@ -135,13 +150,21 @@ def command(
 ) -> None:
     """Host a world that clients drive over TCP, or many.
 
-    Each world is recorded to a new file. Ctrl-C or SIGTERM closes the recording and ends with status 0. Without a
+    Each world is recorded to a new file. With --resume it goes on from where a recording ends, or from any frame of it;
+    those who were in it then have left. Ctrl-C or SIGTERM closes the recording and ends with status 0. Without a
     password one is made up and printed, which is allowed only on an address of this machine alone.
     """
-    config = _read_config(config_file) if config_file is not None else {}
     given = {"backend": backend, "seed": seed, "mode": mode, "rate": rate, "keyframes": keyframes}
-    config |= {key: value for key, value in given.items() if value is not None}
-    config.setdefault("keyframes", KEYFRAMES)
+    given = {key: value for key, value in given.items() if value is not None}
+    if resume is not None:
+        other = [*given, *(["config"] if config_file is not None else []), *(["worlds"] if worlds is not None else [])]
+        if other:
+            raise click.UsageError(f"--{other[0]} does not go with --resume: the recording says what its world is")
+        config = resume.config
+    else:
+        if frame is not None:
+            raise click.UsageError("--at says from where to --resume")
+        config = {"keyframes": KEYFRAMES, **(_read_config(config_file) if config_file is not None else {}), **given}
     password, source = choose_password(password, password_file) or (secrets.token_urlsafe(12), "generated")
     if source == "generated" and not _is_local(host):
         raise click.UsageError(
@@ -158,12 +181,14 @@ def command(
         tls=_load_tls(tls_cert, tls_key),
         metrics=metrics,
     )
-    asyncio.run(_serve(server, config, names, host, ports, password, source, metrics_port, as_json))
+    parent = None if resume is None else (resume, frame)
+    asyncio.run(_serve(server, config, parent, names, host, ports, password, source, metrics_port, as_json))
 
 
 async def _serve(
     server: Host,
     config: dict[str, Any],
+    parent: tuple[Recording, int | None] | None,
     worlds: list[str],
     host: str,
     ports: list[int],
@@ -184,11 +209,12 @@ async def _serve(
                 sample = World({**config, "name": worlds[0]})
                 sample.close()
             else:
-                sample = server.add(config).world
+                sample = (server.add(config) if parent is None else server.resume(*parent)).world
         except RejectedMessage as error:
             raise click.UsageError(f"world config: {error.message}") from error
         except WorldError as error:
             raise click.UsageError(error.message) from error
+        resumed = sample.ticks
         listening = []
         for index, port in enumerate(ports):
             address, port = await server.listen(host, port, worlds[index] if len(ports) > 1 else None)
@@ -210,6 +236,8 @@ async def _serve(
             (hosted,) = server.worlds.values()
             recording = None if hosted.recording is None else str(hosted.recording)
             ready = {"world": hosted.name, **about, "recording": recording}
+            if parent is not None:
+                ready["resumed"] = {"file": str(parent[0].path), "frame": resumed}
             named = [f"World {hosted.name!r}"]
         if as_json:
             ready = {"host": address, "port": listening[0], "password_source": source, **ready}
@@ -230,6 +258,8 @@ async def _serve(
                 click.echo(f"Password: given by {source}")
             if metrics_port is not None:
                 click.echo(f"Metrics on http://127.0.0.1:{metrics_port}/metrics")
+            if parent is not None:
+                click.echo(f"Going on from frame {resumed:,} of {parent[0].path}")
             click.echo(f"Recording to {recording}" if recording else "Not recording")
             click.echo("Ctrl-C stops")
         await stop.wait()

@@ -150,11 +150,12 @@ def replay_against(
         progress: Called now and then with how many bytes of the file are done, and its size.
 
     Raises:
-        RecordingError: The file cannot be read as a recording.
+        RecordingError: The file cannot be read as a recording, or begins at a keyframe.
         Disconnected: The server cannot be reached at all.
         CommandFailed: It lets nobody in.
     """
     began = time.perf_counter()
+    recording.require_beginning("another server")
     run = _Run(recording, connect, tolerance)
     report = run.report
     try:

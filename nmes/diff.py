@@ -2,6 +2,9 @@
 
 The inputs are compared as they were recorded, the states by their digests; the values behind those come from running
 both again. There is no verdict on which is right.
+
+Ticks are counted over all resets, and on from where a recording begins that goes on from another: what comes before the
+later of the two beginnings is left out.
 """
 
 from __future__ import annotations
@@ -9,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
-from itertools import zip_longest
+from itertools import islice, zip_longest
 from typing import Any
 
 from nmes.drift import Drift, turned
@@ -86,14 +89,22 @@ def compare(first: Recording, second: Recording, *, anyway: bool = False) -> Com
         RecordingError: A tick does not come out as recorded.
         BackendNotFound: An engine is not there.
     """
-    one, other = list(_digests(first)), list(_digests(second))
-    tick = next((i for i, (a, b) in enumerate(zip_longest(one, other), 1) if a != b), None)
-    comparison = Comparison((len(one), len(other)), _inputs_part(first, second), None)
+    begins = first.start().frame, second.start().frame
+    begin = max(begins)
+    skip = begin - begins[0], begin - begins[1]
+    one, other = list(islice(_digests(first), skip[0], None)), list(islice(_digests(second), skip[1], None))
+    tick = next((i for i, (a, b) in enumerate(zip_longest(one, other), begin + 1) if a != b), None)
+    inputs = _inputs_part(_inputs(first, skip[0]), _inputs(second, skip[1]), begin)
+    comparison = Comparison((len(one), len(other)), inputs, None)
     if tick is not None:
         comparison.states = StatesPart(tick)
-        pairs = zip(states(first, anyway=anyway), states(second, anyway=anyway), strict=False)
+        pairs = zip(
+            islice(states(first, anyway=anyway), skip[0], None),
+            islice(states(second, anyway=anyway), skip[1], None),
+            strict=False,
+        )
         every = max(1, round(first.config["tick_rate"] / _SAMPLES))
-        for number, (a, b) in enumerate(pairs, 1):
+        for number, (a, b) in enumerate(pairs, begin + 1):
             if number == tick:
                 comparison.states = _part(tick, a, b)
             if number % every == 0 or number == tick:
@@ -107,18 +118,24 @@ def _digests(recording: Recording) -> Iterator[str]:
             yield from record.about["digests"]
 
 
-def _inputs(recording: Recording) -> Iterator[tuple[str, int | None, bytes]]:
+_Input = tuple[str, int | None, bytes]
+
+
+def _inputs(recording: Recording, skip: int) -> Iterator[_Input]:
+    """Yields what was done to the world; with ticks to skip, from the tick after those on."""
+    ticks = 0
     for record in recording:
         if record.kind is Kind.TICKS and record.about is not None:
             for _ in record.about["digests"]:
-                yield "tick", None, b""
-        elif record.kind in _INPUTS:
+                ticks += 1
+                if ticks > skip:
+                    yield "tick", None, b""
+        elif record.kind in _INPUTS and (ticks > skip or skip == 0):
             yield str(record.kind), record.client, record.data
 
 
-def _inputs_part(first: Recording, second: Recording) -> InputsPart | None:
-    ticks = 0
-    for one, other in zip_longest(_inputs(first), _inputs(second)):
+def _inputs_part(first: Iterator[_Input], second: Iterator[_Input], ticks: int) -> InputsPart | None:
+    for one, other in zip_longest(first, second):
         if one != other:
             return InputsPart(ticks, _told(one), _told(other))
         ticks += one is not None and one[0] == "tick"

@@ -18,7 +18,6 @@ from typing import Any, NamedTuple
 
 import orjson
 
-from nmes.errors import RecordingError
 from nmes.feeding import feed, happenings
 from nmes.protocol import Request
 from nmes.recording import Kind, Record, Recording
@@ -115,15 +114,12 @@ class _Run:
     def __init__(self, recording: Recording, backend: str) -> None:
         config = recording.config
         self.report = DriftReport(config["backend"], backend)
-        # The settings of one engine mean nothing to another.
-        settings = config["engine"] if backend == config["backend"] else {}
-        self.world = World({**config, "backend": backend, "engine": settings}, journal=self)
-        if (start := recording.start()).snapshot is not None:
-            self.world.close()
-            if backend != config["backend"]:
-                reason = f"it begins at frame {start.frame} with what only {config['backend']} can take up"
-                raise RecordingError("unsupported", f"{recording.path} cannot be run on {backend}: {reason}")
-            self.world = recording.begin(start, self)
+        if backend == config["backend"]:
+            self.world = recording.begin(recording.start(), self)
+        else:
+            recording.require_beginning(backend)
+            # The settings of one engine mean nothing to another.
+            self.world = World({**config, "backend": backend, "engine": {}}, journal=self)
         self.ticks = 0  # of our world
         self._recorded = 0  # ticks of the recorded one
         self._shown: dict[int, bytes] = {}  # recorded poses that our world has not come to yet, by ticks

@@ -32,10 +32,11 @@ from pathlib import Path
 from time import monotonic
 from typing import Any, NamedTuple, Protocol, TypeVar
 
+from nmes.branching import branch
 from nmes.errors import NmesError, RecordingError
 from nmes.metrics import Metrics, WorldFigures
 from nmes.protocol import Request
-from nmes.recording import Recorder
+from nmes.recording import Recorder, Recording
 from nmes.world import Barrier, Fault, World
 
 __all__ = ["SLICE", "Crew", "HostedWorld", "Peer", "Status"]
@@ -155,8 +156,12 @@ class HostedWorld:
         record_to: Path | None = None,
         flush_interval: float = 1.0,
         metrics: Metrics | None = None,
+        resume: tuple[Recording, int | None] | None = None,
     ) -> None:
-        """Creates the world and begins its recording, a new file in the directory `record_to`, if one is given."""
+        """Creates the world and begins its recording, a new file in the directory `record_to`, if one is given.
+
+        The world is a new one, or with `resume` goes on from a frame of a recording, of which `config` is.
+        """
         self.world = World(config, emit=self._emit) if metrics is None else metrics.world(config, self._emit)
         self.name: str = self.world.config["name"]
         self.recording: Path | None = None
@@ -167,7 +172,17 @@ class HostedWorld:
             except OSError as error:
                 raise RecordingError("recording_failed", f"cannot make {record_to}: {error.strerror}") from error
             self.recording = _new_recording_path(record_to, self.name)
-            self._recorder = self.world.journal = Recorder(self.recording, self.world, flush_interval=flush_interval)
+            if resume is None:
+                self._recorder = Recorder(self.recording, self.world, flush_interval=flush_interval)
+                self.world.journal = self._recorder
+            else:
+                recording, frame = resume
+                self._recorder = branch(recording, self.world, self.recording, frame, flush_interval=flush_interval)
+        elif resume is not None:
+            recording, frame = resume
+            recording.bring(self.world, recording.last_frame if frame is None else frame)
+        for client in self.world.clients():  # their connections are gone
+            self.world.leave(client)
         self._flushed = monotonic()
         self._flush_due = False
         self._connections: dict[int, Peer] = {}

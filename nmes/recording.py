@@ -23,7 +23,7 @@ import re
 import struct
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice, zip_longest
@@ -95,6 +95,7 @@ class Summary:
         refused: How many frames were no valid command.
         errors: How many replies were errors.
         ticks: How many there were, over all resets.
+        keyframes: How often the world was saved.
         faults: How often the world stopped.
         began: Wall clock of the first record, ns since 1970; 0 when there is none.
         ended: The same of the last.
@@ -105,6 +106,7 @@ class Summary:
     refused: int = 0
     errors: int = 0
     ticks: int = 0
+    keyframes: int = 0
     faults: int = 0
     began: int = 0
     ended: int = 0
@@ -121,6 +123,8 @@ class Summary:
                 self.errors += record.data.startswith(_ERROR)
             case Record(kind=Kind.TICKS, about={"digests": digests}):
                 self.ticks += len(digests)
+            case Record(kind=Kind.KEYFRAME):
+                self.keyframes += 1
             case Record(kind=Kind.FAULT):
                 self.faults += 1
         self.began = self.began or record.wall
@@ -321,8 +325,7 @@ class Recording:
     def last_frame(self) -> int:
         """The frame to which it comes, counted on through resets; read from its last keyframe on."""
         start = self.start(_NEVER)
-        runs = [record.about["digests"] for record in self.records(start) if record.kind is Kind.TICKS and record.about]
-        return start.frame + sum(map(len, runs))
+        return start.frame + _count_ticks(self.records(start))
 
     def begin(self, start: Start, journal: Journal | None = None) -> World:
         """Makes the world that the recording has at a start, to be fed what follows.
@@ -332,17 +335,33 @@ class Recording:
             BackendNotFound: The engine is not there.
         """
         world = World(self.config, journal=journal)
+        try:
+            self._restore(world, start)
+        except RecordingError:
+            world.close()
+            raise
+        return world
+
+    def require_beginning(self, who: str) -> None:
+        """Refuses a recording that begins at a keyframe, on behalf of somebody who cannot take one up.
+
+        Raises:
+            RecordingError: It does (`unsupported`).
+        """
+        if self._first.snapshot is not None:
+            begins = f"it begins at frame {self._first.frame}, in a running world of {self.config['backend']}"
+            raise RecordingError("unsupported", f"{self.path} cannot be run on {who}: {begins}")
+
+    def _restore(self, world: World, start: Start) -> None:
         if start.snapshot is not None:
             try:
                 world.restore(start.snapshot)
             except WorldError as error:
-                world.close()
                 raise RecordingError(
                     "recording_damaged", f"the keyframe at frame {start.frame} cannot be used: {error.message}"
                 ) from error
-        return world
 
-    def world_at(self, frame: int | None = None, journal: Journal | None = None) -> World:
+    def world_at(self, frame: int | None = None) -> World:
         """Returns the world as it was at a frame: all that was sent then has acted, and the next tick is to come.
 
         It is alive and may be driven on, by its clients as they were then or by others. Within a `batch` that ticks, no
@@ -350,26 +369,47 @@ class Recording:
 
         Args:
             frame: The frame, counted on through resets; None: where the recording ends.
-            journal: Told of what is fed to the world since it began, at the keyframe before.
 
         Raises:
             RecordingError: There is no such frame (`no_such_frame`), or a tick does not come out as recorded, as on
                 another machine (`diverged`).
             BackendNotFound: The engine is not there.
         """
-        wanted = self.last_frame if frame is None else frame
-        start = self.start(wanted)
-        world = self.begin(start, journal)
+        world = World(self.config)
         try:
-            advance(world, self.records(start), wanted)
-            if world.ticks != wanted:
-                raise RecordingError(
-                    "no_such_frame", f"{self.path} ends at frame {world.ticks}; it has no frame {wanted}"
-                )
-        except BaseException:
+            self.bring(world, self.last_frame if frame is None else frame)
+        except NmesError:
             world.close()
             raise
         return world
+
+    def bring(self, world: World, frame: int) -> None:
+        """Does the same with a new world of this recording's config. Nobody is told the events on the way.
+
+        Raises:
+            RecordingError: As `world_at`.
+        """
+        start = self.start(frame)
+        emit, world.emit = world.emit, None
+        self._restore(world, start)
+        advance(world, self.records(start), frame)
+        world.emit = emit
+        if world.ticks != frame:
+            raise RecordingError("no_such_frame", f"{self.path} ends at frame {world.ticks}; it has no frame {frame}")
+
+    def lineage(self, frame: int) -> dict[str, str]:
+        """Returns what a recording that goes on from a frame of this one says of its parent (`nmes.parent`)."""
+        start = self.start(frame)
+        ticks, head = start.frame, start._chain.head
+
+        def take(chain: _Chain, block: Block) -> tuple[list[Record], bytes]:
+            return chain.records(block), chain.head
+
+        for _, (records, after) in self._walk(take, start):
+            ticks, head = ticks + _count_ticks(records), after
+            if ticks > frame:
+                break
+        return {"recording": self._head.hex(), "head": head.hex(), "frame": str(frame), "file": self.path.name}
 
     def summary(self) -> Summary:
         """Counts what is in the recording, by reading all of it."""
@@ -377,6 +417,10 @@ class Recording:
         for record in self:
             result._count(record)
         return result
+
+
+def _count_ticks(records: Iterable[Record]) -> int:
+    return sum(len(record.about["digests"]) for record in records if record.kind is Kind.TICKS and record.about)
 
 
 @dataclass(frozen=True, slots=True)

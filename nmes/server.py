@@ -32,6 +32,7 @@ from nmes.errors import NmesError, RejectedMessage, WorldError
 from nmes.hosting import SLICE, Crew, HostedWorld
 from nmes.metrics import CONTENT_TYPE, Figures, Metrics
 from nmes.protocol import Auth, Limits, Request, Session, complete_config
+from nmes.recording import Recording
 
 __all__ = ["Host"]
 
@@ -437,6 +438,26 @@ class Host:
             del self._offered[name]
             raise
 
+    def resume(self, recording: Recording, frame: int | None = None) -> HostedWorld:
+        """Hosts the world of a recording, which goes on from a frame of it; those who were in it are gone.
+
+        Args:
+            recording: The recording.
+            frame: The frame, counted on through resets; None: where it ends.
+
+        Raises:
+            RecordingError: There is no such frame, a tick on the way to it does not come out as recorded, or the new
+                recording cannot be written.
+            BackendNotFound: No such engine.
+            WorldError: There is a world of that name (`world_exists`).
+        """
+        name = self.offer(recording.config)
+        try:
+            return self._create(name, (recording, frame))
+        except NmesError:
+            del self._offered[name]
+            raise
+
     def offer(self, config: Mapping[str, Any]) -> str:
         """Hosts a world that is created, and its recording begun, when it is first used; returns its name.
 
@@ -451,9 +472,9 @@ class Host:
         self._offered[name] = complete
         return name
 
-    def _create(self, name: str) -> HostedWorld:
+    def _create(self, name: str, resume: tuple[Recording, int | None] | None = None) -> HostedWorld:
         hosted = self.worlds[name] = HostedWorld(
-            self._offered[name], self._crew, self.record_to, self._flush_interval, self._metrics
+            self._offered[name], self._crew, self.record_to, self._flush_interval, self._metrics, resume
         )
         if self._servers:
             hosted.start()

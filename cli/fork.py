@@ -1,0 +1,46 @@
+"""`nmes fork`: a new recording that begins at a frame of another."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+import orjson
+
+from nmes.branching import branch
+from nmes.cli.info import open_recording
+from nmes.recording import Recording
+from nmes.world import World
+
+__all__ = ["command"]
+
+
+@click.command("fork")
+@click.argument("recording", metavar="FILE", callback=open_recording)
+@click.option("--at", "frame", type=click.IntRange(0), help="The frame.  [default: the last]")
+@click.option(
+    "-o", "--output", required=True, type=click.Path(dir_okay=False, path_type=Path), help="The new recording."
+)
+@click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON.")
+def command(recording: Recording, frame: int | None, output: Path, as_json: bool) -> None:
+    """Take the world out of a recording as it was at a frame.
+
+    Writes a recording that begins there and holds nothing else: small, whole without its parent, of which it tells, and
+    the place from which others go on. Scripts do so with Recording("NEW.mcap").world_at(), servers with
+    `nmes serve --resume NEW.mcap`. The clients of then are in it. Where the engine cannot save a world, all that came
+    before the frame is in it.
+
+    Frames are counted on through resets.
+
+    Example: nmes fork long.mcap --at 36000 -o tenth-minute.mcap
+    """
+    world = World(recording.config)
+    try:
+        branch(recording, world, output, frame).close()
+        done = {"file": str(output), "parent": str(recording.path), "frame": world.ticks, "cubes": len(world.cubes())}
+    finally:
+        world.close()
+    if as_json:
+        click.echo(orjson.dumps(done, option=orjson.OPT_INDENT_2))
+    else:
+        click.echo(f"frame {done['frame']:,} of {recording.path}, {done['cubes']:,} cubes: {output}")
