@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import mmap
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, ClassVar
@@ -275,7 +276,9 @@ class KeepsItsWorlds(Planted):
     kept: ClassVar[list[Any]] = []
 
     def create(self, scene: SceneSpec) -> BallisticSimulation:
-        self.kept.append(np.ones(500_000))  # more than what earlier tests may have freed and not given back
+        kept = mmap.mmap(-1, 1 << 20)  # memory of its own: none that earlier tests freed and did not give back
+        kept.write(bytes([1]) * len(kept))
+        self.kept.append(kept)
         return BallisticSimulation(scene)
 
 

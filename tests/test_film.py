@@ -64,9 +64,7 @@ def drawn(thrown: Recording, tmp_path: Path) -> Recording:
 def alien(monkeypatch: pytest.MonkeyPatch, path: Path, pose_rate: float = 10.0) -> Recording:
     """A recording of another machine."""
     with monkeypatch.context() as patch:
-        patch.setattr(
-            "nmes.recording.fingerprint", lambda b: {**fingerprints.fingerprint(b), "simd": "of another kind"}
-        )
+        patch.setattr("nmes.recorder.fingerprint", lambda b: {**fingerprints.fingerprint(b), "simd": "of another kind"})
         return Recording(record(path, throw, CONFIG, pose_rate=pose_rate))
 
 
