@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from nmes.conformance.trial import Trial
 
-__all__ = ["Case", "Category", "Finding", "Level", "Row", "Scope", "Unimplemented"]
+__all__ = ["Case", "Category", "Finding", "Level", "NotTried", "Row", "Scope", "Unimplemented"]
 
 
 class Level(StrEnum):
@@ -35,13 +35,14 @@ class Scope(Enum):
     """What of the server a case has to itself.
 
     Cases of CONNECTION use their own connections and cubes only, and run side by side. Those of TIME move the world's
-    time on or watch it pass; those of WORLD change what all its clients share (mode, pause, all connections). Both run
-    one by one.
+    time on or watch it pass; those of WORLD change what all its clients share (mode, pause, seed); those of HOST count
+    all connections. They run one by one.
     """
 
     CONNECTION = "connection"
     TIME = "time"
     WORLD = "world"
+    HOST = "host"
 
 
 class Finding(AssertionError):
@@ -55,6 +56,10 @@ class Finding(AssertionError):
 
 class Unimplemented(Exception):
     """The server says that it does not have something that it may leave out."""
+
+
+class NotTried(Exception):
+    """The case would cost too much against this server, or this machine cannot do it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +92,7 @@ class Case:
         needs: What the server must claim for the case to make sense; see `Probe.lacks`.
         scope: What it has to itself.
         wait: How long it takes because something has to take that long, s.
-        run: Plays it; raises Finding or Unimplemented.
+        run: Plays it; raises Finding, Unimplemented or NotTried.
     """
 
     number: str

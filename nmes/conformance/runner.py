@@ -13,7 +13,7 @@ import time
 import traceback
 from collections import Counter
 from collections.abc import Callable, Sequence
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -22,7 +22,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from nmes.conformance.case import Case, Finding, Level, Scope, Unimplemented
+from nmes.conformance.case import Case, Finding, Level, NotTried, Scope, Unimplemented
 from nmes.conformance.cases import CASES, CATEGORIES
 from nmes.conformance.clauses import sentence
 from nmes.conformance.trial import Probe, Target, Trial
@@ -33,6 +33,7 @@ from nmes.schemas import schema_hash
 
 __all__ = ["Options", "Report", "Result", "Unreachable", "Verdict", "run", "select", "suite_hash"]
 
+PATIENT = 5.0  # s of waiting from which on a case goes on beside those that are alone with the world
 SIDE_BY_SIDE = 24  # cases at once; nearly all of the time they wait
 
 
@@ -187,31 +188,42 @@ def run(target: Target, options: Options | None = None, on_result: Callable[[Res
             take(Result(case, Verdict.SKIPPED, reason="; ".join(dict.fromkeys(reasons))))
         else:
             playable.append(case)
-    together = [case for case in playable if case.scope is Scope.CONNECTION]
-    _side_by_side(sorted(together, key=lambda case: -case.wait), job, take)
-    for scope in (Scope.TIME, Scope.WORLD):
-        alone = [case for case in playable if case.scope is scope]
-        if alone:
-            _govern(target, probe, scope is Scope.TIME)
-            try:
-                for case in alone:
-                    take(job(case))
-            finally:
+    by_scope = {scope: [case for case in playable if case.scope is scope] for scope in Scope}
+    pool = ThreadPoolExecutor(SIDE_BY_SIDE, thread_name_prefix="case")
+    try:
+        together = sorted(by_scope[Scope.CONNECTION], key=lambda case: -case.wait)
+        pending = {pool.submit(job, case): case for case in together}
+        # Those that only wait for a time-out, and touch nothing, go on beside the cases that follow.
+        _collect(pending, take, lambda case: case.wait < PATIENT)
+        try:
+            for case in by_scope[Scope.TIME]:
+                if case is by_scope[Scope.TIME][0]:
+                    _stop_time(target, probe)
+                take(job(case))
+            for case in by_scope[Scope.WORLD]:
                 _release(target, probe)
+                take(job(case))
+        finally:
+            if by_scope[Scope.TIME] or by_scope[Scope.WORLD]:
+                _release(target, probe)
+        _collect(pending, take, lambda case: True)
+        for case in by_scope[Scope.HOST]:
+            take(job(case))
+    finally:
+        pool.shutdown(cancel_futures=True)
     ordered = [results[case.number] for case in cases]
     return Report(target, probe, options, ordered, started, time.monotonic() - began)
 
 
-def _side_by_side(cases: Sequence[Case], job: Callable[[Case], Result], take: Callable[[Result], None]) -> None:
-    pool = ThreadPoolExecutor(SIDE_BY_SIDE, thread_name_prefix="case")
-    try:
-        pending = {pool.submit(job, case) for case in cases}
-        while pending:
-            done, pending = wait(pending, return_when=FIRST_COMPLETED)
-            for future in done:
-                take(future.result())
-    finally:
-        pool.shutdown(cancel_futures=True)
+def _collect(
+    pending: dict[Future[Result], Case], take: Callable[[Result], None], wanted: Callable[[Case], bool]
+) -> None:
+    """Takes results as they come, until no wanted case is pending."""
+    while any(map(wanted, pending.values())):
+        done, _ = wait(pending, return_when=FIRST_COMPLETED)
+        for future in done:
+            del pending[future]
+            take(future.result())
 
 
 def examine(target: Target) -> Probe:
@@ -268,9 +280,9 @@ def _refuses(target: Target, log: Log) -> bool:
     return True
 
 
-def _govern(target: Target, probe: Probe, still: bool) -> None:
+def _stop_time(target: Target, probe: Probe) -> None:
     """Makes the world stand still between steps, where the suite can; a case will tell if it does not."""
-    if still and probe.stepping and probe.mode != "lockstep":
+    if probe.stepping and probe.mode != "lockstep":
         if {"pause", "resume"} <= probe.capabilities:
             _tell(target, {"type": "pause"})
         else:
@@ -310,6 +322,8 @@ def play(target: Target, probe: Probe, case: Case, plot: int, seed: int) -> Resu
             result.verdict = Verdict.NON_STRICT
             result.expected = "; ".join(remark.expected for remark in trial.remarks)
             result.received = "; ".join(remark.received for remark in trial.remarks)
+    except NotTried as reason:
+        result.verdict, result.reason = Verdict.SKIPPED, str(reason)
     except Unimplemented as lack:
         result.verdict, result.reason = Verdict.UNIMPLEMENTED, str(lack)
     except Finding as finding:

@@ -136,7 +136,7 @@ class Trial:
         self.random = random.Random(f"{seed}:{case.number}")
         self.remarks: list[Finding] = []
         self.wires: list[Wire] = []
-        self._plot = plot
+        self.plot = plot
         self._x = PLOT * ((FIRST_PLOT + plot // 2) * (-1 if plot % 2 else 1))
         self._names = 0
         self._spawned: list[str] = []
@@ -175,7 +175,7 @@ class Trial:
 
     def name(self, hint: str = "cube") -> str:
         """Returns a name that nobody has, and remembers to despawn a cube of that name."""
-        name = f"{self.probe.tag}-{self._plot}-{self._count()}-{hint}"
+        name = f"{self.probe.tag}-{self.plot}-{self._count()}-{hint}"
         self._spawned.append(name)
         return name
 

@@ -19,7 +19,7 @@ from nmes.conformance.case import Finding
 from nmes.errors import NmesError
 from nmes.protocol import DELIMITER, EVENTS, validate_event, validate_reply
 
-__all__ = ["Entry", "Log", "Message", "Wire", "clip", "frame_of"]
+__all__ = ["Entry", "Log", "Message", "Wire", "clip", "frame_of", "is_event", "read_json", "read_message"]
 
 READ = 64 << 10
 SHOWN = 300  # characters of what was received that a finding repeats
@@ -107,6 +107,32 @@ class Wire:
         """Sends messages in one write."""
         self.send(b"".join(map(frame_of, messages)))
 
+    def stuff(self, data: bytes, most: int, patience: float) -> int:
+        """Sends the same bytes again and again, reading nothing, until the server takes no more; returns how many.
+
+        Ends after `most` bytes, or when nothing was taken for `patience` s.
+        """
+        self._socket.settimeout(patience)
+        sent = 0
+        try:
+            while sent < most:
+                sent += self._socket.send(data[sent % len(data) :])
+        except OSError as error:  # also when it takes no more: that is the point
+            self._log.add(self.name, "note", f"stopped sending: {error}".encode())
+        self._log.add(self.name, "note", f"sent {sent} bytes, the same {len(data)} again and again".encode())
+        return sent
+
+    def ready(self) -> bool:
+        """Whether there is something to read now."""
+        self._socket.settimeout(0.2)
+        try:
+            self._socket.recv(1, socket.MSG_PEEK)
+        except TimeoutError:
+            return False
+        except OSError:  # it was reset: the next read tells
+            return True
+        return True
+
     def hang_up(self) -> None:
         """Says that nothing more will be sent, and goes on reading."""
         self._log.add(self.name, "note", b"nothing more will be sent")
@@ -171,8 +197,8 @@ class Wire:
             raise Finding(f"a reply with id {json.dumps(command['id'])}", clip(reply))
         return reply
 
-    def rest(self, timeout: float | None = None) -> list[bytes]:
-        """Waits until the server hangs up; returns the frames that came before.
+    def rest(self, timeout: float | None = None, whole: bool = True) -> list[bytes]:
+        """Waits until the server hangs up; returns the frames that came before, `whole` ones or also a part of one.
 
         Raises:
             Finding: It does not hang up in time.
@@ -182,7 +208,7 @@ class Wire:
             pass
         frames = [frame.strip(b" \t\r\n") for frame in bytes(self._buffer).split(DELIMITER)]
         self._buffer.clear()
-        if frames.pop():
+        if whole and frames.pop():
             raise Finding("whole frames before the end of the connection", "one without its delimiter")
         return [frame for frame in frames if frame]
 

@@ -1,0 +1,80 @@
+"""Values from schemas: those at the bounds of a field, and those that it must refuse.
+
+It hides JSON Schema. What is offered as wrong has been found wrong by the schema itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import jsonschema_rs
+
+from nmes.protocol import COMMANDS
+from nmes.schemas import Schema
+
+__all__ = ["FIELD_NEEDS", "edges", "fields", "wrong"]
+
+_HUGE = 1e300
+# What a field needs that not every server which has the command must have: elsewhere it is an unknown field.
+FIELD_NEEDS: dict[tuple[str, str], tuple[str, ...]] = {
+    ("get_cube_info", "sensors"): ("sensors.inertial",),
+    ("get_world_state", "sensors"): ("sensors.inertial",),
+    ("get_cube_info", "rays"): ("sensors.range",),
+    ("get_cube_info", "max_range"): ("sensors.range",),
+    **{
+        ("create_joint", name): ("joint.hinge", capability)
+        for capability, names in {
+            "motor": ("motor_target_velocity", "motor_max_impulse", "motor_max_force", "motor_enabled"),
+            "servo": ("target_position",),
+            "spring": ("stiffness", "damping"),
+            "limits": ("limits", "limit_lower", "limit_upper", "limit_enabled"),
+        }.items()
+        for name in names
+    },
+}
+
+
+def fields(kind: str) -> Iterator[tuple[str, Schema]]:
+    """Yields the fields of a command that have a shape of their own."""
+    for name, part in COMMANDS[kind].schema["properties"].items():
+        if name not in ("type", "id") and part.keys() - {"description", "title"}:
+            yield name, part
+
+
+def wrong(part: Schema) -> list[Any]:
+    """Returns values that a field must refuse: of another type, out of bounds, too short, too long."""
+    validator = jsonschema_rs.Draft202012Validator(part)
+    candidates: list[Any] = [None, True, 7, 1.5, "", "no such thing", "a" * 129, [], {}, [[]], {"a": 1}]
+    for choice in (part, *part.get("anyOf", ())):
+        low, high = choice.get("minimum"), choice.get("maximum")
+        candidates += [low - max(abs(low), 1) * 0.01 - 1 if low is not None else None, -_HUGE, _HUGE]
+        candidates += [high + max(abs(high), 1) * 0.01 + 1 if high is not None else None]
+        items = choice.get("items", {})
+        if items.get("type") == "number":
+            good = [1.0] * choice.get("minItems", 1)
+            candidates += [good[:-1], [*good, *good, 1.0], ["1", *good[1:]], [*good[:-1], None], [*good[:-1], [1.0]]]
+            candidates += [[*good[:-1], sign * _HUGE] for sign in (1, -1)]
+            candidates.append([0.0] * len(good))
+        elif items:
+            candidates += [[bad] for bad in (None, 7, "", {}, [])] + [["tick", "tick"], ["no such thing", 7]]
+    unique = {repr(value): value for value in candidates}
+    return [value for value in unique.values() if not validator.is_valid(value)]
+
+
+def edges(part: Schema) -> list[Any]:
+    """Returns values at the bounds of a field."""
+    found: list[Any] = []
+    for choice in (part, *part.get("anyOf", ())):
+        items = choice.get("items", {})
+        if choice.get("type") in ("number", "integer"):
+            found += [choice[bound] for bound in ("minimum", "maximum") if bound in choice]
+        elif choice.get("type") == "boolean":
+            found += [True, False]
+        elif items.get("type") == "number" and "minimum" in items:
+            for count in {choice["minItems"], choice["maxItems"]}:
+                found += [[items["minimum"]] * count, [items["maximum"]] * count]
+        elif items.get("enum"):
+            found += [[value] for value in items["enum"]] + [items["enum"]]
+    validator = jsonschema_rs.Draft202012Validator(part)
+    return [value for value in found if validator.is_valid(value)]
