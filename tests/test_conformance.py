@@ -19,7 +19,8 @@ from click.testing import Result as Outcome
 from layout import ROOT
 from nmes.cli import main
 from nmes.conformance import CASES, Options, Report, Target, Verdict, run, select, suite_hash
-from nmes.conformance.clauses import CLAUSES
+from nmes.conformance.__main__ import page
+from nmes.conformance.clauses import CLAUSES, UNTESTED
 from nmes.protocol import DELIMITER
 from serving import PASSWORD, Served, served
 
@@ -187,9 +188,20 @@ def test_the_reports_hold_it_all(tmp_path: Path) -> None:
 
 
 def test_numbers_are_unique_and_clauses_exist() -> None:
-    assert len({case.number for case in CASES}) == len(CASES) >= 190
+    assert len({case.number for case in CASES}) == len(CASES) >= 700
     assert {case.clause for case in CASES} <= CLAUSES.keys()
     assert select(Options(only=["4.3:null"]))[0].number == "4.3:null"
+
+
+def test_every_sentence_has_a_case_or_a_reason() -> None:
+    used = {case.clause for case in CASES}
+    assert used | UNTESTED.keys() == CLAUSES.keys()
+    assert not used & UNTESTED.keys()
+
+
+def test_the_table_of_cases_is_up_to_date() -> None:
+    # `python -m nmes.conformance > docs/conformance-cases.md`
+    assert (ROOT / "docs" / "conformance-cases.md").read_text() == page()
 
 
 def test_the_sentences_are_those_of_the_protocol() -> None:

@@ -103,11 +103,24 @@ CLAUSES: Final[Mapping[str, str]] = {
 
 UNTESTED: Final[Mapping[str, str]] = {
     "1.1.1": "cases speak plain TCP",
-    "1.4.4": "it would take five minutes",
     "2.4.1": "what a server records is not on the wire",
-    "2.4.2": "it cannot be told apart from outside",
+    "4.barrier_timeout": "see 3.5.3",
+    "4.world_closed": "a server is not closed from outside",
+    "4.world_fault": "an engine is not made to fail from outside",
+    "4.error.auth_failed": "see 2.2.2",
+    "4.error.auth_timeout": "see 1.4.3",
+    "4.error.bad_json": "see 1.3.1 to 1.3.6",
+    "4.error.frame_too_large": "see 1.4.1 and 1.4.2",
+    "4.error.unsupported": "see 5.1.1 and 5.1.2",
+    "4.error.limit_reached": "see 1.4.7",
+    "4.error.slow_consumer": "see 1.4.5",
+    "4.error.too_many_connections": "see 1.4.6",
+    "4.error.world_faulted": "an engine is not made to fail from outside",
+    "4.error.world_unavailable": "it depends on how the server is set up",
+    "4.error.bad_expression": "see the commands about objectives",
+    "4.error.internal": "a server is not made to fail from outside",
 }
-"""Sentences without a case, and why they have none."""
+"""Sentences without a case of their own, and why."""
 
 
 def sentence(address: str) -> str:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from nmes.conformance.case import Case, Finding
-from nmes.conformance.wire import Log, Message, Wire, clip, frame_of, read_json
+from nmes.conformance.wire import Log, Message, Wire, clip, read_json
 from nmes.protocol import COMMANDS, DELIMITER
 
 __all__ = ["ABSENT", "Probe", "Target", "Trial"]
@@ -291,14 +291,18 @@ class Trial:
     # -- the end ---------------------------------------------------------------------------------------------------
 
     def clean_up(self) -> None:
-        """Despawns what the case spawned. What goes wrong with that is no finding: the case has been judged."""
-        if not self._spawned or any(wire.ending == "timed out" for wire in self.wires):
+        """Despawns what the case spawned, or resets a world that may be. What goes wrong with that is no finding: the case has been judged."""
+        may_reset = "lockstep" in self.case.needs
+        if not (self._spawned or may_reset) or any(wire.ending == "timed out" for wire in self.wires):
             return
         try:
             with self.target.connect(Log(), "cleaner") as wire:
                 self.target.enter(wire)
                 names: Iterable[str] = dict.fromkeys(self._spawned)
-                wire.send(b"".join(frame_of({"type": "despawn_cube", "cube_name": name}) for name in names))
+                if may_reset:
+                    wire.say({"type": "reset", "seed": self.probe.info.get("seed", 0)})
+                else:
+                    wire.say(*({"type": "despawn_cube", "cube_name": name} for name in names))
                 wire.say({"type": "ping", "id": "done"})
                 while read_json(wire.frame()).get("id") != "done":
                     pass

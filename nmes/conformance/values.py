@@ -57,7 +57,7 @@ def wrong(part: Schema) -> list[Any]:
             candidates += [[*good[:-1], sign * _HUGE] for sign in (1, -1)]
             candidates.append([0.0] * len(good))
         elif items:
-            candidates += [[bad] for bad in (None, 7, "", {}, [])] + [["tick", "tick"], ["no such thing", 7]]
+            candidates += [[None], [7], [""], [{}], [[]], ["tick", "tick"], ["no such thing", 7]]
     unique = {repr(value): value for value in candidates}
     return [value for value in unique.values() if not validator.is_valid(value)]
 

@@ -669,6 +669,18 @@ def both_forms_of_rotation(t: Trial) -> None:
     t.equal([len(info["rotation"]), len(info["quaternion"])], [3, 4], "the number of numbers")
 
 
+@case(46, "4.get_cube_list")
+def listing(t: Trial) -> None:
+    """The list of cubes is what the last spawn told, and looking does not change it."""
+    wire = t.join()
+    reply = t.ask(wire, {"type": "spawn_cube", "cube_name": t.name(), "position": t.at()}, "cube_list")
+    mine = [name for name in reply["cubes"] if name.startswith(f"{t.probe.tag}-{t.plot}-")]
+    for _ in range(2):
+        listed = t.ask(wire, {"type": "get_cube_list"}, "cube_list")
+        t.true("spawned" not in listed, "nothing spawned by looking", listed)
+        t.equal([name for name in listed["cubes"] if name.startswith(f"{t.probe.tag}-{t.plot}-")], mine, "the list")
+
+
 @case(45, "4.get_world_info", needs=("get_world_info",), level=Level.SHOULD)
 def the_limits_are_told(t: Trial) -> None:
     """The world tells how many cubes and joints it takes."""

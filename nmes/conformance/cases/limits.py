@@ -111,13 +111,13 @@ def too_many_cubes(t: Trial) -> None:
     if room > MANY:
         raise NotTried(f"there is room for {room:,} cubes more")
     names = [t.name() for _ in range(room + 1)]
-    cube = {"type": "spawn_cube", "list": False, "position": t.at(y=100)}
-    wire.say(*({**cube, "cube_name": name} for name in names))
+    cube = {"type": "spawn_cube", "list": False}
+    wire.say(*({**cube, "cube_name": name, "position": t.at(y=100 + 2 * n)} for n, name in enumerate(names)))
     replies = [wire.reply("cube_list") for _ in names]
     t.equal([reply["type"] for reply in replies[:-1]], ["cube_list"] * room, "the replies within the limit")
     t.error(replies[-1], "limit_reached")
     t.ask(wire, {"type": "despawn_cube", "cube_name": names[0]}, "cube_despawned")
-    t.ask(wire, {**cube, "cube_name": names[-1]}, "cube_list")
+    t.ask(wire, {**cube, "cube_name": names[-1], "position": t.at()}, "cube_list")
 
 
 @case(9, "1.4.7", needs=("get_world_info", "joint.fixed"), scope=Scope.WORLD)

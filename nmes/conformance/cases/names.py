@@ -31,7 +31,7 @@ def made_up_names_are_new(t: Trial) -> None:
     wire = t.join()
     names = []
     for n in range(30):
-        name = t.ask(wire, {"type": "spawn_cube", "position": t.at(n % 5), "list": False}, "cube_list")["spawned"]
+        name = t.ask(wire, {"type": "spawn_cube", "position": t.at(y=3 + 2 * n), "list": False}, "cube_list")["spawned"]
         t.adopt(name)
         names.append(name)
         if n % 2:
@@ -44,9 +44,10 @@ def two_connections_make_up_different_names(t: Trial) -> None:
     """Names made up for two connections are different."""
     wires = [t.join(), t.join()]
     names = []
-    for _ in range(10):
-        for wire in wires:
-            name = t.ask(wire, {"type": "spawn_cube", "position": t.at(), "list": False}, "cube_list")["spawned"]
+    for n in range(10):
+        for x, wire in enumerate(wires):
+            command = {"type": "spawn_cube", "position": t.at(2 * x, 3 + 2 * n), "list": False}
+            name = t.ask(wire, command, "cube_list")["spawned"]
             t.adopt(name)
             names.append(name)
     t.equal(len(set(names)), 20, "different names")

@@ -571,7 +571,7 @@ def servos(t: Trial) -> None:
     """A servo takes its joint to the position that it is set to."""
     wire = t.join()
     base, name = t.base(wire, position=t.at(-3, 10)), t.spawn(wire, position=t.at(0, 10))
-    joint = t.join_cubes(wire, base, name, "hinge", position=t.at(0, 10), stiffness=50, damping=5, motor_max_force=1000)
+    joint = t.join_cubes(wire, base, name, "hinge", position=t.at(0, 10), motor_max_force=1000)
     for target in (0.8, -0.4):
         set_params(t, wire, joint, target_position=target)
         t.until(wire, name, 4.0, functools.partial(turned_to, target), f"a turn to {target} rad")
@@ -579,7 +579,7 @@ def servos(t: Trial) -> None:
 
 def turned_to(angle: float, info: Message) -> bool:
     """Whether a cube is turned by an angle about z."""
-    return abs(info["rotation"][2] - angle) < 0.05
+    return abs(float(info["rotation"][2]) - angle) < 0.05
 
 
 @case(40, "4.get_joint_info", needs=("time", "joint.hinge", "motor", "get_joint_info"), scope=Scope.TIME)

@@ -82,9 +82,9 @@ def mutilated_commands(t: Trial, number: int) -> None:
     good = frame_of({"type": "get_cube_info", "cube_name": before, "id": {"a": [1, None]}})[: -len(DELIMITER)]
     frames = []
     for _ in range(100):
-        frame = bytearray(good)
-        frame[t.random.randrange(len(frame))] = t.random.choice(b'\x00\x7f\xff{}[]",:0123456789aeE+-. \\')
-        frames.append(bytes(frame))
+        changed = bytearray(good)
+        changed[t.random.randrange(len(changed))] = t.random.choice(b'\x00\x7f\xff{}[]",:0123456789aeE+-. \\')
+        frames.append(bytes(changed))
     wire.send(b"".join(frame + DELIMITER for frame in frames))
     for frame in frames:
         reply = read_message(wire.frame(what=f"an answer to {frame!r}"))
@@ -166,8 +166,8 @@ def many_cubes_come_and_go(t: Trial) -> None:
     wire = t.join()
     before = len(t.cubes(wire))
     names = [t.name() for _ in range(300)]
-    for name in names:
-        wire.say({"type": "spawn_cube", "cube_name": name, "position": t.at(y=1000), "list": False})
+    for n, name in enumerate(names):  # apart, for a crowd in one place is another matter
+        wire.say({"type": "spawn_cube", "cube_name": name, "position": t.at(y=1000 + 2 * n), "list": False})
     for name in names:
         wire.say({"type": "despawn_cube", "cube_name": name})
     said = [wire.reply("a reply")["type"] for _ in range(600)]
@@ -180,7 +180,8 @@ def a_client_that_leaves_its_last_words(t: Trial) -> None:
     """What a client said before it hung up is done."""
     wire, witness = t.join(), t.join()
     names = [t.name() for _ in range(20)]
-    wire.say(*({"type": "spawn_cube", "cube_name": name, "position": t.at(), "list": False} for name in names))
+    cube = {"type": "spawn_cube", "list": False}
+    wire.say(*({**cube, "cube_name": name, "position": t.at(y=3 + 2 * n)} for n, name in enumerate(names)))
     wire.hang_up()
     t.equal(len(wire.rest()), 20, "the replies before the end")
     t.true(set(names) <= set(t.cubes(witness)), "all of the cubes", names)

@@ -192,7 +192,7 @@ def replies_among_events(t: Trial) -> None:
     t.ask(wire, {"type": "subscribe"}, "subscribed")
     for n in range(20):
         wire.say({"type": "step", "id": n}, {"type": "ping", "id": f"p{n}"})
-    replies = []
+    replies: list[Any] = []
     ticks = 0
     while len(replies) < 40:
         message = wire.hear(what="replies and events")

@@ -169,6 +169,15 @@ def pausing(t: Trial) -> None:
         t.true(frame(t, wire) > resumed, "a world that ticks again", f"frame {resumed} still")
 
 
+@case(24, "4.resume", needs=PAUSE, scope=Scope.WORLD)
+def resuming_what_goes_on(t: Trial) -> None:
+    """A world that is not paused can be resumed, which changes nothing."""
+    wire = t.join()
+    t.ask(wire, {"type": "resume"}, "resumed")
+    info = t.ask(wire, {"type": "get_world_info"}, "world_info")
+    t.equal([info["paused"], info["mode"]], [False, t.probe.mode], "paused and mode")
+
+
 @case(13, "4.step", needs=(*PAUSE, "step"), scope=Scope.WORLD)
 def stepping_a_paused_world(t: Trial) -> None:
     """A paused world steps, whatever its mode."""
