@@ -27,6 +27,7 @@ SUBCOMMANDS = {
     "replay": "Run a recording again and compare.",
     "serve": "Host worlds that clients drive over TCP.",
     "sign": "Vouch for a recording with an Ed25519 key.",
+    "tasks": "List the tasks that creatures can be put to.",
     "verify": "Check that a recording is as it was written.",
     "worlds": "List the worlds of a host.",
 }

@@ -437,13 +437,16 @@ class Simulation(ABC):
         """Returns a new array (n,): 1 for each body that touched anything in the last step, as `contacts`, else 0."""
         return np.array([float(bool(self.contacts(body))) for body in bodies])
 
-    def powers(self, joints: Sequence[int]) -> Array:
-        """Returns a new array (n,): the power of joints' motors, effort times velocity as `joint_state` has them, W.
+    def powers(self, joints: Sequence[int], out: Array) -> None:
+        """Writes the power of joints' motors, effort times velocity as `joint_state` has them, W.
 
-        Asked right after a step, of the same tuple of joints at each tick for as long as they stay the same.
+        Args:
+            joints: Asked for right after a step; the same tuple for as long as they stay the same.
+            out: Array (n,).
         """
-        states = [self.joint_state(joint) for joint in joints]
-        return np.array([state.effort * state.velocity for state in states])
+        for row, joint in enumerate(joints):
+            state = self.joint_state(joint)
+            out[row] = state.effort * state.velocity
 
     @abstractmethod
     def contacts(self, body: int) -> list[Contact]:

@@ -301,7 +301,6 @@ class _Observer:
         ids = (*(cube.id for cube in body.cubes), *task.prop_ids())
         cast = Cast(ids, len(body.cubes), np.array(shapes), np.array(masses, float), task.tick_rate, task.target(seed))
         self._task = task
-        self._tick = 1.0 / task.tick_rate
         self._touches = any(quantity.name == "contacts" for quantity in task.needs)
         self.trace = Trace(cast, task.ticks, len(creature.motors), contacts=self._touches)
         joints = [creature.joints[motor.id] for motor in creature.motors]
@@ -314,10 +313,7 @@ class _Observer:
         if begin == end:
             return None
         trace.states[begin:end] = self._track.states(begin, end)
-        velocities, efforts = self._track.drives(begin, end)
-        worked = np.abs(efforts * velocities) * self._tick
-        worked[0] = worked[0] + trace.work[begin - 1] if begin else 0.0
-        np.add.accumulate(worked, axis=0, out=trace.work[begin:end])
+        trace.meter(begin, *self._track.drives(begin, end))
         trace.rows = end
         stop = self._task.ended(trace, max(begin, 1), end)
         if stop is None:

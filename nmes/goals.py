@@ -102,7 +102,7 @@ class _Goal:
             self._watts = np.append(self._watts, np.zeros(len(self._motors) - len(self._watts)))
             self._here = np.array([self._motors.index(number) for number in now], np.intp)
             self._there = np.array([meter.numbers.index(number) for number in now], np.intp)
-        self._watts[self._here] += meter.powers[self._there]
+        self._watts[self._here] += meter.powers()[self._there]
 
     def value(self, assembly: Assembly, frame: int) -> float:
         """Returns what it is worth now.

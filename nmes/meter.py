@@ -1,6 +1,6 @@
 """What the motors of a world have worked.
 
-Hides where the sums are kept and that the engine is asked for all motors at once. The work of a motor in a tick is the
+Hides where the sums are kept, and that they are taken of many ticks at once. The work of a motor in a tick is the
 size of its effort times its joint's velocity, both as they are when the tick ends, times the tick: a motor that brakes
 works too, and what a motor gives for less than a tick counts as far as it lasts to its end.
 
@@ -17,59 +17,66 @@ from nmes.backend import Array, Simulation
 __all__ = ["Meter"]
 
 
-class Meter:
-    """The work of motors, which are known by the numbers of their joints.
+_ROWS = 64  # ticks of which the powers are kept before they are summed
 
-    Attributes:
-        powers: Size of the power of each in the last tick, array (m,), W, in the order of `numbers`.
-    """
+
+class Meter:
+    """The work of motors, which are known by the numbers of their joints."""
 
     def __init__(self, simulation: Simulation) -> None:
         self._simulation = simulation
-        self._watts: dict[int, float] = {}  # the sums, as of when joints came or went last
-        self._numbers: tuple[int, ...] | None = ()  # None while joints come and go: then the sums are all above
-        self._rows: dict[int, int] = {}
-        self._sums: Array = np.zeros(0)
-        self.powers: Array = np.zeros(0)
+        self._watts: dict[int, float] = {}  # the sums by joint, in the order in which they came, but for what is kept
+        self._numbers: tuple[int, ...] | None = ()  # None while joints come and go: nothing is kept then
+        self._kept: Array = np.zeros((_ROWS, 0))
+        self._slots: list[Array] = []  # its rows
+        self._ticks = 0  # rows that are filled
 
     @property
     def numbers(self) -> tuple[int, ...]:
         """The joints that are metered, in the order in which they came: the same tuple until that changes."""
         if self._numbers is None:
             self._numbers = tuple(self._watts)
-            self._rows = {joint: row for row, joint in enumerate(self._numbers)}
-            self._sums, self.powers = np.array(list(self._watts.values())), np.zeros(len(self._watts))
+            self._kept = np.zeros((_ROWS, len(self._numbers)))
+            self._slots = list(self._kept)
         return self._numbers
 
-    def _open(self) -> None:
-        if self._numbers is not None:
-            self._watts = dict(zip(self._numbers, self._sums.tolist(), strict=True))
-            self._numbers = None
+    def powers(self) -> Array:
+        """Returns the size of the power of each of `numbers`, array (m,), W; to be asked right after `tick`."""
+        return np.abs(self._slots[self._ticks - 1]) if self.numbers else np.zeros(0)
 
     def add(self, joint: int, watts: float = 0.0) -> None:
         """Meters a joint from now on, if it is not yet; `watts` is the sum that it has."""
-        if self.watts(joint) is None:
-            self._open()
+        if joint not in self._watts:
+            self._settle()
+            self._numbers = None
             self._watts[joint] = watts
 
     def remove(self, joint: int) -> float:
         """Forgets a joint, and returns its sum."""
-        if self.watts(joint) is None:
-            return 0.0
-        self._open()
-        return self._watts.pop(joint)
+        self._settle()
+        self._numbers = None
+        return self._watts.pop(joint, 0.0)
 
     def watts(self, joint: int) -> float | None:
         """Returns the sum of a joint's power over all ticks, W; divided by the tick rate that is its work in J."""
-        if self._numbers is None:
-            return self._watts.get(joint)
-        row = self._rows.get(joint)
-        return None if row is None else float(self._sums[row])
+        if joint not in self._watts:
+            return None
+        self._settle()
+        return self._watts[joint]
 
     def tick(self) -> None:
         """Takes the power of a tick that has just ended."""
         numbers = self._numbers if self._numbers is not None else self.numbers
         if numbers:
-            powers = self._simulation.powers(numbers)
-            self.powers = np.abs(powers, out=powers)
-            self._sums += powers
+            if self._ticks == _ROWS:
+                self._settle()
+            self._simulation.powers(numbers, self._slots[self._ticks])
+            self._ticks += 1
+
+    def _settle(self) -> None:
+        """Adds what is kept to the sums, tick by tick."""
+        if self._ticks:
+            rows = np.abs(self._kept[: self._ticks])
+            sums = np.add.accumulate(np.vstack([list(self._watts.values()), rows]))[-1]
+            self._watts = dict(zip(self._watts, sums.tolist(), strict=True))
+            self._ticks = 0

@@ -51,7 +51,10 @@ QUANTITIES: Final[Mapping[str, tuple[str, str]]] = {
     **CUBE_QUANTITIES,
     "time": ("since the start", "s"),
     "time_upright": ("time so far in which uprightness was at least 0.5, which is 60 degrees from upright", "s"),
-    "energy": ("work of its motors since the start: the sum over ticks of |effort * velocity| times a tick", "J"),
+    "energy": (
+        "work of its motors since the start: the sum over ticks of the size of effort times velocity, times a tick",
+        "J",
+    ),
     "cubes": ("how many cubes it has", ""),
     "mass": ("of all its cubes", "kg"),
 }

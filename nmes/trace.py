@@ -84,17 +84,25 @@ class Trace:
         self.work: Array = np.zeros((ticks + 1, motors))
         self.touches: Flags = np.zeros((ticks + 1 if contacts else 0, n, 2), np.bool_)
         self.rows = 0
+        self._watts: Array = np.zeros(motors)  # the sum of each motor's power over the rows of which the work is known
 
-    def meter(self, velocities: Array, efforts: Array) -> None:
-        """Writes `work`, given what the motors' joints did.
+    def meter(self, begin: int, velocities: Array, efforts: Array) -> None:
+        """Writes `work` of some rows, given what the motors' joints did; of all rows in order, many at a time or few.
 
         Args:
-            velocities: Row by row from the start on, shape (k, m), rad/s or m/s.
+            begin: The first row.
+            velocities: In each row, shape (k, m), rad/s or m/s.
             efforts: What the motors gave, the same shape, N m or N.
         """
         powers = np.abs(velocities * efforts)
-        powers[:1] = 0.0  # what they gave before the start
-        self.work[: len(powers)] = np.add.accumulate(powers) / self.cast.tick_rate
+        if begin == 0:
+            powers[:1] = 0.0  # what they gave before the start
+            self._watts = np.zeros(powers.shape[1])
+        if len(powers):
+            powers[0] += self._watts
+            sums: Array = np.add.accumulate(powers)
+            self._watts = sums[-1]
+            self.work[begin : begin + len(sums)] = sums / self.cast.tick_rate
 
     def series(self, quantity: Quantity, begin: int = 0, end: int | None = None) -> Array:
         """Returns a quantity row by row, array (end - begin,), whatever its fold.

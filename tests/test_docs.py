@@ -17,8 +17,10 @@ import pytest
 
 import demo
 from layout import ROOT
+from nmes import objective
 from nmes.cli import SUBCOMMANDS
-from nmes.protocol import DELIMITER
+from nmes.protocol import COMMANDS, DELIMITER
+from nmes.task import Task
 
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
 README = (ROOT / "README.md").read_text()
@@ -72,6 +74,30 @@ def test_links_lead_somewhere(document: str) -> None:
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", (ROOT / document).read_text()):
         if "://" not in target:
             assert ((ROOT / document).parent / target).exists(), f"{document} links to {target}"
+
+
+def rows(document: str) -> set[tuple[str, ...]]:
+    """Returns the rows of all tables of a document whose first cell is code."""
+    lines = (ROOT / "docs" / document).read_text().splitlines()
+    cells = (tuple(cell.strip() for cell in line.strip("|").split("|")) for line in lines if line.startswith("| `"))
+    return {(first.strip("`"), *others) for first, *others in cells}
+
+
+def test_the_page_of_objectives_says_of_everything_what_it_is() -> None:
+    told = rows("objectives.md")
+    known: set[tuple[str, ...]] = {(name, unit, meaning) for name, (meaning, unit) in objective.QUANTITIES.items()}
+    known |= {(name, meaning) for table in (objective.FUNCTIONS, objective.FOLDS) for name, meaning in table.items()}
+    assert told >= known
+    metrics = COMMANDS["compute_reward"].schema["properties"]["metric"]["enum"]
+    assert sorted(row[0] for row in told - known) == sorted(metrics)
+
+
+def test_the_page_of_tasks_lists_those_that_come_with_the_package() -> None:
+    assert rows("tasks.md") == {
+        (name, f"{(task := Task.load(name)).duration:g} s", task.description) for name in Task.names()
+    }
+    (example,) = re.findall(r"^```json\n(.*?)^```", (ROOT / "docs" / "tasks.md").read_text(), re.DOTALL | re.MULTILINE)
+    assert Task(json.loads(example)).seeds == (1, 2, 3)
 
 
 def test_the_architecture_names_every_module() -> None:

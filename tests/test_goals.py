@@ -168,7 +168,7 @@ def test_a_creature_is_known_by_its_ids_and_scores_what_a_trace_of_it_says_to_th
         track.note()
         trace.touches[row] = touches(world.simulation, numbers, len(ids))
     trace.states[:], trace.rows = track.states(0, 61), 61
-    trace.meter(*track.drives(0, 61))
+    trace.meter(0, *track.drives(0, 61))
     scores = {}
     for index, text in enumerate(texts):
         owner = clients[(index + 1) // 16]

@@ -281,7 +281,7 @@ def random_trace(seed: int, n: int = 3, ticks: int = 20, **cast: Any) -> Trace:
     )
     trace.states[:] = random.normal(size=trace.states.shape)
     trace.states[:, :, 3:7] /= np.linalg.norm(trace.states[:, :, 3:7], axis=2, keepdims=True)
-    trace.meter(*random.normal(size=(2, *trace.work.shape)))
+    trace.meter(0, *random.normal(size=(2, *trace.work.shape)))
     trace.touches[:] = random.uniform(size=trace.touches.shape) < 0.5
     trace.rows = ticks + 1
     return trace
@@ -389,8 +389,12 @@ def test_work_is_that_of_every_motor_whichever_way_it_goes() -> None:
     trace.rows = 4
     velocities = np.array([[9.0, 9.0], [1.0, -2.0], [2.0, 0.0], [-3.0, 1.0]])
     efforts = np.array([[9.0, 9.0], [5.0, 5.0], [5.0, 5.0], [5.0, -5.0]])
-    trace.meter(velocities, efforts)
+    trace.meter(0, velocities, efforts)
     assert trace.series(Quantity("energy")).tolist() == pytest.approx([0.0, 1.5, 2.5, 4.5])
+    whole = trace.work.copy()
+    for begin, end in ((0, 1), (1, 3), (3, 3), (3, 4)):
+        trace.meter(begin, velocities[begin:end], efforts[begin:end])
+    assert (trace.work == whole).all()
 
 
 def test_a_turned_body_is_upright_by_its_cosine_and_reaches_as_high_as_its_corner() -> None:

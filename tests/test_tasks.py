@@ -9,9 +9,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 
 from layout import ROOT
 from nmes.body import Body, BodyCube
+from nmes.cli import main
 from nmes.errors import DocumentError
 from nmes.objective import Quantity
 from nmes.task import Limits, Task
@@ -175,6 +177,25 @@ def test_an_episode_ends_at_the_first_row_of_a_look_at_which_a_condition_holds_o
     trace.rows = 101
     assert task.ended(trace, 0, 101) == (36, "higher")
     assert task.ended(trace, 37, 101) == (42, "high")
-    trace.meter(np.ones((101, 1)), np.full((101, 1), 12.5))
+    trace.meter(0, np.ones((101, 1)), np.full((101, 1), 12.5))
     assert task.ended(trace, 0, 101) == (30, "energy")
     assert task.ended(trace, 0, 30) is None
+
+
+def test_the_command_lists_and_shows_tasks(tmp_path: Path) -> None:
+    def run(*arguments: str) -> Any:
+        return CliRunner().invoke(main, ["tasks", *arguments], env={"COLUMNS": "200"})
+
+    assert [line.split()[0] for line in run().output.splitlines()[1:]] == TEN
+    assert [document["name"] for document in json.loads(run("--json").output)] == TEN
+    shown = run("pole").output
+    pole = Task.load("pole")
+    for told in (pole.objective.text, *(condition.text for _, condition in pole.ends), "drop 0 to 0.02", pole.hash):
+        assert told in shown
+    path = tmp_path / "mine.json"
+    path.write_text(run("walk", "--json").output)
+    assert Task.load(path).document == Task.load("walk").document
+    assert json.loads(run(str(path), "--json").output)["name"] == "walk"
+    path.write_text(json.dumps({**PLAIN, "objective": "heigth", "duration": 0}))
+    refused = run(str(path))
+    assert refused.exit_code == 2 and "duration: expected" in refused.output

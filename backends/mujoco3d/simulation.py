@@ -114,7 +114,6 @@ class MujocoSimulation(Simulation):
         self._calm = self._warnings.tobytes()
         self._xfrc, self._xpos, self._xquat, self._cvel = data.xfrc_applied, data.xpos, data.xquat, data.cvel
         self._asleep = data.tree_asleep
-        self._efforts, self._speeds = data.actuator_force, data.qvel
         self._powered: Sequence[int] | None = None  # the joints that the motors were last looked up for
         self._senses = Senses(layout, data, self._scenery)
         self._reins = Reins(layout, data, self._joints)
@@ -375,26 +374,22 @@ class MujocoSimulation(Simulation):
             return super().touching(bodies)
         return self._senses.touching([self._layout.body[body] for body in bodies])
 
-    def powers(self, joints: Sequence[int]) -> Array:
-        """Returns a new array (n,), read all at once where nothing was edited since the last step."""
-        if self._edits or not self._layout.actuator:
-            return super().powers(joints)
+    def powers(self, joints: Sequence[int], out: Array) -> None:
+        """Writes powers, of all motors at once where nothing was edited since the last step."""
         if joints is not self._powered:
-            self._find_motors(joints)
-        powers: Array = self._efforts[self._motors] * self._speeds[self._driven]
-        if self._idle:
-            powers[self._idle] = 0.0
-        return powers
-
-    def _find_motors(self, joints: Sequence[int]) -> None:
-        """Looks up where the efforts and the velocities of joints are; those without a motor now are idle."""
-        motors, places = self._layout.actuator, self._layout.joint
-        self._idle = [row for row, joint in enumerate(joints) if joint not in motors]
-        any_other = next(iter(motors))
-        driven = [joint if joint in motors else any_other for joint in joints]
-        self._motors = _run([motors[joint] for joint in driven])
-        self._driven = _run([places[joint].v for joint in driven])
-        self._powered = joints
+            if self._edits or any(joint not in self._layout.actuator for joint in joints):
+                super().powers(joints, out)
+                return
+            motors = [self._layout.actuator[joint] for joint in joints]
+            speeds = [self._layout.joint[joint].v for joint in joints]
+            self._motors, self._driven = _run(motors), _run(speeds)
+            self._efforts, self._speeds = self._data.actuator_force[self._motors], self._data.qvel[self._driven]
+            self._powered = joints
+        if not isinstance(self._motors, slice):
+            self._efforts = self._data.actuator_force[self._motors]
+        if not isinstance(self._driven, slice):
+            self._speeds = self._data.qvel[self._driven]
+        np.multiply(self._efforts, self._speeds, out=out)
 
     def contacts(self, body: int) -> list[Contact]:
         """Returns what the body touched in the last step."""

@@ -217,7 +217,8 @@ class JointChecks(Checks):
                 sim.set_joint_params(0, JointParams())
             sim.step(SUBSTEPS)
             wanted = [(state := sim.joint_state(number)).effort * state.velocity for number in joints]
-            powers = sim.powers(joints)
+            powers = np.full(len(joints), np.nan)
+            sim.powers(joints, powers)
             assert powers.tolist() == wanted, f"tick {tick}: joints {joints}"
             seen += wanted
             if 0 in joints and tick < 3:

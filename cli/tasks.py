@@ -1,0 +1,68 @@
+"""`nmes tasks`: list the tasks that come with the package, or show one."""
+
+from __future__ import annotations
+
+import click
+import orjson
+from rich.console import Console
+from rich.table import Table
+
+from nmes.errors import DocumentError
+from nmes.task import Task
+
+__all__ = ["command"]
+
+
+@click.command("tasks")
+@click.argument("name", required=False)
+@click.option("--json", "as_json", is_flag=True, help="Print the documents as JSON: a list, or one by itself.")
+def command(name: str | None, as_json: bool) -> None:
+    """List the tasks that creatures can be put to.
+
+    With NAME (of one that comes with the package, or a file) it shows that one: what is asked, its objective, what ends
+    it, its limits, and what its seeds decide.
+    `nmes tasks walk --json > mine.json` is a beginning for one of your own.
+    """
+    if name is not None:
+        try:
+            task = Task.load(name)
+        except DocumentError as error:
+            raise click.UsageError(error.message) from error
+        if as_json:
+            click.echo(orjson.dumps(task.document, option=orjson.OPT_INDENT_2))
+        else:
+            _show(task)
+        return
+    tasks = [Task.load(name) for name in Task.names()]
+    if as_json:
+        click.echo(orjson.dumps([task.document for task in tasks], option=orjson.OPT_INDENT_2))
+        return
+    table = Table("task", "engine", "seconds", "seeds", "objective", box=None, pad_edge=False)
+    for task in tasks:
+        engine = task.world_config(task.seeds[0])["backend"]
+        table.add_row(task.name, engine, f"{task.duration:g}", str(len(task.seeds)), task.objective.text)
+    Console(highlight=False, markup=False).print(table)
+
+
+def _show(task: Task) -> None:
+    document = task.document
+    table = Table(box=None, pad_edge=False, show_header=False)
+    table.add_column(style="bold", no_wrap=True)
+    table.add_column(overflow="fold")
+    table.add_row("task", task.name)
+    table.add_row("asked", task.description)
+    table.add_row("objective", task.objective.text)
+    for title, condition in task.ends:
+        table.add_row(f"ends: {title}", condition.text)
+    table.add_row("lasts", f"{task.duration:g} s, after {document['settle']:g} s to settle")
+    table.add_row("limits", ", ".join(f"{limit} {value:,}" for limit, value in document["limits"].items()) or "none")
+    table.add_row("seeds", ", ".join(map(str, task.seeds)))
+    drawn = {**document["vary"], **{f"target {k}": v for k, v in document.get("target", {}).items() if k != "height"}}
+    ranges = (f"{what} {low:g} to {high:g}" for what, (low, high) in drawn.items() if low != high)
+    table.add_row("seeds decide", ", ".join(["scenery", *ranges]))
+    for prop in document["props"]:
+        table.add_row(
+            "prop", f"{prop['id']}: {' x '.join(f'{edge:g}' for edge in prop['size'])} m, {prop['mass']:g} kg"
+        )
+    table.add_row("hash", task.hash)
+    Console(highlight=False, markup=False).print(table)
