@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -20,7 +21,8 @@ from nmes.cli._connection import connection_options, connector
 from nmes.cli._drift import plot, show
 from nmes.cli.info import open_recording
 from nmes.drift import measure_drift
-from nmes.errors import NmesError
+from nmes.errors import NmesError, RecordingError
+from nmes.logs import Log, LogReport, replay_log
 from nmes.recording import Recording
 from nmes.replay import Divergence, ReplayReport, replay
 
@@ -29,8 +31,21 @@ __all__ = ["command"]
 _LONG = 1 << 20  # bytes of recording from which on it is worth showing how far it is
 
 
+def _open(context: click.Context, parameter: click.Parameter, value: str) -> Recording | Log:
+    """Opens the file that an argument names: a recording, or a log, which begins as JSON does."""
+    try:
+        # Opening a pipe or a device could wait for ever.
+        with open(value if Path(value).is_file() else os.devnull, "rb") as file:
+            begins = file.read(64).lstrip()
+        return Log(value) if begins.startswith(b"{") else open_recording(context, parameter, value)
+    except OSError as error:
+        raise click.BadParameter(f"cannot read {value}: {error.strerror}", param=parameter) from error
+    except RecordingError as error:
+        raise click.BadParameter(error.message, param=parameter) from error
+
+
 @click.command("replay")
-@click.argument("recording", metavar="FILE", callback=open_recording)
+@click.argument("recording", metavar="FILE", callback=_open)
 @click.option("--backend", metavar="NAME", help="Run it on this engine instead, and show how far each cube drifts.")
 @click.option("--plot", "plot_to", type=click.Path(dir_okay=False, path_type=Path), help="Write the drift to an SVG.")
 @click.option("--from", "first", type=click.IntRange(0), help="Begin at the last keyframe before this frame.")
@@ -45,7 +60,7 @@ _LONG = 1 << 20  # bytes of recording from which on it is worth showing how far 
 @connection_options
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
 def command(
-    recording: Recording,
+    recording: Recording | Log,
     backend: str | None,
     plot_to: Path | None,
     first: int | None,
@@ -64,6 +79,9 @@ def command(
     With --from and --to only a part is run, bit for bit as it would be if all were. What stands before the keyframe at
     which it begins is not even read. Frames are counted on through resets.
 
+    FILE may be a log too: JSON lines as of nmes export, or bare commands, as of a program that wrote down what it sent.
+    Of a log that is no whole history as much is compared as it holds.
+
     With --backend it is run on another engine, and instead of a verdict a table shows how far each cube is, over time,
     from where it was recorded.
 
@@ -79,6 +97,10 @@ def command(
     Exit status: 0 reproduced, or equal answers; 1 diverged, different or not comparable; 2 wrong usage or an unreadable
     file (for a damaged file, after replaying what comes before the damage).
     """
+    if isinstance(recording, Log):
+        if any((backend, plot_to, against, tolerance is not None, *connection.values(), (first, last) != (None, None))):
+            raise click.UsageError("of the options, a log goes with --anyway and --json only")
+        sys.exit(_log(recording, anyway, as_json))
     if first is not None and last is not None and last < first:
         raise click.UsageError(f"--to {last} is before --from {first}")
     if against is not None:
@@ -117,6 +139,48 @@ def _drift(recording: Recording, backend: str, plot_to: Path | None, as_json: bo
     return 0 if report.ended is None else 1
 
 
+def _log(log: Log, anyway: bool, as_json: bool) -> int:
+    with _progress(log) as progress:
+        try:
+            report = replay_log(log, anyway=anyway, progress=progress)
+        except RecordingError as error:
+            click.echo(f"Error: {error}", err=True)
+            return 2
+    if as_json:
+        click.echo(orjson.dumps(report.to_json(), option=orjson.OPT_INDENT_2))
+    else:
+        for line in _log_lines(report):
+            click.echo(line)
+    return 0 if report.verdict in ("reproduced", "agrees", "ran") else 1
+
+
+def _log_lines(report: LogReport) -> list[str]:
+    amount = (
+        f"{report.commands:,} commands, {report.replies:,} replies compared; "
+        f"{report.ticks:,} ticks, {report.digests:,} digests compared"
+    )
+    verdict = "not comparable" if report.verdict == "not_comparable" else report.verdict
+    lines = [f"{verdict}: {amount}"]
+    lines += _unlike_lines(report.differences)
+    if not report.whole:
+        lines.append("  the log does not say how its world began: it was run in a new one, in lockstep")
+        if not report.digests:
+            lines.append("  it holds no digests: that the world went through the same states is not known")
+        if not report.replies:
+            lines.append("  it holds no answers to its commands: nothing could be compared")
+    lines += [f"  passed over: {count} {what}" for what, count in report.passed_over.items()]
+    lines += [f"  refused, {line}" for line in report.refused]
+    if report.divergence is not None:
+        lines += _divergence_lines(report.divergence)
+    return lines
+
+
+def _unlike_lines(differences: dict[str, tuple[str, str]]) -> list[str]:
+    return [
+        f"  {name}: {recorded or 'none'} (here: {here or 'none'})" for name, (recorded, here) in differences.items()
+    ]
+
+
 def _played(
     recording: Recording, address: tuple[str, int], tolerance: float, as_json: bool, connection: dict[str, Any]
 ) -> int:
@@ -136,7 +200,7 @@ def _played(
 
 
 @contextmanager
-def _progress(recording: Recording) -> Iterator[Callable[[int, int], None]]:
+def _progress(recording: Recording | Log) -> Iterator[Callable[[int, int], None]]:
     console = Console(stderr=True)
     columns = (TextColumn("replaying"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
     shown = console.is_terminal and recording.size > _LONG
@@ -152,8 +216,7 @@ def _lines(report: ReplayReport) -> list[str]:
     speed = f"{report.speed:,.0f} times faster than real time" if report.ticks else "no simulation time"
     if report.verdict == "not_comparable":
         lines = ["not comparable: it was recorded with another"]
-        for name, (recorded, here) in report.differences.items():
-            lines.append(f"  {name}: {recorded or 'none'} (here: {here or 'none'})")
+        lines += _unlike_lines(report.differences)
         if report.wall_seconds:
             how_far = "as far as" if report.divergence else "all the same:"
             lines.append(f"run anyway, it agrees {how_far} {amount}")
@@ -162,24 +225,24 @@ def _lines(report: ReplayReport) -> list[str]:
     else:
         lines = [f"diverged at frame {report.divergence.frame}, after {amount}"]
     if report.divergence is not None:
-        lines += _divergence_lines(report.divergence)
+        lines += _divergence_lines(report.divergence, f" (record {report.divergence.record})")
     if report.damage is not None:
         lines.append(f"{'incomplete' if report.cut else 'DAMAGED'}: {report.damage}")
     return lines
 
 
-def _divergence_lines(divergence: Divergence) -> list[str]:
-    lines = [f"  {divergence.message} (record {divergence.record})"]
+def _divergence_lines(divergence: Divergence, where: str = "") -> list[str]:
+    lines = [f"  {divergence.message}{where}"]
     value = divergence.value
     if value is None:
         lines.append("  no recorded reply or pose shows the difference")
         return lines
-    where = f"cube {value.cube}: " if value.cube is not None else ""
+    place = f"cube {value.cube}: " if value.cube is not None else ""
     if divergence.seen != divergence.frame:
-        where = f"at frame {divergence.seen}, {where}"
+        place = f"at frame {divergence.seen}, {place}"
     by = f" (differs by {value.amount:.6g})" if value.amount is not None else ""
     recorded, now = _short(value.expected), _short(value.actual)
-    lines.append(f"  {where}{value.field or 'reply'}: recorded {recorded}, now {now}{by}")
+    lines.append(f"  {place}{value.field or 'reply'}: recorded {recorded}, now {now}{by}")
     return lines
 
 

@@ -61,8 +61,10 @@ def states(recording: Recording | str | os.PathLike[str], *, anyway: bool = Fals
 def messages(recording: Recording) -> Iterator[Row]:
     """Yields what was said and what happened, a row each: commands, replies, who came and went, ticks, faults.
 
-    A frame that is not JSON stands as text.
+    The first row says how the world began: the recording's metadata. A frame that is not JSON stands as text.
     """
+    beginning = {"record": None, "kind": "recording", "t": 0.0, "wall_ns": None, "client": None}
+    yield {**beginning, "message": recording.metadata}
     for record in recording:
         if record.kind in (Kind.POSES, Kind.SCENE, Kind.BOX, Kind.KEYFRAME):
             continue

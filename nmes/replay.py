@@ -33,7 +33,7 @@ from nmes.recording import Kind, Record, Recording, Start
 from nmes.scene import POSE_FIELDS, Painter, decode_poses
 from nmes.world import World
 
-__all__ = ["Difference", "Divergence", "ReplayReport", "replay"]
+__all__ = ["Difference", "Divergence", "ReplayReport", "difference", "replay"]
 
 # Replies of which the content may differ between machines that agree on everything else: pictures. Where one of them
 # could be made, and where none could, is not a divergence either.
@@ -316,7 +316,7 @@ class _Run:
                 self.commands += 1
                 self._show_to_watch(request)
             return
-        shown = _difference(_json(record.data), _json(reply))
+        shown = difference(_json(record.data), _json(reply))
         if self.divergence is not None:
             self._show(shown)
             return
@@ -456,7 +456,7 @@ def _describe(record: Record) -> str:
 def _alike(expected: bytes, actual: bytes) -> bool:
     """Whether two replies differ only in what is volatile, alone or in a batch."""
     volatile = any(f'"type":"{kind}"'.encode() in reply for kind in _VOLATILE for reply in (expected, actual))
-    return volatile and _difference(_json(expected), _json(actual)) is None
+    return volatile and difference(_json(expected), _json(actual)) is None
 
 
 def _json(data: bytes) -> Any:
@@ -466,7 +466,7 @@ def _json(data: bytes) -> Any:
         return None
 
 
-def _difference(expected: Any, actual: Any, cube: str | None = None, path: str = "") -> Difference | None:
+def difference(expected: Any, actual: Any, cube: str | None = None, path: str = "") -> Difference | None:
     """Returns the first value in which two JSON documents differ; its path begins at the cube that it is about."""
     if isinstance(expected, dict) and isinstance(actual, dict):
         if expected.get("type") in _VOLATILE or actual.get("type") in _VOLATILE:
@@ -477,12 +477,12 @@ def _difference(expected: Any, actual: Any, cube: str | None = None, path: str =
         for key in {**expected, **actual}:
             if key not in expected or key not in actual:
                 return Difference(cube, f"{path}{key}", expected.get(key), actual.get(key))
-            if found := _difference(expected[key], actual[key], cube, f"{path}{key}/"):
+            if found := difference(expected[key], actual[key], cube, f"{path}{key}/"):
                 return found
         return None
     if isinstance(expected, list) and isinstance(actual, list):
         for i, (one, other) in enumerate(zip(expected, actual, strict=False)):
-            if found := _difference(one, other, cube, f"{path}{i}/"):
+            if found := difference(one, other, cube, f"{path}{i}/"):
                 return found
         if len(expected) == len(actual):
             return None

@@ -106,6 +106,8 @@ def test_messages_are_lines_of_json(tmp_path: Path) -> None:
     rows = [json.loads(line) for line in output.splitlines()]
     recording = Recording(path)
     assert rows == list(messages(recording))
+    beginning = rows.pop(0)
+    assert (beginning["kind"], beginning["message"]) == ("recording", recording.metadata)
     assert [row["record"] for row in rows] == [
         item.sequence for item in recording if item.kind not in (Kind.POSES, Kind.SCENE, Kind.BOX)
     ]
