@@ -22,6 +22,7 @@ SUBCOMMANDS = {
     "eval": "Score creatures on a task.",
     "export": "Write a recording as data for other programs.",
     "fork": "Take the world out of a recording as it was at a frame.",
+    "genome": "Check, show and expand genomes.",
     "info": "Show what a recording holds.",
     "render": "Make a film or a picture of recordings.",
     "replay": "Run a recording again and compare.",

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import glob
 import os
 import shlex
 import sys
@@ -19,6 +18,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from nmes.cli._genomes import find_genomes
 from nmes.errors import DocumentError
 from nmes.evaluation import Evaluation, Job, Proof, evaluate_all, prove
 from nmes.genome import Genome
@@ -120,31 +120,12 @@ def command(
         except DocumentError as error:
             raise click.BadParameter(error.message, param_hint="--task") from error
         into = None if record is None else str(record)
-        work = [Job(Path(name).stem, _read_genome(name), asked, seeds, into) for name in _find(genomes)]
+        work = [Job(Path(name).stem, _read_genome(name), asked, seeds, into) for name in find_genomes(genomes)]
         if record is not None:
             record.mkdir(parents=True, exist_ok=True)
         found, whole = _evaluate(work, jobs or os.cpu_count() or 1, ray, resume)
     _print(found, as_json, as_csv)
     sys.exit(0 if whole and all(each.error is None and not each.faults for each in found) else 1)
-
-
-def _find(named: Sequence[str]) -> list[str]:
-    """Returns the files and shipped names that the arguments mean, each once."""
-    found: list[str] = []
-    for name in named:
-        if os.path.isdir(name):
-            inside = sorted(str(path) for path in Path(name).glob("*.json"))
-            if not inside:
-                raise click.UsageError(f"there is no .json file in {name}")
-            found += inside
-        elif os.path.exists(name) or name in Genome.names():
-            found.append(name)
-        elif matching := sorted(glob.glob(name, recursive=True)):
-            found += matching
-        else:
-            shipped = ", ".join(Genome.names())
-            raise click.UsageError(f"there is no file {name}, and no genome of that name ships (there are {shipped})")
-    return list(dict.fromkeys(found))
 
 
 def _read_genome(name: str) -> bytes:

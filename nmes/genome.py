@@ -20,6 +20,7 @@ import orjson
 
 from nmes import morphology, protocol
 from nmes.body import Body, read_body
+from nmes.brain import Brain, load_brain
 from nmes.errors import DocumentError, RejectedMessage
 
 __all__ = ["Genome"]
@@ -125,6 +126,17 @@ class Genome:
         fraction, others as the shortest decimal that is the same double.
         """
         return hashlib.sha256(orjson.dumps(_canonical(self._document), option=orjson.OPT_SORT_KEYS)).hexdigest()
+
+    def brain(self) -> Brain:
+        """Returns the brain, for this body's sensors and motors: a new one at each call.
+
+        Raises:
+            DocumentError: There is none, or it is not a good one for this body; with everything that is wrong.
+        """
+        if "brain" not in self._document:
+            raise DocumentError([("brain", f"{self.name!r} has no brain: it is driven from outside")])
+        inputs, outputs = [sensor.id for sensor in self.body.sensors], [motor.id for motor in self.body.motors]
+        return load_brain(self._document["brain"], inputs, outputs)
 
     def expanded(self) -> Genome:
         """Returns the same creature with its cubes and joints written out in place of a graph."""

@@ -53,7 +53,10 @@ def test_every_subcommand_is_in_the_readme(name: str) -> None:
 def test_commands_shown_exist(line: str) -> None:
     _, name, *arguments = shlex.split(line)
     assert name in SUBCOMMANDS
-    known = {option for parameter in subcommand(name).params for option in parameter.opts} | {"--help"}
+    command = subcommand(name)
+    if isinstance(command, click.Group):
+        command = command.commands[arguments.pop(0)]
+    known = {option for parameter in command.params for option in parameter.opts} | {"--help"}
     used = {argument.split("=")[0] for argument in arguments if argument.startswith("-")}
     assert used <= known
 

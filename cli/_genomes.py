@@ -1,0 +1,36 @@
+"""Which genomes the arguments of a command mean."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from glob import glob
+from pathlib import Path
+
+import click
+
+from nmes.genome import Genome
+
+__all__ = ["find_genomes"]
+
+
+def find_genomes(named: Iterable[str]) -> list[str]:
+    """Returns the files and shipped names that arguments mean, each once, in order.
+
+    An argument is a file, a directory (its `*.json`), a pattern, or the name of a genome that ships with the package.
+    One that means nothing is wrong usage.
+    """
+    found: list[str] = []
+    for name in named:
+        if Path(name).is_dir():
+            inside = sorted(str(path) for path in Path(name).glob("*.json"))
+            if not inside:
+                raise click.UsageError(f"there is no .json file in {name}")
+            found += inside
+        elif Path(name).exists() or name in Genome.names():
+            found.append(name)
+        elif matching := sorted(glob(name, recursive=True)):
+            found += matching
+        else:
+            shipped = ", ".join(Genome.names())
+            raise click.UsageError(f"there is no file {name}, and no genome of that name ships (there are {shipped})")
+    return list(dict.fromkeys(found))

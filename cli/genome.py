@@ -1,0 +1,245 @@
+"""`nmes genome`: check, show and expand the files of creatures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import click
+import orjson
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from nmes.body import Body
+from nmes.cli._genomes import find_genomes
+from nmes.errors import DocumentError
+from nmes.genome import Genome
+
+__all__ = ["command"]
+
+
+def _files(_: click.Context, parameter: click.Parameter, values: Iterable[str]) -> list[str]:
+    return find_genomes(values)
+
+
+_argument = click.argument("files", metavar="FILE...", nargs=-1, required=True, callback=_files)
+_json = click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
+
+
+@click.group("genome")
+def command() -> None:
+    """Check, show and expand genomes.
+
+    FILE is a file, a directory (the *.json in it), a pattern such as 'creatures/*.json', or the name of a genome that
+    ships with the package.
+    """
+
+
+@command.command("check")
+@_argument
+@_json
+@click.pass_context
+def check(context: click.Context, files: list[str], as_json: bool) -> None:
+    r"""Say whether genomes are good and, if not, everything that is wrong with them and where.
+
+    \b
+    Examples:
+      nmes genome check creature.json
+      nmes genome check creatures/ --json
+    """
+    rows = []
+    for file in files:
+        row: dict[str, Any] = {"file": file, "name": None, "hash": None, "problems": []}
+        try:
+            genome = Genome.load(file)
+            row |= {"name": genome.name, "hash": genome.hash}
+            if "brain" in genome.document:
+                genome.brain()
+        except DocumentError as error:
+            row["problems"] = [{"path": path, "message": message} for path, message in error.problems]
+        rows.append(row)
+    if as_json:
+        click.echo(orjson.dumps(rows, option=orjson.OPT_INDENT_2))
+    else:
+        for row in rows:
+            click.echo(f"{row['file']}: {_verdict(row['problems'])}")
+            for problem in row["problems"]:
+                place = f"{problem['path']}: " if problem["path"] else ""
+                click.echo(f"  {place}{problem['message']}")
+    context.exit(1 if any(row["problems"] for row in rows) else 0)
+
+
+def _verdict(problems: list[Any]) -> str:
+    return "good" if not problems else "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
+
+
+@command.command("show")
+@_argument
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="PNG",
+    help="Draw to a PNG file: of many genomes, a sheet.",
+)
+@_json
+def show(files: list[str], output: Path | None, as_json: bool) -> None:
+    r"""Show what bodies are made of, and draw them: here in characters, with -o to a PNG.
+
+    \b
+    Examples:
+      nmes genome show walker
+      nmes genome show walker -o walker.png
+      nmes genome show creatures/*.json -o sheet.png
+    """
+    genomes = [_load(file) for file in files]
+    if as_json:
+        click.echo(orjson.dumps([_about(genome) for genome in genomes], option=orjson.OPT_INDENT_2))
+    if output is not None:
+        _draw(genomes, output)
+        if not as_json:
+            click.echo(f"drew {genomes[0].name if len(genomes) == 1 else f'{len(genomes)} genomes'} to {output}")
+    elif not as_json:
+        console = Console(highlight=False, markup=False)
+        if not console.is_terminal:
+            console = Console(highlight=False, markup=False, width=200)  # what reads it has lines of any length
+        for index, genome in enumerate(genomes):
+            if index:
+                console.print()
+            _print(console, genome)
+
+
+def _load(file: str) -> Genome:
+    try:
+        return Genome.load(file)
+    except DocumentError as error:
+        raise click.ClickException(f"{file}:\n{error.message}") from error
+
+
+def _draw(genomes: list[Genome], output: Path) -> None:
+    from PIL import Image
+
+    from nmes.portrait import portrait, sheet
+
+    if len(genomes) == 1:
+        pixels = portrait(genomes[0].body)
+    else:
+        pixels = sheet([(genome.name, genome.body) for genome in genomes])
+    try:
+        Image.fromarray(pixels).save(output, format="PNG")
+    except OSError as error:
+        raise click.ClickException(f"cannot write {output}: {error.strerror}") from error
+
+
+def _about(genome: Genome) -> dict[str, Any]:
+    body, document = genome.body, genome.document
+    low, high = body.bounds()
+    return {
+        "name": genome.name,
+        "hash": genome.hash,
+        "author": document.get("author"),
+        "license": document.get("license"),
+        "description": document.get("description"),
+        "parents": document.get("parents", []),
+        "generative": "graph" in document["body"],
+        "brain": document["brain"]["kind"] if "brain" in document else None,
+        "mass": body.mass,
+        "size": [high[axis] - low[axis] for axis in range(3)],
+        "cubes": [
+            {"id": cube.id, "size": cube.size, "mass": cube.mass, "position": cube.position} for cube in body.cubes
+        ],
+        "joints": [
+            {"id": joint.id, "type": joint.kind, "cube1": joint.cube1, "cube2": joint.cube2, "limits": joint.limits}
+            for joint in body.joints
+        ],
+        "motors": [
+            {"id": m.id, "mode": m.mode, "range": [m.low, m.high], "max_effort": m.max_effort} for m in body.motors
+        ],
+        "sensors": [sensor.id for sensor in body.sensors],
+    }
+
+
+def _print(console: Console, genome: Genome) -> None:
+    from nmes.portrait import text_portrait
+
+    about, body = _about(genome), genome.body
+    by = f" by {about['author']}" if about["author"] else ""
+    licence = f" ({about['license']})" if about["license"] else ""
+    console.print(Text(f"{genome.name}{by}{licence}", style="bold"))
+    if about["description"]:
+        console.print(about["description"])
+    width, height, depth = about["size"]
+    console.print(
+        f"{len(body.cubes)} cubes, {len(body.joints)} joints, {len(body.motors)} motors, {len(body.sensors)} sensors; "
+        f"{body.mass:.3g} kg; {width:.2f} x {height:.2f} x {depth:.2f} m (x, y, z); brain: {about['brain'] or 'none'}"
+    )
+    console.print(f"hash {genome.hash}\n")
+    columns = max(20, min(72, console.width - 1))
+    for line in text_portrait(body, columns, columns * 22 // 72):
+        console.print(line)
+    console.print(_cubes(body))
+    console.print()
+    console.print(_joints(body))
+    console.print(f"\nsensors: {', '.join(about['sensors'])}")
+
+
+def _cubes(body: Body) -> Table:
+    table = Table("cube", "size (m)", "mass (kg)", "centre (m)", box=None, pad_edge=False)
+    for cube in body.cubes:
+        size, place = (", ".join(f"{part:.3g}" for part in parts) for parts in (cube.size, cube.position))
+        table.add_row(cube.id, size, f"{cube.mass:.3g}", place)
+    return table
+
+
+def _joints(body: Body) -> Table:
+    table = Table("joint", "type", "between", "limits", "motor", box=None, pad_edge=False)
+    for joint in body.joints:
+        unit = "m" if joint.kind == "slide" else "rad"
+        limits = "" if joint.limits is None else f"{joint.limits[0]:.3g} to {joint.limits[1]:.3g} {unit}"
+        motor = joint.motor
+        said = ""
+        if motor is not None:
+            speed, effort = ("/s" if motor.mode == "velocity" else ""), ("N" if joint.kind == "slide" else "N m")
+            said = f"{motor.mode}, {motor.low:.3g} to {motor.high:.3g} {unit}{speed}, {motor.max_effort:.3g} {effort}"
+        table.add_row(joint.id, joint.kind, f"{joint.cube1} - {joint.cube2}", limits, said)
+    return table
+
+
+@command.command("expand")
+@_argument
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    metavar="PATH",
+    help="Write to a file; of many genomes, to files of the same names in a directory.",
+)
+def expand(files: list[str], output: Path | None) -> None:
+    r"""Write genomes with the cubes and joints that their graphs grow into, ready to be edited by hand.
+
+    \b
+    Examples:
+      nmes genome expand centipede
+      nmes genome expand centipede -o centipede-expanded.json
+    """
+    genomes = [_load(file).expanded() for file in files]
+    texts = [orjson.dumps(genome.document, option=orjson.OPT_INDENT_2) + b"\n" for genome in genomes]
+    if output is None:
+        for text in texts:
+            click.echo(text, nl=False)
+        return
+    targets = [output]
+    if len(files) > 1 or output.is_dir():
+        targets = [output / f"{Path(file).name.removesuffix('.json')}.json" for file in files]
+        if len(set(targets)) < len(targets):
+            raise click.UsageError("two of these files have the same name: expand them one by one")
+    try:
+        for target, text in zip(targets, texts, strict=True):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.write_bytes(text)
+    except OSError as error:
+        raise click.ClickException(f"cannot write {error.filename}: {error.strerror}") from error
+    for target in targets:
+        click.echo(f"wrote {target}")
