@@ -169,22 +169,24 @@ class Task:
         """Ticks before the start, in which the creature comes to rest."""
         return round(float(self.document["settle"]) * self.tick_rate)
 
-    @property
-    def stride(self) -> int:
-        """At which ticks the conditions are looked at: those of which the number is a multiple of this."""
-        return max(1, self.tick_rate // _LOOKS)
-
     def ended(self, trace: Trace, begin: int, end: int) -> tuple[int, str] | None:
         """Returns the first row at which an episode is ended early, and what has happened then.
+
+        Conditions are looked at ten times a second; those about contacts at every tick, for a touch may be short.
 
         Args:
             trace: The episode so far.
             begin: The first row to look at.
             end: The row after the last.
         """
-        found = [(trace.first(condition, begin, end, self.stride), name) for name, condition in self._stops]
+        found = []
+        for name, condition in self._stops:
+            touchy = any(quantity.name == "contacts" for quantity in condition.needs)
+            row = trace.first(condition, begin, end, 1 if touchy else max(1, self.tick_rate // _LOOKS))
+            if row is not None:
+                found.append((row, name))
         # Of two at the same row, the one that comes first in the document.
-        return min(((row, name) for row, name in found if row is not None), key=lambda stop: stop[0], default=None)
+        return min(found, key=lambda stop: stop[0], default=None)
 
     @cached_property
     def _stops(self) -> tuple[tuple[str, Condition], ...]:

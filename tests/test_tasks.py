@@ -15,6 +15,8 @@ from layout import ROOT
 from nmes.body import Body, BodyCube
 from nmes.cli import main
 from nmes.errors import DocumentError
+from nmes.evaluation import evaluate
+from nmes.genome import Genome
 from nmes.objective import Quantity
 from nmes.task import Limits, Task
 from nmes.trace import Cast, Trace
@@ -58,7 +60,7 @@ def test_a_task_is_loaded_from_a_file_and_hashed_by_what_it_says(tmp_path: Path)
     path = tmp_path / "mine.json"
     path.write_text(json.dumps(PLAIN, indent=4))
     task = Task.load(path)
-    assert (task.name, task.duration, task.ticks, task.settle_ticks, task.stride) == ("sprint", 5.0, 300, 30, 6)
+    assert (task.name, task.duration, task.ticks, task.settle_ticks) == ("sprint", 5.0, 300, 30)
     assert task.limits == Limits()
     assert task.hash == Task(dict(reversed(PLAIN.items()))).hash
     assert task.hash != Task({**PLAIN, "duration": 6}).hash
@@ -172,7 +174,7 @@ def test_an_episode_ends_at_the_first_row_of_a_look_at_which_a_condition_holds_o
     ]
     task = Task({**PLAIN, "ends": ends, "limits": {"energy": 6}})
     assert Quantity("energy") in task.needs
-    trace = Trace(Cast(("root",), 1, np.ones((1, 3)), np.ones(1), 60), 100, 1)
+    trace = Trace(Cast(("root",), 1, np.ones((1, 3)), np.ones(1), 60), 100, 1, contacts=True)
     trace.states[:, 0, 1] = np.arange(101) * 0.05
     trace.rows = 101
     assert task.ended(trace, 0, 101) == (36, "higher")
@@ -180,6 +182,71 @@ def test_an_episode_ends_at_the_first_row_of_a_look_at_which_a_condition_holds_o
     trace.meter(0, np.ones((101, 1)), np.full((101, 1), 12.5))
     assert task.ended(trace, 0, 101) == (30, "energy")
     assert task.ended(trace, 0, 30) is None
+    # A touch may be over before the next look.
+    trace.touches[33] = True
+    ends = [{"name": "touched", "when": "contacts > 0"}]
+    assert Task({**PLAIN, "ends": ends}).ended(trace, 0, 101) == (33, "touched")
+
+
+# -- what they are worth ----------------------------------------------------------------------------------------------
+
+
+def creature(cubes: list[dict[str, Any]], joint: dict[str, Any] | None = None, **oscillator: float) -> Genome:
+    document: dict[str, Any] = {"format": "nmes-genome/1", "name": "it", "body": {"cubes": cubes}}
+    if joint is not None:
+        document["body"]["joints"] = [{"id": "j", "cube1": cubes[0]["id"], "cube2": cubes[1]["id"], **joint}]
+        document["brain"] = {"kind": "sine", "oscillators": [{"motor": "j", **oscillator}]}
+    return Genome(document)
+
+
+def cube(part: str, size: list[float], y: float, mass: float) -> dict[str, Any]:
+    return {"id": part, "size": size, "mass": mass, "position": [0, y, 0]}
+
+
+BLOCK = creature([cube("root", [0.6, 0.3, 0.4], 0.15, 10)])
+
+
+def tower(effort: float) -> Genome:
+    """A tower that throws itself over at the start."""
+    motor = {"mode": "position", "range": [-1.6, 1.6], "max_effort": effort}
+    return creature(
+        [cube("root", [0.6, 0.1, 0.3], 0.05, 10), cube("mast", [0.1, 1.8, 0.1], 1.0, 20)],
+        {"type": "hinge", "anchor": [0, 0.1, 0], "motor": motor},
+        amplitude=0,
+        offset=-1,
+    )
+
+
+HOPPER = creature(
+    [cube("root", [0.5, 0.2, 0.5], 0.3, 8), cube("foot", [0.5, 0.1, 0.5], 0.05, 2)],
+    {
+        "type": "slide", "anchor": [0, 0.15, 0], "axis": [0, -1, 0],
+        "motor": {"mode": "position", "range": [0, 0.4], "max_effort": 600},
+    },
+    amplitude=10,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TEN)
+def test_who_does_nothing_is_worth_nothing(name: str) -> None:
+    evaluation = evaluate(BLOCK, Task.load(name))
+    assert evaluation.error is None
+    assert [result.score for result in evaluation.results] == [0.0] * 3
+    assert {result.ended for result in evaluation.results} == ({"fallen"} if name == "pole" else {None})
+
+
+@pytest.mark.parametrize("name", ["walk", "gaps", "reach", "stairs", "jump-far"])
+def test_to_fall_over_is_worth_nothing(name: str) -> None:
+    evaluation = evaluate(tower(3000), Task.load(name))
+    assert min(result.energy for result in evaluation.results) > 10  # it did
+    assert min(result.distance for result in evaluation.results) > 0.3
+    assert evaluation.score is not None and evaluation.score < 0.001
+
+
+def test_to_jump_is_worth_its_height_and_to_topple_next_to_nothing() -> None:
+    jumped, reared = (evaluate(genome, Task.load("jump-high")).score for genome in (HOPPER, tower(40)))
+    assert jumped is not None and reared is not None
+    assert jumped > 0.5 > 0.1 > reared
 
 
 def test_the_command_lists_and_shows_tasks(tmp_path: Path) -> None:
