@@ -13,7 +13,7 @@ import base64
 import hashlib
 import logging
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import replace
 from math import atan2, pi
 
 import mujoco
@@ -552,8 +552,8 @@ class MujocoSimulation(Simulation):
         mujoco.mj_getState(self._model, self._data, self._state, STATE)
         return orjson.dumps(
             {
-                "bodies": [asdict(body) for body in self._bodies.values()],
-                "joints": [asdict(joint) for joint in self._joints.values()],
+                "bodies": list(self._bodies.values()),  # orjson writes dataclasses by their fields
+                "joints": list(self._joints.values()),
                 "frozen_at": {
                     str(body.number): [*(state := self.body_state(body.number)).position, *state.quaternion]
                     for body in self._bodies.values()
