@@ -31,7 +31,6 @@ class Subscription:
     _version: int = -1  # of the structure that the names and poses below belong to
     _names: list[str] = field(default_factory=list)
     _sent: Array = field(default_factory=lambda: np.empty((0, 7)))  # poses as last sent; NaN: never
-    _removed: list[str] = field(default_factory=list)
 
     @classmethod
     def restored(cls, state: Mapping[str, Any]) -> Self:
@@ -52,7 +51,6 @@ class Subscription:
             _version=state["version"],
             _names=names,
             _sent=sent,
-            _removed=list(state["removed"]),
         )
 
     def state(self) -> dict[str, Any]:
@@ -65,7 +63,6 @@ class Subscription:
             "version": self._version,
             "names": self._names,
             "sent": pack_array(self._sent),
-            "removed": self._removed,
         }
 
     def changes(self, version: int, names: Sequence[str], states: Array) -> tuple[list[dict[str, Any]], list[str]]:
@@ -76,8 +73,7 @@ class Subscription:
             names: The cubes, in order of creation.
             states: Their states, shape (n, 13) as `Simulation.states` gives them.
         """
-        if self._version != version:
-            self._align(version, names)
+        removed = [] if self._version == version else self._align(version, names)
         poses, sent = states[:, :7], self._sent
         distance = np.sqrt(np.sum((poses[:, :3] - sent[:, :3]) ** 2, axis=1))
         # The chord between two unit quaternions: exactly 0 when nothing turned, unlike the arc cosine of their dot.
@@ -89,19 +85,19 @@ class Subscription:
         # Written as "not within", so that NaN (never sent) counts as moved.
         moved = np.flatnonzero(~((distance <= self.position_threshold) & (angle <= self.rotation_threshold)))
         sent[moved] = poses[moved]
-        removed, self._removed = self._removed, []
         return [moving_part(names[i], states[i].tolist()) for i in moved.tolist()], removed
 
-    def _align(self, version: int, names: Sequence[str]) -> None:
-        """Brings what was sent in line with the cubes that there are now."""
+    def _align(self, version: int, names: Sequence[str]) -> list[str]:
+        """Brings what was sent in line with the cubes that there are now; returns the names of those that are gone."""
         rows = {name: i for i, name in enumerate(self._names)}
         sent = np.full((len(names), 7), np.nan)
         for i, name in enumerate(names):
             row = rows.pop(name, None)
             if row is not None:
                 sent[i] = self._sent[row]
-        self._removed += [name for name, row in rows.items() if not np.isnan(self._sent[row, 0])]
+        removed = [name for name, row in rows.items() if not np.isnan(self._sent[row, 0])]
         self._names, self._sent, self._version = list(names), sent, version
+        return removed
 
 
 def moving_part(name: str, state: Sequence[float]) -> dict[str, Any]:

@@ -92,7 +92,7 @@ def test_a_restored_world_goes_on_in_all_that_it_says_and_does(
     first = World(config)
     first.join()
     first.join()
-    happen(first, what[:cut])
+    happen(first, [("say", 0, SAID[0]), ("say", 0, SAID[6]), ("tick", 3, None), *what[:cut]])
     held = first.snapshot()
     second = World(config)
     happen(second, [("join", 0, None), ("tick", 3, None), ("say", 0, SAID[0])])  # it has a past of its own
@@ -143,10 +143,11 @@ def test_structures_go_on_in_a_fresh_process(backend: str, number: int, cut: int
 @pytest.mark.parametrize("number", range(200, 212))
 def test_structures_go_on(number: int) -> None:
     config = {"mode": "lockstep", "seed": number}
-    program, cut = programs.draw(number, 90), 20 + number % 50
+    program, cut = programs.draw(number, 110), 65 + number % 12
     first, second = World(config), World(config)
     programs.play(first, program[:cut])
     second.restore(first.snapshot())
+    assert first.joints() == second.joints()
     assert programs.play(first, program[cut:]) == programs.play(second, program[cut:])
 
 
