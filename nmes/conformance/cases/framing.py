@@ -12,6 +12,8 @@ case, table = FRAMING.case, FRAMING.table
 
 WHITE = {"newline": b"\n", "carriage-return": b"\r\n", "spaces": b"   ", "tab": b"\t"}
 
+_APART = 0.005  # s between pieces, so that a server most likely reads each by itself
+
 
 @case(1, "1.1.2")
 def replies_end_with_the_delimiter(t: Trial) -> None:
@@ -62,6 +64,7 @@ def one_byte_at_a_time(t: Trial) -> None:
     """A message that comes byte by byte is the same message."""
     wire = t.join()
     for byte in frame_of({"type": "ping", "id": "slow"}):
+        wire.quiet(_APART)
         wire.send(bytes([byte]))
     t.equal(wire.reply("pong").get("id"), "slow", "the id of the reply")
 
@@ -73,6 +76,7 @@ def the_delimiter_in_two_pieces(t: Trial) -> None:
     for cut in range(1, len(DELIMITER)):
         whole = frame_of({"type": "ping", "id": cut})
         wire.send(whole[: cut - len(DELIMITER)])
+        wire.quiet(_APART)
         wire.send(whole[cut - len(DELIMITER) :])
         t.equal(wire.reply("pong").get("id"), cut, f"the id of the reply with the delimiter cut after {cut} bytes")
 

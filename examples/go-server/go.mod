@@ -1,0 +1,3 @@
+module nmes.example/server
+
+go 1.21
