@@ -24,7 +24,7 @@ NMES = str(Path(sys.executable).parent / "nmes")
 PATIENCE = 60
 
 
-def run(*arguments: str | Path) -> Result:
+def run(*arguments: str | Path | int) -> Result:
     return CliRunner().invoke(main, ["eval", *map(str, arguments)])
 
 
