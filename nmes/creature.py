@@ -17,12 +17,11 @@ import orjson
 
 from nmes import jointparams, protocol
 from nmes.assembly import Assembly, Cube, Joint
-from nmes.backend import Array, Vector
+from nmes.backend import Array, BodyState, Vector
 from nmes.body import Body, BodyCube, BodyJoint, Motor, Sensor
 from nmes.errors import WorldError
 from nmes.genome import Genome
 from nmes.protocol import Request
-from nmes.sensing import own_axes
 
 __all__ = ["Creature", "Creatures"]
 
@@ -30,7 +29,6 @@ JsonObject = dict[str, Any]
 
 _NAME_LENGTH = 128
 _TURNING = 0.1  # sensors tell turning in 10 rad/s
-_UP: Vector = (0.0, 1.0, 0.0)
 
 
 class Creature:
@@ -127,19 +125,24 @@ class Creature:
         on_joints = [(row, sensor) for row, sensor in enumerate(sensors) if sensor.of == "joint"]
         parts = list(dict.fromkeys(sensor.target for _, sensor in on_joints))
         self._read = tuple(self._joints[part].number for part in parts)
-        self._joint_rows = np.array([row for row, _ in on_joints], np.intp)
+        self._joint_rows = _rows([row for row, _ in on_joints]) if on_joints else []
         column = ("position", "velocity", "effort").index
         self._picked = np.array([3 * parts.index(s.target) + column(s.type) for _, s in on_joints], np.intp)
         self._scale = np.array([self._joint_scale(sensor) for _, sensor in on_joints])
-        felt: dict[str, list[tuple[int, str, int]]] = {}
+        felt: dict[str, list[tuple[int, int]]] = {}
         touched = []
         for row, sensor in enumerate(sensors):
             if sensor.of == "cube" and sensor.type == "touch":
                 touched.append((row, self._cubes[sensor.target].body))
             elif sensor.of == "cube":
                 axis = 0 if sensor.axis is None else "xyz".index(sensor.axis)
-                felt.setdefault(sensor.target, []).append((row, sensor.type, axis))
-        self._felt = [(self._cubes[part].body, wanted) for part, wanted in felt.items()]
+                felt.setdefault(sensor.target, []).append((row, _FELT[sensor.type] + axis))
+        self._felt: list[tuple[int, slice | list[int], list[int] | None]] = []
+        for part, wanted in felt.items():
+            picked = [number for _, number in wanted]
+            everything = picked == list(range(10))  # as where a document names no sensors
+            rows = _rows([row for row, _ in wanted])
+            self._felt.append((self._cubes[part].body, rows, None if everything else picked))
         self._touch_rows = [row for row, _ in touched]
         self._touch_bodies = [body for _, body in touched]
 
@@ -158,26 +161,46 @@ class Creature:
         out = np.empty(len(self.sensors))
         simulation = self._simulation
         if self._read:
-            out[self._joint_rows] = simulation.joint_readings(self._read).ravel()[self._picked] * self._scale
-        for body, wanted in self._felt:
-            state = simulation.body_state(body)
-            turn = state.quaternion
-            readings: dict[str, Any] = {"height": (state.position[1],)}
-            for row, kind, axis in wanted:
-                reading = readings.get(kind)
-                if reading is None:
-                    if kind == "up":
-                        reading = own_axes(turn, _UP)
-                    elif kind == "velocity":
-                        reading = own_axes(turn, state.linear_velocity)
-                    else:
-                        x, y, z = own_axes(turn, state.angular_velocity)
-                        reading = (_TURNING * x, _TURNING * y, _TURNING * z)
-                    readings[kind] = reading
-                out[row] = reading[axis]
+            out[self._joint_rows] = simulation.joint_readings(self._read).take(self._picked) * self._scale
+        for body, rows, picked in self._felt:
+            felt = _feel(simulation.body_state(body))
+            out[rows] = felt if picked is None else [felt[i] for i in picked]
         if self._touch_bodies:
             out[self._touch_rows] = simulation.touching(self._touch_bodies)
         return out
+
+
+# What `_feel` returns, by type of sensor: where its first number is.
+_FELT = {"height": 0, "up": 1, "velocity": 4, "spin": 7}
+
+
+def _feel(state: BodyState) -> tuple[float, ...]:
+    """Returns a cube's height, and in its own axes which way is up, its velocity and its spin (in 10 rad/s)."""
+    x, y, z, w = state.quaternion
+    vx, vy, vz = state.linear_velocity
+    wx, wy, wz = state.angular_velocity
+    # The rows of the matrix that turns into the cube's own axes. Of three vectors that is less than turning each.
+    ax, ay, az = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)
+    bx, by, bz = 2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)
+    cx, cy, cz = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
+    return (
+        state.position[1],
+        ay,
+        by,
+        cy,
+        ax * vx + ay * vy + az * vz,
+        bx * vx + by * vy + bz * vz,
+        cx * vx + cy * vy + cz * vz,
+        _TURNING * (ax * wx + ay * wy + az * wz),
+        _TURNING * (bx * wx + by * wy + bz * wz),
+        _TURNING * (cx * wx + cy * wy + cz * wz),
+    )
+
+
+def _rows(rows: list[int]) -> slice | list[int]:
+    """Returns a slice where rows follow one another: it is written to faster."""
+    first, last = rows[0], rows[0] + len(rows)
+    return slice(first, last) if rows == list(range(first, last)) else rows
 
 
 class Creatures:

@@ -7,7 +7,7 @@ anything that looks at the parameters of joints. A `Reins` belongs to one compil
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import mujoco
@@ -17,10 +17,17 @@ import numpy.typing as npt
 from nmes.backend import Array
 from nmes.backends.mujoco3d.layout import Joint, Layout
 
-__all__ = ["Reins"]
+__all__ = ["Reins", "compact"]
 
 Joints = tuple[int, ...]
-Indices = npt.NDArray[np.intp]
+Indices = slice | npt.NDArray[np.intp]
+
+
+def compact(indices: Sequence[int]) -> Indices:
+    """Returns a slice where indices follow one another, which copies several times faster, else an array of them."""
+    first = indices[0] if indices else 0
+    last = first + len(indices)
+    return slice(first, last) if list(indices) == list(range(first, last)) else np.array(indices, np.intp)
 
 
 class _Motors(NamedTuple):
@@ -76,7 +83,7 @@ class Reins:
             return None
         bodies = dict.fromkeys(layout.body[number] for joint in held for number in (joint.body1, joint.body2))
         trees = dict.fromkeys(int(layout.model.body_treeid[index]) for index in bodies)
-        controls = np.array([layout.actuator[joint] for joint in joints], np.intp)
+        controls = compact([layout.actuator[joint] for joint in joints])
         return _Motors(controls, list(bodies), [tree for tree in trees if tree >= 0])
 
     def note(self) -> None:
@@ -107,4 +114,4 @@ class Reins:
             rows,
             [actuator[joints[row]] for row in rows],
         )
-        return _Coordinates(*(np.array(each, np.intp) for each in found))
+        return _Coordinates(*map(compact, found))

@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from nmes.backend import Array, Simulation, Track
 from nmes.backends.mujoco3d.layout import Layout
+from nmes.backends.mujoco3d.reins import compact
 
 __all__ = ["MujocoTrack"]
 
@@ -82,11 +83,11 @@ class MujocoTrack(Track):
             (self._velocity, data.qvel, slots),
             (self._effort, data.actuator_force, motors),
         ):
-            first = index[0] if index else 0
-            if index == list(range(first, first + len(index))):
-                self._views.append((rows, held[first : first + len(index)]))
+            found = compact(index)
+            if isinstance(found, slice):
+                self._views.append((rows, held[found]))
             else:
-                self._gathered.append((rows, held, np.array(index, np.intp)))
+                self._gathered.append((rows, held, found))
 
     def _note_slowly(self, row: int) -> None:
         states = self._simulation.states(self._bodies)
