@@ -22,6 +22,7 @@ from rich.table import Table
 import bodies
 import brains
 import engines
+import evaluation
 import hosting
 import recorded
 import roundtrip
@@ -34,6 +35,7 @@ SUITES = {
     "bodies": bodies.figures,
     "brains": brains.figures,
     "engines": engines.figures,
+    "evaluation": evaluation.figures,
     "hosting": hosting.figures,
     "survival": survival.figures,
     "recorded": recorded.figures,

@@ -48,7 +48,7 @@ from nmes.task import CREATURE, Task
 from nmes.trace import Cast, Trace
 from nmes.world import World
 
-__all__ = ["Episode", "Evaluation", "Job", "Proof", "Result", "evaluate", "evaluate_all", "prove"]
+__all__ = ["Episode", "Evaluation", "Job", "Proof", "Result", "brain_of", "evaluate", "evaluate_all", "prove"]
 
 _ABOUT: Final = "nmes.evaluation"  # the metadata record of a recording that says what it was for
 _ENERGY, _DISTANCE = Quantity("energy"), Quantity("displacement.horizontal")
@@ -353,7 +353,7 @@ def evaluate(
     recordings: list[str] = []
     error: str | None = None
     try:
-        brain = _brain(genome)
+        brain = brain_of(genome)
         refused = task.check(genome.body)
         error = "; ".join(refused) or None
         for seed in () if refused else task.seeds if seeds is None else seeds:
@@ -370,7 +370,12 @@ def evaluate(
     return Evaluation(*told, tuple(results), error, tuple(recordings), took)
 
 
-def _brain(genome: Genome) -> Brain | None:
+def brain_of(genome: Genome) -> Brain | None:
+    """Returns what drives a creature, tied to its sensors and motors; None for one that has no brain.
+
+    Raises:
+        DocumentError: The brain is not as it must be, or does not fit the body.
+    """
     body, document = genome.body, genome.document.get("brain")
     if document is None:
         return None
@@ -517,7 +522,7 @@ def prove(recording: str | os.PathLike[str], *, brain: bool = False) -> Proof:
     task, genome, seed = Task(orjson.loads(about["task"])), Genome(entry["genome"]), int(about["seed"])
     if held.config != protocol.complete_config(task.world_config(seed)):
         raise RecordingError("diverged", f"{held.path}, frame 0: the world is not the task's")
-    driver = _brain(genome) if brain else None
+    driver = brain_of(genome) if brain else None
     logged = not brain and "brain" in genome.document
     checker = _Checker(lambda world: Episode(world, genome, driver, task, seed, logged=logged))
     try:
