@@ -23,6 +23,7 @@ SUBCOMMANDS = {
     "export": "Write a recording as data for other programs.",
     "fork": "Take the world out of a recording as it was at a frame.",
     "genome": "Check, show and expand genomes.",
+    "leaderboard": "Keep a list of scores that are proved.",
     "info": "Show what a recording holds.",
     "render": "Make a film or a picture of recordings.",
     "replay": "Run a recording again and compare.",

@@ -71,7 +71,7 @@ class Task:
         limits: What a creature may be and use.
         objective: What an episode is worth.
         ends: What ends an episode early, and what it is called then.
-        hash: SHA-256 of the document, hexadecimal.
+        hash: SHA-256 of the document, defaults filled in, hexadecimal.
     """
 
     def __init__(self, document: Mapping[str, Any]) -> None:
@@ -120,7 +120,7 @@ class Task:
             for end, condition in zip(plain["ends"], conditions, strict=True)
             if isinstance(condition, Condition)
         )
-        self.hash = sha256(orjson.dumps(document, option=orjson.OPT_SORT_KEYS)).hexdigest()
+        self.hash = sha256(orjson.dumps(plain, option=orjson.OPT_SORT_KEYS)).hexdigest()
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> Task:
