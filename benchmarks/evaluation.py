@@ -10,6 +10,7 @@ from __future__ import annotations
 import tempfile
 import time
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from importlib.util import find_spec
 from typing import Any
 
@@ -170,8 +171,7 @@ def _many(task: Task) -> Iterator[Figure]:
 
 def _ants(processes: int) -> float:
     """Returns the body-steps a second of Gymnasium's vectorised Ant."""
-    import gymnasium
-
+    gymnasium = import_module("gymnasium")
     envs = gymnasium.make_vec("Ant-v5", num_envs=processes, vectorization_mode="async")
     try:
         envs.reset(seed=0)
@@ -188,9 +188,8 @@ def _ants(processes: int) -> float:
 
 def _voxels() -> float:
     """Returns the body-steps a second of Evolution Gym's walker, a voxel counting as a body."""
-    import evogym.envs  # registers them
-    import gymnasium
-
+    gymnasium, evogym = import_module("gymnasium"), import_module("evogym")
+    import_module("evogym.envs")  # registers them
     body, connections = evogym.sample_robot((5, 5))
     env = gymnasium.make("Walker-v0", body=body, connections=connections)
     env.reset(seed=0)

@@ -24,6 +24,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from enum import Enum
 from hashlib import file_digest, sha256
+from itertools import chain, islice
 from math import fsum
 from pathlib import Path
 from typing import Any, Final
@@ -515,8 +516,9 @@ def prove(recording: str | os.PathLike[str], *, brain: bool = False) -> Proof:
     """
     held = Recording(recording)
     about = held.metadata.get(_ABOUT)
-    first = next((record for record in held if record.kind is Kind.COMMAND), None)
-    entry = protocol.parse(first.data).command if first is not None else None
+    begun, first = islice(chain(held, (None, None)), 2)  # one that goes on from another would begin with a keyframe
+    joined = begun is not None and begun.kind is Kind.JOINED
+    entry = protocol.parse(first.data).command if joined and first is not None and first.kind is Kind.COMMAND else None
     if about is None or not {"task", "seed"} <= about.keys() or entry is None or entry["type"] != "spawn_creature":
         raise RecordingError("not_an_evaluation", f"{held.path} is no recording of `nmes eval`")
     task, genome, seed = Task(orjson.loads(about["task"])), Genome(entry["genome"]), int(about["seed"])

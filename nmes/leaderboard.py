@@ -245,7 +245,13 @@ class Leaderboard:
     def _select(self, clause: str, *values: object, source: str = "entries") -> list[Entry]:
         with self._trouble():
             rows = self._db.execute(f"SELECT {_COLUMNS} FROM {source} {clause}", values).fetchall()
-        return [Entry(*row[:7], tuple(orjson.loads(row[7])), orjson.loads(row[8]), *row[9:]) for row in rows]
+        entries = []
+        for row in rows:
+            fields = dict(zip(Entry.__slots__, row, strict=True))
+            fields["recordings"] = tuple(orjson.loads(fields["recordings"]))
+            fields["fingerprint"] = orjson.loads(fields["fingerprint"])
+            entries.append(Entry(**fields))
+        return entries
 
     @contextmanager
     def _trouble(self) -> Iterator[None]:

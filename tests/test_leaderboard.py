@@ -231,3 +231,11 @@ def test_a_task_that_is_edited_is_another_task(board: Path, proofs: list[str], t
     assert len(shown) == 3 and len({entry.task_hash for entry in shown}) == 2
     with pytest.raises(NmesError, match="one recording for each"):
         Leaderboard(board).add([prove(found.recordings[0]), prove(proofs[1])])
+
+
+def test_a_recording_that_goes_on_from_another_proves_nothing(proofs: list[str], tmp_path: Path) -> None:
+    ahead = tmp_path / "ahead.mcap"
+    forked = CliRunner().invoke(main, ["fork", proofs[0], "--at", "0", "-o", str(ahead)])
+    assert forked.exit_code == 0, forked.output
+    with pytest.raises(RecordingError, match="no recording of `nmes eval`"):
+        prove(ahead)
