@@ -5,13 +5,14 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-long lint format types imports layout bench goldens constraints clean
+.PHONY: help setup demo test test-long lint format types imports layout bench docs goldens constraints clean
 
 help:
 	@echo "make demo       serve, drive, record and reproduce the example worlds"
 	@echo "make test       lint, type-check and test"
 	@echo "make test-long  the same with the tests that take minutes"
 	@echo "make bench      print the benchmark table"
+	@echo "make docs       build the documentation as a site in build/site"
 	@echo "make goldens    record the corpus in replays/ anew"
 	@echo "make format     mend what the linter can mend"
 	@echo "make clean      remove what was built, the environment too"
@@ -58,6 +59,9 @@ format: $(READY)
 
 bench: $(READY)
 	@$(BIN)/python benchmarks/bench.py
+
+docs: $(READY)
+	$(BIN)/mkdocs build --strict
 
 goldens: $(READY)
 	@$(BIN)/python tests/goldens.py

@@ -1,0 +1,74 @@
+"""The documentation as a site: it builds without a warning, has every page, and fetches nothing from elsewhere."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+from urllib.parse import urlsplit
+
+import pytest
+
+from layout import ROOT
+from nmes.cli import SUBCOMMANDS
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("site")
+    built = subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert built.returncode == 0, built.stderr
+    return folder
+
+
+class Fetched(HTMLParser):
+    """What a page makes a browser fetch."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.addresses: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        about = dict(attrs)
+        if tag in ("script", "img", "iframe"):
+            self.addresses.append(about.get("src") or "")
+        if tag == "link" and about.get("rel") in ("stylesheet", "icon", "preload"):
+            self.addresses.append(about.get("href") or "")
+
+
+def test_every_page_is_there(site: Path) -> None:
+    pages = {path.stem for path in (ROOT / "docs").glob("*.md")}
+    assert {path.stem for path in site.glob("*.html")} - {"404"} == pages
+
+
+def test_the_site_fetches_nothing_from_elsewhere(site: Path) -> None:
+    for page in site.glob("*.html"):
+        fetched = Fetched()
+        fetched.feed(page.read_text())
+        assert fetched.addresses
+        assert [address for address in fetched.addresses if urlsplit(address).netloc] == []
+
+
+def test_what_pages_link_to_outside_is_copied(site: Path) -> None:
+    assert (site / "repository/schemas/task.json").read_bytes() == (ROOT / "schemas/task.json").read_bytes()
+
+
+def test_the_references_are_made_from_the_program(site: Path) -> None:
+    commands = (site / "reference-cli.html").read_text()
+    for name in SUBCOMMANDS:
+        assert f'id="nmes-{name}"' in commands
+    python = (site / "reference-python.html").read_text()
+    for name in (
+        "nmes.client.Client.connect",
+        "nmes.world.World.tick",
+        "nmes.evaluation.evaluate",
+        "nmes.errors.WorldError",
+    ):
+        assert f'id="{name}"' in python
