@@ -291,7 +291,10 @@ class Trial:
     # -- the end ---------------------------------------------------------------------------------------------------
 
     def clean_up(self) -> None:
-        """Despawns what the case spawned, or resets a world that may be. What goes wrong with that is no finding: the case has been judged."""
+        """Despawns what the case spawned, or resets a world that may be.
+
+        What goes wrong with that is no finding: the case has been judged.
+        """
         may_reset = "lockstep" in self.case.needs
         if not (self._spawned or may_reset) or any(wire.ending == "timed out" for wire in self.wires):
             return
