@@ -16,7 +16,20 @@ from rich.table import Table
 
 from nmes.cli._address import split_address
 from nmes.cli._password import PASSWORD_VARIABLE, choose_password, password_options
-from nmes.conformance import CASES, CATEGORIES, Options, Report, Result, Target, Unreachable, Verdict, run, select
+from nmes.conformance import (
+    CASES,
+    CATEGORIES,
+    Options,
+    Report,
+    Result,
+    Target,
+    Verdict,
+    replay,
+    run,
+    select,
+    suite_hash,
+)
+from nmes.conformance.model import load_script, write_script
 from nmes.conformance.report import to_html, to_json, to_junit
 from nmes.errors import NmesError
 
@@ -46,6 +59,13 @@ _FILE = click.Path(path_type=Path, dir_okay=False, writable=True)
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Of all that is drawn.")
 @click.option("--only", multiple=True, metavar="PATTERN", help="Only cases whose number fits, such as '4.*'.")
 @click.option("--category", "categories", multiple=True, metavar="NAME", help="Only cases of this category.")
+@click.option(
+    "--replay",
+    "script",
+    metavar="CASE",
+    type=click.Path(path_type=Path, exists=True, dir_okay=False),
+    help="Only play the conversation in this file, which a search had found wrong.",
+)
 @click.option("--list", "as_list", is_flag=True, help="Print the cases, and run none.")
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
 @click.option("--junit", type=_FILE, help="Write the report as JUnit XML.")
@@ -58,6 +78,7 @@ def command(
     seed: int,
     only: tuple[str, ...],
     categories: tuple[str, ...],
+    script: Path | None,
     as_list: bool,
     as_json: bool,
     junit: Path | None,
@@ -66,13 +87,15 @@ def command(
     r"""Judge any server by the protocol.
 
     Plays some hundred short conversations with the server and says of each whether it went as the protocol says.
-    What a server may leave out and does not claim is skipped. The server's world should be one for tests: cubes come
-    and go, time is stopped and moved on, and a world in lockstep is reset.
+    What a server may leave out and does not claim is skipped. The last cases search: two clients say anything, and what
+    goes wrong is shrunk to the shortest conversation and saved as a file in this directory, for --replay. The server's
+    world should be one for tests: cubes come and go, time is stopped and moved on, and a world in lockstep is reset.
 
     \b
     nmes conform 127.0.0.1:14000 --password-file secret --report out.html
     nmes conform --list --category physics
     nmes conform 127.0.0.1:14000 --only '1.*' --only 4.3:null
+    nmes conform 127.0.0.1:14000 --replay conform-17.1-0-0.json
 
     Exit status: 0 conforming, 1 not, 2 unreachable, wrong usage or the suite's own fault.
     """
@@ -89,11 +112,15 @@ def command(
     chosen = choose_password(password, password_file)
     if chosen is None:
         raise click.UsageError(f"give the server's password, in {PASSWORD_VARIABLE} or with --password-file")
+    target = Target(*address, chosen[0], timeout)
     try:
-        report = _run(Target(*address, chosen[0], timeout), options, len(cases))
-    except Unreachable as error:
+        if script is not None:
+            sys.exit(_replay(target, script))
+        report = _run(target, options, len(cases))
+    except NmesError as error:
         click.echo(f"Error: {error.message}", err=True)
         sys.exit(2)
+    saved = _save(report)
     if page is not None:
         page.write_text(to_html(report), "utf-8")
     if junit is not None:
@@ -101,7 +128,7 @@ def command(
     if as_json:
         click.echo(orjson.dumps(to_json(report), option=orjson.OPT_INDENT_2))
     else:
-        _print(report)
+        _print(report, saved)
     sys.exit(report.exit_status)
 
 
@@ -143,11 +170,37 @@ def _run(target: Target, options: Options, count: int) -> Report:
         return run(target, options, take)
 
 
-def _print(report: Report) -> None:
+def _save(report: Report) -> dict[str, Path]:
+    """Writes the conversations that searches have found wrong; returns the files by case."""
+    saved = {}
+    for result in report.results:
+        if result.script is not None:
+            path = Path(f"conform-{result.case.number.replace(':', '-')}-{report.options.seed}.json")
+            about = {"suite": suite_hash(), "expected": result.expected, "received": result.received}
+            path.write_text(write_script(result.script, case=result.case.number, seed=report.options.seed, **about))
+            saved[result.case.number] = path
+    return saved
+
+
+def _replay(target: Target, path: Path) -> int:
+    result = replay(target, load_script(path.read_bytes()))
+    console = Console(highlight=False, soft_wrap=True)
+    if result.verdict is Verdict.OK:
+        console.print("[green]fixed[/]: every answer is right")
+        return 0
+    console.print("[bold red]failing[/]")
+    _print_result(console, result)
+    return 2 if result.verdict is Verdict.FAULT else 1
+
+
+def _print(report: Report, saved: dict[str, Path]) -> None:
     console = Console(highlight=False, soft_wrap=True)
     for result in report.results:
         if result.verdict in (Verdict.FAILED, Verdict.FAULT, Verdict.NON_STRICT):
             _print_result(console, result)
+            if result.case.number in saved:
+                where = f"{report.target.host}:{report.target.port}"
+                console.print(f"  again     nmes conform {where} --replay {saved[result.case.number]}")
     table = Table("category", *(verdict.value for verdict in Verdict))
     for category in CATEGORIES:
         verdicts = [result.verdict for result in report.results if result.case.category == category.name]

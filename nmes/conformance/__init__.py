@@ -35,7 +35,7 @@ The suite knows the protocol and the schemas, and nothing of any server.
 
 from nmes.conformance.case import Case, Category, Finding, Level, Scope
 from nmes.conformance.cases import CASES, CATEGORIES
-from nmes.conformance.runner import Options, Report, Result, Unreachable, Verdict, run, select, suite_hash
+from nmes.conformance.runner import Options, Report, Result, Unreachable, Verdict, replay, run, select, suite_hash
 from nmes.conformance.trial import Probe, Target, Trial
 
 __all__ = [
@@ -54,6 +54,7 @@ __all__ = [
     "Trial",
     "Unreachable",
     "Verdict",
+    "replay",
     "run",
     "select",
     "suite_hash",

@@ -32,7 +32,7 @@ def page() -> str:
     lines = [_INTRODUCTION.format(count=len(CASES), categories=len(CATEGORIES))]
     for address, sentence in CLAUSES.items():
         numbers = dict.fromkeys(case.number.split(":")[0] for case in by_clause.get(address, ()))
-        cases = ", ".join(numbers) or f"none: {UNTESTED[address]}"
+        cases = ", ".join(numbers) or f"none: {UNTESTED.get(address, 'not yet')}"
         lines.append(f"| {address} | {_cell(sentence)} | {cases} |\n")
     for category in CATEGORIES:
         lines.append(f"\n## {category.number} {category.name}\n\n")

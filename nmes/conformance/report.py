@@ -40,6 +40,7 @@ def to_json(report: Report) -> dict[str, Any]:
                 "received": result.received,
                 "reason": result.reason,
                 "endings": result.endings,
+                "script": result.script,
                 "seconds": round(result.seconds, 4),
                 "log": [_entry(entry) for entry in result.log] if result.verdict in _TOLD else [],
             }

@@ -25,13 +25,14 @@ from typing import Any
 from nmes.conformance.case import Case, Finding, Level, NotTried, Scope, Unimplemented
 from nmes.conformance.cases import CASES, CATEGORIES
 from nmes.conformance.clauses import sentence
+from nmes.conformance.model import Script, play_script
 from nmes.conformance.trial import Probe, Target, Trial
 from nmes.conformance.wire import Entry, Log, frame_of, read_json
 from nmes.errors import NmesError
 from nmes.protocol import DELIMITER
 from nmes.schemas import schema_hash
 
-__all__ = ["Options", "Report", "Result", "Unreachable", "Verdict", "run", "select", "suite_hash"]
+__all__ = ["Options", "Report", "Result", "Unreachable", "Verdict", "replay", "run", "select", "suite_hash"]
 
 PATIENT = 5.0  # s of waiting from which on a case goes on beside those that are alone with the world
 SIDE_BY_SIDE = 24  # cases at once; nearly all of the time they wait
@@ -79,6 +80,7 @@ class Result:
         reason: Why it was skipped or is unimplemented; the traceback of a fault.
         endings: How each of its connections ended, by their names in the log.
         log: All that went over its wires.
+        script: The shortest conversation that shows the failure, where a search has found one.
         seconds: How long it took.
     """
 
@@ -89,6 +91,7 @@ class Result:
     reason: str | None = None
     endings: dict[str, str] = field(default_factory=dict)
     log: list[Entry] = field(default_factory=list)
+    script: list[dict[str, Any]] | None = None
     seconds: float = 0.0
 
     @property
@@ -215,6 +218,24 @@ def run(target: Target, options: Options | None = None, on_result: Callable[[Res
     return Report(target, probe, options, ordered, started, time.monotonic() - began)
 
 
+def replay(target: Target, script: Script) -> Result:
+    """Plays one conversation that a search had found wrong, with time standing still as in the search.
+
+    Raises:
+        Unreachable: As `run`.
+    """
+    probe = examine(target)
+    case = Case(
+        "replay", "search", "Every answer is one that a world must give", "3.3.1", Level.MUST, (), Scope.TIME, 0.0,
+        lambda trial: play_script(trial, script),
+    )  # fmt: skip
+    _stop_time(target, probe)
+    try:
+        return play(target, probe, case, 0, 0)
+    finally:
+        _release(target, probe)
+
+
 def _collect(
     pending: dict[Future[Result], Case], take: Callable[[Result], None], wanted: Callable[[Case], bool]
 ) -> None:
@@ -336,4 +357,5 @@ def play(target: Target, probe: Probe, case: Case, plot: int, seed: int) -> Resu
     trial.clean_up()
     result.seconds = time.monotonic() - began
     result.log = trial.log.entries
+    result.script = trial.script
     return result

@@ -133,6 +133,8 @@ class Trial:
         self.probe = probe
         self.case = case
         self.log = Log()
+        self.seed = seed
+        self.script: list[dict[str, Any]] | None = None  # the shortest conversation that a search has found wrong
         self.random = random.Random(f"{seed}:{case.number}")
         self.remarks: list[Finding] = []
         self.wires: list[Wire] = []
@@ -311,6 +313,10 @@ class Trial:
                     pass
         except Finding as finding:
             self.log.add("cleaner", "note", f"could not clean up: {finding}".encode())
+
+    def forget(self) -> None:
+        """Forgets the names of cubes that were cleaned up."""
+        self._spawned.clear()
 
     def close_all(self) -> dict[str, str]:
         """Closes the wires; returns how each of them had ended."""

@@ -16,6 +16,7 @@ from nmes.conformance.cases.limits import LIMITS
 from nmes.conformance.cases.names import NAMES
 from nmes.conformance.cases.physics import PHYSICS
 from nmes.conformance.cases.robustness import ROBUSTNESS
+from nmes.conformance.cases.search import SEARCH
 from nmes.conformance.cases.strictness import JSON
 from nmes.conformance.cases.subscriptions import SUBSCRIPTIONS
 from nmes.conformance.cases.timing import TIME
@@ -39,5 +40,6 @@ CATEGORIES: Final[tuple[Category, ...]] = (
     DETERMINISM,
     ROBUSTNESS,
     CAPABILITIES,
+    SEARCH,
 )
 CASES: Final[tuple[Case, ...]] = tuple(case for category in CATEGORIES for case in category)

@@ -1,0 +1,232 @@
+"""Searching: Hypothesis plays random commands, legal and not, against a model of a world, and shrinks what goes wrong.
+
+It hides Hypothesis. Same seed, same search: nothing is kept from run to run. A failure becomes the shortest script that
+shows it, `Trial.script`, which is then played once more for the report.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import hypothesis
+from hypothesis import HealthCheck, Phase, settings
+from hypothesis import strategies as st
+from hypothesis.errors import FlakyFailure
+from hypothesis.stateful import RuleBasedStateMachine, precondition, rule, run_state_machine_as_test
+
+from nmes.conformance.case import Category, Finding, Row, Scope
+from nmes.conformance.model import CLIENTS, Player, Script, play_script
+from nmes.conformance.trial import Trial
+from nmes.conformance.values import FIELD_NEEDS, fields, wrong
+from nmes.conformance.wire import Log, Wire
+from nmes.protocol import COMMANDS
+from nmes.schemas import Schema
+
+SEARCH = Category(17, "search")
+case, table = SEARCH.case, SEARCH.table
+
+EXAMPLES = 60  # conversations a case
+STEPS = 30  # commands in each, at most
+CUBES = 3  # names that a script gives
+MILD = 5.0  # numbers that move things are drawn up to this, so that no engine goes wild
+FIXED = frozenset({"type", "id", "cube_name", "position", "cube1", "cube2", "joint_type", "list", "sensors", "rays"})
+
+
+def values(part: Schema) -> st.SearchStrategy[Any]:
+    """Returns a strategy of mild values that a schema allows."""
+    if "anyOf" in part:
+        return st.one_of([values(choice) for choice in part["anyOf"]])
+    low, high = max(part.get("minimum", -MILD), -MILD), min(part.get("maximum", MILD), MILD)
+    match part.get("type"):
+        case "boolean":
+            return st.booleans()
+        case "integer":
+            return st.integers(int(low), int(high))
+        case "number":
+            # Not the tiniest: a cube of a micrometre and a microgramme is legal, but no engine's delight.
+            return st.floats(max(low, 0.1) if low > 0 else low, high, allow_subnormal=False)
+        case "array":
+            least, most = part.get("minItems", 0), part.get("maxItems", 3)
+            items = values(part.get("items", {}))
+            drawn = st.lists(items, min_size=least, max_size=most)
+            return drawn.filter(lambda value: any(abs(x) > 0.1 for x in value)) if "contains" in part else drawn
+    return st.sampled_from(part.get("enum", ["x"]))
+
+
+def options(kind: str) -> st.SearchStrategy[dict[str, Any]]:
+    """Returns a strategy of a command's optional fields."""
+    return st.fixed_dictionaries(
+        {}, optional={name: values(part) for name, part in fields(kind) if name not in FIXED and name != "is_base"}
+    )
+
+
+CUBE = st.sampled_from([*["{c0}", "{c1}", "{c2}"] * 3, "{c0}_BASE", "{c1}_BASE", "{u0}", "{u1}"])  # mostly there
+JOINT = st.sampled_from(["{j0}", "{j1}", "{j2}"])
+CLIENT = st.integers(0, CLIENTS - 1)
+
+
+def machine(t: Trial, scripts: list[Script], seconds: list[Finding]) -> type[RuleBasedStateMachine]:
+    """Returns the machine's class; each failing play leaves its script and its finding in the lists."""
+    probe = t.probe
+    kinds = [kind for kind in ("fixed", "hinge", "slide", "pin") if probe.claims(f"joint.{kind}")]
+    known = [kind for kind in COMMANDS if probe.claims(kind) and kind not in ("reset", "set_mode", "step", "batch")]
+
+    class World(RuleBasedStateMachine):
+        """Two clients in one world."""
+
+        def __init__(self) -> None:
+            super().__init__()
+            self.wires: list[Wire] = []
+            for name in "ab":
+                wire = t.target.connect(Log(), name)
+                self.wires.append(wire)
+                t.target.enter(wire)
+            self.player = Player(t, self.wires)
+            self.script: Script = []
+
+        def say(self, client: int, command: dict[str, Any]) -> None:
+            self.script.append({"client": client, "command": command})
+            try:
+                self.player.say(client, command)
+            except Finding as finding:
+                scripts.append(list(self.script))
+                seconds.append(finding)
+                raise
+
+        @rule(
+            client=CLIENT,
+            number=st.integers(0, CUBES - 1),
+            base=st.integers(0, 4).map(lambda n: n == 4),
+            more=options("spawn_cube"),
+        )
+        def spawn(self, client: int, number: int, base: bool, more: dict[str, Any]) -> None:
+            where = t.at(2.5 * number - 4, 1.0 + 2.0 * base)
+            extra = {"cube_name": f"{{c{number}}}", "position": where, **({"is_base": True} if base else {})}
+            self.say(client, {"type": "spawn_cube", **more, **extra})
+
+        @rule(client=CLIENT, number=st.integers(1, 5))
+        def spawn_unnamed(self, client: int, number: int) -> None:
+            self.say(client, {"type": "spawn_cube", "position": t.at(y=5 + 2 * number), "list": False})
+
+        @rule(client=CLIENT, cube=CUBE)
+        def despawn(self, client: int, cube: str) -> None:
+            self.say(client, {"type": "despawn_cube", "cube_name": cube})
+
+        @precondition(lambda self: bool(kinds))
+        @rule(client=CLIENT, one=CUBE, two=CUBE, kind=st.sampled_from(kinds or ["fixed"]))
+        def join(self, client: int, one: str, two: str, kind: str) -> None:
+            self.say(client, {"type": "create_joint", "cube1": one, "cube2": two, "joint_type": kind})
+
+        @precondition(lambda self: probe.claims("remove_joint"))
+        @rule(client=CLIENT, joint=JOINT)
+        def cut(self, client: int, joint: str) -> None:
+            self.say(client, {"type": "remove_joint", "joint_name": joint})
+
+        @rule(client=CLIENT, cube=st.none() | CUBE, more=options("apply_physics"))
+        def push(self, client: int, cube: str | None, more: dict[str, Any]) -> None:
+            more.pop("at", None)
+            self.say(client, {"type": "apply_physics", **({"cube_name": cube} if cube else {}), **more})
+
+        @precondition(lambda self: probe.claims("freeze_cube"))
+        @rule(client=CLIENT, cube=CUBE, freeze=st.booleans())
+        def freeze(self, client: int, cube: str, freeze: bool) -> None:
+            self.say(client, {"type": "freeze_cube", "cube_name": cube, "freeze": freeze})
+
+        @precondition(lambda self: probe.claims("set_cube_state"))
+        @rule(client=CLIENT, cube=CUBE, more=options("set_cube_state"), height=st.none() | st.floats(1, 5))
+        def put(self, client: int, cube: str, more: dict[str, Any], height: float | None) -> None:
+            where = {} if height is None else {"position": t.at(y=height)}
+            self.say(client, {"type": "set_cube_state", "cube_name": cube, **more, **where})
+
+        @rule(client=CLIENT, cube=CUBE)
+        def look(self, client: int, cube: str) -> None:
+            self.say(client, {"type": "get_cube_info", "cube_name": cube})
+
+        @rule(client=CLIENT)
+        def list_cubes(self, client: int) -> None:
+            self.say(client, {"type": "get_cube_list"})
+
+        @precondition(lambda self: probe.claims("get_joint_list"))
+        @rule(client=CLIENT)
+        def list_joints(self, client: int) -> None:
+            self.say(client, {"type": "get_joint_list"})
+
+        @precondition(lambda self: probe.claims("get_world_state"))
+        @rule(client=CLIENT, cubes=st.none() | st.lists(CUBE, max_size=3))
+        def look_around(self, client: int, cubes: list[str] | None) -> None:
+            self.say(client, {"type": "get_world_state", **({} if cubes is None else {"cubes": cubes})})
+
+        @precondition(lambda self: probe.claims("get_cube_state"))
+        @rule(client=CLIENT)
+        def look_at_own(self, client: int) -> None:
+            self.say(client, {"type": "get_cube_state"})
+
+        @precondition(lambda self: probe.stepping)
+        @rule(client=CLIENT, ticks=st.integers(1, 5))
+        def step(self, client: int, ticks: int) -> None:
+            self.say(client, {"type": "step", "ticks": ticks})
+
+        @rule(client=CLIENT, kind=st.sampled_from(known), data=st.data())
+        def mistake(self, client: int, kind: str, data: st.DataObject) -> None:
+            bad = [
+                (name, value)
+                for name, part in fields(kind)
+                if all(map(probe.claims, FIELD_NEEDS.get((kind, name), ())))
+                for value in wrong(part)
+            ]
+            name, value = data.draw(st.sampled_from(bad)) if bad else ("type", "no_such_command")
+            self.say(client, {**COMMANDS[kind].schema["examples"][0], name: value})
+
+        def teardown(self) -> None:
+            for wire in self.wires:
+                wire.close()
+            t.clean_up()
+            t.forget()
+
+    return World
+
+
+def search(t: Trial, seed: int) -> tuple[Script, Finding] | None:
+    """Returns the shortest script found that a server answers wrongly, and what was wrong; or None."""
+    scripts: list[Script] = []
+    findings: list[Finding] = []
+
+    def explore(phases: Sequence[Phase]) -> bool:
+        factory = machine(t, scripts, findings)
+        hypothesis.seed(seed)(factory)
+        chosen = settings(
+            max_examples=EXAMPLES,
+            stateful_step_count=STEPS,
+            phases=phases,
+            database=None,
+            deadline=None,
+            report_multiple_bugs=False,
+            suppress_health_check=list(HealthCheck),
+        )
+        try:
+            run_state_machine_as_test(factory, settings=chosen)
+        except (Finding, FlakyFailure) as error:
+            if not findings:  # it failed before anything was said
+                raise Finding("two connections", str(error)) from error
+            return True
+        return False
+
+    if not explore([Phase.generate]):
+        return None
+    # To shrink a silence would cost a time-out for each attempt.
+    if "in time" not in findings[-1].expected:
+        explore([Phase.generate, Phase.shrink])
+    shortest = min(range(len(scripts)), key=lambda n: (len(scripts[n]), len(str(scripts[n])), n))
+    return scripts[shortest], findings[shortest]
+
+
+@table(1, "3.3.1", [Row(str(n), n) for n in range(4)], scope=Scope.TIME)
+def random_conversations(t: Trial, number: int) -> None:
+    """Two clients that say anything, legal and not, get the answers that a world must give."""
+    found = search(t, t.seed * 1000 + number)
+    if found is not None:
+        script, finding = found
+        t.script = script
+        play_script(t, script)
+        raise Finding("the same answers to the same script", f"once {finding.received}, not {finding.expected}")
