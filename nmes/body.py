@@ -16,6 +16,7 @@ from fnmatch import fnmatchcase
 from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from nmes.backend import Array, Quaternion, Vector
 from nmes.errors import DocumentError
@@ -25,8 +26,11 @@ from nmes.rotation import normalize, quaternion_from_euler, rotate
 __all__ = ["Body", "BodyCube", "BodyJoint", "Motor", "Sensor", "corners", "read_body"]
 
 JsonObject = Mapping[str, Any]
+Indices = npt.NDArray[np.intp]
 
 _TOUCHING = 1e-4  # m that cubes may overlap, and reach into the ground, by rounding
+_TOLD = 20  # overlaps that are named one by one
+_PARALLEL = 1e-6  # sine of the angle below which edges count as parallel
 _DRIVEN = ("hinge", "slide")
 _OF_JOINT = ("position", "velocity", "effort")
 _OF_CUBE = ("height", "up", "velocity", "spin", "touch")
@@ -245,20 +249,25 @@ class _Reader:
     def geometry(self, cubes: Sequence[BodyCube], joints: Sequence[BodyJoint]) -> None:
         """Judges where the cubes are."""
         pairs = {frozenset((joint.cube1, joint.cube2)) for joint in joints}
-        boxes = [(np.array(cube.position), _axes(cube), np.array(cube.size) / 2.0) for cube in cubes]
-        for i, j in _near_pairs(boxes):
-            if frozenset((cubes[i].id, cubes[j].id)) in pairs:
+        centres = np.array([cube.position for cube in cubes])
+        axes = np.array([_axes(cube) for cube in cubes])
+        halves = np.array([cube.size for cube in cubes]) / 2.0
+        one, other = _near_pairs(centres, halves)
+        depths = _depths(centres[other] - centres[one], axes[one], axes[other], halves[one], halves[other])
+        found = 0
+        for i, j, depth in zip(one.tolist(), other.tolist(), depths.tolist(), strict=True):
+            if depth <= _TOUCHING or frozenset((cubes[i].id, cubes[j].id)) in pairs:
                 continue
-            depth = _depth(boxes[i], boxes[j])
-            if depth > _TOUCHING:
-                self.note(
-                    f"body/cubes/{j}",
-                    f"{cubes[i].id!r} and {cubes[j].id!r} overlap by {depth:.3g} m, and no joint joins them",
-                )
-        for i, (centre, axes, half) in enumerate(boxes):
-            lowest = float(centre[1] - half @ abs(axes[:, 1]))
-            if lowest < -_TOUCHING:
-                said = f"{cubes[i].id!r} reaches {-lowest:.3g} m below the ground, y = 0"
+            found += 1
+            if found <= _TOLD:
+                said = f"{cubes[i].id!r} and {cubes[j].id!r} overlap by {depth:.3g} m, and no joint joins them"
+                self.note(f"body/cubes/{j}", said)
+        if found > _TOLD:
+            self.note("body/cubes", f"{found - _TOLD} more pairs of cubes overlap")
+        lowest = centres[:, 1] - (halves * abs(axes[:, :, 1])).sum(axis=1)
+        for i, low in enumerate(lowest.tolist()):
+            if low < -_TOUCHING:
+                said = f"{cubes[i].id!r} reaches {-low:.3g} m below the ground, y = 0"
                 self.note(f"body/cubes/{i}/position", said)
 
     def sensor(
@@ -377,8 +386,6 @@ def _default_sensors(cubes: Sequence[BodyCube], joints: Sequence[BodyJoint]) -> 
 
 # -- geometry ---------------------------------------------------------------------------------------------------------
 
-_Box = tuple[Array, Array, Array]  # centre, axes as rows, half edges
-
 
 def _axes(cube: BodyCube) -> Array:
     """Returns a cube's own directions as rows, shape (3, 3)."""
@@ -386,24 +393,36 @@ def _axes(cube: BodyCube) -> Array:
     return np.array([rotate(q, (1.0, 0.0, 0.0)), rotate(q, (0.0, 1.0, 0.0)), rotate(q, (0.0, 0.0, 1.0))])
 
 
-def _near_pairs(boxes: Sequence[_Box]) -> Iterator[tuple[int, int]]:
-    """Yields the pairs (i < j) whose bounding spheres meet."""
-    centres = np.array([centre for centre, _, _ in boxes])
-    reach = np.array([float(np.sqrt(half @ half)) for _, _, half in boxes])
+def _near_pairs(centres: Array, halves: Array) -> tuple[Indices, Indices]:
+    """Returns the pairs (i < j) whose bounding spheres meet, in order."""
+    reach = np.sqrt((halves * halves).sum(axis=1))
     arms = centres[:, None] - centres[None]
     close = (arms * arms).sum(axis=2) < (reach[:, None] + reach[None]) ** 2
-    yield from zip(*(index.tolist() for index in np.nonzero(np.triu(close, 1))), strict=True)
+    one, other = np.nonzero(np.triu(close, 1))
+    return one, other
 
 
-def _depth(one: _Box, other: _Box) -> float:
-    """Returns how far two boxes overlap, m; negative where they do not. By the separating axis theorem."""
-    (c1, a1, h1), (c2, a2, h2) = one, other
-    crossed = np.cross(a1[:, None], a2[None]).reshape(9, 3)
-    length = np.sqrt((crossed * crossed).sum(axis=1))
-    usable = length > 1e-6  # parallel edges span no plane of their own
-    axes = np.concatenate([a1, a2, crossed[usable] / length[usable, None]])
-    reach = abs(axes @ a1.T) @ h1 + abs(axes @ a2.T) @ h2
-    return float((reach - abs(axes @ (c2 - c1))).min())
+def _depths(arms: Array, axes1: Array, axes2: Array, halves1: Array, halves2: Array) -> Array:
+    """Returns how far pairs of boxes overlap, m, shape (n,): not above 0 where they do not.
+
+    By the separating axis theorem: of two boxes, the faces' normals and the cross products of the edges.
+
+    Args:
+        arms: From the first centre to the second, shape (n, 3).
+        axes1: The first boxes' own directions as rows, shape (n, 3, 3).
+        axes2: The second ones'.
+        halves1: Half the first boxes' edges, shape (n, 3).
+        halves2: Half the second ones'.
+    """
+    crossed = np.cross(axes1[:, :, None], axes2[:, None]).reshape(-1, 9, 3)
+    length = np.sqrt((crossed * crossed).sum(axis=2))
+    crossed /= np.maximum(length, _PARALLEL)[..., None]
+    axes = np.concatenate([axes1, axes2, crossed], axis=1)
+    reach = (abs(axes @ axes1.transpose(0, 2, 1)) * halves1[:, None]).sum(axis=2)
+    reach += (abs(axes @ axes2.transpose(0, 2, 1)) * halves2[:, None]).sum(axis=2)
+    depths = reach - abs((axes * arms[:, None]).sum(axis=2))
+    depths[:, 6:][length < _PARALLEL] = np.inf  # parallel edges span no plane of their own
+    return np.asarray(depths.min(axis=1))
 
 
 def _vector(value: Sequence[float]) -> Vector:

@@ -46,6 +46,7 @@ JsonObject = dict[str, Any]
 _WHEN_FAULTED = frozenset({"ping", "get_world_info", "reset", "subscribe", "unsubscribe"})
 
 
+_PROBLEMS, _SAID = 20, 300  # of a bad genome a reply tells so many, each in so many characters at most
 _BATCH_TICKS = 10_000  # as many as one `step` may ask for: others wait meanwhile
 _BATCH_REPLY = 8 << 20  # bytes of replies after which the rest of a batch is refused
 
@@ -583,7 +584,10 @@ class World:
         try:
             genome = Genome(c["genome"])
         except DocumentError as error:
-            raise WorldError("invalid", f"genome: {error.message}", f"genome/{error.path or ''}".rstrip("/")) from error
+            said = [f"{path}: {words}"[:_SAID] for path, words in error.problems[:_PROBLEMS]]
+            more = [f"and {len(error.problems) - _PROBLEMS} more"] if len(error.problems) > _PROBLEMS else []
+            where = f"genome/{error.problems[0][0]}".rstrip("/")
+            raise WorldError("invalid", "genome: " + "\n".join(said + more), where) from error
         x, y, z = c.get("position", protocol.COMMANDS["spawn_creature"].defaults["position"])
         creature = self._creatures.spawn(genome, (float(x), float(y), float(z)), c.get("name"))
         return {

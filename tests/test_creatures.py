@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from nmes import World, protocol
 from nmes.errors import WorldError
@@ -193,6 +195,15 @@ def test_all_that_is_wrong_with_a_genome_is_said_at_once() -> None:
     assert "body/joints/0/motor/max_effort: expected a number from 0" in reply["message"]
 
 
+def test_a_body_that_is_wrong_all_over_is_refused_soon_and_briefly() -> None:
+    cubes = [{"id": f"c{i}", "size": [9, 0.1, 0.1], "mass": 1, "position": [0, 0.05, 0.0001 * i]} for i in range(256)]
+    reply = Place()("spawn_creature", genome={**crawler(), "body": {"cubes": cubes}})
+    lines = reply["message"].splitlines()
+    assert len(lines) == 21 and lines[-1].startswith("and ")
+    reply = Place()("spawn_creature", genome={**crawler(), "x" * 100_000: 1})
+    assert len(reply["message"]) < 400
+
+
 def test_an_engine_that_lacks_what_a_body_needs_says_so() -> None:
     reply = Place(backend="ballistic")("spawn_creature", genome=crawler())
     assert (reply["code"], reply["field"]) == ("unsupported", "genome/body")
@@ -272,6 +283,93 @@ def wander(place: Place, in_process: bool, ticks: int = 40) -> list[bytes]:
         place.world.tick()
         digests.append(place.world.digest())
     return digests
+
+
+def test_a_creature_with_frozen_cubes_still_senses_and_is_driven() -> None:
+    place = Place(gravity=[0, 0, 0])
+    place("spawn_creature", genome=crawler(), name="w", position=[0, 1, 0])
+    place("drive", creature="w", controls=[1, 1, 1])
+    place("step", ticks=60)
+    for cube in ("w.s0", "w.s1"):
+        place("freeze_cube", cube_name=cube, freeze=True)
+    place("step", ticks=2)
+    place("drive", creature="w", controls=[-1, -1, -1])
+    place("step", ticks=120)
+    bent, _, *others = place("sense", creature="w")["values"][:6]
+    assert bent == pytest.approx(place("get_joint_info", joint_name="w.j0")["position"])
+    assert others[::2] == pytest.approx([-0.5, -0.5], abs=0.03)
+    place("freeze_cube", cube_name="w.s1", freeze=False)
+    place("step", ticks=120)
+    assert place("sense", creature="w")["values"][0] == pytest.approx(-0.5, abs=0.03)
+
+
+_UNIT = st.floats(-1, 1)
+_STEPS = st.lists(
+    st.one_of(
+        st.tuples(st.just("drive"), _UNIT, _UNIT),
+        st.tuples(st.just("tick"), _UNIT, _UNIT),
+        st.tuples(st.just("drive"), _UNIT, _UNIT),
+        st.tuples(st.just("tick"), _UNIT, _UNIT),
+        st.tuples(
+            st.sampled_from(["force", "off", "speed", "limits", "freeze", "move", "spawn", "snapshot"]), _UNIT, _UNIT
+        ),
+    ),
+    max_size=25,
+)
+
+
+@given(_STEPS)
+@settings(max_examples=60, deadline=None)
+def test_driving_is_setting_each_motor_s_target_whatever_else_happens(steps: list[tuple[str, float, float]]) -> None:
+    """Two worlds get the same commands, but one is driven as a whole and the other joint by joint."""
+    driven, single = Place(), Place()
+    for place in (driven, single):
+        place("spawn_creature", genome=crawler(), name="w")
+    for number, (kind, a, b) in enumerate(steps):
+        controls = [a, b, (a + b) / 2]
+        which = int((a + 1) * 1.4999)
+        others: dict[str, Command] = {
+            "force": {"kind": "set_joint_param", "param_name": "motor_max_force", "value": max(0.0, 6 * b)},
+            "off": {"kind": "set_joint_param", "param_name": "motor_enabled", "value": b > 0},
+            "speed": {"kind": "set_joint_param", "param_name": "motor_target_velocity", "value": 3 * b},
+            "limits": {"kind": "set_joint_param", "param_name": "limit_upper", "value": 1 + b},
+            "freeze": {"kind": "freeze_cube", "cube_name": f"w.s{int((a + 1) * 1.9999)}", "freeze": b > -0.5},
+            "move": {
+                "kind": "set_cube_state",
+                "cube_name": "w.s1",
+                "position": [a, 1, b],
+                "linear_velocity": [b, a, 0],
+            },
+            "spawn": {"kind": "spawn_cube", "position": [a, 2, b], "is_base": a > 0.5},
+        }
+        command = others.get(kind)
+        if command is not None and command["kind"] == "set_joint_param":
+            command["joint_name"] = f"w.j{which}"
+        if kind == "drive":
+            driven.world.drive(driven.client, "w", np.array(controls))
+            for i, control in enumerate(controls):
+                single(
+                    "set_joint_param",
+                    joint_name=f"w.j{i}",
+                    param_name="target_position",
+                    value=(control + 1) * 0.5 - 0.5,
+                )
+        elif kind == "snapshot":
+            for place in (driven, single):
+                other = Place()
+                other.world.restore(place.world.snapshot())
+                place.world, place.client = other.world, other.client
+        elif command is None:
+            for place in (driven, single):
+                place.world.tick()
+        else:
+            assert driven(**command) == single(**command)
+        assert driven.world.digest() == single.world.digest(), f"after step {number}, {kind}"
+        assert driven("sense", creature="w") == single("sense", creature="w")
+        for i in range(3):
+            infos = [place("get_joint_info", joint_name=f"w.j{i}") for place in (driven, single)]
+            assert infos[0] == infos[1]
+    assert driven.world.fault is None
 
 
 def test_driving_in_process_is_driving_over_the_wire(tmp_path: Path) -> None:

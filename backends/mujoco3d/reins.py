@@ -55,7 +55,7 @@ class Reins:
         self._qpos, self._qvel, self._ctrl, self._efforts = data.qpos, data.qvel, data.ctrl, data.actuator_force
         self._asleep = data.tree_asleep
         self._motors: dict[Joints, _Motors | None] = {}  # None where there is no fast way
-        self._coordinates: dict[Joints, _Coordinates] = {}
+        self._coordinates: dict[Joints, _Coordinates | None] = {}
         self._ahead: dict[Joints, None] = {}  # those whose controls are newer than their parameters
 
     def forget(self) -> None:
@@ -94,19 +94,24 @@ class Reins:
                 held.params = held.params.aimed(target)
         self._ahead.clear()
 
-    def readings(self, joints: Joints) -> Array:
-        """Returns a new array (n, 3): position, velocity and effort of hinges and slides that the model has."""
-        at = self._coordinates.get(joints)
+    def readings(self, joints: Joints) -> Array | None:
+        """Returns a new array (n, 3) of positions, velocities and efforts, or None where that has to be slow."""
+        if joints not in self._coordinates:
+            self._coordinates[joints] = self._locate(joints)
+        at = self._coordinates[joints]
         if at is None:
-            at = self._coordinates[joints] = self._locate(joints)
+            return None
         out = np.zeros((len(joints), 3))
         out[:, 0] = self._qpos[at.q]
         out[:, 1] = self._qvel[at.v]
         out[at.rows, 2] = self._efforts[at.motors]
         return out
 
-    def _locate(self, joints: Joints) -> _Coordinates:
-        slots, actuator = [self._layout.joint[joint] for joint in joints], self._layout.actuator
+    def _locate(self, joints: Joints) -> _Coordinates | None:
+        slot, actuator = self._layout.joint, self._layout.actuator
+        slots = [slot[joint] for joint in joints if joint in slot]
+        if len(slots) < len(joints):  # a joint between frozen bodies is in no model
+            return None
         rows = [row for row, joint in enumerate(joints) if joint in actuator]
         found = (
             [slot.q for slot in slots],

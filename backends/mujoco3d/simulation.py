@@ -366,7 +366,8 @@ class MujocoSimulation(Simulation):
 
     def joint_readings(self, joints: Sequence[int]) -> Array:
         """Returns a new array (n, 3), read all at once where nothing was edited since the last step."""
-        return super().joint_readings(joints) if self._edits else self._reins.readings(tuple(joints))
+        found = None if self._edits else self._reins.readings(tuple(joints))
+        return super().joint_readings(joints) if found is None else found
 
     def touching(self, bodies: Sequence[int]) -> Array:
         """Returns a new array (n,), from the engine's list of contacts where all is awake."""
