@@ -312,7 +312,7 @@ func (c *client) touch() {
 	c.lock.Unlock()
 }
 
-// send queues a frame; false if the connection is over. A peer that leaves too much unread is told so in the place of it.
+// send queues a frame; false if the connection is over. A peer that leaves too much unread is told so in place of it all.
 func (c *client) send(frame []byte) bool {
 	c.lock.Lock()
 	defer c.lock.Unlock()

@@ -198,7 +198,9 @@ func (j *joint) rows(h float64) []*row {
 	axis := a.rotation.turn(j.axisA)
 	var found []*row
 	ask := func(along, turnA, turnB Vec, wanted, least, most float64) {
-		found = append(found, &row{a: a, b: b, along: along, turnA: turnA, turnB: turnB, wanted: wanted, least: least, most: most})
+		found = append(found, &row{
+			a: a, b: b, along: along, turnA: turnA, turnB: turnB, wanted: wanted, least: least, most: most,
+		})
 	}
 	everything := math.Inf(1)
 	shift := func(along Vec, wanted, least, most float64) {
@@ -260,6 +262,10 @@ func approach(beyond, h float64) float64 {
 	return takenBack * beyond / h
 }
 
+var corners = [8]Vec{
+	{-1, -1, -1}, {1, -1, -1}, {-1, 1, -1}, {1, 1, -1}, {-1, -1, 1}, {1, -1, 1}, {-1, 1, 1}, {1, 1, 1},
+}
+
 // touching returns the rows of the corners that are, or come within a step, on the ground.
 func (b *body) touching(h float64) []*row {
 	reach := b.half.dot(b.half)
@@ -269,9 +275,8 @@ func (b *body) touching(h float64) []*row {
 	}
 	var found []*row
 	up := Vec{0, 1, 0}
-	for corner := 0; corner < 8; corner++ {
-		sign := Vec{float64(corner&1*2 - 1), float64(corner&2 - 1), float64(corner&4/2 - 1)}
-		arm := b.rotation.turn(b.half.each(sign))
+	for _, corner := range corners {
+		arm := b.rotation.turn(b.half.each(corner))
 		above := b.position[1] + arm[1]
 		speed := b.velocity.add(b.spin.cross(arm))[1]
 		if above+h*math.Min(speed, 0) > sunk+0.01 {

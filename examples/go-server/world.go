@@ -205,8 +205,10 @@ func init() {
 			{"max_range", false, between(0.001, 1e6)},
 		}},
 		"get_world_info": {faulty: true, run: (*World).getWorldInfo},
-		"ping":           {faulty: true, run: func(*World, *client, map[string]any) (reply, *failure) { return reply{"type": "pong"}, nil }},
-		"step":           {run: (*World).step, fields: []field{{"ticks", false, wholeBetween(1, 10000)}}},
+		"ping": {faulty: true, run: func(*World, *client, map[string]any) (reply, *failure) {
+			return reply{"type": "pong"}, nil
+		}},
+		"step": {run: (*World).step, fields: []field{{"ticks", false, wholeBetween(1, 10000)}}},
 		"pause": {run: func(w *World, _ *client, _ map[string]any) (reply, *failure) {
 			w.paused = true
 			return reply{"type": "paused", "frame": w.frame}, nil
@@ -245,7 +247,8 @@ func (w *World) execute(c *client, given map[string]any) (answer reply, wrong *f
 		return nil, wrong, todo.silent
 	}
 	if w.fault != nil && !todo.faulty {
-		return nil, &failure{code: "world_faulted", message: "the physics engine has failed; reset brings the world back"}, todo.silent
+		wrong := &failure{code: "world_faulted", message: "the physics engine has failed; reset brings the world back"}
+		return nil, wrong, todo.silent
 	}
 	answer, wrong = todo.run(w, c, given)
 	return answer, wrong, todo.silent

@@ -33,6 +33,7 @@ __all__ = [
     "Brain",
     "BrainBatch",
     "Findings",
+    "Indices",
     "JsonObject",
     "Kernel",
     "OpenLoop",
@@ -50,6 +51,7 @@ LIMIT = 1e6
 
 _BLOCK = 64  # steps of an open-loop brain that are computed at once
 _LINE = 64 // 8  # numbers in a 64-byte line
+_SENSORS, _MOTORS = 4096, 1024  # at most; rows stay below the 10,000 numbers from which on OpenBLAS uses threads
 _LISTED = 12  # names that a message lists
 
 
@@ -254,6 +256,9 @@ class Brain(ABC):
         self.inputs = tuple(inputs)
         self.outputs = tuple(outputs)
         found = Findings(where)
+        for names, most, what in ((self.inputs, _SENSORS, "sensors"), (self.outputs, _MOTORS, "motors")):
+            if len(names) > most:
+                found.add("", f"the body has {len(names):,} {what}; a brain can have {most:,}")
         try:
             # A copy of its own; what is no JSON (NaN too, which is written as null) is found by the schema.
             plain = orjson.loads(encode(document))
