@@ -302,11 +302,17 @@ class _Observer:
         ids = (*(cube.id for cube in body.cubes), *task.prop_ids())
         cast = Cast(ids, len(body.cubes), np.array(shapes), np.array(masses, float), task.tick_rate, task.target(seed))
         self._task = task
-        self._touches = any(quantity.name == "contacts" for quantity in task.needs)
-        self.trace = Trace(cast, task.ticks, len(creature.motors), contacts=self._touches)
+        touchy = any(quantity.name == "contacts" for quantity in task.needs)
+        self.trace = Trace(cast, task.ticks, len(creature.motors), contacts=touchy)
         joints = [creature.joints[motor.id] for motor in creature.motors]
         self._track = world.track(cubes, joints, task.ticks + 1)
-        self.note = self._track.note
+        self._world, self._cubes = world, cubes
+        self.note = self._note_with_touches if touchy else self._track.note
+
+    def _note_with_touches(self) -> None:
+        trace = self.trace
+        trace.touches[self._track.rows] = self._world.touches(self._cubes, trace.cast.body)
+        self._track.note()
 
     def look(self) -> str | None:
         """Takes the new rows up into the trace; returns which condition has ended the episode, if one has."""

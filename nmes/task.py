@@ -20,11 +20,12 @@ from pathlib import Path
 from typing import Any, Final
 
 import jiter
+import numpy as np
 import orjson
 
 from nmes import protocol
 from nmes.backend import Array, Quaternion, Vector
-from nmes.body import Body
+from nmes.body import Body, corners
 from nmes.errors import DocumentError, NmesError
 from nmes.objective import Condition, Objective, Quantity
 from nmes.rotation import multiply, quaternion_from_euler, rotate
@@ -299,11 +300,27 @@ class Task:
         found += [
             f"the task puts a cube {name!r} there, and the body has one of that id" for name in props if name in ids
         ]
+        found += [
+            f"the task puts {name!r} on the root, where the cube {part!r} is" for name, part in self._covered(body)
+        ]
         named = {quantity.cube for quantity in self.needs if quantity.cube is not None}
         found += [
             f"the task is about a cube {name!r}, which the body has not" for name in sorted(named - ids - {*props})
         ]
         return found
+
+    def _covered(self, body: Body) -> Iterator[tuple[str, str]]:
+        """Yields props and the cubes of a body at rest that are where they are to stand."""
+        root = body.cubes[0]
+        x, top, z = _top(np.array([*root.position, *root.quaternion]), root.size)
+        for prop in self.document["props"]:
+            width, height, depth = prop["size"]
+            low = np.array([x - width / 2.0, top, z - depth / 2.0])
+            high = np.array([x + width / 2.0, top + height, z + depth / 2.0])
+            for cube in body.cubes[1:]:
+                points = corners(cube)
+                if (np.minimum(points.max(axis=0), high) - np.maximum(points.min(axis=0), low) > _GAP).all():
+                    yield prop["id"], cube.id
 
 
 def _top(root: Array, size: Vector) -> Vector:

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from nmes.backend import Array, Simulation
 from nmes.objective import Condition, Objective, Quantity
 
-__all__ = ["UPRIGHT", "Cast", "Tally", "Trace", "touches"]
+__all__ = ["UPRIGHT", "Cast", "Flags", "Tally", "Trace", "touches"]
 
 Flags = npt.NDArray[np.bool_]
 

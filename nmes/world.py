@@ -35,6 +35,7 @@ from nmes.goals import Goals, metric
 from nmes.protocol import Request
 from nmes.snapshot import pack, unpack
 from nmes.subscription import Subscription
+from nmes.trace import Flags, touches
 
 __all__ = ["Barrier", "Fault", "Journal", "World"]
 
@@ -223,6 +224,15 @@ class World:
         assembly = self._assembly
         bodies = [assembly.cube(name).body for name in cubes]
         return assembly.simulation.track(bodies, [assembly.joint(name).number for name in joints], rows)
+
+    def touches(self, cubes: Sequence[str], body: int) -> Flags:
+        """Returns which cubes touch something now, and something that is not of the first `body` of them: (n, 2).
+
+        Raises:
+            WorldError: `cube_not_found`.
+        """
+        assembly = self._assembly
+        return touches(assembly.simulation, [assembly.cube(name).body for name in cubes], body)
 
     def cube_shape(self, name: str) -> tuple[Vector, tuple[float, float, float, float]]:
         """Returns a cube's edge lengths (m) and colour (RGBA, 0 to 1)."""
