@@ -442,9 +442,7 @@ def test_links_without_number_are_refused() -> None:
 
 
 def test_a_body_may_be_too_large_for_a_brain() -> None:
-    with pytest.raises(
-        DocumentError, match="has 5,000 sensors; a brain can have 4,096\nbrain: the body has 2,000"
-    ):
+    with pytest.raises(DocumentError, match="has 5,000 sensors; a brain can have 4,096\nbrain: the body has 2,000"):
         load_brain(sine("*"), [f"s{i}" for i in range(5000)], [f"m{i}" for i in range(2000)])
 
 
