@@ -17,8 +17,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, NoReturn
 
-import cel
-
 from nmes.errors import WorldError
 
 __all__ = ["CUBE_QUANTITIES", "FOLDS", "FUNCTIONS", "QUANTITIES", "Condition", "Objective", "Quantity"]
@@ -179,7 +177,7 @@ class _Expression:
         """What it needs to know, in order of first use."""
         self._functions = {name: _FUNCTIONS[name] for name in reader.called}
         try:
-            self._program = cel.compile(reader.translated())
+            self._program = _compile(reader.translated())
         except ValueError as error:  # nothing is known that gets so far, but the judge here is CEL
             raise WorldError("bad_expression", f"{path}: {str(error).splitlines()[0]}", path) from error
 
@@ -190,6 +188,12 @@ class _Expression:
         given: dict[str, Any] = {f"v{i}": float(values[quantity]) for i, quantity in enumerate(self.needs)}
         given.update(self._functions)
         return self._program.execute(given)
+
+
+def _compile(text: str) -> Any:
+    import cel  # with it come its own command line and a terminal's toolkit: only who has an expression waits for them
+
+    return cel.compile(text)
 
 
 class Objective(_Expression):
