@@ -71,7 +71,7 @@ def test_there_are_ten_of_many_kinds() -> None:
     ("name", "least", "upright"),
     [
         ("walker", 12, 0.9),
-        ("biped", 0.5, 0.5),
+        ("biped", 2, 0.7),
         ("centipede", 2.5, 0.9),
         ("inchworm", 3, 0.3),
         ("lurcher", 3, 0.3),
@@ -87,6 +87,16 @@ def test_walkers_crawlers_and_carts_get_ahead_and_keep_upright(
     assert x > least
     assert abs(z) < 0.5 * x
     assert uprightness(states, 0).min() > upright
+
+
+@pytest.mark.parametrize("friction", FRICTIONS)
+def test_the_biped_lifts_its_feet_by_turns(friction: float) -> None:
+    genome, states = live("biped", friction)
+    parts = [cube.id for cube in genome.body.cubes]
+    heights = [states[120:, parts.index(f"{side}_foot"), 1] - 0.03 for side in ("left", "right")]
+    up, other = (height > 0.01 for height in heights)
+    assert up.any() and other.any()
+    assert ((up & ~other).mean() > 0.1) and ((other & ~up).mean() > 0.1)
 
 
 @pytest.mark.parametrize("friction", FRICTIONS)
