@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -286,3 +287,25 @@ def test_the_grid_is_a_round_number_of_metres() -> None:
 def test_a_sheet_has_room_for_long_and_strange_names() -> None:
     body = Genome.load("jumper").body
     assert sheet([("x" * 100, body), ("ßé漢字", body), ("", body)], 120, 90).shape[2] == 3
+
+
+# -- the page ---------------------------------------------------------------------------------------------------------
+
+
+def test_the_examples_of_the_page_work() -> None:
+    page = (ROOT / "docs" / "genomes.md").read_text()
+    whole, sensors, body = re.findall(r"^```json\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
+    hopper = Genome.parse(whole.encode())
+    assert [motor.id for motor in hopper.body.motors] == list(hopper.brain().outputs) == ["leg"]
+    head = {"format": "nmes-genome/1", "name": "grown"}
+    grown = Genome({**head, **json.loads(f"{{{body}}}")})
+    names = [cube.id for cube in grown.body.cubes]
+    assert names.count("head") == 1 and {"leg.4", "leg.4.mirror", "segment.4"} <= set(names)
+    felt = Genome({**hopper.document, **json.loads(f"{{{sensors}}}")}).body.sensors
+    assert [sensor.id for sensor in felt] == [
+        "leg.position", "torso.up.x", "torso.up.y", "torso.up.z", "foot.touch", "tilt",
+    ]  # fmt: skip
+    (code,) = re.findall(r"^```python\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
+    names_of_the_code: dict[str, Any] = {}
+    exec(compile(code, "docs/genomes.md", "exec"), names_of_the_code)
+    assert names_of_the_code["world"].cube_shape("w.torso") and names_of_the_code["world"].poses()[1][0, 0] > 5
