@@ -59,7 +59,7 @@ def _seeds(_: click.Context, parameter: click.Parameter, value: str | None) -> t
     return tuple(seeds)
 
 
-@click.command("eval", epilog="Example: nmes eval crawler 'evolved/*.json' --task walk --record proofs")
+@click.command("eval", epilog="Example: nmes eval walker 'evolved/*.json' --task walk --record proofs")
 @click.argument("genomes", metavar="GENOME...", nargs=-1)
 @click.option(
     "--task", metavar="T", default="walk", show_default=True, help="A file, or the name of a task that ships."
@@ -241,7 +241,7 @@ def _print(found: Sequence[Evaluation], as_json: bool, as_csv: bool) -> None:
 
 
 def _table(found: Sequence[Evaluation]) -> None:
-    table = Table("genome", "task", "score", "spread", "energy", "distance", "faults", "time")
+    table = Table("genome", "task", "score", "spread", "energy, J", "distance, m", "faults", "time, s")
     for column in table.columns[2:]:
         column.justify = "right"
     for each in found:
@@ -250,10 +250,10 @@ def _table(found: Sequence[Evaluation]) -> None:
             each.task,
             _number(each.score),
             _number(each.spread),
-            _number(each.energy, "J"),
-            _number(each.distance, "m"),
+            _number(each.energy),
+            _number(each.distance),
             "" if each.error else str(each.faults),
-            f"{each.wall_seconds:.2f} s",
+            f"{each.wall_seconds:.2f}",
         )
     console = Console(markup=False, highlight=False)
     console.print(table)
@@ -265,5 +265,5 @@ def _table(found: Sequence[Evaluation]) -> None:
                 console.print(f"{each.genome}, seed {result.seed}, tick {result.ticks}: {result.fault}", soft_wrap=True)
 
 
-def _number(value: float | None, unit: str = "") -> str:
-    return "-" if value is None else f"{value:.3f} {unit}".rstrip()
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3f}"

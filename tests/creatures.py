@@ -45,3 +45,13 @@ def snake(brain: dict[str, Any] | None = SINE, segments: int = 4, **changes: Any
     ]
     genome = {"format": "nmes-genome/1", "name": "snake", "author": "Ada", "body": {"cubes": cubes, "joints": joints}}
     return {**genome, **({} if brain is None else {"brain": brain}), **changes}
+
+
+def exploding() -> dict[str, Any]:
+    """Returns the genome of a snake that no engine can follow: motors of a million newton metres on a gram."""
+    genome = snake(name="bang")
+    for cube in genome["body"]["cubes"]:
+        cube["mass"] = 0.001
+    for joint in genome["body"]["joints"]:
+        joint["motor"] = {"mode": "velocity", "range": [-1000, 1000], "max_effort": 1e6}
+    return genome

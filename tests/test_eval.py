@@ -16,7 +16,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
-from creatures import cpg, mlp, snake
+from creatures import cpg, exploding, mlp, snake
 from nmes.cli import main
 from test_evaluation import DASH
 
@@ -62,11 +62,19 @@ def test_results_do_not_depend_on_processes_order_or_recording(folder: Path) -> 
 
 
 def test_a_table_and_csv(folder: Path) -> None:
+    (folder / "bang.json").write_text(json.dumps(exploding()))
     table = run(
-        folder / "zoo" / "a-wave.json", folder / "zoo" / "d-ill.json", "--task", folder / "dash.json", "--seeds", 4
+        folder / "bang.json",
+        folder / "zoo" / "a-wave.json",
+        folder / "zoo" / "d-ill.json",
+        "--task",
+        folder / "dash.json",
+        "--seeds",
+        4,
     )
     assert table.exit_code == 1
     assert "a-wave" in table.stdout and "dash" in table.stdout and "d-ill: body/cubes" in table.stdout
+    assert "bang, seed 4, tick" in table.stdout and "diverged: the engine diverged" in table.stdout
     rows = run(folder / "zoo" / "a-wave.json", "--task", folder / "dash.json", "--csv", "--seeds", "4,7-9")
     (row,) = csv.DictReader(io.StringIO(rows.stdout))
     assert row["genome"] == "a-wave" and float(row["score"]) > -1.0 and row["faults"] == "0"

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from creatures import SINE, cpg, mlp, snake
+from creatures import SINE, cpg, exploding, mlp, snake
 from nmes.errors import RecordingError
 from nmes.evaluation import Evaluation, evaluate, prove
 from nmes.genome import Genome
@@ -64,6 +64,20 @@ def test_a_creature_that_a_task_does_not_allow_is_an_error() -> None:
     found = evaluate(Genome(snake()), task(limits={"cubes": 3}))
     assert found.error is not None and "4 cubes, at most 3" in found.error
     assert found.results == () and found.score is None
+
+
+def test_a_world_that_diverges_is_a_result_with_its_reason_and_is_proved_too(tmp_path: Path) -> None:
+    found = evaluate(Genome(exploding()), task(), record=tmp_path)
+    assert found.error is None and found.score is None and found.faults == 2
+    for path, result in zip(found.recordings, found.results, strict=True):
+        assert result.fault is not None and result.fault.startswith("diverged: ") and result.score is None
+        assert 0 < result.ticks < 20
+        assert prove(path).result == prove(path, brain=True).result == result
+
+
+def test_a_score_that_is_no_number_is_a_fault() -> None:
+    found = evaluate(Genome(snake()), task(objective="1 / (energy - energy)"))
+    assert found.faults == 2 and found.score is None and "finite" in (found.results[0].fault or "")
 
 
 def test_a_recording_of_something_else_proves_nothing(tmp_path: Path) -> None:
