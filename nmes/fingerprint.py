@@ -16,7 +16,10 @@ from pathlib import Path
 
 from nmes.backend import Backend
 
-__all__ = ["DECISIVE", "differences", "fingerprint"]
+__all__ = ["DECISIVE", "VERSION", "differences", "fingerprint"]
+
+VERSION = version("nmes")
+"""Of this package, which does not change while it runs: looking it up takes a millisecond."""
 
 DECISIVE = ("nmes", "backend", "architecture", "simd", "libc")
 
@@ -33,7 +36,7 @@ _SIMD_PREFIXES = ("sse", "ssse", "avx", "fma", "f16c", "asimd", "sve", "neon")
 def fingerprint(backend: Backend) -> dict[str, str]:
     """Returns this machine's and this installation's fingerprint for one engine."""
     return {
-        "nmes": version("nmes"),
+        "nmes": VERSION,
         "backend": backend.name,
         "engine.version": backend.version(),
         **{f"engine.{name}": value for name, value in sorted(backend.fingerprint().items())},

@@ -7,7 +7,6 @@ to white space, the order of keys, and `1.0` for `1`) have equal hashes.
 
 from __future__ import annotations
 
-import copy
 import difflib
 import hashlib
 from collections.abc import Mapping
@@ -111,7 +110,8 @@ class Genome:
     @property
     def document(self) -> JsonObject:
         """A copy of the document."""
-        return copy.deepcopy(self._document)
+        copied: JsonObject = orjson.loads(orjson.dumps(self._document))  # several times faster than deepcopy
+        return copied
 
     @property
     def name(self) -> str:

@@ -12,7 +12,7 @@ import os
 import struct
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from importlib.metadata import version
+from functools import cache
 from pathlib import Path
 from time import time_ns
 from typing import Any, NoReturn
@@ -21,7 +21,7 @@ import orjson
 
 from nmes import protocol, scene
 from nmes.errors import RecordingError, SimulationFault, WorldError
-from nmes.fingerprint import fingerprint
+from nmes.fingerprint import VERSION, fingerprint
 from nmes.mcapfile import Writer, message_checksums
 from nmes.protocol import Request
 from nmes.records import BOXES, END, FORMAT, KEYFRAMES, PROFILE, REFUSED_LIMIT, SEQUENCE_MASK, next_head
@@ -81,13 +81,18 @@ class _Channels(dict[int | str, int]):
 
     def _schema(self, name: str) -> int:
         if name not in self._schemas:
-            match name:
-                case "command" | "reply":
-                    schema = protocol.bundled_schema(name)
-                case _:
-                    schema = load(f"recording/{name}.json")
-            self._schemas[name] = self._writer.schema(f"nmes.{name}", "jsonschema", protocol.encode(schema))
+            self._schemas[name] = self._writer.schema(f"nmes.{name}", "jsonschema", _schema(name))
         return self._schemas[name]
+
+
+@cache  # a short episode takes no longer than making these
+def _schema(name: str) -> bytes:
+    match name:
+        case "command" | "reply":
+            schema = protocol.bundled_schema(name)
+        case _:
+            schema = load(f"recording/{name}.json")
+    return protocol.encode(schema)
 
 
 _Note = tuple[int, int, int, Any]  # key, frame, wall time; data, or a tick's digest, or a snapshot to draw
@@ -129,7 +134,7 @@ class Recorder:
         self._pose_every = max(1, round(self._rate / pose_rate)) if pose_rate > 0 else 0
         self._painter = scene.Painter(world)
         self._boxed = 0  # how many cubes have a channel for their box
-        self._writer = Writer(path, profile=PROFILE, library=f"nmes {version('nmes')}")
+        self._writer = Writer(path, profile=PROFILE, library=f"nmes {VERSION}")
         self._channels = _Channels(self._writer)
         self._notes: list[_Note] = []
         self._run: list[bytes] = []  # digests of the ticks packed since the last record
@@ -331,7 +336,7 @@ def _metadata(world: World) -> dict[str, dict[str, str]]:
     return {
         "nmes.recording": {
             "format": FORMAT,
-            "nmes": version("nmes"),
+            "nmes": VERSION,
             "protocol": str(protocol.PROTOCOL_VERSION),
             "schemas": protocol.schema_hash(),
             "created": _now(),

@@ -9,6 +9,7 @@ Rerun knows no scene updates. For it each box is said again, as a grid of one vo
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -195,6 +196,7 @@ def decode_shapes(data: bytes, known: Mapping[str, Shape]) -> dict[str, Shape]:
     return shapes
 
 
+@cache
 def descriptors(name: str) -> bytes:
     """Returns the schema that an MCAP file carries for one of the messages: its descriptor and all it needs."""
     result, seen = FileDescriptorSet(), set()

@@ -18,7 +18,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from importlib.metadata import version
 from math import inf
 from typing import Any, ClassVar, Protocol
 
@@ -30,6 +29,7 @@ from nmes.backend import Array, Backend, Simulation, Track, Vector, load_backend
 from nmes.clients import Client, Clients, Emit
 from nmes.creature import Creature, Creatures
 from nmes.errors import DocumentError, NmesError, RecordingError, RejectedMessage, SimulationFault, WorldError
+from nmes.fingerprint import VERSION
 from nmes.genome import Genome
 from nmes.goals import Goals, metric
 from nmes.protocol import Request
@@ -640,7 +640,7 @@ class World:
             "world": self.config["name"],
             "backend": self.backend.name,
             "versions": {
-                "nmes": version("nmes"),
+                "nmes": VERSION,
                 "protocol": protocol.PROTOCOL_VERSION,
                 "engine": self.backend.version(),
             },
