@@ -5,9 +5,11 @@ from __future__ import annotations
 import html
 import json
 import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -228,6 +230,25 @@ def test_the_reports_hold_it_all(tmp_path: Path) -> None:
     assert '<b>"' not in text and "http" not in text  # nothing unescaped, nothing from elsewhere
     suites = ElementTree.parse(junit).getroot()
     assert [(suite.get("failures"), suite.get("skipped")) for suite in suites] == [("1", "0"), ("0", "1")]
+
+
+# -- as tests of somebody else ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("spoken", "status"), [(None, 0), (b'{"type":"pong"}', 1)])
+def test_the_cases_are_tests_too(spoken: bytes | None, status: int, tmp_path: Path) -> None:
+    with ExitStack() as stack:
+        if spoken is None:
+            port = stack.enter_context(served()).port
+        else:
+            port = stack.enter_context(listening(lambda connection: connection.sendall(spoken + DELIMITER)))
+        chosen = ["--pyargs", "nmes.conformance", "-k", "1.14 or 3.14", "-p", "no:cacheprovider", "-p", "no:asyncio"]
+        target = ["--nmes-target", f"127.0.0.1:{port}", "--nmes-password", PASSWORD, "--nmes-timeout", "5"]
+        plugin = ["-p", "nmes.conformance.plugin"]
+        command = [sys.executable, "-m", "pytest", "-q", *plugin, *chosen, *target]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == status, done.stdout + done.stderr
+    assert ("2 passed" if spoken is None else "failed: 1.14 An error about") in done.stdout
 
 
 # -- the cases themselves ---------------------------------------------------------------------------------------------

@@ -17,7 +17,7 @@ from nmes.conformance.runner import Report, Result, Verdict, suite_hash
 from nmes.conformance.wire import Entry
 from nmes.protocol import PROTOCOL_VERSION
 
-__all__ = ["to_html", "to_json", "to_junit"]
+__all__ = ["describe", "to_html", "to_json", "to_junit"]
 
 BAD = frozenset({Verdict.FAILED, Verdict.FAULT})
 SHOWN = 4096  # bytes of one entry of a log that the reports hold; longer ones are cut in the middle
@@ -81,6 +81,16 @@ def _text(data: bytes) -> str:
     return "".join(c if c.isprintable() or c == " " else c.encode("unicode_escape").decode() for c in text)
 
 
+def describe(result: Result) -> str:
+    """Returns what went wrong with a case as text, with all that went over its wires."""
+    lines = [f"{result.verdict}: {result.case.number} {result.case.title}"]
+    if result.verdict is Verdict.FAULT:
+        return "\n".join([*lines, result.reason or ""])
+    lines += [f"expected: {result.expected}", f"received: {result.received}"]
+    lines.append(f"clause: {result.case.clause} ({result.case.level}): {result.clause}")
+    return "\n".join([*lines, *_lines(result.log)])
+
+
 def to_junit(report: Report) -> str:
     """Returns a report as JUnit XML: a suite a category."""
     root = ElementTree.Element("testsuites", name="nmes conform", time=f"{report.seconds:.3f}")
@@ -102,17 +112,16 @@ def to_junit(report: Report) -> str:
         for result in results:
             attributes = {"classname": category, "name": f"{result.case.number} {result.case.title}"}
             element = ElementTree.SubElement(suite, "testcase", attributes, time=f"{result.seconds:.3f}")
-            told = _xml(f"expected: {result.expected}\nreceived: {result.received}\nclause: {result.clause}")
             if result.verdict is Verdict.FAILED:
                 child = ElementTree.SubElement(element, "failure", message=_xml(f"expected {result.expected}"))
-                child.text = told + "\n" + _xml("\n".join(_lines(result.log)))
+                child.text = _xml(describe(result))
             elif result.verdict is Verdict.FAULT:
-                ElementTree.SubElement(element, "error", message="the suite failed").text = _xml(result.reason or "")
+                ElementTree.SubElement(element, "error", message="the suite failed").text = _xml(describe(result))
             elif result.verdict in (Verdict.SKIPPED, Verdict.UNIMPLEMENTED):
                 message = _xml(f"{result.verdict}: {result.reason}")
                 ElementTree.SubElement(element, "skipped", message=message)
             elif result.verdict is Verdict.NON_STRICT:
-                ElementTree.SubElement(element, "system-out").text = f"non-strict\n{told}"
+                ElementTree.SubElement(element, "system-out").text = _xml(describe(result))
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode", xml_declaration=True)
 

@@ -150,7 +150,10 @@ def select(options: Options) -> list[Case]:
         case
         for case in CASES
         if (not options.categories or case.category in options.categories)
-        and (not options.only or any(fnmatchcase(case.number, pattern) for pattern in options.only))
+        and (
+            not options.only
+            or any(case.number == pattern or fnmatchcase(case.number, pattern) for pattern in options.only)
+        )
     ]
     if not chosen:
         raise NmesError("invalid", "no case fits; `nmes conform --list` shows them all")

@@ -34,7 +34,7 @@ def there_or_not(t: Trial, kind: str) -> None:
     # With a field it is that value which the engine lacks, such as a genome with hinges, and not the command.
     absent = reply["type"] == "error" and reply["code"] in ABSENT and "field" not in reply
     if reply["type"] == "creature_spawned":
-        for name in reply["cubes"]:
+        for name in reply["cubes"].values():
             t.adopt(name)
     if t.probe.claims(kind):
         t.true(not absent, f"{kind}, which is claimed", reply)

@@ -64,6 +64,8 @@ def valid(t: Trial, wire: Wire, kind: str) -> dict[str, Any]:
         command["joint_name"] = t.join_cubes(wire, t.base(wire), t.base(wire, position=t.at(1.5)))
     if kind == "create_joint":
         command |= {"joint_type": "hinge" if t.probe.claims("joint.hinge") else "fixed"}
+    if kind == "spawn_creature":
+        command |= {"name": t.name(), "position": t.at()}
     if kind == "get_world_state":
         command["cubes"] = [t.base(wire)]
     return command
