@@ -26,15 +26,18 @@ def results(request: pytest.FixtureRequest) -> Mapping[str, Result]:
     password = config.getoption("--nmes-password") or os.environ.get("NMES_PASSWORD")
     if not host or not port.isdecimal() or password is None:
         raise pytest.UsageError("give --nmes-target HOST:PORT, and a password in NMES_PASSWORD")
-    chosen = [item.callspec.params["case"].number for item in request.session.items if is_ours(item)]
+    chosen = [case.number for item in request.session.items if (case := case_of(item)) is not None]
     target = Target(host.strip("[]"), int(port), password, config.getoption("--nmes-timeout"))
     report = run(target, Options(only=chosen, seed=config.getoption("--nmes-seed")))
     return {result.case.number: result for result in report.results}
 
 
-def is_ours(item: pytest.Item) -> bool:
-    """Whether a test is one of this file's."""
-    return isinstance(item, pytest.Function) and getattr(item, "originalname", None) == "test_case"
+def case_of(item: pytest.Item) -> Case | None:
+    """Returns the case of one of this file's tests; None for others."""
+    if not isinstance(item, pytest.Function) or item.originalname != "test_case":
+        return None
+    case = item.callspec.params.get("case")
+    return case if isinstance(case, Case) else None
 
 
 @pytest.mark.parametrize("case", CASES, ids=[case.number for case in CASES])
