@@ -51,7 +51,7 @@ from nmes.backends.mujoco3d.layout import (
     weigh,
     write_params,
 )
-from nmes.backends.mujoco3d.reins import Reins
+from nmes.backends.mujoco3d.reins import Reins, compact
 from nmes.backends.mujoco3d.scenery import Scenery
 from nmes.backends.mujoco3d.sensing import STATE, Senses, count_awake
 from nmes.backends.mujoco3d.tracking import MujocoTrack
@@ -383,7 +383,7 @@ class MujocoSimulation(Simulation):
                 return
             motors = [self._layout.actuator[joint] for joint in joints]
             speeds = [self._layout.joint[joint].v for joint in joints]
-            self._motors, self._driven = _run(motors), _run(speeds)
+            self._motors, self._driven = compact(motors), compact(speeds)
             self._efforts, self._speeds = self._data.actuator_force[self._motors], self._data.qvel[self._driven]
             self._powered = joints
         if not isinstance(self._motors, slice):
@@ -740,13 +740,6 @@ class MujocoSimulation(Simulation):
         if woken:
             count_awake(self._model, self._data)
             self._read = False  # what was read of a static root left its sleeping branches out
-
-
-def _run(indices: list[int]) -> slice | npt.NDArray[np.intp]:
-    """Returns indices as a slice where they are in a row: a view is taken in half the time of a copy."""
-    first = indices[0] if indices else 0
-    together = indices == list(range(first, first + len(indices)))
-    return slice(first, first + len(indices)) if together else np.array(indices, np.intp)
 
 
 def _hash(*parts: object) -> int:
