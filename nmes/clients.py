@@ -94,8 +94,8 @@ class Clients(dict[int, Client]):
                     event = {"type": "state", "t": time, "frame": frame, "cubes": cubes, "removed": removed}
                     emit(client.number, protocol.encode(event))
 
-    def snapshot(self) -> dict[str, Any]:
-        """Returns all of it as plain JSON data."""
+    def snapshot(self, assembly: Assembly) -> dict[str, Any]:
+        """Returns all of it as plain JSON data, in a world of these cubes."""
         return {
             "next_client": self._next,
             "clients": [
@@ -103,7 +103,7 @@ class Clients(dict[int, Client]):
                     "client": client.number,
                     "owned": client.owned,
                     "subscription": None if client.subscription is None else client.subscription.state(),
-                    "objectives": client.goals.state(),
+                    "objectives": client.goals.state(assembly),
                 }
                 for client in self.values()
             ],

@@ -216,8 +216,9 @@ class Goals:
             raise WorldError(error.code, f"objective {name!r}: {said}", "objective") from error
         return {"type": "reward", "value": value, "objective": name}
 
-    def state(self) -> JsonObject:
+    def state(self, assembly: Assembly) -> JsonObject:
         """Returns all of them as plain JSON data, for `restored`."""
+        self._look(assembly)
         return {"set": {name: goal.state() for name, goal in self._goals.items()}, "lost": self._lost}
 
     @classmethod

@@ -383,7 +383,7 @@ class World:
             "barrier": None if barrier is None else {"agents": barrier.agents, "timeout": barrier.timeout},
             "assembly": assembly,
             "creatures": self._creatures.snapshot(),
-            **self._clients.snapshot(),
+            **self._clients.snapshot(self._assembly),
         }
         return pack(self.config, state, engine)
 

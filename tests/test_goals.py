@@ -280,3 +280,34 @@ def test_a_reward_that_is_not_the_recorded_one_is_a_divergence(tmp_path: Path, m
     report = replay(path)
     assert report.verdict == "diverged"
     assert report.divergence is not None and "reward" in str(report.divergence)
+
+
+def test_a_restored_world_has_worked_and_seen_what_the_saved_one_has() -> None:
+    first = Wire()
+    cubes = list(first("spawn_creature", genome=GENOME, name="it", position=[0, 0.1, 0])["cubes"].values())
+    first("set_objective", expression="energy + mean.height + max.speed + time_upright + displacement.x", creature="it")
+    first("set_objective", expression="height", name="lost", cubes=cubes[:1])
+    first("drive", creature="it", controls=[1.0])
+    first("step", ticks=20)
+    held = first.world.snapshot()
+    second = Wire()
+    second.world.restore(held)
+
+    def told(wire: Wire) -> list[float]:
+        return [wire.worth(), *(wire.metric("energy", cube=name) for name in cubes)]
+
+    assert told(first) == told(second)
+    assert min(told(first)) > 0.0
+    for wire in (first, second):
+        wire("drive", creature="it", controls=[-1.0])
+        wire("step", ticks=20)
+    assert told(first) == told(second)
+    joint = first("get_joint_list")["joints"][0]["joint_name"]
+    for wire in (first, second):
+        wire("remove_joint", joint_name=joint)
+        wire("despawn_cube", cube_name=cubes[0])
+    third = Wire()
+    third.world.restore(first.world.snapshot())
+    for wire in (first, second, third):
+        assert wire.refused("compute_reward", objective="lost")[0] == "cube_not_found"
+    assert first.metric("energy", cube=cubes[1]) == third.metric("energy", cube=cubes[1]) > 0.0
