@@ -21,17 +21,15 @@ from dataclasses import dataclass
 from math import inf
 from typing import Any, ClassVar, Protocol
 
-import numpy as np
-
 from nmes import protocol
-from nmes.assembly import Assembly, Cube, identity
+from nmes.assembly import Assembly
 from nmes.backend import Array, Backend, Simulation, Track, Vector, load_backend
 from nmes.clients import Client, Clients, Emit
 from nmes.creature import Creature, Creatures
-from nmes.errors import DocumentError, NmesError, RecordingError, RejectedMessage, SimulationFault, WorldError
+from nmes.errors import NmesError, RecordingError, RejectedMessage, SimulationFault, WorldError
 from nmes.fingerprint import VERSION
-from nmes.genome import Genome
 from nmes.goals import Goals, metric
+from nmes.inhabitants import Inhabitants
 from nmes.protocol import Request
 from nmes.snapshot import pack, unpack
 from nmes.subscription import Subscription
@@ -46,8 +44,6 @@ JsonObject = dict[str, Any]
 # A faulted world still answers these: they ask nothing of the engine.
 _WHEN_FAULTED = frozenset({"ping", "get_world_info", "reset", "subscribe", "unsubscribe"})
 
-
-_PROBLEMS, _SAID = 20, 300  # of a bad genome a reply tells so many, each in so many characters at most
 _BATCH_TICKS = 10_000  # as many as one `step` may ask for: others wait meanwhile
 _BATCH_REPLY = 8 << 20  # bytes of replies after which the rest of a batch is refused
 
@@ -95,6 +91,12 @@ class Barrier:
 
     agents: int
     timeout: float
+
+
+def _inhabited(
+    answer: Callable[[Inhabitants, Client, JsonObject], JsonObject],
+) -> Callable[[World, Client, JsonObject], JsonObject]:
+    return lambda world, client, command: answer(world._inhabitants, client, command)
 
 
 class World:
@@ -147,6 +149,7 @@ class World:
         """Makes the empty world of frame 0."""
         self._assembly = Assembly(self.backend, self.config, seed, version)
         self._creatures = Creatures(self._assembly)
+        self._inhabitants = Inhabitants(self._assembly, self._creatures)
         self.seed = seed
         self.frame = 0
         self.fault: Fault | None = None
@@ -407,6 +410,7 @@ class World:
             raise WorldError("bad_snapshot", f"the snapshot does not fit together: {error}") from error
         self._assembly.simulation.close()
         self._assembly, self._creatures = assembly, creatures
+        self._inhabitants = Inhabitants(assembly, creatures)
         self.seed, self.frame, self._past = state["seed"], state["frame"], state["ticks"] - state["frame"]
         self.fault = None
         self.mode, self.rate, self.paused = state["mode"], float(state["rate"]), state["paused"]
@@ -503,124 +507,6 @@ class World:
             self._stop("internal", f"{type(error).__name__}: {error}", None)
             return protocol.error_reply(WorldError("internal", "the world failed; see the server's log"), kind)
 
-    def _cube_or_own(self, client: Client, command: JsonObject) -> Cube:
-        name = command.get("cube_name")
-        if name is not None:
-            return self._assembly.cube(name)
-        if client.owned is None:
-            raise WorldError("nothing_owned", "no cube_name given, and this connection has spawned no cube")
-        cube = self._assembly.find(client.owned)
-        if cube is None:
-            raise WorldError("nothing_owned", f"the cube of this connection, {client.owned!r}, is gone")
-        return cube
-
-    # -- commands: cubes -----------------------------------------------------------------------------------------
-
-    def _spawn_cube(self, client: Client, c: JsonObject) -> JsonObject:
-        cube = self._assembly.spawn(c)
-        client.owned = cube.name
-        reply: JsonObject = {"type": "cube_list", "spawned": cube.name}
-        if c.get("list", True):
-            reply["cubes"] = self._assembly.names()
-        return reply
-
-    def _despawn_cube(self, client: Client, c: JsonObject) -> JsonObject:
-        cube = self._assembly.cube(c["cube_name"])
-        return {"type": "cube_despawned", "cube_name": cube.name, "joints": self._assembly.despawn(cube)}
-
-    def _apply_physics(self, client: Client, c: JsonObject) -> JsonObject:
-        cube = self._cube_or_own(client, c)
-        self._assembly.apply(cube, c)
-        return {"type": "physics_applied", "cube_name": cube.name}
-
-    def _set_cube_state(self, client: Client, c: JsonObject) -> JsonObject:
-        cube = self._assembly.cube(c["cube_name"])
-        self._assembly.move(cube, c)
-        return {"type": "cube_state_set", "cube_name": cube.name}
-
-    def _freeze_cube(self, client: Client, c: JsonObject) -> JsonObject:
-        cube = self._assembly.cube(c["cube_name"])
-        self._assembly.freeze(cube, c["freeze"])
-        return {"type": "cube_frozen", "cube_name": cube.name, "freeze": cube.frozen}
-
-    def _get_cube_list(self, client: Client, c: JsonObject) -> JsonObject:
-        return {"type": "cube_list", "cubes": self._assembly.names()}
-
-    def _get_cube_state(self, client: Client, c: JsonObject) -> JsonObject:
-        return {"type": "cube_state", **self._assembly.cube_state(self._cube_or_own(client, c))}
-
-    def _get_cube_info(self, client: Client, c: JsonObject) -> JsonObject:
-        assembly = self._assembly
-        cube = assembly.cube(c["cube_name"])
-        reply = {"type": "cube_info", **assembly.cube_info(cube)}
-        if c.get("sensors"):
-            reply.update(assembly.inertial([cube])[0])
-        if "rays" in c:
-            default = protocol.COMMANDS["get_cube_info"].defaults
-            reply["ranges"] = assembly.ranges(cube, c["rays"], float(c.get("max_range", default["max_range"])))
-        return reply
-
-    def _get_camera(self, client: Client, c: JsonObject) -> JsonObject:
-        return {"type": "camera_image", **self._assembly.camera(self._cube_or_own(client, c), c)}
-
-    # -- commands: joints ----------------------------------------------------------------------------------------
-
-    def _create_joint(self, client: Client, c: JsonObject) -> JsonObject:
-        return {"type": "joint_created", "joint_name": self._assembly.connect(c, c["joint_type"], "joint")}
-
-    def _create_bone(self, client: Client, c: JsonObject) -> JsonObject:
-        skeleton = c.get("snake_id", protocol.COMMANDS["create_bone"].defaults["snake_id"])
-        return {"type": "bone_created", "bone_name": self._assembly.connect(c, "conetwist", "bone", skeleton)}
-
-    def _remove_joint(self, client: Client, c: JsonObject) -> JsonObject:
-        joint = self._assembly.joint(c["joint_name"])
-        self._assembly.cut(joint)
-        return {"type": "joint_removed", "joint_name": joint.name}
-
-    def _set_joint_param(self, client: Client, c: JsonObject) -> JsonObject:
-        joint, name, value = self._assembly.joint(c["joint_name"]), c["param_name"], c["value"]
-        self._assembly.set_param(joint, name, value)
-        return {"type": "joint_param_set", "joint_name": joint.name, "param_name": name, "value": value}
-
-    def _get_joint_list(self, client: Client, c: JsonObject) -> JsonObject:
-        return {"type": "joint_list", "joints": [identity(joint) for joint in self._assembly.joints()]}
-
-    def _get_joint_info(self, client: Client, c: JsonObject) -> JsonObject:
-        return {"type": "joint_info", **self._assembly.joint_info(self._assembly.joint(c["joint_name"]))}
-
-    # -- commands: creatures -------------------------------------------------------------------------------------
-
-    def _spawn_creature(self, client: Client, c: JsonObject) -> JsonObject:
-        try:
-            genome = Genome(c["genome"])
-        except DocumentError as error:
-            said = [f"{path}: {words}"[:_SAID] for path, words in error.problems[:_PROBLEMS]]
-            more = [f"and {len(error.problems) - _PROBLEMS} more"] if len(error.problems) > _PROBLEMS else []
-            where = f"genome/{error.problems[0][0]}".rstrip("/")
-            raise WorldError("invalid", "genome: " + "\n".join(said + more), where) from error
-        x, y, z = c.get("position", protocol.COMMANDS["spawn_creature"].defaults["position"])
-        creature = self._creatures.spawn(genome, (float(x), float(y), float(z)), c.get("name"))
-        return {
-            "type": "creature_spawned",
-            "creature": creature.name,
-            "cubes": creature.cubes,
-            "joints": creature.joints,
-            "motors": [motor.id for motor in creature.motors],
-            "sensors": [sensor.id for sensor in creature.sensors],
-        }
-
-    def _drive(self, client: Client, c: JsonObject) -> JsonObject:
-        creature, controls = self._creatures.find(c["creature"]), c["controls"]
-        if len(controls) != len(creature.motors):
-            said = f"controls: {len(controls)} numbers for the {len(creature.motors)} motors of {creature.name!r}"
-            raise WorldError("invalid", said, "controls")
-        creature.drive(np.array(controls, float))
-        return {"type": "driven", "creature": creature.name}
-
-    def _sense(self, client: Client, c: JsonObject) -> JsonObject:
-        creature = self._creatures.find(c["creature"])
-        return {"type": "senses", "creature": creature.name, "values": creature.sense()}
-
     # -- commands: the world -------------------------------------------------------------------------------------
 
     def _get_world_state(self, client: Client, c: JsonObject) -> JsonObject:
@@ -662,9 +548,6 @@ class World:
             "capabilities": self.capabilities(),
             "fault": None if fault is None else {"code": fault.code, "frame": fault.frame, "message": fault.message},
         }
-
-    def _get_planets(self, client: Client, c: JsonObject) -> JsonObject:
-        return {"type": "planets", "planets": self._assembly.planets()}
 
     def capabilities(self) -> list[str]:
         """Returns the optional commands that this world serves and what its engine can do, sorted."""
@@ -752,7 +635,7 @@ class World:
         elif "cubes" in c:
             body = {name: assembly.cube(name, f"cubes/{i}") for i, name in enumerate(c["cubes"])}
         else:
-            own = self._cube_or_own(client, {})
+            own = self._inhabitants.cube_or_own(client, {})
             body = {own.name: own}
         return client.goals.set(assembly, self.frame, body, c)
 
@@ -761,7 +644,7 @@ class World:
             return client.goals.value(self._assembly, self.frame, c.get("objective"))
         if "objective" in c:
             raise WorldError("invalid", "objective: either a metric or an objective, not both", "objective")
-        cube = self._assembly.cube(c["cube"], "cube") if "cube" in c else self._cube_or_own(client, {})
+        cube = self._assembly.cube(c["cube"], "cube") if "cube" in c else self._inhabitants.cube_or_own(client, {})
         return metric(self._assembly, cube, c)
 
     def _batch(self, client: Client, c: JsonObject) -> JsonObject:
@@ -791,28 +674,9 @@ class World:
         return {"type": "pong"}
 
     COMMANDS: ClassVar[dict[str, Callable[[World, Client, JsonObject], JsonObject]]] = {
-        "spawn_cube": _spawn_cube,
-        "despawn_cube": _despawn_cube,
-        "create_joint": _create_joint,
-        "create_bone": _create_bone,
-        "remove_joint": _remove_joint,
-        "set_joint_param": _set_joint_param,
-        "get_joint_list": _get_joint_list,
-        "get_joint_info": _get_joint_info,
-        "apply_physics": _apply_physics,
-        "apply_force": _apply_physics,
-        "set_cube_state": _set_cube_state,
-        "freeze_cube": _freeze_cube,
-        "get_cube_list": _get_cube_list,
-        "get_cube_info": _get_cube_info,
-        "get_cube_state": _get_cube_state,
-        "get_camera": _get_camera,
-        "spawn_creature": _spawn_creature,
-        "drive": _drive,
-        "sense": _sense,
+        **{kind: _inhabited(answer) for kind, answer in Inhabitants.COMMANDS.items()},
         "get_world_state": _get_world_state,
         "get_world_info": _get_world_info,
-        "get_planets": _get_planets,
         "reset": _reset,
         "step": _step,
         "pause": _pause,
