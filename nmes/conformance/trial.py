@@ -165,6 +165,11 @@ class Trial:
         self.equal(wire.frame(what="auth_success"), b"auth_success", "the answer to the bare password")
         return wire
 
+    @property
+    def wrong_password(self) -> str:
+        """A password that is not the server's, whatever that is."""
+        return "not-" + self.target.password
+
     def fence(self, wire: Wire) -> None:
         """Makes sure that the server has answered all that it had to, and not more, and still serves."""
         mark = f"fence-{self._count()}"

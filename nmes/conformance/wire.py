@@ -123,8 +123,8 @@ class Wire:
         return sent
 
     def ready(self) -> bool:
-        """Whether there is something to read now."""
-        self._socket.settimeout(0.2)
+        """Whether there is something to read, be it the end, within the time-out."""
+        self._socket.settimeout(self.timeout)
         try:
             self._socket.recv(1, socket.MSG_PEEK)
         except TimeoutError:

@@ -76,7 +76,7 @@ def a_wrong_password(t: Trial) -> None:
 def a_wrong_password_costs_a_second(t: Trial) -> None:
     """A failed auth is answered after 1 s, not before."""
     wire = t.connect()
-    wire.say({"type": "auth", "password": "not " + t.target.password})
+    wire.say({"type": "auth", "password": t.wrong_password})
     began = time.monotonic()
     frame = wire.frame(t.target.timeout + AUTH_DELAY, "error auth_failed")
     took = time.monotonic() - began
@@ -297,7 +297,9 @@ def a_failed_auth_executes_nothing(t: Trial) -> None:
     """Commands behind a wrong password are not executed."""
     wire, other = t.connect(), t.join()
     name = t.name()
-    wire.say({"type": "auth", "password": "wrong"}, {"type": "spawn_cube", "cube_name": name, "position": t.at()})
+    wire.say(
+        {"type": "auth", "password": t.wrong_password}, {"type": "spawn_cube", "cube_name": name, "position": t.at()}
+    )
     only_error(t, wire.rest(t.target.timeout + AUTH_DELAY), "auth_failed")
     t.true(name not in t.cubes(other), "no cube", name)
 
@@ -306,7 +308,7 @@ def a_failed_auth_executes_nothing(t: Trial) -> None:
 def a_failed_auth_keeps_nobody_waiting(t: Trial) -> None:
     """While one connection waits for its refusal, others are served."""
     wire, other = t.connect(), t.join()
-    wire.say({"type": "auth", "password": "wrong"})
+    wire.say({"type": "auth", "password": t.wrong_password})
     began = time.monotonic()
     for _ in range(5):
         t.fence(other)

@@ -51,7 +51,7 @@ def the_bare_password(t: Trial) -> None:
 def a_wrong_bare_password(t: Trial) -> None:
     """A wrong bare password gets the bare text auth_failed, and the connection is closed."""
     wire = t.connect()
-    wire.send(b"wrong " + t.target.password.encode() + DELIMITER)
+    wire.send(t.wrong_password.encode() + DELIMITER)
     t.equal(wire.rest(t.target.timeout + AUTH_DELAY), [b"auth_failed"], "all that is said")
 
 
@@ -59,7 +59,7 @@ def a_wrong_bare_password(t: Trial) -> None:
 def a_wrong_bare_password_costs_a_second(t: Trial) -> None:
     """The bare text auth_failed comes after 1 s, not before."""
     wire = t.connect()
-    wire.send(b"x" + DELIMITER)
+    wire.send(t.wrong_password.encode() + DELIMITER)
     began = time.monotonic()
     t.equal(wire.frame(t.target.timeout + AUTH_DELAY), b"auth_failed", "the answer")
     took = time.monotonic() - began
