@@ -52,6 +52,7 @@ from nmes.world import World
 __all__ = ["Episode", "Evaluation", "Job", "Proof", "Result", "brain_of", "evaluate", "evaluate_all", "prove"]
 
 _ABOUT: Final = "nmes.evaluation"  # the metadata record of a recording that says what it was for
+_POSE_RATE: Final = 1.0  # Hz; pictures for viewers cost as much as all else that is recorded, and follow from it
 _ENERGY, _DISTANCE = Quantity("energy"), Quantity("displacement.horizontal")
 
 
@@ -407,7 +408,7 @@ def _recorded(genome: Genome, brain: Brain | None, task: Task, seed: int, path: 
     part = path.with_suffix(".part")  # so that what has the name of a recording is one
     part.unlink(missing_ok=True)
     about = {"task": protocol.encode(task.document).decode(), "genome": genome.hash, "seed": str(seed)}
-    recorder = world.journal = Recorder(part, world, about={_ABOUT: about})
+    recorder = world.journal = Recorder(part, world, pose_rate=_POSE_RATE, about={_ABOUT: about})
     try:
         try:
             result = Episode(world, genome, brain, task, seed).run()
