@@ -182,7 +182,7 @@ class Trial:
 
     def name(self, hint: str = "cube") -> str:
         """Returns a name that nobody has, and remembers to despawn a cube of that name."""
-        name = f"{self.probe.tag}-{self.plot}-{self._count()}-{hint}"
+        name = f"{self.probe.tag}-{self.plot}-{hint}-{self._count()}"
         self._spawned.append(name)
         return name
 
