@@ -6,7 +6,7 @@ of its item, so that whoever wants an order makes it.
 Invariants:
 
 - Where an item is worked on, and beside which others, is nothing the function can see: every worker is a fresh
-  interpreter, given one item at a time, with one thread for linear algebra.
+  interpreter, given one item at a time, with one thread for linear algebra, and without a screen.
 - A worker that dies takes only its own item with it: that one's result is a `Lost`, and a new worker goes on.
 - Workers never see Ctrl-C. Whoever stops taking results ends them.
 - A function that raises is a mistake: its error comes out here, with the worker's traceback. What may go wrong with
@@ -34,8 +34,10 @@ __all__ = ["Lost", "in_processes", "on_ray"]
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
-# Workers share the cores among themselves already, and one thread adds numbers up in one order.
-_ONE_THREAD = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM", "NUMEXPR")}
+# Workers share the cores among themselves already, and one thread adds numbers up in one order. Nor do they draw: what
+# MuJoCo would load for that starts a process of its own, which complains aloud when its worker is ended meanwhile.
+_LEAN = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM", "NUMEXPR")}
+_LEAN["MUJOCO_GL"] = "disable"
 _AHEAD = 4  # items a core that wait in a Ray cluster
 
 
@@ -145,9 +147,9 @@ def _work(function: Callable[[Any], Any], pipe: Connection) -> None:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """What is started meanwhile uses one thread, and does not hear of Ctrl-C."""
-    held = {name: os.environ.get(name) for name in _ONE_THREAD}
-    os.environ.update(_ONE_THREAD)
+    """What is started meanwhile uses one thread, cannot draw, and does not hear of Ctrl-C."""
+    held = {name: os.environ.get(name) for name in _LEAN}
+    os.environ.update(_LEAN)
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
@@ -186,7 +188,7 @@ def on_ray(
             log_to_driver=False,
             include_dashboard=False,
             logging_level=logging.ERROR,
-            runtime_env={"env_vars": _ONE_THREAD},
+            runtime_env={"env_vars": _LEAN},
         )
     except (ConnectionError, ValueError, RuntimeError) as error:
         raise NmesError("no_cluster", f"no Ray cluster at {address!r}: {error}") from error
