@@ -23,6 +23,7 @@ import bodies
 import brains
 import engines
 import evaluation
+import filming
 import hosting
 import recorded
 import roundtrip
@@ -36,6 +37,7 @@ SUITES = {
     "brains": brains.figures,
     "engines": engines.figures,
     "evaluation": evaluation.figures,
+    "filming": filming.figures,
     "hosting": hosting.figures,
     "survival": survival.figures,
     "recorded": recorded.figures,
