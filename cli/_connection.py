@@ -36,6 +36,7 @@ def connector(
     tls: bool,
     tls_ca: Path | None,
     timeout: float = 10.0,
+    world: str | None = None,
 ) -> Callable[[], Client]:
     """Returns what makes a client for a server, not yet connected, each time it is called.
 
@@ -49,4 +50,4 @@ def connector(
         trust = ssl.create_default_context(cafile=tls_ca) if tls_ca is not None else tls
     except OSError as error:
         raise click.UsageError(f"{tls_ca}: {error}") from error
-    return lambda: Client(*address, password=chosen[0], tls=trust, timeout=timeout)
+    return lambda: Client(*address, password=chosen[0], world=world, tls=trust, timeout=timeout)

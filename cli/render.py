@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 
 import click
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
+from nmes.cli._progress import progress_bars
 from nmes.cli.info import open_recording
 from nmes.film import Cut, Way, film
 from nmes.recording import Recording
@@ -84,22 +81,6 @@ def command(
     nmes render walk.mcap -o last.png
     """
     cut = Cut(camera, target, begin, end, speed)
-    with _progress() as progress:
+    with progress_bars() as progress:
         film(recordings, output, cut, fps=fps, size=size, progress=progress)
     click.echo(f"Wrote {output}")
-
-
-@contextmanager
-def _progress() -> Iterator[Callable[[str, int, int], None]]:
-    """Shows a bar for each thing that is being done, on a terminal."""
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
-        tasks: dict[str, TaskID] = {}
-
-        def progress(doing: str, done: int, total: int) -> None:
-            if doing not in tasks:
-                tasks[doing] = bars.add_task(doing, total=total)
-            bars.update(tasks[doing], completed=done, total=total)
-
-        yield progress

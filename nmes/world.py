@@ -16,14 +16,14 @@ Invariants:
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
 from typing import Any, ClassVar, Protocol
 
 from nmes import protocol
 from nmes.assembly import Assembly
-from nmes.backend import Array, Backend, Simulation, Track, Vector, load_backend
+from nmes.backend import Array, Backend, Contact, Simulation, Track, Vector, load_backend
 from nmes.clients import Client, Clients, Emit
 from nmes.creature import Creature, Creatures
 from nmes.errors import NmesError, RecordingError, RejectedMessage, SimulationFault, WorldError
@@ -241,6 +241,20 @@ class World:
         """Returns a cube's edge lengths (m) and colour (RGBA, 0 to 1)."""
         cube = self._assembly.cube(name)
         return cube.size, cube.color
+
+    def joint_infos(self) -> list[JsonObject]:
+        """Returns what `get_joint_info` tells of each joint, in order of creation."""
+        return [self._assembly.joint_info(joint) for joint in self._assembly.joints()]
+
+    def contacts(self) -> Iterator[tuple[str, Contact]]:
+        """Yields what each cube touched in the last step, with the cube's name."""
+        for name in self._assembly.names():
+            for contact in self.simulation.contacts(self._assembly.cube(name).body):
+                yield name, contact
+
+    def motor_work(self) -> float:
+        """Returns what the motors of all joints that there are have worked so far, J."""
+        return sum(self._assembly.meter.watts(joint) or 0.0 for joint in self._assembly.meter.numbers) / self._tick_rate
 
     def welcome(self, client: int) -> JsonObject:
         """Returns the `auth_success` message for a client that has joined."""

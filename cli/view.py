@@ -1,0 +1,115 @@
+"""`nmes view`: look at worlds and recordings in Rerun."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import click
+
+from nmes.cli._address import split_address
+from nmes.cli._connection import connection_options, connector
+from nmes.cli._progress import progress_bars
+from nmes.cli.info import open_recording
+from nmes.recording import Recording
+from nmes.view.canvas import Canvas
+from nmes.view.live import show_live
+from nmes.view.recordings import Places, show_drift, show_recording
+from nmes.view.screen import LOCAL, Screen, lay_out, screen
+
+__all__ = ["command"]
+
+
+@click.command("view")
+@click.argument("what", metavar="HOST:PORT|FILE [FILE]", nargs=-1, required=True)
+@click.option("--web", is_flag=True, help="Show it in a browser: prints a link, and serves it until Ctrl-C.")
+@click.option("--save", type=click.Path(dir_okay=False, path_type=Path), help="Write it to this .rrd file instead.")
+@click.option("--fps", type=click.FloatRange(1, 1000), default=30.0, show_default=True, help="Pictures a second.")
+@click.option("--host", default=LOCAL, show_default=True, help="The address on which Rerun listens.")
+@click.option("--port", type=click.IntRange(0, 65535), default=0, help="Where --web listens.  [default: any free port]")
+@click.option("--world", metavar="NAME", help="Which of a live host's worlds.  [default: its first]")
+@connection_options
+@click.pass_context
+def command(
+    context: click.Context,
+    /,
+    what: tuple[str, ...],
+    web: bool,
+    save: Path | None,
+    fps: float,
+    host: str,
+    port: int,
+    world: str | None,
+    **connection: Any,
+) -> None:
+    """Look at a live world, at a recording, or at two of them side by side.
+
+    A live world is one that any server of the protocol hosts. A recording is run again, and stands on a time line with
+    the commands beside it, the forces they applied, the contacts, and where it diverges. Of two, the drift is shown.
+
+    \b
+    nmes view 127.0.0.1:14000 --web
+    nmes view walk.mcap
+    nmes view walk.mcap again.mcap --web
+    nmes view walk.mcap --save walk.rrd
+    """
+    if web and save is not None:
+        raise click.UsageError("give --web or --save, not both")
+    if len(what) > 2:
+        raise click.UsageError("two recordings at most can be seen side by side; nmes render takes more")
+    argument = next(parameter for parameter in context.command.params if parameter.name == "what")
+    show = partial(screen, web=web, save=save, host=host, port=port)
+    if len(what) == 1 and ":" in what[0] and not Path(what[0]).exists():
+        address = split_address(context, argument, what[0])
+        assert address is not None
+        client = connector(address, world=world, **connection)()
+        with client, show(f"{client.welcome['world']} at {what[0]}") as shown:
+            _tell(shown, save)
+            try:
+                show_live(client, shown.stream, fps)
+                click.echo("The world was closed")
+                _stay(shown, web)
+            except KeyboardInterrupt:
+                click.echo()
+        return
+    recordings = [open_recording(context, argument, one) for one in what]
+    with show(" and ".join(recording.path.stem for recording in recordings)) as shown:
+        _tell(shown, save)
+        _show(recordings, shown, fps)
+        _stay(shown, web)
+
+
+def _show(recordings: list[Recording], shown: Screen, fps: float) -> None:
+    roots = [recording.path.stem for recording in recordings]
+    if len(set(roots)) < len(roots):
+        roots = [f"{place}: {root}" for place, root in zip("AB", roots, strict=False)]
+    found: list[list[Places]] = []
+    worlds: dict[str, Canvas] = {}
+    for recording, root in zip(recordings, roots, strict=True):
+        with progress_bars() as progress:
+            done = partial(progress, f"running {recording.path.name}")
+            sight = show_recording(recording, shown.stream, root, fps=fps, progress=done)
+        worlds[root] = sight.canvas
+        found.append(sight.places)
+        click.echo(f"{recording.path}: {sight.report.verdict}")
+    if len(found) == 2:
+        show_drift(shown.stream, *found)
+    lay_out(shown.stream, worlds, live=False)
+
+
+def _tell(shown: Screen, save: Path | None) -> None:
+    if shown.address is not None:
+        click.echo(f"Look at {shown.address}")
+    elif save is not None:
+        click.echo(f"Writing {save}: open it with rerun {save}")
+
+
+def _stay(shown: Screen, web: bool) -> None:
+    """Keeps the viewer for browsers running until somebody has seen enough."""
+    if web:
+        click.echo("Ctrl-C stops")
+        try:
+            shown.wait()
+        except KeyboardInterrupt:
+            click.echo()

@@ -1,0 +1,175 @@
+"""A live world in Rerun, seen through a client of any server.
+
+It hides what a server is asked so that all of it can be drawn: as little as can be, since nobody's world should be
+slower for being looked at.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from colorsys import hls_to_rgb
+from contextlib import suppress
+from math import inf
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from nmes import protocol
+from nmes.client import Client
+from nmes.errors import CommandFailed, Disconnected, NmesError
+from nmes.rotation import conjugate, multiply, rotate
+from nmes.scene import Shape
+from nmes.scenery import scene_spec
+from nmes.view.canvas import Canvas
+from nmes.view.screen import lay_out
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+__all__ = ["show_live"]
+
+_SHIFT, _TURN = 1e-3, 1e-2  # m, rad: the world tells of what moved farther
+_ASK_AGAIN = 1.0  # s between two questions for the joints
+_GONE = frozenset({"cube_not_found", "joint_not_found"})
+_GOLDEN = 0.618034  # of the circle of colours, from one cube to the next
+
+
+def show_live(client: Client, stream: rr.RecordingStream, fps: float) -> None:
+    """Draws the world that a client is in, until it is closed.
+
+    The world sends only what moved, and is asked for nothing else but the shapes of cubes that are new and, once a
+    second, its joints.
+
+    Args:
+        client: A client of any server that offers `subscribe`.
+        stream: Where it is sent.
+        fps: How often the world is asked to tell, in Hz of its time.
+
+    Raises:
+        CommandFailed: The server does not offer what is needed.
+        Disconnected: The connection was lost.
+    """
+    info = client.get_world_info()
+    canvas = Canvas(stream, info["world"], info["dims"] == 2)
+    canvas.at(info["t"])
+    _draw_scenery(canvas, info)
+    lay_out(stream, {info["world"]: canvas}, live=True)
+    every = max(1, round(client.welcome["tick_rate"] / fps))
+    client.subscribe(events=["state"], every=every, position_threshold=_SHIFT, rotation_threshold=_TURN)
+    try:
+        _follow(client, canvas, info["t"], lambda: lay_out(stream, {info["world"]: canvas}, live=True))
+    except Disconnected as error:
+        if error.code != "world_closed":  # which may come while something was asked
+            raise
+    canvas.say("the world was closed")
+
+
+def _follow(client: Client, canvas: Canvas, last: float, look: Callable[[], None]) -> None:
+    """Draws what a client is told; `look` is called when there is something to see for the first time."""
+    states: dict[str, list[float]] = {}
+    shapes: dict[str, Shape] = {}
+    hinges: list[_Hinge] = []
+    asked, before = -inf, 0.0
+    for event in client.events():
+        if event["type"] == "world_fault":
+            canvas.say(f"fault: {event['message']}", "ERROR")
+        if event["type"] != "state":
+            continue
+        if event["t"] < last:
+            before += last
+            canvas.at(before)
+            canvas.say("the world was reset")
+            _draw_scenery(canvas, client.get_world_info())
+            shapes.clear()  # those of the same name may be others
+        last = event["t"]
+        canvas.at(before + last)
+        for name in event["removed"]:
+            states.pop(name, None)
+            shapes.pop(name, None)
+        for cube in event["cubes"]:
+            states[cube["cube_name"]] = [*cube["position"], *cube["quaternion"]]
+        strangers = [name for name in states if name not in shapes]
+        shapes |= _ask_shapes(client, strangers, len(shapes))
+        known = [name for name in states if name in shapes]
+        poses = np.array([states[name] for name in known]).reshape(-1, 7)
+        first, moved = canvas.extent is None, canvas.cubes({name: shapes[name] for name in known}, poses)
+        if first and canvas.extent is not None:
+            look()
+        if strangers or time.monotonic() - asked > _ASK_AGAIN:
+            asked = time.monotonic()
+            hinges = _ask_joints(client)
+        if moved:
+            canvas.joints([hinge.now(states) for hinge in hinges if hinge.info["cube1"] in states])
+
+
+def _draw_scenery(canvas: Canvas, info: Any) -> None:
+    """Draws what stands still, as far as what a server says of it can be understood."""
+    try:
+        canvas.scenery(scene_spec(protocol.complete_config(info["config"]), info["seed"]))
+    except NmesError as error:
+        canvas.say(f"the scenery cannot be drawn: {error.message}", "WARN")
+
+
+def _ask(client: Client, commands: Sequence[dict[str, Any]]) -> list[Any]:
+    """Returns the replies, in one exchange; None in place of those that say that there is no such thing any more."""
+    if not commands:
+        return []
+    with suppress(CommandFailed), client.pipeline() as together:  # each is looked at here
+        for command in commands:
+            together.request(command)
+    found = []
+    for call in together.calls:
+        try:
+            found.append(call.result())
+        except CommandFailed as error:
+            if error.code not in _GONE:
+                raise
+            found.append(None)
+    return found
+
+
+def _ask_shapes(client: Client, names: Sequence[str], count: int) -> dict[str, Shape]:
+    """Returns the shapes of cubes; where a server does not tell their colours, they get some."""
+    found: dict[str, Shape] = {}
+    told = _ask(client, [{"type": "get_cube_info", "cube_name": name} for name in names])
+    for i, (name, info) in enumerate(zip(names, told, strict=True), start=count):
+        if info is not None:
+            x, y, z = info["size"]
+            red, green, blue, alpha = info.get("color") or (*hls_to_rgb(i * _GOLDEN % 1.0, 0.6, 0.5), 1.0)
+            found[name] = (x, y, z), (red, green, blue, alpha)
+    return found
+
+
+class _Hinge(NamedTuple):
+    """A joint as it was told of, with the pose that its first cube had then."""
+
+    info: dict[str, Any]
+    pose: list[float]
+
+    def now(self, states: Mapping[str, Sequence[float]]) -> dict[str, Any]:
+        """Returns what there is to draw, carried along by the first cube."""
+        x, y, z, *turn = states[self.info["cube1"]]
+        back = conjugate((self.pose[3], self.pose[4], self.pose[5], self.pose[6]))
+        turned = multiply((turn[0], turn[1], turn[2], turn[3]), back)
+        arm = [now - then for now, then in zip(self.info["anchor"], self.pose, strict=False)]
+        ax, ay, az = rotate(turned, (arm[0], arm[1], arm[2]))
+        return {**self.info, "anchor": (x + ax, y + ay, z + az), "axis": rotate(turned, tuple(self.info["axis"]))}
+
+
+def _ask_joints(client: Client) -> list[_Hinge]:
+    """Returns all joints, each as it is at one moment with the cube that carries it along."""
+    found = []
+    joints = client.get_joint_list()["joints"]
+    moments = [
+        [
+            {"type": "get_cube_info", "cube_name": joint["cube1"]},
+            {"type": "get_joint_info", "joint_name": joint["joint_name"]},
+        ]
+        for joint in joints
+    ]
+    for told in _ask(client, [{"type": "batch", "commands": commands} for commands in moments]):
+        cube, joint = told["results"]
+        if cube["type"] == "cube_info" and joint["type"] == "joint_info":
+            found.append(_Hinge(joint, [*cube["position"], *cube["quaternion"]]))
+    return found

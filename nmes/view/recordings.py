@@ -1,0 +1,242 @@
+"""A recording in Rerun: run again, with its commands, the forces they applied, and where it diverges.
+
+It hides how what clients said is brought in step with what is seen.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+import orjson
+
+from nmes.backend import Array, load_backend
+from nmes.course import Course
+from nmes.feeding import happenings
+from nmes.playback import watch
+from nmes.recording import Kind, Recording
+from nmes.replay import ReplayReport, replay
+from nmes.scene import Shape
+from nmes.scenery import scene_spec
+from nmes.view.canvas import Canvas, load_rerun
+from nmes.world import World
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+__all__ = ["Places", "Showing", "show_drift", "show_recording"]
+
+_TEXT = 300  # characters of a command that are shown
+_ZERO = (0.0, 0.0, 0.0)
+# What is said at every tick, or only asks: it can be looked at too, but would hide the rest.
+_EVERY_TICK = frozenset({"step", "drive", "sense", "ping", "compute_reward"})
+
+Json = Mapping[str, Any]
+
+Places = tuple[float, dict[str, Array]]  # s, and where each cube was then
+
+
+class Showing(NamedTuple):
+    """What came of showing a recording.
+
+    Attributes:
+        report: The verdict of its replay.
+        canvas: What it was drawn on.
+        places: Where all cubes were at the times that were drawn.
+    """
+
+    report: ReplayReport
+    canvas: Canvas
+    places: list[Places]
+
+
+class _Sight(NamedTuple):
+    """What is looked at after a tick that is shown."""
+
+    seed: int
+    shapes: dict[str, Shape]
+    poses: Array
+    joints: list[dict[str, Any]]
+    points: Array
+    forces: Array
+
+
+def show_recording(
+    recording: Recording,
+    stream: rr.RecordingStream,
+    root: str,
+    *,
+    fps: float = 30.0,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> Showing:
+    """Runs a recording again and draws it, with its commands, the forces they applied, and where it diverges.
+
+    Args:
+        recording: The recording. Its engine must be installed.
+        stream: Where it is sent.
+        root: The entity under which it stands.
+        fps: How often cubes are drawn, in Hz of simulation time. Forces and commands are shown at their own ticks.
+        progress: Told how many ticks are done, of how many.
+
+    Returns:
+        What came of it.
+    """
+    rate: int = recording.config["tick_rate"]
+    canvas = Canvas(stream, root, load_backend(recording.config["backend"]).dims == 2)
+    report = replay(recording, anyway=True)
+    course, inputs = Course(), _Inputs(recording, canvas, rate)
+    every = max(1, round(rate / fps))
+    total = recording.summary().ticks
+    version, shapes = -1, dict[str, Shape]()
+
+    def look(world: World) -> _Sight | None:
+        nonlocal version, shapes
+        course.note(world)
+        if world.frame % every:
+            return None
+        if world.structure_version != version:
+            version, shapes = world.structure_version, {name: world.cube_shape(name) for name in world.cubes()}
+        contacts = [contact for _, contact in world.contacts()]
+        return _Sight(
+            world.seed,
+            shapes,
+            world.poses()[1][:, :7],
+            world.joint_infos(),
+            np.array([contact.position for contact in contacts]).reshape(-1, 3),
+            np.array([np.multiply(contact.normal, contact.force) for contact in contacts]).reshape(-1, 3),
+        )
+
+    seed, tick = None, 0
+    places: list[Places] = []
+    for tick, sight in enumerate(watch(recording, look, anyway=True), start=1):
+        progress(tick, total)
+        inputs.show(tick)
+        if sight is None:
+            continue
+        canvas.at(tick / rate)
+        if sight.seed != seed:
+            seed = sight.seed
+            canvas.scenery(scene_spec(recording.config, seed))
+        if canvas.cubes(sight.shapes, sight.poses):
+            canvas.joints(sight.joints)
+        canvas.contacts(sight.points, sight.forces)
+        places.append((tick / rate, inputs.see(sight.shapes, sight.poses[:, :3])))
+    inputs.show(tick + 1)
+    for name, values in course.curves().items():
+        canvas.curve(name, course.times, values)
+    inputs.plot()
+    if report.divergence is not None:
+        canvas.at(report.ticks / rate)
+        canvas.say(f"diverged: {report.divergence.message}", "ERROR", "divergence")
+    return Showing(report, canvas, places)
+
+
+def show_drift(stream: rr.RecordingStream, first: Sequence[Places], second: Sequence[Places]) -> None:
+    """Plots how far the cubes of two recordings are apart: those of the same name, at the same times."""
+    others = dict(second)
+    for seconds, places in first:
+        other = others.get(seconds, {})
+        apart = [float(np.linalg.norm(at - other[name])) for name, at in places.items() if name in other]
+        if apart:
+            stream.set_time("time", duration=seconds)
+            stream.log(["drift", "at most (m)"], load_rerun().Scalars(max(apart)))
+            stream.log(["drift", "mean (m)"], load_rerun().Scalars(sum(apart) / len(apart)))
+
+
+class _Said(NamedTuple):
+    """A command or a fault, and after how many ticks it came."""
+
+    ticks: int
+    text: str
+    level: str
+    pushes: Sequence[tuple[str, Array, Array | None]] = ()  # cube, force (N), point (m)
+    rewards: Sequence[tuple[str, float]] = ()
+
+
+class _Inputs:
+    """What clients said in a recording, in step with its ticks."""
+
+    def __init__(self, recording: Recording, canvas: Canvas, rate: int) -> None:
+        self._canvas, self._rate = canvas, rate
+        self._said = _said(recording, rate)
+        self._next = next(self._said, None)
+        self._places: dict[str, Array] = {}
+        self._rewards: dict[str, list[tuple[float, float]]] = {}
+
+    def see(self, shapes: Mapping[str, Shape], positions: Array) -> dict[str, Array]:
+        """Notes where cubes are, for the forces that begin at their middles; returns it by name."""
+        self._places = dict(zip(shapes, positions, strict=True))
+        return self._places
+
+    def show(self, tick: int) -> None:
+        """Writes what was said before a tick, and draws the forces that acted in it."""
+        pushes: list[tuple[str, Array, Array]] = []
+        while self._next is not None and self._next.ticks < tick:
+            said = self._next
+            self._canvas.at(said.ticks / self._rate)
+            self._canvas.say(said.text, said.level)
+            for name, value in said.rewards:
+                self._rewards.setdefault(name, []).append((said.ticks / self._rate, value))
+            for name, force, point in said.pushes:
+                at = point if point is not None else self._places.get(name)
+                if at is not None:
+                    pushes.append((name, at, force))
+            self._next = next(self._said, None)
+        self._canvas.at(tick / self._rate)
+        points, forces = (np.array([push[i] for push in pushes]).reshape(-1, 3) for i in (1, 2))
+        self._canvas.forces(points, forces, [name for name, _, _ in pushes])
+
+    def plot(self) -> None:
+        """Draws the rewards that clients asked for."""
+        for name, points in self._rewards.items():
+            times, values = np.array(points).T
+            self._canvas.curve(name, times, values)
+
+
+def _said(recording: Recording, rate: int) -> Iterator[_Said]:
+    ticks = 0
+    for record, effects in happenings(recording):
+        reply = orjson.loads(effects[-1].data) if effects and effects[-1].kind is Kind.REPLY else {}
+        match record.kind:
+            case Kind.COMMAND:
+                yield _command(ticks, record.client, orjson.loads(record.data), reply, rate)
+            case Kind.REFUSED:
+                said = f"client {record.client}: a frame that is no command: {reply.get('message')}"
+                yield _Said(ticks, said, "WARN")
+            case Kind.JOINED | Kind.LEFT:
+                yield _Said(ticks, f"client {record.client} {record.kind}", "INFO")
+        for other in (record, *effects):
+            if other.kind is Kind.TICKS and other.about is not None:
+                ticks += len(other.about["digests"])
+            elif other.kind is Kind.FAULT and other.about is not None:
+                yield _Said(ticks, f"fault: {other.about['message']}", "ERROR")
+
+
+def _command(ticks: int, client: int | None, command: Json, reply: Json, rate: int) -> _Said:
+    fields = [f"{name}={orjson.dumps(value).decode()}" for name, value in command.items() if name not in ("type", "id")]
+    told = " ".join([f"client {client}: {command.get('type')}", *fields])
+    told = told if len(told) <= _TEXT else told[:_TEXT] + "..."
+    if reply.get("type") == "error":
+        return _Said(ticks, f"{told} -> {reply['code']}: {reply['message']}", "WARN")
+    pushes: list[tuple[str, Array, Array | None]] = []
+    rewards: list[tuple[str, float]] = []
+    for part, answer in _parts(command, reply):
+        if answer.get("type") == "physics_applied":
+            # An impulse is the force that does the same in a tick.
+            force = np.array(part.get("force", _ZERO), float) + np.array(part.get("impulse", _ZERO), float) * rate
+            if force.any():
+                point = part.get("at")
+                pushes.append((answer["cube_name"], force, None if point is None else np.array(point, float)))
+        elif answer.get("type") == "reward":
+            rewards.append((f"reward of client {client}", float(answer["value"])))
+    quiet = command.get("type") in _EVERY_TICK or str(command.get("type")).startswith("get_")
+    return _Said(ticks, told, "TRACE" if quiet else "INFO", pushes, rewards)
+
+
+def _parts(command: Json, reply: Json) -> Iterator[tuple[Json, Json]]:
+    """Yields a command with its reply, or the parts of a batch with theirs."""
+    if reply.get("type") == "batch_result":
+        yield from zip(command["commands"], reply["results"], strict=True)
+    else:
+        yield command, reply

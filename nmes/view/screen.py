@@ -1,0 +1,189 @@
+"""Where Rerun shows things: a window, a browser, or a file for later.
+
+It hides how Rerun's programs are started, found listening and ended, and how what they show is laid out. They listen on
+the address that they are told, which is this machine's own unless somebody asks for another.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from math import cos, radians, sin
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+from urllib.parse import quote
+
+import numpy as np
+
+from nmes.backend import Array
+from nmes.errors import NmesError
+from nmes.view.canvas import Canvas, load_rerun
+
+if TYPE_CHECKING:
+    import rerun as rr
+
+__all__ = ["LOCAL", "Screen", "lay_out", "screen"]
+
+LOCAL = "127.0.0.1"
+_LISTENS = 30.0  # s that Rerun has to begin to listen
+_ELEVATION, _AZIMUTH = radians(20.0), radians(30.0)  # from where one looks
+_AWAY = 2.2  # times the radius of what is seen
+_NEAREST, _NOTHING = 1.0, 4.0  # m: the smallest radius, and that of a world without cubes
+_GRID = (128, 128, 128, 90)
+_SHOWN = ["$origin/scene/**", "$origin/cubes", "$origin/joints", "$origin/contacts", "$origin/forces"]
+
+
+def lay_out(stream: rr.RecordingStream, worlds: Mapping[str, Canvas], live: bool) -> None:
+    """Says how all of it is arranged: the worlds side by side, curves below them, and what was said at their right.
+
+    Args:
+        stream: Where it is sent.
+        worlds: By name. They are looked at from where all of their cubes can be seen that have been drawn so far.
+        live: Whether one looks on, with no curves, or goes back and forth.
+    """
+    rrb = load_rerun().blueprint
+    views = [_planar_view(name, world) if world.planar else _view(name, world) for name, world in worlds.items()]
+    shown = rrb.Horizontal(*views)
+    if not live:
+        curves = [rrb.TimeSeriesView(origin=f"{world.entity}/plots", name=name) for name, world in worlds.items()]
+        if len(worlds) > 1:
+            curves.append(rrb.TimeSeriesView(origin="/drift", name="drift"))
+        shown = rrb.Vertical(shown, rrb.Horizontal(*curves), row_shares=[3, 1])
+    columns = rrb.archetypes.TextLogColumns(
+        timeline_columns=[rrb.encodings.TimelineColumn("time")],
+        text_log_columns=[
+            rrb.encodings.TextLogColumn("EntityPath", visible=len(worlds) > 1),
+            rrb.encodings.TextLogColumn("LogLevel", visible=False),
+            rrb.encodings.TextLogColumn("Body"),
+        ],
+    )
+    said = rrb.TextLogView(
+        origin="/",
+        contents=[f"/{world.entity}/{said}" for world in worlds.values() for said in ("log", "divergence")],
+        name="what was said",
+        columns=columns,
+        rows=rrb.archetypes.TextLogRows(filter_by_log_level=["INFO", "WARN", "ERROR"]),
+    )
+    time_panel = rrb.TimePanel(timeline="time", play_state="following" if live else "playing", state="collapsed")
+    panels = rrb.BlueprintPanel(state="collapsed"), rrb.SelectionPanel(state="collapsed"), time_panel
+    stream.send_blueprint(rrb.Blueprint(rrb.Horizontal(shown, said, column_shares=[5, 2]), *panels))
+
+
+def _view(name: str, world: Canvas) -> Any:
+    rr, rrb = load_rerun(), load_rerun().blueprint
+    middle, radius = _ball(world)
+    up, aside = sin(_ELEVATION), cos(_ELEVATION)
+    direction = np.array([aside * sin(_AZIMUTH), up, aside * cos(_AZIMUTH)])
+    eye = rrb.EyeControls3D(position=middle + _AWAY * radius * direction, look_target=middle, eye_up=(0.0, 1.0, 0.0))
+    grid = rrb.LineGrid3D(plane=rr.components.Plane3D([0.0, 1.0, 0.0], 0.0), color=_GRID)
+    return rrb.Spatial3DView(origin=world.entity, contents=_SHOWN, name=name, line_grid=grid, eye_controls=eye)
+
+
+def _planar_view(name: str, world: Canvas) -> Any:
+    rrb = load_rerun().blueprint
+    (x, y, _), radius = _ball(world)
+    bounds = rrb.VisualBounds2D(x_range=(x - radius, x + radius), y_range=(-y - radius, -y + radius))
+    return rrb.Spatial2DView(origin=world.entity, contents=_SHOWN, name=name, visual_bounds=bounds)
+
+
+def _ball(world: Canvas) -> tuple[Array, float]:
+    """Returns the middle of what there is to see, and the radius of the ball round it, m."""
+    if world.extent is None:
+        return np.array([0.0, 1.0, 0.0]), _NOTHING
+    low, high = world.extent
+    return (low + high) / 2.0, max(float(np.linalg.norm(high - low)) / 2.0, _NEAREST)
+
+
+class Screen(NamedTuple):
+    """Where a stream is seen.
+
+    Attributes:
+        stream: What is sent there is shown.
+        address: For a browser, where it is seen in one.
+        process: Rerun's program, where one was started.
+    """
+
+    stream: rr.RecordingStream
+    address: str | None = None
+    process: subprocess.Popen[bytes] | None = None
+
+    def wait(self) -> None:
+        """Returns when Rerun's program has ended."""
+        if self.process is not None:
+            self.process.wait()
+
+
+@contextmanager
+def screen(
+    name: str, *, web: bool = False, save: Path | None = None, host: str = LOCAL, port: int = 0
+) -> Iterator[Screen]:
+    """Opens Rerun and gives a stream to it: its window, its viewer for browsers, or a file to be opened by it later.
+
+    A window stays open; the viewer for browsers ends with the context.
+
+    Args:
+        name: What the recording is called there.
+        web: Whether it is to be seen in a browser.
+        save: The file, `.rrd`.
+        host: The address that Rerun listens on.
+        port: Where the viewer for browsers listens; 0 for any that is free.
+
+    Raises:
+        NmesError: Rerun is not installed, does not begin to listen, or there is no display for a window.
+    """
+    stream = load_rerun().RecordingStream("nmes", send_properties=False)
+    stream.send_recording_name(name)
+    if save is not None:
+        stream.save(str(save))
+        yield Screen(stream)
+        stream.flush()
+        stream.disconnect()
+        return
+    if not web and sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise NmesError("no_display", "there is no display for a window: use --web for a browser, or --save for a file")
+    grpc, http = _free_port(host), port or _free_port(host)
+    options = ["--serve-web", "--web-viewer-port", str(http)] if web else ["--expect-data-soon"]
+    process = subprocess.Popen(
+        [sys.executable, "-m", "rerun_cli", "--bind", host, "--port", str(grpc), *options],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        stdin=subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        _await(process, host, [grpc, http] if web else [grpc])
+        reached = f"rerun+http://{host}:{grpc}/proxy"
+        stream.connect_grpc(reached)
+        address = f"http://{host}:{http}/?url={quote(reached, safe='')}" if web else None
+        yield Screen(stream, address, process)
+        stream.flush()
+    finally:
+        stream.disconnect()
+        if web:
+            # The program is a child of the one that was started.
+            os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+
+
+def _free_port(host: str) -> int:
+    with socket.create_server((host, 0)) as server:
+        return int(server.getsockname()[1])
+
+
+def _await(process: subprocess.Popen[bytes], host: str, ports: Sequence[int]) -> None:
+    until = time.monotonic() + _LISTENS
+    for port in ports:
+        while True:
+            try:
+                socket.create_connection((host, port), timeout=1.0).close()
+                break
+            except OSError as error:
+                if process.poll() is not None or time.monotonic() > until:
+                    raise NmesError("no_viewer", f"Rerun does not begin to listen on {host}:{port}") from error
+                time.sleep(0.05)
