@@ -16,7 +16,7 @@ Invariants:
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
 from typing import Any, ClassVar, Protocol
@@ -246,11 +246,10 @@ class World:
         """Returns what `get_joint_info` tells of each joint, in order of creation."""
         return [self._assembly.joint_info(joint) for joint in self._assembly.joints()]
 
-    def contacts(self) -> Iterator[tuple[str, Contact]]:
-        """Yields what each cube touched in the last step, with the cube's name."""
-        for name in self._assembly.names():
-            for contact in self.simulation.contacts(self._assembly.cube(name).body):
-                yield name, contact
+    def contacts(self) -> list[Contact]:
+        """Returns what all cubes touched in the last step; two cubes that touch each other say so both."""
+        bodies = [self._assembly.cube(name).body for name in self._assembly.names()]
+        return [contact for body in bodies for contact in self.simulation.contacts(body)]
 
     def motor_work(self) -> float:
         """Returns what the motors of all joints that there are have worked so far, J."""

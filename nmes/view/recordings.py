@@ -97,7 +97,7 @@ def show_recording(
             return None
         if world.structure_version != version:
             version, shapes = world.structure_version, {name: world.cube_shape(name) for name in world.cubes()}
-        contacts = [contact for _, contact in world.contacts()]
+        contacts = world.contacts()
         return _Sight(
             world.seed,
             shapes,
