@@ -33,8 +33,9 @@ _TOLD = 20  # overlaps that are named one by one
 _PARALLEL = 1e-6  # sine of the angle below which edges count as parallel
 _DRIVEN = ("hinge", "slide")
 _OF_JOINT = ("position", "velocity", "effort")
-_OF_CUBE = ("height", "up", "velocity", "spin", "touch")
-_VECTORS = ("up", "velocity", "spin")
+_OF_TARGET = ("target_direction", "target_distance", "target_velocity")
+_OF_CUBE = ("height", "up", "velocity", "spin", "touch", *_OF_TARGET)
+_VECTORS = ("up", "velocity", "spin", "target_direction", "target_velocity")
 _ROOT = ("height", "up", "velocity", "spin")  # what the root senses where a document names no sensors
 
 

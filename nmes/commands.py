@@ -611,9 +611,17 @@ class Commands:
 
     @command
     def spawn_creature(
-        self, genome: Mapping[str, Any], *, position: Vector | None = None, name: str | None = None
+        self,
+        genome: Mapping[str, Any],
+        *,
+        position: Vector | None = None,
+        name: str | None = None,
+        target: Vector | str | None = None,
     ) -> type[CreatureSpawned]:
-        """Makes the body of a genome (its document) live; its brain stays outside."""
+        """Makes the body of a genome (its document) live; its brain stays outside.
+
+        Sensors of a target are about `target`: a point, or the name of a cube.
+        """
         return CreatureSpawned
 
     @command

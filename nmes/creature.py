@@ -10,6 +10,7 @@ would, in order; `sense` changes nothing; creatures are in order of creation.
 
 from __future__ import annotations
 
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -22,12 +23,14 @@ from nmes.body import Body, BodyCube, BodyJoint, Motor, Sensor
 from nmes.errors import WorldError
 from nmes.genome import Genome
 from nmes.protocol import Request
+from nmes.rotation import conjugate, rotate
 
 __all__ = ["Creature", "Creatures"]
 
 JsonObject = dict[str, Any]
 
 _NAME_LENGTH = 128
+_HERE = 1e-9  # m; nearer than this a target is in no direction
 _TURNING = 0.1  # sensors tell turning in 10 rad/s
 
 
@@ -37,16 +40,24 @@ class Creature:
     Attributes:
         name: Unique among the creatures of its world.
         genome: What it was made from; `body` is the genome's.
+        target: What its sensors of a target are about: a point, m, or the name of a cube; None where it has none.
         cubes: The names of its cubes in the world by the ids in its body; `joints` likewise.
         motors: In the order of controls.
         sensors: In the order of values.
     """
 
     def __init__(
-        self, assembly: Assembly, name: str, genome: Genome, cubes: dict[str, Cube], joints: dict[str, Joint]
+        self,
+        assembly: Assembly,
+        name: str,
+        genome: Genome,
+        cubes: dict[str, Cube],
+        joints: dict[str, Joint],
+        target: Vector | str | None,
     ) -> None:
         self._assembly, self._simulation = assembly, assembly.simulation
         self.name, self.genome, self.body = name, genome, (body := genome.body)
+        self.target = target
         self.motors: tuple[Motor, ...] = body.motors
         self.sensors: tuple[Sensor, ...] = body.sensors
         self._shape = (len(self.motors),)
@@ -130,19 +141,25 @@ class Creature:
         self._picked = np.array([3 * parts.index(s.target) + column(s.type) for _, s in on_joints], np.intp)
         self._scale = np.array([self._joint_scale(sensor) for _, sensor in on_joints])
         felt: dict[str, list[tuple[int, int]]] = {}
+        aimed: dict[str, list[tuple[int, int]]] = {}
         touched = []
         for row, sensor in enumerate(sensors):
             if sensor.of == "cube" and sensor.type == "touch":
                 touched.append((row, self._cubes[sensor.target].body))
             elif sensor.of == "cube":
                 axis = 0 if sensor.axis is None else "xyz".index(sensor.axis)
-                felt.setdefault(sensor.target, []).append((row, _FELT[sensor.type] + axis))
+                into, first = (felt, _FELT) if sensor.type in _FELT else (aimed, _AIMED)
+                into.setdefault(sensor.target, []).append((row, first[sensor.type] + axis))
         self._felt: list[tuple[int, slice | list[int], list[int] | None]] = []
         for part, wanted in felt.items():
             picked = [number for _, number in wanted]
             everything = picked == list(range(10))  # as where a document names no sensors
             rows = _rows([row for row, _ in wanted])
             self._felt.append((self._cubes[part].body, rows, None if everything else picked))
+        self._aimed: list[tuple[int, slice | list[int], list[int]]] = [
+            (self._cubes[part].body, _rows([row for row, _ in wanted]), [number for _, number in wanted])
+            for part, wanted in aimed.items()
+        ]
         self._touch_rows = [row for row, _ in touched]
         self._touch_bodies = [body for _, body in touched]
 
@@ -167,11 +184,33 @@ class Creature:
             out[rows] = felt if picked is None else [felt[i] for i in picked]
         if self._touch_bodies:
             out[self._touch_rows] = simulation.touching(self._touch_bodies)
+        if self._aimed:
+            self._sense_target(out)
         return out
+
+    def _sense_target(self, out: Array) -> None:
+        target, simulation = self.target, self._simulation
+        place: Vector | None = None
+        motion: Vector = (0.0, 0.0, 0.0)
+        if isinstance(target, str):
+            cube = self._assembly.find(target)
+            if cube is not None:
+                state = simulation.body_state(cube.body)
+                place, motion = state.position, state.linear_velocity
+        else:
+            place = target
+        for body, rows, picked in self._aimed:
+            if place is None:
+                out[rows] = 0.0
+            else:
+                seen = _aim(simulation.body_state(body), place, motion)
+                out[rows] = [seen[i] for i in picked]
 
 
 # What `_feel` returns, by type of sensor: where its first number is.
 _FELT = {"height": 0, "up": 1, "velocity": 4, "spin": 7}
+# What `_aim` returns, likewise.
+_AIMED = {"target_direction": 0, "target_distance": 3, "target_velocity": 4}
 
 
 def _feel(state: BodyState) -> tuple[float, ...]:
@@ -195,6 +234,17 @@ def _feel(state: BodyState) -> tuple[float, ...]:
         _TURNING * (bx * wx + by * wy + bz * wz),
         _TURNING * (cx * wx + cy * wy + cz * wz),
     )
+
+
+def _aim(state: BodyState, place: Vector, motion: Vector) -> tuple[float, ...]:
+    """Returns where a target is from a cube, how far, and how it moves past it, directions being the cube's own."""
+    back = conjugate(state.quaternion)
+    (x, y, z), (vx, vy, vz) = state.position, state.linear_velocity
+    dx, dy, dz = place[0] - x, place[1] - y, place[2] - z
+    distance = sqrt(dx * dx + dy * dy + dz * dz)
+    part = 1.0 / distance if distance > _HERE else 0.0
+    direction = rotate(back, (dx * part, dy * part, dz * part))
+    return (*direction, distance, *rotate(back, (motion[0] - vx, motion[1] - vy, motion[2] - vz)))
 
 
 def _rows(rows: list[int]) -> slice | list[int]:
@@ -242,13 +292,14 @@ class Creatures:
         self._creatures = {name: creature for name, creature in self._creatures.items() if creature.whole}
         self._version = self._assembly.version
 
-    def spawn(self, genome: Genome, position: Vector, name: str | None) -> Creature:
+    def spawn(self, genome: Genome, position: Vector, name: str | None, target: Vector | str | None = None) -> Creature:
         """Makes a body live, all of it or nothing.
 
         Args:
             genome: Whose body it is.
             position: Where the origin of its document comes to be, m.
             name: Of the creature; its cubes and joints are called `NAME.id`. Drawn from the world's seed if None.
+            target: What its sensors of a target are about: a point, m, or the name of a cube, which need not be there.
 
         Raises:
             WorldError: The name is taken or too long, the world is full, or the engine lacks what the body needs.
@@ -268,14 +319,17 @@ class Creatures:
             command = _joint_command(joint, name, position)
             joints[joint.id] = assembly.joint(assembly.connect(command, joint.kind, "joint", name=f"{name}.{joint.id}"))
         self._count = count
-        self._creatures[name] = creature = Creature(assembly, name, genome, cubes, joints)
+        self._creatures[name] = creature = Creature(assembly, name, genome, cubes, joints, target)
         self._version = assembly.version
         return creature
 
     def snapshot(self) -> JsonObject:
         """Returns which creatures there are, as plain JSON data; their cubes and joints are the assembly's."""
         self._forget_dissolved()
-        kept = [{"name": name, "genome": creature.genome.document} for name, creature in self._creatures.items()]
+        kept = [
+            {"name": name, "genome": creature.genome.document, "target": creature.target}
+            for name, creature in self._creatures.items()
+        ]
         return {"count": self._count, "creatures": kept}
 
     def restore(self, state: JsonObject) -> None:
@@ -285,7 +339,9 @@ class Creatures:
             name, genome = given["name"], Genome(given["genome"])
             cubes = {part.id: assembly.cube(f"{name}.{part.id}") for part in genome.body.cubes}
             joints = {part.id: assembly.joint(f"{name}.{part.id}") for part in genome.body.joints}
-            self._creatures[name] = Creature(assembly, name, genome, cubes, joints)
+            target = given["target"]
+            aim = (target[0], target[1], target[2]) if isinstance(target, list) else target
+            self._creatures[name] = Creature(assembly, name, genome, cubes, joints, aim)
 
     def _taken(self, name: str, body: Body) -> WorldError | None:
         """Says who has a name that a creature of this name would need."""

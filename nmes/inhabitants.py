@@ -134,7 +134,10 @@ class Inhabitants:
             where = f"genome/{error.problems[0][0]}".rstrip("/")
             raise WorldError("invalid", "genome: " + "\n".join(said + more), where) from error
         x, y, z = c.get("position", protocol.COMMANDS["spawn_creature"].defaults["position"])
-        creature = self._creatures.spawn(genome, (float(x), float(y), float(z)), c.get("name"))
+        target = c.get("target")
+        if target is not None and not isinstance(target, str):
+            target = (float(target[0]), float(target[1]), float(target[2]))
+        creature = self._creatures.spawn(genome, (float(x), float(y), float(z)), c.get("name"), target)
         return {
             "type": "creature_spawned",
             "creature": creature.name,

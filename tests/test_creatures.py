@@ -165,6 +165,71 @@ def test_readings_of_a_cube_are_in_its_own_directions() -> None:
     assert values == pytest.approx([3.1, 1, 0, 0, 0, -2, 0, 0, 0, 0.3], abs=1e-9)
 
 
+_AIM = [{"type": f"target_{kind}", "cube": "s0"} for kind in ("direction", "distance", "velocity")]
+
+
+def test_a_target_is_felt_in_a_cube_s_own_directions() -> None:
+    """A cube that lies on its side, its x upwards and its y along -x, flies at 2 m/s along x."""
+    genome = crawler(sensors=[*_AIM, {"type": "target_distance", "cube": "s2"}, {"type": "height", "cube": "s0"}])
+    place = Place(gravity=[0, 0, 0])
+    names = place("spawn_creature", genome=genome, name="w", target=[3, 7.1, 0])["sensors"]
+    assert names == [
+        *(f"s0.target_direction.{axis}" for axis in "xyz"), "s0.target_distance",
+        *(f"s0.target_velocity.{axis}" for axis in "xyz"), "s2.target_distance", "s0.height",
+    ]  # fmt: skip
+    place("spawn_creature", genome=genome, name="v", position=[0, 0, 9], target="ball")
+    place("spawn_creature", genome=genome, name="u", position=[0, 0, 20])
+    side = {"rotation": [0, 0, math.pi / 2], "linear_velocity": [2, 0, 0]}
+    for name, z in (("w", 0), ("v", 9)):
+        place("set_cube_state", cube_name=f"{name}.s0", position=[0, 3.1, z], **side)
+
+    def felt(name: str) -> Any:
+        return place("sense", creature=name)["values"]
+
+    assert felt("w") == pytest.approx([0.8, -0.6, 0, 5, 0, 2, 0, np.hypot(3, 3.4), 3.1], abs=1e-9)
+    # Without a target, and as long as there is no such cube, there is nothing to feel of it.
+    assert felt("v") == [0] * 8 + [pytest.approx(3.1)]
+    assert felt("u") == [0] * 8 + [pytest.approx(0.1)]
+    place("spawn_cube", cube_name="ball", position=[0, 3.1, 5])
+    place("set_cube_state", cube_name="ball", linear_velocity=[2, 1, -3])
+    assert felt("v")[:7] == pytest.approx([0, 0, -1, 4, 1, 0, -3], abs=1e-9)
+    place("step", ticks=60)
+    assert felt("v")[3] == pytest.approx(math.hypot(1, 7), rel=1e-3)  # it is where the cube is now
+    place("despawn_cube", cube_name="ball")
+    assert felt("v")[:8] == [0] * 8
+    place("spawn_creature", genome=genome, name="t", position=[0, 0, 30], target="t.s0")
+    assert felt("t")[:7] == [0] * 7  # its own self is in no direction
+
+
+@pytest.mark.parametrize("target", [[1, 2, 0], "ball"])
+def test_a_target_is_part_of_what_is_recorded_and_saved(target: Any, tmp_path: Path) -> None:
+    genome = crawler(1, sensors=_AIM)
+    place = Place(tmp_path / "a.mcap")
+    place("spawn_creature", genome=genome, name="w", position=[0, 1, 0], target=target)
+    place("spawn_cube", cube_name="ball", position=[1, 2, 0])
+    before = place("sense", creature="w")
+    assert before["values"][:4] == pytest.approx([1 / math.sqrt(2), math.sqrt(0.5) * 0.9, 0, 1.345], abs=0.05)
+    place("step", ticks=30)
+    restored = Place()
+    restored.world.restore(place.world.snapshot())
+    for _ in range(3):
+        assert place("sense", creature="w") == restored("sense", creature="w") != before
+        place("step", ticks=2)
+        restored("step", ticks=2)
+    place.world.close()
+    assert place.recorder is not None
+    place.recorder.close()
+    assert replay(tmp_path / "a.mcap").verdict == "reproduced"
+
+
+@pytest.mark.parametrize("target", [[1, 2], [1, 2, "3"], "two words", 7, [1, 2, 3e6]])
+def test_a_target_is_a_point_or_a_name(target: Any) -> None:
+    place = Place()
+    reply = place("spawn_creature", genome=crawler(), target=target)
+    assert reply["code"] == "invalid" and reply["field"].split("/")[0] == "target"
+    assert place.world.cubes() == []
+
+
 @pytest.mark.parametrize(
     ("fields", "code", "field"),
     [
