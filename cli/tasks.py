@@ -61,8 +61,7 @@ def _show(task: Task) -> None:
     ranges = (f"{what} {low:g} to {high:g}" for what, (low, high) in drawn.items() if low != high)
     table.add_row("seeds decide", ", ".join(["scenery", *ranges]))
     for prop in document["props"]:
-        table.add_row(
-            "prop", f"{prop['id']}: {' x '.join(f'{edge:g}' for edge in prop['size'])} m, {prop['mass']:g} kg"
-        )
+        size = " x ".join(f"{edge:g}" for edge in prop["size"])
+        table.add_row("prop", f"{prop['id']}: {size} m, {prop['mass']:g} kg{', the target' if prop['target'] else ''}")
     table.add_row("hash", task.hash)
     Console(highlight=False, markup=False).print(table)

@@ -218,11 +218,11 @@ class Task:
             config["friction"] = self._draw(seed, "friction", self.document["vary"]["friction"])
         return config
 
-    def target(self, seed: int) -> Vector | None:
-        """Returns where the target is, m, if there is one."""
+    def target(self, seed: int) -> Vector | str | None:
+        """Returns where the target is, m, or which prop it is, if there is one."""
         target = self.document.get("target")
         if target is None:
-            return None
+            return next((prop["id"] for prop in self.document["props"] if prop["target"]), None)
         far, bearing = (self._draw(seed, what, target[what]) for what in ("distance", "bearing"))
         return far * math.cos(bearing), float(target["height"]), -far * math.sin(bearing)
 
@@ -236,7 +236,11 @@ class Task:
         """
         vary, lowest = self.document["vary"], body.bounds()[0][1]
         position = [0.0, self._draw(seed, "drop", vary["drop"]) - lowest, 0.0]
-        commands = [{"type": "spawn_creature", "genome": genome, "name": CREATURE, "position": position}]
+        spawn: JsonObject = {"type": "spawn_creature", "genome": genome, "name": CREATURE, "position": position}
+        target = self.target(seed)
+        if target is not None:
+            spawn["target"] = target
+        commands = [spawn]
         yaw = self._draw(seed, "yaw", vary["yaw"])
         if yaw:
             root = body.cubes[0]
@@ -371,6 +375,9 @@ def _crossed(plain: JsonObject) -> Iterator[tuple[str, str]]:
     for path, (low, high) in bounds:
         if low > high:
             yield path, f"expected the lowest first, got {low:g} before {high:g}"
+    targets = [f"props/{index}/target" for index, prop in enumerate(plain["props"]) if prop["target"]]
+    for path in targets if "target" in plain else targets[1:]:
+        yield path, "there is a target already"
     for index, prop in enumerate(plain["props"]):
         if prop["id"] in [other["id"] for other in plain["props"][:index]]:
             yield f"props/{index}/id", f"there is a prop {prop['id']!r} already"

@@ -38,7 +38,7 @@ class Cast:
         sizes: Edge lengths, array (n, 3), m.
         masses: Array (n,), kg.
         tick_rate: Rows in a second.
-        target: Where `distance` is measured from, m; None: from the start.
+        target: Where `distance` is measured from: a point, m, or the id of a cube; None: from the start.
     """
 
     cubes: tuple[str, ...]
@@ -46,7 +46,7 @@ class Cast:
     sizes: Array
     masses: Array
     tick_rate: int
-    target: tuple[float, float, float] | None = None
+    target: tuple[float, float, float] | str | None = None
 
     def columns(self, cube: str | None) -> slice:
         """Returns which columns a cube is, or the body where there is none.
@@ -320,7 +320,10 @@ class _Block:
             case "displacement" | "distance":
                 vectors = self._centre(quantity.cube)
                 aim = self.cast.target if name == "distance" else None
-                vectors = vectors - (self._mean(self.start[np.newaxis], columns, 0) if aim is None else np.array(aim))
+                if aim is None:
+                    vectors = vectors - self._mean(self.start[np.newaxis], columns, 0)
+                else:
+                    vectors = vectors - (self._centre(aim) if isinstance(aim, str) else np.array(aim))
             case _:
                 raise KeyError(name)
         if axis == "horizontal":

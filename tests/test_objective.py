@@ -305,6 +305,12 @@ def reckon(trace: Trace, row: int, quantity: Quantity) -> float:
         for y in (-1, 1)
         for z in (-1, 1)
     ]
+
+    def aim(target: Any) -> Any:
+        if isinstance(target, str):
+            return trace.states[row, cast.cubes.index(target), :3]
+        return start if target is None else target
+
     up = [rotate(tuple(trace.states[k, 0, 3:7]), (0.0, 1.0, 0.0))[1] for k in range(row + 1)]
     vectors = {"position": centre, "displacement": centre - start, "velocity": velocity}
     if axis == "horizontal":
@@ -314,7 +320,7 @@ def reckon(trace: Trace, row: int, quantity: Quantity) -> float:
     plain: dict[str, Callable[[], Any]] = {
         "time": lambda: row / cast.tick_rate,
         "speed": lambda: np.linalg.norm(velocity),
-        "distance": lambda: np.linalg.norm(centre - (start if cast.target is None else cast.target)),
+        "distance": lambda: np.linalg.norm(centre - aim(cast.target)),
         "height": lambda: centre[1],
         "lowest": lambda: min(corner[1] for corner in corners),
         "highest": lambda: max(corner[1] for corner in corners),
@@ -330,7 +336,7 @@ def reckon(trace: Trace, row: int, quantity: Quantity) -> float:
 
 
 @pytest.mark.parametrize("name", QUANTITIES)
-@pytest.mark.parametrize("target", [None, (1.0, 2.0, 3.0)])
+@pytest.mark.parametrize("target", [None, (1.0, 2.0, 3.0), "d"])
 def test_each_quantity_is_as_defined(name: str, target: Any) -> None:
     trace = random_trace(1, target=target)
     for cube in (None, "b", "d") if name in CUBE_QUANTITIES else (None,):

@@ -16,7 +16,7 @@ from layout import ROOT
 from nmes.body import Body, BodyCube
 from nmes.cli import main
 from nmes.errors import DocumentError
-from nmes.evaluation import evaluate
+from nmes.evaluation import evaluate, prove
 from nmes.genome import Genome
 from nmes.objective import Quantity
 from nmes.task import Limits, Task
@@ -29,6 +29,7 @@ PLAIN: dict[str, Any] = {
     "format": "nmes-task/1", "name": "sprint", "description": "Run.", "duration": 5, "seeds": [1, 2],
     "objective": "displacement.x",
 }  # fmt: skip
+PROP: dict[str, Any] = {"id": "a", "size": [1, 1, 1], "mass": 1, "target": True}
 
 
 def block(*ids: str, mass: float = 10.0, size: float = 1.0, low: float = 0.0) -> Body:
@@ -95,6 +96,8 @@ def test_what_is_no_task_is_refused_with_everything_that_is_wrong(tmp_path: Path
         ({"props": [{"id": "a", "size": [1, 1, 1], "mass": 1}] * 2}, "props/1/id", "already"),
         ({"props": [{"id": "creature.a", "size": [1, 1, 1], "mass": 1}]}, "props/0/id", "creature"),
         ({"target": {"distance": [2, 1]}}, "target/distance", "the lowest first"),
+        ({"target": {"distance": [1, 2]}, "props": [PROP]}, "props/0/target", "a target already"),
+        ({"props": [{**PROP, "id": "b"}, PROP]}, "props/1/target", "a target already"),
         ({"world": {"scene": {"type": "flat", "heightfield": {}}}}, "world/scene/heightfield", "only where type is"),
         ({"seeds": [1, 1]}, "seeds", "different seeds"),
         ({"limits": {"cubes": 0}}, "limits/cubes", "from 1"),
@@ -137,6 +140,8 @@ def test_targets_lie_where_they_are_said_to_and_fill_the_range() -> None:
     assert (points[:, 1] == 0.25).all()
     assert abs(np.corrcoef(far, bearing)[0, 1]) < 0.2
     assert Task(PLAIN).target(1) is None
+    assert task.entry(5, {}, block())[0]["target"] == task.target(5)
+    assert "target" not in Task(PLAIN).entry(5, {}, block())[0]
 
 
 def test_props_stand_on_the_top_of_the_root() -> None:
@@ -236,7 +241,7 @@ HOPPER = creature(
 def test_who_does_nothing_is_worth_nothing(name: str) -> None:
     evaluation = evaluate(BLOCK, Task.load(name))
     assert evaluation.error is None
-    assert [result.score for result in evaluation.results] == [0.0] * 3
+    assert [result.score for result in evaluation.results] == [0.0] * len(evaluation.results)
     assert {result.ended for result in evaluation.results} == ({"fallen"} if name == "pole" else {None})
 
 
@@ -255,6 +260,42 @@ def test_to_jump_is_worth_its_height_and_to_topple_next_to_nothing() -> None:
     far = [evaluate(genome, Task.load("jump-far")) for genome in (HOPPER, tower(40))]
     assert [evaluation.score for evaluation in far] == [0.0, 0.0]  # up is not far
     assert {result.ended for result in far[0].results} == {"landed"}
+
+
+def blind(genome: Genome) -> Genome:
+    """The same creature without its sense of a target: what there was of it reads 0."""
+    document = genome.document
+    for sensor in document["sensors"]:
+        if sensor["type"].startswith("target_"):
+            sensor["id"] = f"{sensor['cube']}.{sensor['type']}.{sensor['axis']}"
+            sensor["type"], sensor["axis"] = "spin", "y"
+    return Genome(document)
+
+
+@pytest.mark.parametrize(
+    ("name", "task", "least", "most"), [("seeker", "reach", 1.5, 0.5), ("juggler", "pole", 18.5, 1)]
+)
+def test_targets_are_come_to_and_balanced_by_who_feels_them(
+    name: str, task: str, least: float, most: float, tmp_path: Path
+) -> None:
+    genome, asked = Genome.load(name), Task.load(task)
+    seeds = [*asked.seeds, *range(100, 106)]
+    found = evaluate(genome, asked, seeds=seeds)
+    assert min(result.score or 0.0 for result in found.results) >= least
+    # Whoever does the same without the sense of a target comes to next to nothing.
+    unseen = evaluate(blind(genome), asked, seeds=seeds)
+    assert unseen.score is not None and unseen.score < most
+    # The recording holds the target, and the brain does the same with what it felt.
+    (path,) = evaluate(genome, asked, seeds=[3], record=tmp_path).recordings
+    assert prove(path, brain=True).result == found.results[2]
+
+
+def test_the_distance_to_a_prop_is_to_where_it_is_now() -> None:
+    """A block does nothing, and a stick that is hinged to it falls on its side."""
+    stick = {**PROP, "size": [0.1, 0.6, 0.1], "hinge": True, "lean": [0.3, 0.3]}
+    task = Task({**PLAIN, "duration": 2, "props": [stick], "objective": "start.distance - distance"})
+    score = evaluate(BLOCK, task).score
+    assert score is not None and score > 0.1
 
 
 def test_the_command_lists_and_shows_tasks(tmp_path: Path) -> None:
