@@ -6,9 +6,14 @@ import asyncio
 import base64
 import ipaddress
 import json
+import os
 import secrets
 import signal
 import ssl
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +26,11 @@ from nmes.errors import RejectedMessage, WorldError
 from nmes.metrics import Metrics
 from nmes.recording import Recording
 from nmes.server import Host
+from nmes.view.screen import has_display
 from nmes.world import World
 
 MOST_WORLDS = 1000
+VIEWER_ENDS = 10.0  # s that it has
 KEYFRAMES = 10.0  # s of a world's time
 
 
@@ -123,6 +130,7 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
     type=click.IntRange(0, 65535),
     help="Port on this machine that tells Prometheus what the host does; 0 finds a free one.",
 )
+@click.option("--view", is_flag=True, help="Look at the world, as `nmes view` does: in a window, or else in a browser.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object when ready, for scripts.")
 def command(
     host: str,
@@ -146,6 +154,7 @@ def command(
     tls_key: Path | None,
     log_format: str,
     metrics_port: int | None,
+    view: bool,
     as_json: bool,
 ) -> None:
     """Host a world that clients drive over TCP, or many.
@@ -182,7 +191,13 @@ def command(
         metrics=metrics,
     )
     parent = None if resume is None else (resume, frame)
-    asyncio.run(_serve(server, config, parent, names, host, ports, password, source, metrics_port, as_json))
+    with ExitStack() as after:  # a viewer sees the world's end
+
+        def look(address: str, port: int) -> None:
+            if view:
+                after.enter_context(_viewer(address, port, password, tls_cert, as_json))
+
+        asyncio.run(_serve(server, config, parent, names, host, ports, password, source, metrics_port, as_json, look))
 
 
 async def _serve(
@@ -196,6 +211,7 @@ async def _serve(
     source: str,
     metrics_port: int | None,
     as_json: bool,
+    look: Callable[[str, int], None],
 ) -> None:
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
@@ -262,11 +278,37 @@ async def _serve(
                 click.echo(f"Going on from frame {resumed:,} of {parent[0].path}")
             click.echo(f"Recording to {recording}" if recording else "Not recording")
             click.echo("Ctrl-C stops")
+        look(address, listening[0])
         await stop.wait()
     if not as_json:
         for hosted in server.worlds.values():
             name = f"World {hosted.name!r} stopped" if worlds else "Stopped"
             click.echo(f"{name} at frame {hosted.world.frame}")
+
+
+@contextmanager
+def _viewer(address: str, port: int, password: str, tls_cert: Path | None, as_json: bool) -> Iterator[None]:
+    """Runs `nmes view` of a host here, as a program of its own so that it takes nothing from the worlds' threads."""
+    here = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(address, address)
+    where = f"[{here}]:{port}" if ":" in here else f"{here}:{port}"
+    options = [] if has_display() else ["--web"]
+    if tls_cert is not None:
+        options += ["--tls-ca", str(tls_cert)]
+    # A session of its own: Ctrl-C is for the host, which then ends the viewer, once.
+    process = subprocess.Popen(
+        [sys.executable, "-c", "from nmes.cli import main; main()", "view", where, *options],
+        env={**os.environ, PASSWORD_VARIABLE: password},
+        stdout=sys.stderr.fileno() if as_json else None,
+        start_new_session=True,
+    )
+    try:
+        yield
+    finally:
+        process.send_signal(signal.SIGINT)
+        try:
+            process.wait(VIEWER_ENDS)
+        except subprocess.TimeoutExpired:
+            process.kill()
 
 
 def _lay_out(worlds: int | list[str] | None, name: str, port: int, step: int | None) -> tuple[list[str], list[int]]:

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
 import sys
 import time
+import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from urllib.error import URLError
 
 import numpy as np
 import orjson
@@ -17,6 +20,7 @@ import pytest
 from PIL import Image
 from rerun.chunk import RrdReader
 
+from nmes import Client
 from nmes.metrics import Metrics
 from nmes.world import World
 from recordings import Line, record, rewrite, send
@@ -326,6 +330,27 @@ def test_a_viewer_that_is_killed_disturbs_nobody(tmp_path: Path, environment: di
         process.communicate()
         until(lambda: not running.call(running.hosted.world.clients))
         assert len(drive(running)) == 31
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere a window opens")
+def test_serve_view_shows_the_world_and_ends_with_the_host(environment: dict[str, str]) -> None:
+    bare = {name: value for name, value in environment.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    command = [NMES, "serve", "--port", "0", "--no-record", "--mode", "lockstep", "--view", "--json"]
+    host = subprocess.Popen(command, env=bare, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    assert host.stdout is not None and host.stderr is not None
+    try:
+        port = json.loads(host.stdout.readline())["port"]
+        address = next(line for line in host.stderr if line.startswith("Look at ")).split()[2]
+        with Client(port=port, password=PASSWORD) as client:
+            until(lambda: client.get_world_info()["counts"]["clients"] == 2)
+        with urllib.request.urlopen(address) as page:
+            assert b"Rerun" in page.read()
+    finally:
+        host.send_signal(signal.SIGINT)
+        rest = host.communicate(timeout=PATIENCE)
+    assert host.returncode == 0, rest
+    with pytest.raises(URLError):
+        urllib.request.urlopen(address)
 
 
 # -- Rerun's programs ------------------------------------------------------------------------------------------------

@@ -28,7 +28,7 @@ from nmes.view.canvas import Canvas, load_rerun
 if TYPE_CHECKING:
     import rerun as rr
 
-__all__ = ["LOCAL", "Screen", "lay_out", "screen"]
+__all__ = ["LOCAL", "Screen", "has_display", "lay_out", "screen"]
 
 LOCAL = "127.0.0.1"
 _LISTENS = 30.0  # s that Rerun has to begin to listen
@@ -100,6 +100,11 @@ def _ball(world: Canvas) -> tuple[Array, float]:
     return (low + high) / 2.0, max(float(np.linalg.norm(high - low)) / 2.0, _NEAREST)
 
 
+def has_display() -> bool:
+    """Tells whether there is one for windows."""
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
 class Screen(NamedTuple):
     """Where a stream is seen.
 
@@ -145,7 +150,7 @@ def screen(
         stream.flush()
         stream.disconnect()
         return
-    if not web and sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+    if not web and not has_display():
         raise NmesError("no_display", "there is no display for a window: use --web for a browser, or --save for a file")
     grpc, http = _free_port(host), port or _free_port(host)
     options = ["--serve-web", "--web-viewer-port", str(http)] if web else ["--expect-data-soon"]
