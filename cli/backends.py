@@ -21,6 +21,11 @@ def command(as_json: bool) -> None:
     """List the physics engines that are installed.
 
     With version, dimensions and capabilities; and for one that cannot be loaded, why, and what to install.
+
+    For example:
+
+    \b
+        nmes backends --json
     """
     about = [_about(name) for name in entry_points_by_name()]
     if as_json:

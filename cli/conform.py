@@ -84,20 +84,22 @@ def command(
     junit: Path | None,
     page: Path | None,
 ) -> None:
-    r"""Judge any server by the protocol.
+    """Judge any server by the protocol.
 
     Plays some seven hundred short conversations with the server and says of each whether it went as the protocol says.
     What a server may leave out and does not claim is skipped. The last cases search: two clients say anything, and what
     goes wrong is shrunk to the shortest conversation and saved as a file in this directory, for --replay. The server's
     world should be one for tests: cubes come and go, time is stopped and moved on, and a world in lockstep is reset.
 
-    \b
-    nmes conform 127.0.0.1:14000 --password-file secret --report out.html
-    nmes conform --list --category physics
-    nmes conform 127.0.0.1:14000 --only '1.*' --only 4.3:null
-    nmes conform 127.0.0.1:14000 --replay conform-17.1-0-0.json
-
     Exit status: 0 conforming, 1 not, 2 unreachable, wrong usage or the suite's own fault.
+
+    For example:
+
+    \b
+        nmes conform 127.0.0.1:14000 --password-file secret --report out.html
+        nmes conform --list --category physics
+        nmes conform 127.0.0.1:14000 --only '1.*' --only 4.3:null
+        nmes conform 127.0.0.1:14000 --replay conform-17.1-0-0.json
     """
     options = Options(only, categories, seed)
     try:

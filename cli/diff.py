@@ -37,6 +37,11 @@ def command(first: Recording, second: Recording, plot_to: Path | None, anyway: b
     differs most, and how far each cube comes apart.
 
     Exit status: 0 the same, 1 not, 2 wrong usage or an unreadable file.
+
+    For example:
+
+    \b
+        nmes diff before.mcap after.mcap --plot apart.svg
     """
     comparison = compare(first, second, anyway=anyway)
     if plot_to is not None:

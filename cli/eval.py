@@ -59,7 +59,7 @@ def _seeds(_: click.Context, parameter: click.Parameter, value: str | None) -> t
     return tuple(seeds)
 
 
-@click.command("eval", epilog="Example: nmes eval walker 'evolved/*.json' --task walk --record proofs")
+@click.command("eval")
 @click.argument("genomes", metavar="GENOME...", nargs=-1)
 @click.option(
     "--task", metavar="T", default="walk", show_default=True, help="A file, or the name of a task that ships."
@@ -101,6 +101,13 @@ def command(
 
     Exit status: 0 good, 1 a creature could not be evaluated, its world faulted, or a recording proves nothing, 2 wrong
     usage.
+
+    For example:
+
+    \b
+        nmes eval walker
+        nmes eval walker 'evolved/*.json' --task walk --seeds 1-5 --record proofs
+        nmes eval --from-recording proofs/walk-walker-1.mcap --json
     """
     if recordings and (genomes or seeds or record or resume):
         raise click.UsageError(

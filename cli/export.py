@@ -22,13 +22,19 @@ __all__ = ["command"]
     help="Commands, replies and what happened; or each cube after each tick.  "
     "[default: messages in jsonl, states in csv and parquet]",
 )
-@click.option("--output", type=click.Path(dir_okay=False, path_type=Path), help="The file; else standard output.")
+@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="The file; else standard output.")
 @click.option("--anyway", is_flag=True, help="States: go on where a tick does not come out as recorded.")
 def command(recording: Recording, kind: str, what: str | None, output: Path | None, anyway: bool) -> None:
     """Write a recording as data for other programs.
 
     States are not in a recording: they are made by running it again, and each tick is compared with its recorded
     digest.
+
+    For example:
+
+    \b
+        nmes export run.mcap --to jsonl
+        nmes export run.mcap --to parquet -o states.parquet
     """
     if kind == "parquet" and output is None:
         raise click.UsageError("parquet needs --output")

@@ -32,7 +32,10 @@ def command(recording: Recording, frame: int | None, output: Path, as_json: bool
 
     Frames are counted on through resets.
 
-    Example: nmes fork long.mcap --at 36000 -o tenth-minute.mcap
+    For example:
+
+    \b
+        nmes fork long.mcap --at 36000 -o tenth-minute.mcap
     """
     world = World(recording.config)
     try:

@@ -42,12 +42,13 @@ def command() -> None:
 @_json
 @click.pass_context
 def check(context: click.Context, files: list[str], as_json: bool) -> None:
-    r"""Say whether genomes are good and, if not, everything that is wrong with them and where.
+    """Say whether genomes are good and, if not, everything that is wrong with them and where.
+
+    For example:
 
     \b
-    Examples:
-      nmes genome check creature.json
-      nmes genome check creatures/ --json
+        nmes genome check creature.json
+        nmes genome check creatures/ --json
     """
     rows = []
     for file in files:
@@ -86,13 +87,14 @@ def _verdict(problems: list[Any]) -> str:
 )
 @_json
 def show(files: list[str], output: Path | None, as_json: bool) -> None:
-    r"""Show what bodies are made of, and draw them: here in characters, with -o to a PNG.
+    """Show what bodies are made of, and draw them: here in characters, with -o to a PNG.
+
+    For example:
 
     \b
-    Examples:
-      nmes genome show walker
-      nmes genome show walker -o walker.png
-      nmes genome show creatures/*.json -o sheet.png
+        nmes genome show walker
+        nmes genome show walker -o walker.png
+        nmes genome show creatures/*.json -o sheet.png
     """
     genomes = [_load(file) for file in files]
     if as_json:
@@ -217,12 +219,13 @@ def _joints(body: Body) -> Table:
     help="Write to a file; of many genomes, to files of the same names in a directory.",
 )
 def expand(files: list[str], output: Path | None) -> None:
-    r"""Write genomes with the cubes and joints that their graphs grow into, ready to be edited by hand.
+    """Write genomes with the cubes and joints that their graphs grow into, ready to be edited by hand.
+
+    For example:
 
     \b
-    Examples:
-      nmes genome expand centipede
-      nmes genome expand centipede -o centipede-expanded.json
+        nmes genome expand centipede
+        nmes genome expand centipede -o centipede-expanded.json
     """
     genomes = [_load(file).expanded() for file in files]
     texts = [orjson.dumps(genome.document, option=orjson.OPT_INDENT_2) + b"\n" for genome in genomes]

@@ -30,6 +30,11 @@ def command(recording: Recording, as_json: bool) -> None:
     """Show what a recording holds.
 
     The world, its seed and engine, clients, commands by type, ticks and duration, and whether the file is whole.
+
+    For example:
+
+    \b
+        nmes info run.mcap
     """
     about = _about(recording)
     if as_json:

@@ -32,7 +32,7 @@ def command() -> None:
     """
 
 
-@command.command(epilog="Example: nmes leaderboard add board.sqlite proofs/*.mcap --author Ada")
+@command.command()
 @click.argument("file", metavar="FILE", type=_FILE)
 @click.argument(
     "recordings", metavar="RECORDING...", nargs=-1, required=True, type=click.Path(exists=True, dir_okay=False)
@@ -47,6 +47,11 @@ def add(file: Path, recordings: tuple[str, ...], author: str | None, as_json: bo
     at which it does. FILE is made if it is not there.
 
     Exit status: 0 all are listed, 1 one was refused, 2 wrong usage.
+
+    For example:
+
+    \b
+        nmes leaderboard add board.sqlite proofs/*.mcap --author Ada
     """
     from nmes.evaluation import prove  # here and below: what only some of the subcommands need takes long to load
 
@@ -76,14 +81,20 @@ def add(file: Path, recordings: tuple[str, ...], author: str | None, as_json: bo
     sys.exit(1 if refused else 0)
 
 
-@command.command(epilog="Example: nmes leaderboard show board.sqlite --task walk --top 10")
+@command.command()
 @click.argument("file", metavar="FILE", type=_FILE)
 @click.option("--task", metavar="T", help="Only this task's entries.")
 @click.option("--top", type=click.IntRange(1), help="Only so many of each task.")
 @click.option("--refused", is_flag=True, help="Also entries of which the proof did not hold when it was verified.")
 @click.option("--json", "as_json", is_flag=True, help="Print the entries as JSON.")
 def show(file: Path, task: str | None, top: int | None, refused: bool, as_json: bool) -> None:
-    """Show the entries, task by task, the highest score first."""
+    """Show the entries, task by task, the highest score first.
+
+    For example:
+
+    \b
+        nmes leaderboard show board.sqlite --task walk --top 10
+    """
     entries = Leaderboard(file).entries(task=task, top=top, refused=refused)
     if as_json:
         click.echo(orjson.dumps([entry.to_json() for entry in entries], option=orjson.OPT_INDENT_2))
@@ -123,7 +134,7 @@ def _lines(entries: list[Entry]) -> list[str]:
     ]
 
 
-@command.command(epilog="Example: nmes leaderboard verify board.sqlite --jobs 4")
+@command.command()
 @click.argument("file", metavar="FILE", type=_FILE)
 @click.option("--jobs", type=click.IntRange(1), help="How many processes.  [default: one a core]")
 @click.option("--json", "as_json", is_flag=True, help="Print what was found as JSON.")
@@ -134,6 +145,11 @@ def verify(file: Path, jobs: int | None, as_json: bool) -> None:
     the one listed, is refused: it is no longer shown, until it holds again.
 
     Exit status: 0 all hold, 1 one does not, 2 wrong usage.
+
+    For example:
+
+    \b
+        nmes leaderboard verify board.sqlite --jobs 4
     """
     board = Leaderboard(file)
     total = len(board.entries(refused=True))
@@ -160,14 +176,20 @@ def verify(file: Path, jobs: int | None, as_json: bool) -> None:
     sys.exit(1 if bad else 0)
 
 
-@command.command(epilog="Example: nmes leaderboard export board.sqlite board.html --top 100")
+@command.command()
 @click.argument("file", metavar="FILE", type=_FILE)
-@click.argument("page", metavar="PAGE", type=_FILE)
+@click.option("-o", "--output", required=True, type=_FILE, help="The page, an .html file.")
 @click.option("--task", metavar="T", help="Only this task's entries.")
 @click.option("--top", type=click.IntRange(1), default=50, show_default=True, help="So many of each task.")
-def export(file: Path, page: Path, task: str | None, top: int) -> None:
-    """Write the entries as a page for a browser: one file, with a picture of each creature."""
+def export(file: Path, output: Path, task: str | None, top: int) -> None:
+    """Write the entries as a page for a browser: one file, with a picture of each creature.
+
+    For example:
+
+    \b
+        nmes leaderboard export board.sqlite -o board.html --top 100
+    """
     from nmes.gallery import write_page
 
-    count = write_page(Leaderboard(file), page, task=task, top=top)
-    click.echo(f"{page}: {count:,} {'entry' if count == 1 else 'entries'}")
+    count = write_page(Leaderboard(file), output, task=task, top=top)
+    click.echo(f"{output}: {count:,} {'entry' if count == 1 else 'entries'}")

@@ -69,16 +69,18 @@ def command(
     fps: int,
     size: tuple[int, int],
 ) -> None:
-    r"""Make a film or a picture of recordings.
+    """Make a film or a picture of recordings.
 
     Works without a display, and for recordings of any engine. Several recordings are put side by side. Times count from
     the beginning of the recording.
 
+    For example:
+
     \b
-    nmes render walk.mcap -o walk.mp4
-    nmes render walk.mcap -o walk.gif --camera orbit --to 5 --size 320x240 --fps 20
-    nmes render a.mcap b.mcap c.mcap -o all.mp4
-    nmes render walk.mcap -o last.png
+        nmes render walk.mcap -o walk.mp4
+        nmes render walk.mcap -o walk.gif --camera orbit --to 5 --size 320x240 --fps 20
+        nmes render a.mcap b.mcap c.mcap -o all.mp4
+        nmes render walk.mcap -o last.png
     """
     cut = Cut(camera, target, begin, end, speed)
     with progress_bars() as progress:

@@ -71,7 +71,7 @@ def command(
     as_json: bool,
     **connection: Any,
 ) -> None:
-    r"""Run a recording again and compare.
+    """Run a recording again and compare.
 
     The recorded commands and ticks are fed to a fresh world, and every tick's digest and every reply is compared with
     what was recorded. Prints the verdict, or the first difference.
@@ -88,14 +88,16 @@ def command(
     With --against the commands are sent to a server, whoever wrote it, at the same ticks, and its answers are compared
     field by field. Its world is set to lockstep and reset first.
 
-    \b
-    nmes replay run.mcap
-    nmes replay run.mcap --from 36000 --to 36600
-    nmes replay run.mcap --backend pymunk --plot drift.svg
-    nmes replay run.mcap --against 127.0.0.1:14000 --tolerance 1e-3
-
     Exit status: 0 reproduced, or equal answers; 1 diverged, different or not comparable; 2 wrong usage or an unreadable
     file (for a damaged file, after replaying what comes before the damage).
+
+    For example:
+
+    \b
+        nmes replay run.mcap
+        nmes replay run.mcap --from 36000 --to 36600
+        nmes replay run.mcap --backend pymunk --plot drift.svg
+        nmes replay run.mcap --against 127.0.0.1:14000 --tolerance 1e-3
     """
     if isinstance(recording, Log):
         if any((backend, plot_to, against, tolerance is not None, *connection.values(), (first, last) != (None, None))):

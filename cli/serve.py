@@ -162,6 +162,13 @@ def command(
     Each world is recorded to a new file. With --resume it goes on from where a recording ends, or from any frame of it;
     those who were in it then have left. Ctrl-C or SIGTERM closes the recording and ends with status 0. Without a
     password one is made up and printed, which is allowed only on an address of this machine alone.
+
+    For example:
+
+    \b
+        nmes serve --mode lockstep --seed 7 --password-file secret
+        nmes serve --worlds 20 --port 14000 --port-step 3
+        nmes serve --resume recordings/main-20260101-120000.mcap --at 3600
     """
     given = {"backend": backend, "seed": seed, "mode": mode, "rate": rate, "keyframes": keyframes}
     given = {key: value for key, value in given.items() if value is not None}

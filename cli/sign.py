@@ -22,12 +22,17 @@ __all__ = ["command"]
     help="Ed25519 private key, PEM without a passphrase.",
 )
 @click.option(
-    "--output", type=click.Path(dir_okay=False, path_type=Path), help="The signature's file.  [default: FILE.sig]"
+    "-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="The signature's file.  [default: FILE.sig]"
 )
 def command(recording: Recording, key: Path, output: Path | None) -> None:
     """Vouch for a recording with an Ed25519 key.
 
     The signature is a file of its own, by default beside the recording. A recording is signed only if it is whole;
     `nmes verify --verify-key` checks it.
+
+    For example:
+
+    \b
+        nmes sign run.mcap --key ada.pem
     """
     click.echo(f"signed: {sign(recording, private_key(key), output)}")

@@ -40,6 +40,12 @@ def command(recording: Recording, verify_key: Path | None, signature: Path | Non
     that is not as it was written. This says nothing of whether the run comes out the same: that is `nmes replay`.
 
     Exit status: 0 sound, 1 cut, damaged or not signed by that key, 2 wrong usage or no recording at all.
+
+    For example:
+
+    \b
+        nmes verify run.mcap
+        nmes verify run.mcap --verify-key ada-public.pem
     """
     if signature is not None and verify_key is None:
         raise click.UsageError("--signature needs --verify-key")

@@ -21,7 +21,7 @@ from nmes.view.screen import LOCAL, Screen, lay_out, screen
 __all__ = ["command"]
 
 
-@click.command("view", epilog="Example: nmes view walk.mcap again.mcap --web")
+@click.command("view")
 @click.argument("what", metavar="HOST:PORT|FILE [FILE]", nargs=-1, required=True)
 @click.option("--web", is_flag=True, help="Show it in a browser: prints a link, and serves it until Ctrl-C.")
 @click.option("--save", type=click.Path(dir_okay=False, path_type=Path), help="Write it to this .rrd file instead.")
@@ -47,6 +47,14 @@ def command(
 
     A live world is one that any server of the protocol hosts. A recording is run again, and stands on a time line with
     the commands beside it, the forces they applied, the contacts, and where it diverges. Of two, the drift is shown.
+
+    For example:
+
+    \b
+        nmes view 127.0.0.1:14000 --web
+        nmes view walk.mcap
+        nmes view walk.mcap again.mcap --web
+        nmes view walk.mcap --save walk.rrd
     """
     if web and save is not None:
         raise click.UsageError("give --web or --save, not both")

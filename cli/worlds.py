@@ -23,6 +23,11 @@ def command(
     """List the worlds of a host: name, port, engine, mode, frame, clients.
 
     Looking creates none of them: a world that nobody has used yet has no frame.
+
+    For example:
+
+    \b
+        nmes worlds 127.0.0.1:14000 --password-file secret
     """
     client = connector(address, **connection)()
     try:

@@ -49,6 +49,26 @@ def test_every_subcommand_is_in_the_readme(name: str) -> None:
     assert subcommand(name).get_short_help_str(100) == SUBCOMMANDS[name]
 
 
+def leaves(name: str) -> list[tuple[str, click.Command]]:
+    """Returns a subcommand or, of a group, its commands, each with how it is called."""
+    command = subcommand(name)
+    if isinstance(command, click.Group):
+        return [(f"nmes {name} {inner}", each) for inner, each in command.commands.items()]
+    return [(f"nmes {name}", command)]
+
+
+@pytest.mark.parametrize("name", SUBCOMMANDS)
+def test_every_help_ends_with_examples_on_lines_of_their_own(name: str) -> None:
+    for called, command in leaves(name):
+        help_text = command.get_help(click.Context(command, info_name=called))
+        _, examples = help_text.partition("Options:")[0].split("For example:")
+        lines = examples.split("\n\n")[1].splitlines()
+        assert lines and all(line.strip().startswith(called) for line in lines), help_text
+        for line in lines:
+            words = shlex.split(line)[len(called.split()) :]
+            command.make_parser(click.Context(command)).parse_args(words)  # raises where an option is unknown
+
+
 @pytest.mark.parametrize("line", [line for line in CONSOLE if line.startswith("nmes ")])
 def test_commands_shown_exist(line: str) -> None:
     _, name, *arguments = shlex.split(line)

@@ -215,7 +215,7 @@ def test_ten_thousand_entries_are_shown_whole(board: Path) -> None:
 
 def test_a_page_is_one_file_with_a_picture_of_each(board: Path, tmp_path: Path) -> None:
     page = tmp_path / "board.html"
-    result = run("export", board, page)
+    result = run("export", board, "-o", page)
     assert result.exit_code == 0 and "2 entries" in result.stdout
     text = page.read_text()
     assert text.count("<li>") == 2 and text.count('src="data:image/png;base64,') == 2
