@@ -19,6 +19,7 @@ from nmes.errors import CommandFailed
 from nmes.metrics import Metrics
 from nmes.recording import Recording
 from nmes.server import Host
+from recordings import busy, record
 from serving import PASSWORD, PATIENCE, served, until
 from test_cli import process, ready
 
@@ -94,6 +95,19 @@ def test_an_unrecorded_world_has_no_lag_and_a_clock_s_ticks_count() -> None:
         assert value(scrape(port), "nmes_recording_lag_seconds", world="main") is None
     with pytest.raises(OSError):
         scrape(port)
+
+
+@pytest.mark.parametrize("backend", ["ballistic", "pymunk"])
+def test_the_way_to_where_a_world_is_resumed_is_not_counted(tmp_path: Path, backend: str) -> None:
+    path = record(tmp_path / "parent.mcap", busy, {"backend": backend})
+    options = ["--json", "--port", "0", "--metrics-port", "0", "--record", str(tmp_path / "on"), "--resume", str(path)]
+    with process("serve", *options, NMES_PASSWORD=PASSWORD) as server:
+        said = ready(server)
+        with Client(port=said["port"], password=PASSWORD, timeout=PATIENCE) as client:
+            client.step(3)
+            series = scrape(said["metrics_port"])
+            assert value(series, "nmes_tick_seconds_count", world="main") == 3
+            assert sum(series[key] for key in series if key[0] == "nmes_commands_total") == 1
 
 
 async def test_nothing_is_counted_unless_asked_for() -> None:
