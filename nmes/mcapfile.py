@@ -74,10 +74,12 @@ _INDEX = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
 _OPCODE_MESSAGE = int(Opcode.MESSAGE)
 MESSAGE_OVERHEAD = _MESSAGE.size  # bytes of a message record beside its data
 _MESSAGE_FIELDS = _MESSAGE.size - _PREFIX.size
+_CHUNK = struct.Struct("<QQQII")  # of its body: times, size, checksum, length of the compression's name, which follows
+_LENGTH = struct.Struct("<Q")
 _FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, checksum
 _LEVEL = 1  # of zstd: digests do not compress, and what does is already small at the fastest level
 
-_Record = TypeVar("_Record", Header, Metadata, Chunk, ChunkIndex, Channel, DataEnd)
+_Record = TypeVar("_Record", Header, Metadata, ChunkIndex, Channel, DataEnd)
 
 
 class Message(NamedTuple):
@@ -453,6 +455,7 @@ class Reader:
         raise DamagedFile(offset, f"no chunk begins at byte {offset}")
 
     def _blocks(self, file: BinaryIO, start: int | None) -> Iterator[Block]:
+        decompressor = zstandard.ZstdDecompressor()  # as costly to make as a small chunk is to unpack
         offset = self._start if start is None else start
         crc = zlib.crc32(file.read(self._start))
         file.seek(offset)
@@ -466,10 +469,11 @@ class Reader:
             if opcode == Opcode.METADATA:
                 yield Block(offset, size, _parsed(Metadata, body, offset), _PREFIX.pack(opcode, len(body)) + body)
             elif opcode == Opcode.CHUNK:
-                yield Block(offset, size, None, _unpacked(_parsed(Chunk, body, offset), offset))
+                yield Block(offset, size, None, _unpacked(body, decompressor, offset))
             elif opcode != Opcode.MESSAGE_INDEX:
                 raise DamagedFile(offset, f"a record of type {opcode} at byte {offset} does not belong there")
-            crc = zlib.crc32(body, zlib.crc32(_PREFIX.pack(opcode, len(body)), crc))
+            if start is None:
+                crc = zlib.crc32(body, zlib.crc32(_PREFIX.pack(opcode, len(body)), crc))
             offset += size
         self._check_end(file, file.tell())
 
@@ -521,18 +525,27 @@ def _parsed(kind: type[_Record], body: bytes, offset: int) -> _Record:
         raise DamagedFile(offset, f"the {name} record at byte {offset} cannot be read") from error
 
 
-def _unpacked(chunk: Chunk, offset: int) -> bytes:
-    """Decompresses a chunk and checks it against its checksum."""
+def _unpacked(body: bytes, decompressor: zstandard.ZstdDecompressor, offset: int) -> bytes:
+    """Decompresses a chunk record and checks it against its checksum."""
+    # Not by the `mcap` package: there are thousands of them in a file, and to read one took as long as to unpack it.
+    try:
+        _, _, size, crc, length = _CHUNK.unpack_from(body)
+        begin = _CHUNK.size + length + _LENGTH.size
+        packed, compression = body[begin:], body[_CHUNK.size : _CHUNK.size + length]
+        if _LENGTH.unpack_from(body, begin - _LENGTH.size) != (len(packed),):
+            raise struct.error("it is of another length than it says")
+    except struct.error as error:
+        raise DamagedFile(offset, f"the chunk record at byte {offset} cannot be read") from error
+    if size > MAX_RECORD:
+        raise DamagedFile(offset, f"the chunk at byte {offset} says that it holds {size} bytes")
     content: bytes | None = None
-    if chunk.uncompressed_size > MAX_RECORD:
-        raise DamagedFile(offset, f"the chunk at byte {offset} says that it holds {chunk.uncompressed_size} bytes")
     try:
         # The packed data state their size too, and it is that which the library makes room for.
-        if chunk.compression == "zstd" and zstandard.frame_content_size(chunk.data) == chunk.uncompressed_size:
-            content = zstandard.ZstdDecompressor().decompress(chunk.data)
+        if compression == b"zstd" and zstandard.frame_content_size(packed) == size:
+            content = decompressor.decompress(packed)
     except zstandard.ZstdError:
         pass
-    if content is None or zlib.crc32(content) != chunk.uncompressed_crc:
+    if content is None or zlib.crc32(content) != crc:
         raise DamagedFile(offset, f"the chunk at byte {offset} does not match its checksum", content=content)
     return content
 

@@ -509,9 +509,9 @@ class _Chain:
             skim = skim_chunk(content)
             count = len(skim.sequences)
             expected = [number & SEQUENCE_MASK for number in range(self.sequence, self.sequence + count)]
-            for number, other in zip(skim.sequences, expected, strict=True):
-                if number != other:
-                    raise ValueError(f"record {number} is out of its place")
+            if list(skim.sequences) != expected:
+                wrong = next(one for one, other in zip(skim.sequences, expected, strict=True) if one != other)
+                raise ValueError(f"record {wrong} is out of its place")
             done = 0
             for before, channel in skim.definitions:
                 self._check_shapes(content, skim, done, before)

@@ -230,9 +230,9 @@ def test_a_seek_reads_little(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     read: list[int] = []
     unpacked = mcapfile._unpacked
 
-    def count(chunk: Any, offset: int) -> bytes:
+    def count(body: bytes, decompressor: Any, offset: int) -> bytes:
         read.append(offset)
-        return unpacked(chunk, offset)
+        return unpacked(body, decompressor, offset)
 
     recording = Recording(record(tmp_path / "x.mcap", long, {"keyframes": 1 / 60}))
     chunks = len(list(recording.chunks()))
