@@ -91,7 +91,8 @@ def crash(folder: Path, interval: float, seed: int) -> None:
     assert report.ticks == recording.summary().ticks
 
 
-@pytest.mark.parametrize(("interval", "seed"), [(0, 1), (0, 2), (1, 3)])
+# The host keeps to half its interval. Two seconds leave a second for a machine that is busy with other tests.
+@pytest.mark.parametrize(("interval", "seed"), [(0, 1), (0, 2), (2, 3)])
 def test_a_killed_host_leaves_what_it_promised(tmp_path: Path, interval: float, seed: int) -> None:
     crash(tmp_path, interval, seed)
 
