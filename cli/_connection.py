@@ -38,7 +38,7 @@ def connector(
     timeout: float = 10.0,
     world: str | None = None,
 ) -> Callable[[], Client]:
-    """Returns what makes a client for a server, not yet connected, each time it is called.
+    """Returns what makes a client for a server's world, its first if None, not connected yet, each time it is called.
 
     Raises:
         UsageError: There is no password, or the certificates cannot be read.

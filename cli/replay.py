@@ -52,6 +52,7 @@ def _open(context: click.Context, parameter: click.Parameter, value: str) -> Rec
 @click.option("--to", "last", type=click.IntRange(0), help="End at this frame.")
 @click.option("--anyway", is_flag=True, help="Run it also where engine or machine differ, to see how far it agrees.")
 @click.option("--against", metavar="HOST:PORT", callback=split_address, help="Play it to this server, and compare.")
+@click.option("--world", metavar="NAME", help="With --against: which of the server's worlds; the first if left out.")
 @click.option(
     "--tolerance",
     type=click.FloatRange(min=0),
@@ -67,6 +68,7 @@ def command(
     last: int | None,
     anyway: bool,
     against: tuple[str, int] | None,
+    world: str | None,
     tolerance: float | None,
     as_json: bool,
     **connection: Any,
@@ -100,7 +102,8 @@ def command(
         nmes replay run.mcap --against 127.0.0.1:14000 --tolerance 1e-3
     """
     if isinstance(recording, Log):
-        if any((backend, plot_to, against, tolerance is not None, *connection.values(), (first, last) != (None, None))):
+        others = (backend, plot_to, against, world, *connection.values())
+        if any(others) or (first, last, tolerance) != (None, None, None):
             raise click.UsageError("of the options, a log goes with --anyway and --json only")
         sys.exit(_log(recording, anyway, as_json))
     if first is not None and last is not None and last < first:
@@ -108,9 +111,10 @@ def command(
     if against is not None:
         if backend is not None or plot_to is not None or anyway or (first, last) != (None, None):
             raise click.UsageError("--against goes with none of --backend, --plot, --from, --to and --anyway")
+        connection["world"] = world
         sys.exit(_played(recording, against, 1e-6 if tolerance is None else tolerance, as_json, connection))
-    if tolerance is not None or any(connection.values()):
-        raise click.UsageError("--tolerance and what is said of a connection need --against")
+    if tolerance is not None or world is not None or any(connection.values()):
+        raise click.UsageError("--tolerance, --world and what is said of a connection need --against")
     if backend is not None and (first, last) != (None, None):
         raise click.UsageError("--from and --to: another engine cannot take up a keyframe")
     if backend is not None:

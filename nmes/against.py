@@ -16,6 +16,7 @@ Invariants:
 from __future__ import annotations
 
 import math
+import operator
 import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
@@ -28,6 +29,7 @@ from nmes.errors import CommandFailed, Disconnected
 from nmes.feeding import Happening, happenings
 from nmes.recording import Recording
 from nmes.records import Kind, Record
+from nmes.rotation import angle_between, quaternion_from_euler
 
 __all__ = ["AgainstReport", "Connection", "FieldReport", "Sighting", "replay_against"]
 
@@ -40,6 +42,7 @@ _UNSUPPORTED = ("unknown_type", "unsupported")
 _NAMES = ("cube_name", "cube1", "cube2", "joint_name")  # of a command: the names that it refers to
 _MADE = ("spawned", "joint_name", "bone_name")  # of a reply that something was made: what it is called
 _MAKERS = ("cube_list", "joint_created", "bone_created")
+_ROTATIONS = {"quaternion": 4, "rotation": 3}  # fields that are one, and of how many numbers
 _AT_ONCE: int = protocol.COMMANDS["step"].schema["properties"]["ticks"]["maximum"]
 
 Progress = Callable[[int, int], None]
@@ -367,12 +370,23 @@ class _Run:
                 self._differs(command, record, cube, f"{path}{key}", value, None)
                 continue
             other = actual[key]
-            if key == "quaternion" and _four(value) and _four(other):
-                # q and -q are the same rotation.
-                if sum(one * two for one, two in zip(value, other, strict=True)) < 0:
-                    other = [-part for part in other]
+            if key in _ROTATIONS and _numbers(value, _ROTATIONS[key]) and _numbers(other, _ROTATIONS[key]):
+                other = self._nearest(key, value, other)
             deeper = isinstance(value, dict | list)
             self._compare(command, record, value, other, f"{path}{key}{'/' if deeper else ''}", cube)
+
+    def _nearest(self, key: str, ours: list[float], theirs: list[float]) -> list[float]:
+        """Returns the same rotation in those numbers that are most like ours; ours, where they turn by as much.
+
+        Of one rotation there are two quaternions, and many Euler angles: y and z come round at pi, and where x is a
+        right angle only their sum or difference means anything.
+        """
+        if key == "quaternion":
+            return [-x for x in theirs] if sum(map(operator.mul, ours, theirs)) < 0 else theirs
+        one, two = quaternion_from_euler(*ours), quaternion_from_euler(*theirs)
+        if angle_between(one, two) <= self.report.tolerance:
+            return ours
+        return [x + math.tau * round((at - x) / math.tau) for at, x in zip(ours, theirs, strict=True)]
 
     def _compare_lists(
         self, command: str, record: Record, expected: list[Any], actual: list[Any], path: str, cube: str | None
@@ -431,5 +445,5 @@ def _number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def _four(value: Any) -> bool:
-    return isinstance(value, list) and len(value) == 4 and all(map(_number, value))
+def _numbers(value: Any, count: int) -> bool:
+    return isinstance(value, list) and len(value) == count and all(map(_number, value))

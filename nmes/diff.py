@@ -15,9 +15,10 @@ from dataclasses import asdict, dataclass, field
 from itertools import islice, zip_longest
 from typing import Any
 
-from nmes.drift import Drift, turned
+from nmes.drift import Drift
 from nmes.export import COLUMNS, States, states
 from nmes.recording import Kind, Recording
+from nmes.rotation import angle_between
 
 __all__ = ["Comparison", "InputsPart", "StatesPart", "compare"]
 
@@ -169,5 +170,5 @@ def _note(drifts: dict[str, list[Drift]], time: float, one: States, other: State
     there = dict(zip(other.names, other.values.tolist(), strict=True))
     for name, pose in zip(one.names, one.values.tolist(), strict=True):
         if name in there:
-            angle = turned(pose, there[name])
+            angle = angle_between(pose[3:7], there[name][3:7])
             drifts.setdefault(name, []).append(Drift(time, math.dist(pose[:3], there[name][:3]), angle))

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -21,10 +21,11 @@ import orjson
 from nmes.feeding import feed, happenings
 from nmes.protocol import Request
 from nmes.recording import Kind, Record, Recording
+from nmes.rotation import angle_between
 from nmes.scene import decode_poses
 from nmes.world import World
 
-__all__ = ["Drift", "DriftReport", "measure_drift", "turned"]
+__all__ = ["Drift", "DriftReport", "measure_drift"]
 
 
 class Drift(NamedTuple):
@@ -172,7 +173,7 @@ class _Run:
         now = self.ticks / self._rate
         for name, pose in recorded.items():
             if name in here:
-                drift = Drift(now, math.dist(pose[:3], here[name][:3]), turned(pose, here[name]))
+                drift = Drift(now, math.dist(pose[:3], here[name][:3]), angle_between(pose[3:7], here[name][3:7]))
                 self.report.cubes.setdefault(name, []).append(drift)
 
     # -- the journal -----------------------------------------------------------------------------------------------
@@ -208,10 +209,3 @@ def _error(reply: bytes) -> str | None:
         return None
     message = orjson.loads(reply)
     return message["code"] if message["type"] == "error" else None
-
-
-def turned(one: Sequence[float], other: Sequence[float]) -> float:
-    """Returns the angle between the rotations of two poses."""
-    # By the chord, which is exact for small angles; q and -q are the same rotation.
-    apart, across = math.dist(one[3:7], other[3:7]), math.dist(one[3:7], [-x for x in other[3:7]])
-    return 4.0 * math.asin(min(1.0, min(apart, across) / 2.0))

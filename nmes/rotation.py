@@ -7,9 +7,19 @@ have unit length.
 
 from __future__ import annotations
 
-from math import asin, atan2, cos, sin, sqrt
+from collections.abc import Sequence
+from math import asin, atan2, cos, dist, sin, sqrt
 
-__all__ = ["conjugate", "cross", "euler_from_quaternion", "multiply", "normalize", "quaternion_from_euler", "rotate"]
+__all__ = [
+    "angle_between",
+    "conjugate",
+    "cross",
+    "euler_from_quaternion",
+    "multiply",
+    "normalize",
+    "quaternion_from_euler",
+    "rotate",
+]
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -45,6 +55,12 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
 def cross(a: Vector, b: Vector) -> Vector:
     """Returns the cross product."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
+
+
+def angle_between(a: Sequence[float], b: Sequence[float]) -> float:
+    """Returns by what angle two rotations differ, 0 to pi."""
+    # By the chord, which is exact for small angles; q and -q are the same rotation.
+    return 4.0 * asin(min(1.0, min(dist(a, b), dist(a, [-x for x in b])) / 2.0))
 
 
 def rotate(q: Quaternion, v: Vector) -> Vector:

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
+from math import pi
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,12 @@ from nmes.client import Client
 from nmes.errors import CommandFailed, Disconnected
 from nmes.protocol import parse
 from nmes.recording import Recording
+from nmes.rotation import euler_from_quaternion, multiply, quaternion_from_euler
 from nmes.world import World
 from recordings import busy, record, send
 from serving import served
+
+Spoil = Callable[[dict[str, Any], dict[str, Any]], dict[str, Any]]
 
 
 @pytest.fixture(scope="module")
@@ -94,7 +98,7 @@ def test_another_engine_differs_and_shows_where(busy_file: Path) -> None:
 class Stranger:
     """A server of another's making: a world of ours behind other names, with what it is told to do wrong."""
 
-    def __init__(self, spoil: Callable[[dict[str, Any], dict[str, Any]], dict[str, Any]]) -> None:
+    def __init__(self, spoil: Spoil) -> None:
         self.world = World({"backend": "ballistic", "mode": "lockstep"})
         self.spoil = spoil
         self.heard: list[dict[str, Any]] = []
@@ -142,7 +146,7 @@ def test_a_stranger_s_names_are_used_and_no_difference(busy_file: Path) -> None:
     assert stranger.world.clients() == []
 
 
-def spoiled(kind: str, **change: Any) -> Callable[[dict[str, Any], dict[str, Any]], dict[str, Any]]:
+def spoiled(kind: str, **change: Any) -> Spoil:
     return lambda message, reply: {**reply, **change} if message["type"] == kind else reply
 
 
@@ -186,7 +190,30 @@ def test_equal_rotations_and_other_orders_are_equal(busy_file: Path) -> None:
     assert against(busy_file, Stranger(spoil).connect).verdict == "equal"
 
 
-def refusing(*kinds: str) -> Callable[[dict[str, Any], dict[str, Any]], dict[str, Any]]:
+def turned(quaternion: tuple[float, float, float, float], *angles: float) -> Spoil:
+    q = multiply(quaternion_from_euler(*angles), quaternion)
+    return spoiled("get_cube_info", rotation=list(euler_from_quaternion(q)), quaternion=list(q))
+
+
+@pytest.mark.parametrize("rotation", [(0.1, pi - 1e-5, 0.2), (-0.3, 0.5, 1e-5 - pi), (pi / 2 - 1e-7, 1.0, 0.4)])
+def test_angles_that_come_round_are_compared_as_rotations(tmp_path: Path, rotation: tuple[float, ...]) -> None:
+    def play(world: World, client: int) -> None:
+        send(world, client, type="spawn_cube", cube_name="one", rotation=rotation)
+        send(world, client, type="get_cube_info", cube_name="one")
+
+    path = record(tmp_path / "x.mcap", play)
+    q = quaternion_from_euler(*rotation)
+    for angles in ((0, 5e-5, 0), (5e-5, 0, 0), (0, 0, -5e-5)):
+        assert against(path, Stranger(turned(q, *angles)).connect, tolerance=1e-4).verdict == "equal"
+        report = against(path, Stranger(turned(q, *angles)).connect, tolerance=1e-5)
+        assert report.verdict == "different"
+    if abs(rotation[0]) < 1:
+        # What differs is the angle, and not by a whole turn.
+        amounts = [item.worst.difference for item in report.fields if item.field.startswith("rotation")]
+        assert all(amount is not None and amount < 1e-4 for amount in amounts) and amounts
+
+
+def refusing(*kinds: str) -> Spoil:
     refusal = {"type": "error", "code": "unknown_type", "message": "what?"}
     return lambda message, reply: refusal if message["type"] in kinds else reply
 
@@ -251,9 +278,15 @@ def test_nmes_replay_against_a_server(busy_file: Path) -> None:
     assert code == 2 and "cannot connect" in output
     code, output = run("replay", busy_file, "--tolerance", "1", password=password)
     assert code == 2 and "need --against" in output
-    with served({"backend": "mujoco"}) as server:
+    with served({"name": "first", "backend": "ballistic"}, {"name": "other", "backend": "mujoco"}) as server:
         address, password = f"127.0.0.1:{server.port}", server.client()._password
-        code, output = run("replay", busy_file, "--against", address, "--tolerance", "1e-9", password=password)
+        code, output = run("replay", busy_file, "--against", address, "--world", "first", password=password)
+        assert code == 0
+        code, output = run("replay", busy_file, "--against", address, "--world", "none", password=password)
+        assert code == 2 and "none" in output
+        code, output = run(
+            "replay", busy_file, "--against", address, "--world", "other", "--tolerance", "1e-9", password=password
+        )
         assert code == 1
         assert output.startswith("different: ")
         assert "position/1" in output and "worst" in output and "frame 1, one:" in output
