@@ -5,6 +5,7 @@ It hides the formats of the tables.
 
 from __future__ import annotations
 
+import base64
 import csv
 import os
 from collections.abc import Iterable, Iterator, Mapping
@@ -16,7 +17,7 @@ import orjson
 from nmes.backend import Array
 from nmes.errors import NmesError
 from nmes.playback import watch
-from nmes.recording import Kind, Recording
+from nmes.recording import Kind, Record, Recording
 
 __all__ = ["COLUMNS", "States", "messages", "state_rows", "states", "write_csv", "write_jsonl", "write_parquet"]
 
@@ -61,25 +62,33 @@ def states(recording: Recording | str | os.PathLike[str], *, anyway: bool = Fals
 def messages(recording: Recording) -> Iterator[Row]:
     """Yields what was said and what happened, a row each: commands, replies, who came and went, ticks, faults.
 
-    The first row says how the world began: the recording's metadata. A frame that is not JSON stands as text.
+    The first row says how the world began: the recording's metadata. Where a recording begins at a keyframe, because
+    its world has a past, the second holds that, in base64. A frame that is not JSON stands as text.
     """
     beginning = {"record": None, "kind": "recording", "t": 0.0, "wall_ns": None, "client": None}
     yield {**beginning, "message": recording.metadata}
     for record in recording:
-        if record.kind in (Kind.POSES, Kind.SCENE, Kind.BOX, Kind.KEYFRAME):
+        if record.kind in (Kind.POSES, Kind.SCENE, Kind.BOX) or (record.kind is Kind.KEYFRAME and record.sequence > 0):
             continue
-        try:
-            message = record.about or orjson.loads(record.data)
-        except ValueError:
-            message = record.data.decode(errors="replace")
         yield {
             "record": record.sequence,
             "kind": str(record.kind),
             "t": record.time / 1e9,
             "wall_ns": record.wall,
             "client": record.client,
-            "message": message,
+            "message": _message(record),
         }
+
+
+def _message(record: Record) -> Any:
+    if record.about is not None:
+        return record.about
+    if record.kind is Kind.KEYFRAME:
+        return {"snapshot": base64.b64encode(record.data).decode()}
+    try:
+        return orjson.loads(record.data)
+    except ValueError:
+        return record.data.decode(errors="replace")
 
 
 def state_rows(found: Iterable[States]) -> Iterator[Row]:

@@ -3,8 +3,12 @@
 Replays, the drift between engines, states made again and worlds taken up in the midst of a recording all go through
 here.
 
-Invariant: a record that follows from others is never fed. What a command led to (the ticks of a `step`, what viewers
-were shown in between, a fault, its reply) stands between it and its reply, and is handed out with it.
+Invariants:
+
+- A record that follows from others is never fed. What a command led to (the ticks of a `step`, what viewers were shown
+  in between, a fault, its reply) stands between it and its reply, and is handed out with it.
+- A world is never fed beyond the recording's end: of a command in the midst of which it ends (the host was killed, or
+  told to stop), only as much is handed out as was recorded.
 """
 
 from __future__ import annotations
@@ -24,6 +28,7 @@ from nmes.world import World
 __all__ = ["Happening", "advance", "feed", "happenings"]
 
 _FRAMES = (Kind.COMMAND, Kind.REFUSED)
+_TICKING = ("step", "batch")  # the commands in which a world may tick
 
 
 class Happening(NamedTuple):
@@ -44,7 +49,7 @@ class Happening(NamedTuple):
 
 
 def happenings(records: Iterable[Record]) -> Iterator[Happening]:
-    """Yields records in order, those that a client's frame led to with it."""
+    """Yields records in order, those that a client's frame led to with it; a last command without reply cut short."""
     records = iter(records)
     for record in records:
         effects: list[Record] = []
@@ -53,7 +58,14 @@ def happenings(records: Iterable[Record]) -> Iterator[Happening]:
                 effects.append(effect)
                 if effect.kind is Kind.REPLY:
                     break
-        yield Happening(record, effects)
+        happening = Happening(record, effects)
+        if happening.reply is None and record.kind is Kind.COMMAND and protocol.parse(record.data).type in _TICKING:
+            # A tick that stopped the world has no digest.
+            part = _part(happening, len(happening.digests) + any(effect.kind is Kind.FAULT for effect in effects))
+            if part is None:
+                return
+            happening = happening._replace(record=record._replace(data=protocol.encode(part)))
+        yield happening
 
 
 def feed(world: World, record: Record, reply: Record | None = None) -> None:

@@ -13,6 +13,7 @@ Invariants:
 
 from __future__ import annotations
 
+import base64
 import os
 import time
 from collections import deque
@@ -26,7 +27,7 @@ import orjson
 
 from nmes import protocol
 from nmes.backend import load_backend
-from nmes.errors import BackendNotFound, NmesError, RecordingError
+from nmes.errors import BackendNotFound, NmesError, RecordingError, WorldError
 from nmes.fingerprint import differences, fingerprint
 from nmes.protocol import Request
 from nmes.records import Kind
@@ -44,6 +45,9 @@ _SHAPES: dict[Any, jsonschema_rs.Draft202012Validator] = {
     Kind.TICKS: jsonschema_rs.Draft202012Validator(load("recording/ticks.json")),
     Kind.FAULT: jsonschema_rs.Draft202012Validator(load("recording/faults.json")),
     Kind.REPLY: jsonschema_rs.Draft202012Validator({"type": "object"}),
+    Kind.KEYFRAME: jsonschema_rs.Draft202012Validator(
+        {"type": "object", "required": ["snapshot"], "properties": {"snapshot": {"type": "string"}}}
+    ),
     BEGINNING: jsonschema_rs.Draft202012Validator({"type": "object"}),
 }
 
@@ -216,6 +220,7 @@ class _Run:
     """One run: it does what the lines say to a world, whose journal it is."""
 
     def __init__(self, log: Log) -> None:
+        self._log = log
         self.report = LogReport(whole=log.fingerprint is not None)
         self.world = World(log.config, journal=self)
         self._ticks: deque[tuple[int, str]] = deque()  # that the world made, and no line has told of yet
@@ -239,6 +244,8 @@ class _Run:
                     self._fault(line)
                 case Kind.JOINED if self.world.join() != line.client:
                     self._diverge("client", f"client {line.client} joined; now it has another number")
+                case Kind.KEYFRAME:
+                    self._take_up(line)
                 case Kind.LEFT if line.client in self.world.clients():
                     self.world.leave(line.client)
                 case Kind.JOINED | Kind.LEFT:
@@ -256,6 +263,15 @@ class _Run:
     def _pass_over(self, what: str) -> None:
         if what != "the beginning":
             self.report.passed_over[what] = self.report.passed_over.get(what, 0) + 1
+
+    def _take_up(self, line: _Line) -> None:
+        """Goes on from the keyframe with which a recording began, of a world that has a past."""
+        if not self.world.untouched:
+            return self._diverge("order", "a keyframe, which only ever stands at the beginning")
+        try:
+            self.world.restore(base64.b64decode(line.message["snapshot"], validate=True))
+        except (ValueError, WorldError) as error:
+            raise self._log._wrong(line.number, f"is no keyframe of such a world: {error}") from None
 
     def _command(self, line: _Line) -> None:
         self._settle()
@@ -313,6 +329,8 @@ class _Run:
         self._ticks.clear()
 
     def _end(self) -> None:
+        if any(self._replies.values()):
+            self._ticks.clear()  # it ends in the midst of a command
         self._settle()
         for waiting in self._replies.values():
             for number, reply in waiting:

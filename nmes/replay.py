@@ -211,6 +211,10 @@ def _differences(recording: Recording) -> dict[str, tuple[str, str]]:
     return differences(recording.fingerprint, fingerprint(backend))
 
 
+class _Ended(BaseException):
+    """The recording ends in the midst of a command: the world must not go on."""
+
+
 class _Tape:
     """The recorded history, record by record, with a look ahead; it ends where the recording does."""
 
@@ -252,6 +256,7 @@ class _Run:
         self._watch = watch
         self._tape = _Tape(recording, start, progress)
         self._world = recording.begin(start, self)
+        self._world.between = self._between
         self._until = until
         self._painter = Painter(self._world)
         self._unseen = start.within  # whether viewers were shown things before that this painter has not drawn
@@ -274,9 +279,17 @@ class _Run:
                 if told == self._told:
                     self._diverge("order", record, f"the recording has {_describe(record)}; nothing such happens now")
                     self._over = True
+        except _Ended:
+            if self._mistake is not None:
+                raise self._mistake from None
         finally:
             self.frame = world.ticks
             world.close()
+
+    def _between(self) -> None:
+        """Ends a command where the recording ends, or nothing more is to be learnt."""
+        if self._over or self._tape.peek() is None:
+            raise _Ended
 
     def _reached(self, record: Record) -> bool:
         """Whether the next tick, which comes now, is beyond what was asked for."""

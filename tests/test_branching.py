@@ -152,7 +152,8 @@ def test_forking_on_the_command_line(tmp_path: Path) -> None:
     assert f"parent.mcap, frame {frame}" in run("info", path).stdout
     assert run("verify", path).exit_code == 0
     assert run("replay", path).exit_code == 0
-    assert run("export", path, "--to", "jsonl").exit_code == 0
+    told = run("export", path, "--to", "jsonl", "--output", tmp_path / "log.jsonl")
+    assert told.exit_code == 0 and run("replay", tmp_path / "log.jsonl").stdout.startswith("reproduced: ")
     again = run("fork", path, "-o", tmp_path / "again.mcap", "--json")
     assert json.loads(again.stdout)["frame"] == frame
     for options, why in (

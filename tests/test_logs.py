@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
+from nmes.branching import branch
 from nmes.cli import main
 from nmes.errors import RecordingError
 from nmes.export import messages
@@ -63,6 +64,27 @@ def test_structures_of_other_engines_come_back(tmp_path: Path) -> None:
 
     path = record(tmp_path / "x.mcap", play, {"backend": "mujoco"})
     assert replay_log(written(tmp_path / "x.jsonl", exported(path))).verdict == "reproduced"
+
+
+def test_a_log_goes_on_from_where_its_world_did(tmp_path: Path) -> None:
+    parent = record(tmp_path / "parent.mcap", busy, {"seed": 7})
+    world = World({"backend": "ballistic", "mode": "lockstep", "seed": 7})
+    recorder = branch(Recording(parent), world, tmp_path / "child.mcap", 20)
+    send(world, world.join(), type="step", ticks=30)
+    recorder.close()
+    rows = exported(tmp_path / "child.mcap")
+    report = replay_log(written(tmp_path / "x.jsonl", rows))
+    assert (report.verdict, report.divergence, report.passed_over) == ("reproduced", None, {})
+    assert (report.ticks, report.digests) == (30, 30)
+    assert rows[1]["kind"] == "keyframe"
+    late = replay_log(written(tmp_path / "x.jsonl", [rows[0], *rows[2:], rows[1]]))
+    assert late.divergence is not None and late.divergence.kind == "client"
+    late = replay_log(written(tmp_path / "x.jsonl", [*rows, rows[1]]))
+    assert late.divergence is not None and late.divergence.kind == "order"
+    for snapshot, said in (("?", "is no keyframe"), ("e30=", "is no keyframe"), (3, "does not have the shape")):
+        rows[1]["message"] = {"snapshot": snapshot}
+        with pytest.raises(RecordingError, match=f"line 2 {said}"):
+            replay_log(written(tmp_path / "x.jsonl", rows))
 
 
 def where(rows: Rows, kind: str, **parts: Any) -> int:

@@ -16,8 +16,11 @@ from hypothesis import strategies as st
 
 import programs
 from nmes.cli import main
-from nmes.errors import RecordingError
+from nmes.drift import measure_drift
+from nmes.export import messages, states
 from nmes.fingerprint import fingerprint
+from nmes.logs import Log, replay_log
+from nmes.playback import watch
 from nmes.protocol import Request, parse
 from nmes.recording import REFUSED_LIMIT, Recorder, Recording
 from nmes.replay import Divergence, replay
@@ -157,25 +160,78 @@ def test_refused_frames_that_were_not_kept_whole_are_reproduced(tmp_path: Path) 
     assert (report.verdict, report.commands) == ("reproduced", 2)
 
 
-def test_a_recording_cut_in_a_command_is_reproduced_up_to_there(tmp_path: Path) -> None:
-    class Dying(Recorder):
-        """Dies in the middle of a step."""
+BATCH: list[dict[str, Any]] = [
+    {"type": "spawn_cube", "cube_name": "a", "position": [0, 9, 0]},
+    {"type": "step", "ticks": 3},
+    {"type": "spawn_cube", "cube_name": "b"},
+    {"type": "step", "ticks": 100},
+    {"type": "spawn_cube", "cube_name": "c"},
+]
 
-        def ticked(self, frame: int, digest: bytes) -> None:
-            super().ticked(frame, digest)
-            if frame == 7:
-                self.flush()
-                raise RecordingError("recording_failed", "dead")
 
+@pytest.mark.parametrize("backend", ["ballistic", "pymunk"])
+@pytest.mark.parametrize("command", [{"type": "step", "ticks": 100}, {"type": "batch", "commands": BATCH}])
+def test_nobody_goes_on_where_a_recording_ends_in_a_command(
+    tmp_path: Path, backend: str, command: dict[str, Any]
+) -> None:
+    class Told(BaseException):
+        pass
+
+    def stop() -> None:
+        if world.frame == 7:
+            raise Told
+
+    # As a host does that is told to stop.
+    path = tmp_path / "x.mcap"
+    world = World({"backend": backend, "mode": "lockstep"})
+    recorder = world.journal = Recorder(path, world)
+    world.between = stop
+    client = world.join()
+    with pytest.raises(Told):
+        send(world, client, **command)
+    recorder.close()
+    cubes, poses = world.poses()
+
+    report = replay(path)
+    assert (report.verdict, report.ticks, report.commands, report.frames) == ("reproduced", 7, 0, (0, 7))
+    assert report.damage is None
+    recording = Recording(path)
+    assert [state.frame for state in states(recording)] == [1, 2, 3, 4, 5, 6, 7]
+    for frame in (None, 2):
+        there = recording.world_at(frame)
+        assert there.frame == (7 if frame is None else 2)
+        if frame is None:
+            assert there.cubes() == cubes
+            np.testing.assert_array_equal(there.poses()[1], poses)
+        there.close()
+    seen = []
+    for _ in watch(recording, lambda world: seen.append(world.frame)):
+        pass
+    assert seen == [1, 2, 3, 4, 5, 6, 7]
+    for engine in ("ballistic", backend):
+        drift = measure_drift(recording, engine)
+        assert (drift.ticks, drift.commands, drift.ended) == (7, 1, None)
+    rows = b"".join(orjson.dumps(row) + b"\n" for row in messages(recording))
+    (tmp_path / "x.jsonl").write_bytes(rows)
+    log = replay_log(Log(tmp_path / "x.jsonl"))
+    assert (log.verdict, log.digests, log.passed_over) == ("reproduced", 7, {"commands without their answer": 1})
+
+
+def test_a_recording_that_a_crash_cut_in_a_command_is_reproduced_up_to_there(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     world = World({"backend": "ballistic", "mode": "lockstep"})
-    recorder = world.journal = Dying(path, world)
+    recorder = world.journal = Recorder(path, world)
+    world.between = lambda: recorder.flush() if world.frame == 7 else None
     send(world, world.join(), type="step", ticks=100)
     recorder.close()
     path.write_bytes(path.read_bytes()[: next(Recording(path).chunks())[0]])
     report = replay(path)
-    assert (report.verdict, report.ticks, report.commands) == ("reproduced", 7, 0)
+    assert (report.verdict, report.ticks, report.commands, report.frames) == ("reproduced", 7, 0, (0, 7))
     assert report.cut and report.damage is not None
+    assert Recording(path).last_frame == 7
+    there = Recording(path).world_at()
+    assert there.frame == 7
+    there.close()
 
 
 def test_a_mistake_of_the_replay_s_own_is_no_divergence(busy_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
