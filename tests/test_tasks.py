@@ -245,6 +245,28 @@ def test_who_does_nothing_is_worth_nothing(name: str) -> None:
     assert {result.ended for result in evaluation.results} == ({"fallen"} if name == "pole" else {None})
 
 
+LUNGER = creature(
+    [
+        {"id": "root", "size": [0.4, 0.2, 0.4], "mass": 480, "position": [-1.6, 0.21, 0]},
+        {"id": "rail", "size": [3.8, 0.1, 0.4], "mass": 5, "position": [0, 0.05, 0]},
+    ],
+    {
+        "type": "slide", "anchor": [0, 0.1, 0], "axis": [-1, 0, 0],
+        "motor": {"mode": "position", "range": [-3, 3], "max_effort": 2000},
+    },
+    amplitude=0,
+    offset=1,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "most"), [("walk", 0.0), ("rough", 0.0), ("reach", 0.0), ("carry", 0.1)])
+def test_to_hurl_a_weight_along_a_rail_is_worth_nothing(name: str, most: float) -> None:
+    evaluation = evaluate(LUNGER, Task.load(name))
+    assert evaluation.error is None
+    assert min(result.distance for result in evaluation.results) > 1.5  # it did
+    assert max(result.score or 0.0 for result in evaluation.results) <= most
+
+
 @pytest.mark.parametrize("name", ["walk", "gaps", "reach", "stairs"])
 def test_to_fall_over_is_worth_nothing(name: str) -> None:
     evaluation = evaluate(tower(3000), Task.load(name))
