@@ -88,7 +88,10 @@ def crash(folder: Path, interval: float, seed: int) -> None:
         assert due <= kept, f"seed {seed}: lost {sorted(due - kept)[:5]} of {len(due)}"
     report = replay(recording)
     assert (report.verdict, report.cut) == ("reproduced", True)
-    assert report.ticks == recording.summary().ticks
+    assert report.ticks == report.frames[1] == recording.summary().ticks
+    world = recording.world_at()
+    assert world.ticks == report.ticks
+    world.close()
 
 
 # The host keeps to half its interval. Two seconds leave a second for a machine that is busy with other tests.

@@ -84,4 +84,11 @@ def test_sigterm_in_the_middle_of_a_long_step(tmp_path: Path) -> None:
         assert time.monotonic() - began < 5.0
     recording = Recording(said["recording"])
     assert recording.complete
-    assert 0 < recording.summary().ticks < 10_000
+    ticks = recording.summary().ticks
+    assert 0 < ticks < 10_000
+    # Whoever goes on from there does so at the tick at which it ended.
+    report = replay(recording)
+    assert (report.verdict, report.frames) == ("reproduced", (0, ticks))
+    world = recording.world_at()
+    assert world.ticks == ticks
+    world.close()

@@ -5,6 +5,8 @@ from __future__ import annotations
 import asyncio
 import json
 import socket
+import threading
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -291,21 +293,56 @@ def _digests(directory: Path) -> list[str]:
     ]
 
 
-def test_a_faulted_and_a_flooded_world_do_not_change_a_third(tmp_path: Path) -> None:
+def test_a_faulted_and_a_flooded_world_do_not_change_a_third(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # All that two worlds do at a time is done in threads.
+    monkeypatch.setattr("nmes.hosting.BRIEF", 0.0)
+    away: Counter[str] = Counter()
+    go = HostedWorld._go
+
+    def count(hosted: HostedWorld, work: Any, then: Any) -> None:
+        away[hosted.name] += 1
+        go(hosted, work, then)
+
+    monkeypatch.setattr(HostedWorld, "_go", count)
     with served({"name": "third"}, record_to=tmp_path / "alone") as server, server.client() as client:
         _experiment(client)
-    worlds = [{"name": "faulted"}, {"name": "flooded", "mode": "fast"}, {"name": "third"}]
-    with served(*worlds, record_to=tmp_path / "together") as server:
-        with server.client(world="faulted") as client:
-            client.spawn_cube("a", mass=1e-6)
-            client.apply_force("a", force=[1e15, 0, 0])
-            with pytest.raises(CommandFailed):
-                client.step(100)
-        with server.peer(None) as flood, server.client(world="third") as client:
-            assert flood.ask({"type": "auth", "password": PASSWORD, "world": "flooded"})["type"] == "auth_success"
-            flood.say(*[{"type": "spawn_cube", "position": [0, n, 0]} for n in range(300)] * 10)
+    away.clear()
+
+    over = threading.Event()
+    faults = []
+    flooded = {"name": "flooded", "mode": "fast", "limits": {"cubes": 50}}
+    with served({"name": "faulted"}, flooded, {"name": "third"}, record_to=tmp_path / "together") as server:
+
+        def fault() -> None:
+            with server.client(world="faulted") as client:
+                while not over.is_set():
+                    client.spawn_cube("a", mass=1e-6)
+                    client.apply_force("a", force=[1e15, 0, 0])
+                    with pytest.raises(CommandFailed) as failed:
+                        client.step(100)
+                    faults.append(failed.value.code)
+                    client.reset()
+
+        def flood() -> None:
+            with server.peer(None) as peer:
+                peer.ask({"type": "auth", "password": PASSWORD, "world": "flooded"})
+                while not over.is_set():
+                    peer.say(*[{"type": "spawn_cube", "position": [0, n, 0]} for n in range(100)])
+                    for _ in range(100):
+                        peer.hear()
+
+        others = [threading.Thread(target=each) for each in (fault, flood)]
+        for other in others:
+            other.start()
+        with server.client(world="third") as client:
             _experiment(client)
-            third = server.call(lambda: [world.world.fault for world in server.host.worlds.values()])
-        assert [fault is not None for fault in third] == [True, False, False]
+        over.set()
+        for other in others:
+            other.join(PATIENCE)
+            assert not other.is_alive()
+        states = server.call(lambda: {name: hosted.world.fault for name, hosted in server.host.worlds.items()})
+        assert states == {"faulted": None, "flooded": None, "third": None}
+    assert len(faults) > 1 and set(faults) == {"world_faulted"}
+    assert away["third"] > 10 and away["flooded"] > 10
     assert len(_digests(tmp_path / "together")) == 100
     assert _digests(tmp_path / "together") == _digests(tmp_path / "alone")
