@@ -31,7 +31,7 @@ SUBCOMMANDS = {
     "sign": "Vouch for a recording with an Ed25519 key.",
     "tasks": "List the tasks that creatures can be put to.",
     "verify": "Check that a recording is as it was written.",
-    "view": "Look at a live world, at a recording, or at two of them side by side.",
+    "view": "Look at live worlds and at recordings.",
     "worlds": "List the worlds of a host.",
 }
 

@@ -7,6 +7,7 @@ import os
 import shlex
 import sys
 import time
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +15,7 @@ from typing import Any
 
 import click
 import orjson
+from click.core import ParameterSource
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
@@ -71,14 +73,16 @@ def _seeds(_: click.Context, parameter: click.Parameter, value: str | None) -> t
     "recordings",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
     multiple=True,
-    help="Score a recording again, from its log alone; may be given several times.",
+    help="Score recordings again, from their logs alone; what follows are recordings too.",
 )
 @click.option("--jobs", type=click.IntRange(1), help="How many processes.  [default: one a core]")
 @click.option("--ray", metavar="ADDRESS", help="Use a Ray cluster instead: HOST:PORT, auto, or local.")
 @click.option("--resume", type=click.Path(dir_okay=False, path_type=Path), help="Keep results here; skip what it has.")
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print the results as CSV.")
+@click.pass_context
 def command(
+    context: click.Context,
     genomes: tuple[str, ...],
     task: str,
     seeds: tuple[int, ...] | None,
@@ -109,10 +113,9 @@ def command(
         nmes eval walker 'evolved/*.json' --task walk --seeds 1-5 --record proofs
         nmes eval --from-recording proofs/walk-walker-1.mcap --json
     """
-    if recordings and (genomes or seeds or record or resume):
-        raise click.UsageError(
-            "--from-recording scores what the recording holds: it takes no GENOME and no other option"
-        )
+    given = {name for name in context.params if context.get_parameter_source(name) is ParameterSource.COMMANDLINE}
+    if recordings and given - {"recordings", "genomes", "as_json", "as_csv"}:
+        raise click.UsageError("--from-recording scores what recordings hold: only --json and --csv go with it")
     if not recordings and not genomes:
         raise click.UsageError("name a genome to score, or a recording with --from-recording")
     if as_json and as_csv:
@@ -120,7 +123,8 @@ def command(
     if jobs is not None and ray is not None:
         raise click.UsageError("either --jobs or --ray")
     if recordings:
-        found, whole = _score(recordings), True
+        more = (Path(name) for name in genomes)  # as a shell's *.mcap leaves them
+        found, whole = _score([*recordings, *more]), True
     else:
         try:
             asked = orjson.dumps(Task.load(task).document)
@@ -248,29 +252,48 @@ def _print(found: Sequence[Evaluation], as_json: bool, as_csv: bool) -> None:
 
 
 def _table(found: Sequence[Evaluation]) -> None:
-    table = Table("genome", "task", "score", "spread", "energy, J", "distance, m", "faults", "time, s")
-    for column in table.columns[2:]:
-        column.justify = "right"
+    columns = ("seeds", "score", "spread", "energy\n(J)", "distance\n(m)", "faults", "time\n(s)")
+    table = Table("genome", "task", box=None, pad_edge=False)
+    table.columns[0].overflow = "fold"
+    for title in columns:
+        table.add_column(title, justify="right", no_wrap=True)
+    names = Counter(each.genome for each in found)
     for each in found:
+        same = names[each.genome] > 1 and each.genome_hash
         table.add_row(
-            each.genome,
+            f"{each.genome} {each.genome_hash[:4]}" if same else each.genome,
             each.task,
-            _number(each.score),
-            _number(each.spread),
-            _number(each.energy),
-            _number(each.distance),
+            _runs([result.seed for result in each.results]),
+            _number(each.score, 3),
+            _number(each.spread, 3),
+            _number(each.energy, 1),
+            _number(each.distance, 2),
             "" if each.error else str(each.faults),
             f"{each.wall_seconds:.2f}",
         )
     console = Console(markup=False, highlight=False)
     console.print(table)
+    if any(each.error is not None or each.faults for each in found):
+        console.print()
     for each in found:
         if each.error is not None:
-            console.print(f"{each.genome}: {each.error}", soft_wrap=True)
+            told = each.error.replace("\n", "\n  ")
+            console.print(f"{each.genome}: {told}", soft_wrap=True)
         for result in each.results:
             if result.fault is not None:
                 console.print(f"{each.genome}, seed {result.seed}, tick {result.ticks}: {result.fault}", soft_wrap=True)
 
 
-def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.3f}"
+def _runs(seeds: Sequence[int]) -> str:
+    """Writes seeds as `--seeds` reads them: `1-3,7`."""
+    runs: list[list[int]] = []
+    for seed in sorted(seeds):
+        if runs and seed == runs[-1][-1] + 1:
+            runs[-1].append(seed)
+        else:
+            runs.append([seed])
+    return ",".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else str(run[0]) for run in runs)
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"

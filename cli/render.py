@@ -85,4 +85,4 @@ def command(
     cut = Cut(camera, target, begin, end, speed)
     with progress_bars() as progress:
         film(recordings, output, cut, fps=fps, size=size, progress=progress)
-    click.echo(f"Wrote {output}")
+    click.echo(f"wrote {output}")

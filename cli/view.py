@@ -21,7 +21,7 @@ from nmes.view.screen import LOCAL, Screen, lay_out, screen
 __all__ = ["command"]
 
 
-@click.command("view")
+@click.command("view", short_help="Look at live worlds and at recordings.")
 @click.argument("what", metavar="HOST:PORT|FILE [FILE]", nargs=-1, required=True)
 @click.option("--web", is_flag=True, help="Show it in a browser: prints a link, and serves it until Ctrl-C.")
 @click.option("--save", type=click.Path(dir_okay=False, path_type=Path), help="Write it to this .rrd file instead.")

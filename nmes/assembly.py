@@ -246,7 +246,7 @@ class Assembly:
     def require_plane(self, planar: bool, what: str, path: str) -> None:
         """Raises `unsupported` where the engine is one of the XY plane and the thing is not in it."""
         if self._planar and not planar:
-            raise WorldError("unsupported", f"the {self._backend.name} backend is planar and has no {what}", path)
+            raise WorldError("unsupported", f"the {self._backend.name} backend is planar and takes no {what}", path)
 
     def spawn(self, c: JsonObject) -> Cube:
         """Makes the cube that a `spawn_cube` command describes."""

@@ -366,7 +366,7 @@ class Creatures:
             said = f"name: the names of this body's parts leave room for {most} characters"
             raise WorldError("invalid", said, "name")
         self._assembly.require_room(len(body.cubes), len(body.joints))
-        self._assembly.require_plane(body.planar, "a body that is not in one plane", "genome/body")
+        self._assembly.require_plane(body.planar, "body that leaves the XY plane", "genome/body")
         for joint in body.joints:
             place, said = "genome/body", f"joints of type {joint.kind}"
             self._assembly.require(f"joint.{joint.kind}", said, place)

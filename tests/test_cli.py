@@ -73,6 +73,25 @@ def test_help_lists_all_and_loads_none_of_them() -> None:
     assert not loaded & {"numpy", "mujoco", "mcap", "asyncio", "jsonschema_rs", "nmes.server", "nmes.cli.serve"}
 
 
+def commands(group: click.Group) -> Iterator[click.Command]:
+    """Yields what a group holds, and what groups in it hold."""
+    with click.Context(group) as context:
+        for name in group.list_commands(context):
+            command = group.get_command(context, name)
+            assert command is not None
+            yield command
+            if isinstance(command, click.Group):
+                yield from commands(command)
+
+
+def test_help_is_as_it_was_meant_to_be_read() -> None:
+    for command in commands(main):
+        said = command.get_help(click.Context(command))
+        assert "\\" not in said and "\b" not in said, said  # marks for layout that came through
+        for line in said.splitlines():
+            assert line.count("nmes ") < 2, line  # examples that have run together
+
+
 def test_version() -> None:
     result = run("--version")
     assert result.exit_code == 0
@@ -102,7 +121,9 @@ def test_every_option_is_documented(name: str) -> None:
     assert command is not None
     part = DOCUMENT.split(f"\n## nmes {name}\n")[1].split("\n## ")[0]
     said = set(re.findall(r"--[a-z-]+", part))
-    options = {option for parameter in command.params for option in parameter.opts if option.startswith("--")}
+    parts = [command, *commands(command)] if isinstance(command, click.Group) else [command]
+    parameters = [parameter for part in parts for parameter in part.params]
+    options = {option for parameter in parameters for option in parameter.opts if option.startswith("--")}
     assert options <= said
     assert {option for option in said if f"`{option}" in part} <= options
 

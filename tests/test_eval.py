@@ -55,8 +55,9 @@ def test_results_do_not_depend_on_processes_order_or_recording(folder: Path) -> 
     assert alone.exit_code == 0
     assert timeless(json.loads(alone.stdout)) == timeless([found[2], found[1]])
     # In a fresh process, from nothing but the recordings.
-    recordings = [f"--from-recording={path}" for each in json.loads(alone.stdout) for path in each["recordings"]]
-    again = subprocess.run([NMES, "eval", "--json", *reversed(recordings)], capture_output=True, timeout=PATIENCE)
+    recordings = [path for each in json.loads(alone.stdout) for path in each["recordings"]]
+    command = [NMES, "eval", "--json", "--from-recording", *reversed(recordings)]
+    again = subprocess.run(command, capture_output=True, timeout=PATIENCE)
     assert again.returncode == 0, again.stderr
     assert timeless(json.loads(again.stdout)) == timeless([found[1], found[2]])
 
@@ -80,6 +81,15 @@ def test_a_table_and_csv(folder: Path) -> None:
     assert row["genome"] == "a-wave" and float(row["score"]) > -1.0 and row["faults"] == "0"
 
 
+def test_a_table_fits_80_columns_and_tells_namesakes_apart(folder: Path) -> None:
+    for i in range(2):
+        (folder / f"{i}.json").write_text(json.dumps(snake(name="sidewinder", author=f"author {i}")))
+    table = run(folder / "0.json", folder / "1.json", "--task", "walk", "--seeds", "4-6,9", "--jobs", 1).stdout
+    rows = [line.split() for line in table.splitlines() if line.startswith("sidewinder")]
+    assert [row[0] for row in rows] == ["sidewinder"] * 2 and rows[0][1] != rows[1][1]
+    assert all(row[2:4] == ["walk", "4-6,9"] and len(row) == 10 for row in rows)
+
+
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
@@ -89,7 +99,8 @@ def test_a_table_and_csv(folder: Path) -> None:
         (["x.json", "--seeds", "1,1"], "each once"),
         (["x.json", "--json", "--csv"], "either --json or --csv"),
         (["x.json", "--jobs", "2", "--ray", "auto"], "either --jobs or --ray"),
-        (["x.json", "--from-recording", __file__], "takes no GENOME"),
+        (["--task", "walk", "--from-recording", __file__], "only --json and --csv go with it"),
+        (["--seeds", "1", "--from-recording", __file__], "only --json and --csv go with it"),
         ([str(Path(__file__).parent)], "no .json file"),
     ],
 )
