@@ -122,9 +122,9 @@ class Wire:
         self._log.add(self.name, "note", f"sent {sent} bytes, the same {len(data)} again and again".encode())
         return sent
 
-    def ready(self) -> bool:
+    def ready(self, timeout: float | None = None) -> bool:
         """Whether there is something to read, be it the end, within the time-out."""
-        self._socket.settimeout(self.timeout)
+        self._socket.settimeout(self.timeout if timeout is None else timeout)
         try:
             self._socket.recv(1, socket.MSG_PEEK)
         except TimeoutError:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from typing import Any
 
-from nmes.conformance.case import Category, Level, Row
+from nmes.conformance.case import Category, Finding, Level, Row
 from nmes.conformance.trial import Trial
 from nmes.conformance.wire import clip, read_json, read_message
 from nmes.protocol import DELIMITER
@@ -184,12 +184,14 @@ def dribbling(t: Trial) -> None:
     """Bytes now and then do not put off the time-out."""
     wire = t.connect()
     began = time.monotonic()
-    for byte in b'{"type":"au':
+    for byte in b'{"type":"':  # for longer than the time-out, so that one that is put off at all is put off far
+        if wire.ready(0.2):
+            break
         wire.send(bytes([byte]))
-        time.sleep(0.4)
+        time.sleep(0.6)
     only_error(t, wire.rest(AUTH_TIMEOUT + SLACK + t.target.timeout), "auth_timeout")
     took = time.monotonic() - began
-    t.should(took <= AUTH_TIMEOUT + SLACK, "the end after 5 s", f"the end after {took:.1f} s")
+    t.true(took <= AUTH_TIMEOUT + SLACK, "the end after 5 s", f"the end after {took:.1f} s")
 
 
 @case(13, "1.4.1", wait=1.0)
@@ -307,11 +309,15 @@ def a_failed_auth_executes_nothing(t: Trial) -> None:
 @case(24, "2.4.3", wait=1.0)
 def a_failed_auth_keeps_nobody_waiting(t: Trial) -> None:
     """While one connection waits for its refusal, others are served."""
-    wire, other = t.connect(), t.join()
-    wire.say({"type": "auth", "password": t.wrong_password})
-    began = time.monotonic()
-    for _ in range(5):
+    other = t.join()
+    for _attempt in range(3):
+        wire = t.connect()
+        wire.say({"type": "auth", "password": t.wrong_password})
+        time.sleep(0.1)  # until the server has read that
         t.fence(other)
-    took = time.monotonic() - began
-    t.true(took < 0.8 * AUTH_DELAY + SLACK, "pongs at once", f"5 pongs took {took:.2f} s")
-    only_error(t, wire.rest(t.target.timeout + AUTH_DELAY), "auth_failed")
+        overtaken = not wire.ready(0.05)
+        only_error(t, wire.rest(t.target.timeout + AUTH_DELAY), "auth_failed")
+        if overtaken:
+            return
+        # A busy machine may need a second for a pong, but not again and again.
+    raise Finding("a pong before the refusal", "pongs only after the refusals")

@@ -686,3 +686,14 @@ def the_limits_are_told(t: Trial) -> None:
     """The world tells how many cubes and joints it takes."""
     limits = t.ask(t.join(), {"type": "get_world_info"}, "world_info")["limits"]
     t.true(all(isinstance(limits[name], int) for name in ("cubes", "joints")), "two whole numbers", limits)
+
+
+@case(47, "4.set_cube_state", needs=("set_cube_state",))
+def putting_a_cube_that_moves(t: Trial) -> None:
+    """A cube in flight that is put somewhere else flies on as before, where no velocity is given."""
+    wire = t.join()
+    name = t.spawn(wire, position=t.at(y=60), linear_velocity=[2, 0, 0], angular_velocity=[0, 0, 1])
+    t.ask(wire, {"type": "set_cube_state", "cube_name": name, "position": t.at(y=90)}, "cube_state_set")
+    info = t.info(wire, name)
+    t.close(info["linear_velocity"][0], 2.0, 0.05, "velocity along x")
+    t.close(info["angular_velocity"][2], 1.0, 0.05, "angular velocity about z")

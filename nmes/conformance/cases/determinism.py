@@ -103,7 +103,8 @@ def a_reset_is_for_all(t: Trial) -> None:
     name = t.spawn(one)
     t.ask(two, {"type": "reset"}, "world_reset")
     t.refused(one, {"type": "apply_physics", "force": [0, 1, 0]}, "nothing_owned")
-    t.spawn(one, cube_name=name)
+    t.spawn(two, cube_name=name)
+    t.refused(one, {"type": "apply_physics", "force": [0, 1, 0]}, "nothing_owned")
 
 
 @case(6, "4.reset", needs=(*NEEDS, "subscribe"), scope=Scope.WORLD)

@@ -233,6 +233,10 @@ def ownership_in_the_raw_dialect(t: Trial) -> None:
     t.fence(wire)
     t.adopt(name + "_BASE")
     t.equal(t.info(wire, name + "_BASE")["cube_name"], name + "_BASE", "the cube")
+    if t.probe.claims("get_cube_state"):
+        last = t.name()
+        wire.say({"type": "spawn_cube", "cube_name": last, "position": t.at(2)})
+        t.equal(t.ask(wire, {"type": "get_cube_state"}, "cube_state")["cube_name"], last, "the cube that is owned")
 
 
 @case(18, "1.4.2", wait=1.0)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import re
 
 from nmes.conformance.case import Category, Row
@@ -158,9 +157,10 @@ def a_new_connection_owns_nothing(t: Trial) -> None:
 def the_order_of_creation(t: Trial) -> None:
     """The list of cubes is in order of creation, whoever creates them and whatever they are called."""
     wires = [t.join(), t.join()]
-    names = [t.base(wires[n % 2], hint, position=t.at(n % 5)) for n, hint in enumerate("zayb")]
+    given = sorted((t.name(hint) for hint in "zayb"), reverse=True)  # neither names nor clients are in that order
+    names = [t.base(wires[n % 2], cube_name=name, position=t.at(n)) for n, name in enumerate(given)]
     t.ask(wires[0], {"type": "despawn_cube", "cube_name": names.pop(1)}, "cube_despawned")
-    names.append(t.base(wires[1], "a", position=t.at(4)))
+    names.append(t.base(wires[1], position=t.at(4)))
     mine = [name for name in t.cubes(wires[0]) if name in names]
     t.equal(mine, names, "the case's cubes in the list")
 
@@ -258,5 +258,6 @@ def names_of_joints_are_new(t: Trial) -> None:
     """Joints have names of their own, different from each other."""
     wire = t.join()
     cubes = [t.base(wire, position=t.at(n - 2)) for n in range(5)]
-    joints = [t.join_cubes(wire, one, two) for one, two in itertools.pairwise(cubes)]
+    pairs = [(0, 1), (0, 2), (3, 2), (4, 2)]  # the same first cube twice, the same second one too
+    joints = [t.join_cubes(wire, cubes[one], cubes[two]) for one, two in pairs]
     t.equal(len(set(joints)), 4, "different names")

@@ -630,3 +630,17 @@ def answers_agree_while_it_tumbles(t: Trial) -> None:
     for info in t.watch(wire, name, 0.5):
         same_turn(t, euler(*info["rotation"]), info["quaternion"])
         t.close(math.hypot(*info["quaternion"]), 1.0, 1e-4, "length of the quaternion")
+
+
+@case(44, "4.spawn_cube", needs=("time", "restitution"), scope=Scope.TIME)
+def restitution(t: Trial) -> None:
+    """A cube with much restitution jumps off the ground, and one without stays on it."""
+    wire = t.join()
+    names = [t.spawn(wire, position=t.at(x, 1.5), restitution=much) for x, much in ((-2, 0.0), (2, 0.8))]
+    heights: list[list[float]] = [[], []]
+    for _ in t.watch(wire, names[0], 1.5):
+        for name, seen in zip(names, heights, strict=True):
+            seen.append(t.info(wire, name)["position"][1])
+    rises = [max(seen[seen.index(min(seen)) :]) - min(seen) for seen in heights]
+    t.true(rises[0] < 0.1, "the cube without restitution on the ground", f"it rises by {rises[0]:.2f} m")
+    t.true(rises[1] > 0.2, "the other one rising by more than 0.2 m", f"it rises by {rises[1]:.2f} m")

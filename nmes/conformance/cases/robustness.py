@@ -18,6 +18,7 @@ PING = frame_of({"type": "ping", "id": 1})
 
 def still_serves(t: Trial, before: str) -> None:
     """Makes sure that the server serves a new connection, and that a cube from before is there."""
+    time.sleep(0.1)  # until the server has noticed what became of the last one
     wire = t.join()
     t.fence(wire)
     t.true(before in t.cubes(wire), f"{before} still there", before)
