@@ -5,17 +5,18 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-long lint format types imports layout bench docs goldens constraints clean
+.PHONY: help setup demo test test-long conform-selftest lint format types imports layout bench docs goldens constraints clean
 
 help:
-	@echo "make demo       serve, drive, record and reproduce the example worlds"
-	@echo "make test       lint, type-check and test"
-	@echo "make test-long  the same with the tests that take minutes"
-	@echo "make bench      print the benchmark table"
-	@echo "make docs       build the documentation as a site in build/site"
-	@echo "make goldens    record the corpus in replays/ anew"
-	@echo "make format     mend what the linter can mend"
-	@echo "make clean      remove what was built, the environment too"
+	@echo "make demo              serve, drive, record and reproduce the example worlds"
+	@echo "make test              lint, type-check and test"
+	@echo "make test-long         the same with the tests that take minutes"
+	@echo "make conform-selftest  show that the conformance suite finds what is wrong with broken servers"
+	@echo "make bench             print the benchmark table"
+	@echo "make docs              build the documentation as a site in build/site"
+	@echo "make goldens           record the corpus in replays/ anew"
+	@echo "make format            mend what the linter can mend"
+	@echo "make clean             remove what was built, the environment too"
 
 setup: $(READY)
 
@@ -36,6 +37,9 @@ test: lint
 
 test-long: lint
 	$(BIN)/pytest -n auto
+
+conform-selftest: $(READY)
+	@$(BIN)/python tests/selftest.py
 
 lint: $(READY) types imports
 	$(BIN)/ruff check .
