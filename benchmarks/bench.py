@@ -29,6 +29,7 @@ import recorded
 import roundtrip
 import survival
 import ticking
+import viewing
 
 SUITES = {
     "roundtrip": roundtrip.figures,
@@ -41,6 +42,7 @@ SUITES = {
     "hosting": hosting.figures,
     "survival": survival.figures,
     "recorded": recorded.figures,
+    "viewing": viewing.figures,
 }
 
 

@@ -43,7 +43,7 @@ def command(
     world: str | None,
     **connection: Any,
 ) -> None:
-    """Look at a live world, at a recording, or at two of them side by side.
+    """Look at live worlds and at recordings.
 
     A live world is one that any server of the protocol hosts. A recording is run again, and stands on a time line with
     the commands beside it, the forces they applied, the contacts, and where it diverges. Of two, the drift is shown.

@@ -91,8 +91,9 @@ class Clients(dict[int, Client]):
                     names, states = poses()
                 cubes, removed = subscription.changes(version, names, states)
                 if (cubes or removed) and emit is not None:
-                    event = {"type": "state", "t": time, "frame": frame, "cubes": cubes, "removed": removed}
-                    emit(client.number, protocol.encode(event))
+                    head = protocol.encode({"type": "state", "t": time, "frame": frame})[:-1]
+                    gone = protocol.encode(removed)
+                    emit(client.number, b'%b,"cubes":%b,"removed":%b}' % (head, cubes or b"[]", gone))
 
     def snapshot(self, assembly: Assembly) -> dict[str, Any]:
         """Returns all of it as plain JSON data, in a world of these cubes."""

@@ -1,8 +1,8 @@
 """Rotations: the protocol's Euler angles, quaternions `(x, y, z, w)`, and turning vectors, in plain floats.
 
-Plain Python on purpose: one rotation costs a microsecond, an array operation several. Euler angles are radians
-`(x, y, z)` applied in the order Y, X, Z, Godot's convention: the matrix is `Ry @ Rx @ Rz`. Quaternions that come out
-have unit length.
+Plain Python on purpose: one rotation costs a microsecond, an array operation several; only `euler_angles` takes many at
+once, with the same bits. Euler angles are radians `(x, y, z)` applied in the order Y, X, Z, Godot's convention: the
+matrix is `Ry @ Rx @ Rz`. Quaternions that come out have unit length.
 """
 
 from __future__ import annotations
@@ -10,10 +10,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from math import asin, atan2, cos, dist, sin, sqrt
 
+import numpy as np
+import numpy.typing as npt
+
 __all__ = [
     "angle_between",
     "conjugate",
     "cross",
+    "euler_angles",
     "euler_from_quaternion",
     "multiply",
     "normalize",
@@ -23,6 +27,7 @@ __all__ = [
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
+Array = npt.NDArray[np.float64]
 
 # Beyond this sine of the X angle, Y and Z turn about the same line and only their sum is defined; Z is then 0.
 _GIMBAL = 1.0 - 1e-12
@@ -96,3 +101,22 @@ def euler_from_quaternion(q: Quaternion) -> Vector:
         atan2(2.0 * (x * z + w * y), 1.0 - 2.0 * (x * x + y * y)),
         atan2(2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z)),
     )
+
+
+def euler_angles(quaternions: Array) -> Array:
+    """Converts unit quaternions (n, 4) to Euler angles (n, 3), as `euler_from_quaternion` does."""
+    x, y, z, w = quaternions.T
+    sine = 2.0 * (w * x - y * z)
+    locked = (sine > _GIMBAL) | (sine < -_GIMBAL)
+    about_y = np.where(locked, 2.0 * (w * y - x * z), 2.0 * (x * z + w * y))
+    across_y = 1.0 - 2.0 * np.where(locked, y * y + z * z, x * x + y * y)
+    about_z = np.where(locked, 0.0, 2.0 * (x * y + w * z))
+    across_z = np.where(locked, 1.0, 1.0 - 2.0 * (x * x + z * z))
+    # The library's functions of one number: numpy's own may differ from them in the last bit.
+    return np.array(
+        [
+            list(map(asin, np.clip(sine, -1.0, 1.0).tolist())),
+            list(map(atan2, about_y.tolist(), across_y.tolist())),
+            list(map(atan2, about_z.tolist(), across_z.tolist())),
+        ]
+    ).T

@@ -2,7 +2,10 @@
 
 Hides the bookkeeping of the `state` event: a subscriber is sent only the cubes that moved past its thresholds since
 they were last sent to it, each of them at least once, and the names of those that are gone. Vectorised: a thousand
-cubes cost one comparison of arrays. The World decides when an event is due.
+cubes cost one comparison of arrays, and are encoded as five arrays, taken apart and put together again: that takes half
+the time of a thousand objects. The World decides when an event is due.
+
+Invariant: what an event says of a cube is, byte for byte, what `moving_part` encodes to.
 """
 
 from __future__ import annotations
@@ -14,7 +17,8 @@ from typing import Any, Self
 import numpy as np
 
 from nmes.backend import Array
-from nmes.rotation import euler_from_quaternion
+from nmes.protocol import encode
+from nmes.rotation import euler_angles, euler_from_quaternion
 from nmes.snapshot import pack_array, unpack_array
 
 __all__ = ["Subscription", "moving_part"]
@@ -65,8 +69,10 @@ class Subscription:
             "sent": pack_array(self._sent),
         }
 
-    def changes(self, version: int, names: Sequence[str], states: Array) -> tuple[list[dict[str, Any]], list[str]]:
-        """Returns the cubes to send now, and the names of those that are gone; both count as sent.
+    def changes(self, version: int, names: Sequence[str], states: Array) -> tuple[bytes, list[str]]:
+        """Returns the cubes to send now, encoded (empty where there are none), and the names of those that are gone.
+
+        Both count as sent.
 
         Args:
             version: Changes whenever `names` does.
@@ -85,7 +91,7 @@ class Subscription:
         # Written as "not within", so that NaN (never sent) counts as moved.
         moved = np.flatnonzero(~((distance <= self.position_threshold) & (angle <= self.rotation_threshold)))
         sent[moved] = poses[moved]
-        return [moving_part(names[i], states[i].tolist()) for i in moved.tolist()], removed
+        return _encode([names[i] for i in moved.tolist()], states[moved]) if len(moved) else b"", removed
 
     def _align(self, version: int, names: Sequence[str]) -> list[str]:
         """Brings what was sent in line with the cubes that there are now; returns the names of those that are gone."""
@@ -111,3 +117,26 @@ def moving_part(name: str, state: Sequence[float]) -> dict[str, Any]:
         "linear_velocity": state[7:10],
         "angular_velocity": state[10:13],
     }
+
+
+_KEYS = (
+    b'","position":[',
+    b'],"rotation":[',
+    b'],"quaternion":[',
+    b'],"linear_velocity":[',
+    b'],"angular_velocity":[',
+)
+
+
+def _encode(names: Sequence[str], states: Array) -> bytes:
+    """Returns the encoded list of the moving parts of cubes, of which there is one or more."""
+    columns = (states[:, 0:3], euler_angles(states[:, 3:7]), states[:, 3:7], states[:, 7:10], states[:, 10:13])
+    texts = [encode(np.ascontiguousarray(column))[2:-2].split(b"],[") for column in columns]
+    width = 2 + 2 * len(_KEYS)
+    parts: list[bytes] = [b""] * (width * len(names))
+    parts[0::width] = encode(names)[2:-2].split(b'","')
+    for place, (key, text) in enumerate(zip(_KEYS, texts, strict=True)):
+        parts[1 + 2 * place :: width] = [key] * len(names)
+        parts[2 + 2 * place :: width] = text
+    parts[width - 1 :: width] = [b']},{"cube_name":"'] * len(names)
+    return b'[{"cube_name":"' + b"".join(parts[:-1]) + b"]}]"

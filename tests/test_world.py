@@ -401,6 +401,35 @@ def test_a_state_event_holds_what_moved_past_the_thresholds(drive: Driver) -> No
         protocol.validate_event(event)
 
 
+@given(
+    st.lists(
+        st.tuples(
+            st.one_of(
+                st.sampled_from([[math.pi / 2, 0.3, 0], [-math.pi / 2, 0, 0], [0, 0, 0], [0, math.pi, 0]]),
+                st.lists(st.floats(-4, 4), min_size=3, max_size=3),
+            ),
+            st.text('a",<\\:{}[]é\U0001f9ca', min_size=1, max_size=5),
+        ),
+        min_size=1,
+        max_size=4,
+        unique_by=lambda cube: cube[1],
+    )
+)
+def test_a_state_event_says_of_a_cube_what_the_world_state_says(cubes: list[tuple[list[float], str]]) -> None:
+    drive = Driver(backend="ballistic")
+    told: list[bytes] = []
+    drive.world.emit = lambda client, event: told.append(event)
+    for i, (rotation, name) in enumerate(cubes):
+        spin = [0.1 * i, -1.0 / 3.0, 0.0]
+        drive.ok("spawn_cube", cube_name=name, position=[2 * i, 9, 1e-7], rotation=rotation, angular_velocity=spin)
+    drive.ok("subscribe", events=["state"])
+    drive.ok("step")
+    state = drive.ok("get_world_state")["cubes"]
+    (event,) = told
+    assert event == protocol.encode({"type": "state", "t": 1 / 60, "frame": 1, "cubes": state, "removed": []})
+    drive.world.close()
+
+
 def test_subscribers_hear_of_the_end(drive: Driver) -> None:
     drive.ok("subscribe", events=["tick"])
     drive.world.close()

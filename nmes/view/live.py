@@ -27,9 +27,9 @@ from nmes.view.screen import lay_out
 if TYPE_CHECKING:
     import rerun as rr
 
-__all__ = ["show_live"]
+__all__ = ["SHIFT", "TURN", "show_live"]
 
-_SHIFT, _TURN = 1e-3, 1e-2  # m, rad: the world tells of what moved farther
+SHIFT, TURN = 1e-3, 1e-2  # m, rad: the world tells of what moved farther
 _ASK_AGAIN = 1.0  # s between two questions for the joints
 _GONE = frozenset({"cube_not_found", "joint_not_found"})
 _GOLDEN = 0.618034  # of the circle of colours, from one cube to the next
@@ -56,7 +56,7 @@ def show_live(client: Client, stream: rr.RecordingStream, fps: float) -> None:
     _draw_scenery(canvas, info)
     lay_out(stream, {info["world"]: canvas}, live=True)
     every = max(1, round(client.welcome["tick_rate"] / fps))
-    client.subscribe(events=["state"], every=every, position_threshold=_SHIFT, rotation_threshold=_TURN)
+    client.subscribe(events=["state"], every=every, position_threshold=SHIFT, rotation_threshold=TURN)
     try:
         _follow(client, canvas, info["t"], lambda: lay_out(stream, {info["world"]: canvas}, live=True))
     except Disconnected as error:
