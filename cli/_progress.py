@@ -12,11 +12,15 @@ __all__ = ["progress_bars"]
 
 
 @contextmanager
-def progress_bars() -> Iterator[Callable[[str, int, int], None]]:
-    """Gives a function to be told what is being done, and how much of it, of how much, is done."""
+def progress_bars(shown: bool = True) -> Iterator[Callable[[str, int, int], None]]:
+    """Gives a function to be told what is being done, and how much of it, of how much, is done.
+
+    Args:
+        shown: Whether the work is long enough to be worth it.
+    """
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
+    with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as bars:
         tasks: dict[str, TaskID] = {}
 
         def progress(doing: str, done: int, total: int) -> None:

@@ -8,19 +8,17 @@ import shlex
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import click
 import orjson
 from click.core import ParameterSource
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from nmes.cli._genomes import find_genomes
+from nmes.cli._progress import progress_bars
 from nmes.errors import DocumentError
 from nmes.evaluation import Evaluation, Job, Proof, evaluate_all, prove
 from nmes.genome import Genome
@@ -129,7 +127,7 @@ def command(
         try:
             asked = orjson.dumps(Task.load(task).document)
         except DocumentError as error:
-            raise click.BadParameter(error.message, param_hint="--task") from error
+            raise click.BadParameter(f"{task}:\n{error.message}", param_hint="--task") from error
         into = None if record is None else str(record)
         work = [Job(Path(name).stem, _read_genome(name), asked, seeds, into) for name in find_genomes(genomes)]
         if record is not None:
@@ -175,13 +173,14 @@ def _evaluate(work: list[Job], jobs: int, ray: str | None, resume: Path | None) 
         keep = resume.open("ab")
     left = [i for i in range(len(work)) if i not in done]
     try:
-        with _progress(len(work), len(done)) as advance:
+        with progress_bars(len(work) > 1) as progress:
+            progress("evaluating", len(done), len(work))
             for place, evaluation in evaluate_all([work[i] for i in left], jobs=jobs, ray=ray):
                 done[left[place]] = evaluation
                 if keep is not None:
                     keep.write(_line(work[left[place]], evaluation))
                     keep.flush()
-                advance()
+                progress("evaluating", len(done), len(work))
     except KeyboardInterrupt:
         _interrupted(work, done, resume)
     finally:
@@ -225,16 +224,6 @@ def _interrupted(work: Sequence[Job], done: dict[int, Evaluation], resume: Path 
         file.writelines(_line(work[i], done[i]) for i in sorted(done))
     arguments = shlex.join(sys.argv[1:])
     click.echo(f"go on with: nmes {arguments} --resume {path}", err=True)
-
-
-@contextmanager
-def _progress(total: int, done: int) -> Iterator[Any]:
-    console = Console(stderr=True)
-    columns = (TextColumn("evaluating"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    shown = console.is_terminal and total > 1
-    with Progress(*columns, console=console, transient=True, disable=not shown) as progress:
-        bar = progress.add_task("", total=total, completed=done)
-        yield lambda: progress.advance(bar)
 
 
 # -- what comes out ---------------------------------------------------------------------------------------------------

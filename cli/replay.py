@@ -6,19 +6,20 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import click
 import orjson
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from nmes.against import replay_against
 from nmes.cli import _against
 from nmes.cli._address import split_address
 from nmes.cli._connection import connection_options, connector
 from nmes.cli._drift import plot, show
+from nmes.cli._progress import progress_bars
 from nmes.cli.info import open_recording
 from nmes.drift import measure_drift
 from nmes.errors import NmesError, RecordingError
@@ -207,12 +208,8 @@ def _played(
 
 @contextmanager
 def _progress(recording: Recording | Log) -> Iterator[Callable[[int, int], None]]:
-    console = Console(stderr=True)
-    columns = (TextColumn("replaying"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    shown = console.is_terminal and recording.size > _LONG
-    with Progress(*columns, console=console, transient=True, disable=not shown) as progress:
-        task = progress.add_task("", total=recording.size)
-        yield lambda done, _: progress.update(task, completed=done)
+    with progress_bars(recording.size > _LONG) as progress:
+        yield partial(progress, "replaying")
 
 
 def _lines(report: ReplayReport) -> list[str]:
