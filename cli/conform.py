@@ -29,7 +29,7 @@ from nmes.conformance import (
     select,
     suite_hash,
 )
-from nmes.conformance.model import load_script, write_script
+from nmes.conformance.model import Script, load_script, write_script
 from nmes.conformance.report import to_html, to_json, to_junit
 from nmes.errors import NmesError
 
@@ -117,7 +117,7 @@ def command(
     target = Target(*address, chosen[0], timeout)
     try:
         if script is not None:
-            sys.exit(_replay(target, script))
+            sys.exit(_replay(target, _load(script)))
         report = _run(target, options, len(cases))
     except NmesError as error:
         click.echo(f"Error: {error.message}", err=True)
@@ -184,8 +184,17 @@ def _save(report: Report) -> dict[str, Path]:
     return saved
 
 
-def _replay(target: Target, path: Path) -> int:
-    result = replay(target, load_script(path.read_bytes()))
+def _load(path: Path) -> Script:
+    try:
+        return load_script(path.read_bytes())
+    except OSError as error:
+        raise click.UsageError(f"cannot read {path}: {error.strerror}") from error
+    except NmesError as error:
+        raise click.UsageError(f"{path}: {error.message}") from error
+
+
+def _replay(target: Target, script: Script) -> int:
+    result = replay(target, script)
     console = Console(highlight=False, soft_wrap=True)
     if result.verdict is Verdict.OK:
         console.print("[green]fixed[/]: every answer is right")

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING
 
 import click
 import orjson
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+from nmes.cli._progress import progress_bars
 from nmes.errors import NmesError
 from nmes.leaderboard import Entry, Leaderboard
 
@@ -30,6 +29,14 @@ def command() -> None:
     FILE is a SQLite file; the recordings that prove its entries lie beside it, in a folder of its name with the ending
     .recordings.
     """
+
+
+def _open(file: Path, *, create: bool = False) -> Leaderboard:
+    """Opens the leaderboard that an argument names; what is none is wrong usage."""
+    try:
+        return Leaderboard(file, create=create)
+    except NmesError as error:
+        raise click.UsageError(error.message) from error
 
 
 @command.command()
@@ -55,7 +62,7 @@ def add(file: Path, recordings: tuple[str, ...], author: str | None, as_json: bo
     """
     from nmes.evaluation import prove  # here and below: what only some of the subcommands need takes long to load
 
-    board = Leaderboard(file, create=True)
+    board = _open(file, create=True)
     groups: dict[tuple[str, str], list[Proof]] = {}
     refused = 0
     for path in recordings:
@@ -95,7 +102,7 @@ def show(file: Path, task: str | None, top: int | None, refused: bool, as_json: 
     \b
         nmes leaderboard show board.sqlite --task walk --top 10
     """
-    entries = Leaderboard(file).entries(task=task, top=top, refused=refused)
+    entries = _open(file).entries(task=task, top=top, refused=refused)
     if as_json:
         click.echo(orjson.dumps([entry.to_json() for entry in entries], option=orjson.OPT_INDENT_2))
     else:
@@ -151,17 +158,14 @@ def verify(file: Path, jobs: int | None, as_json: bool) -> None:
     \b
         nmes leaderboard verify board.sqlite --jobs 4
     """
-    board = Leaderboard(file)
+    board = _open(file)
     total = len(board.entries(refused=True))
-    console = Console(stderr=True)
-    columns = (TextColumn("verifying"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    shown = console.is_terminal and total > 1
     found: list[tuple[Entry, str | None]] = []
-    with Progress(*columns, console=console, transient=True, disable=not shown) as progress:
-        bar = progress.add_task("", total=total)
+    with progress_bars(total > 1) as progress:
+        progress("verifying", 0, total)
         for each in board.verify(jobs=jobs or os.cpu_count() or 1):
             found.append(each)
-            progress.advance(bar)
+            progress("verifying", len(found), total)
     found.sort(key=lambda each: each[0].id)
     bad = [(entry, refused) for entry, refused in found if refused is not None]
     if as_json:
@@ -191,5 +195,5 @@ def export(file: Path, output: Path, task: str | None, top: int) -> None:
     """
     from nmes.gallery import write_page
 
-    count = write_page(Leaderboard(file), output, task=task, top=top)
+    count = write_page(_open(file), output, task=task, top=top)
     click.echo(f"{output}: {count:,} {'entry' if count == 1 else 'entries'}")

@@ -24,6 +24,7 @@ from nmes.cli._password import PASSWORD_VARIABLE, choose_password, password_opti
 from nmes.cli.info import open_recording
 from nmes.errors import RejectedMessage, WorldError
 from nmes.metrics import Metrics
+from nmes.protocol import parse_json
 from nmes.recording import Recording
 from nmes.server import Host
 from nmes.view.screen import has_display
@@ -335,9 +336,11 @@ def _lay_out(worlds: int | list[str] | None, name: str, port: int, step: int | N
 
 def _read_config(path: Path) -> dict[str, Any]:
     try:
-        config = json.loads(path.read_bytes())
-    except (OSError, ValueError) as error:
-        raise click.UsageError(f"{path}: {error}") from error
+        config = parse_json(path.read_bytes())
+    except OSError as error:
+        raise click.UsageError(f"cannot read {path}: {error.strerror}") from error
+    except RejectedMessage as error:
+        raise click.UsageError(f"{path}: {error.message}") from error
     if not isinstance(config, dict):
         raise click.UsageError(f"{path}: a world config is a JSON object, not {type(config).__name__}")
     _embed_image(config, path)

@@ -32,7 +32,7 @@ def command(name: str | None, as_json: bool) -> None:
         try:
             task = Task.load(name)
         except DocumentError as error:
-            raise click.UsageError(error.message) from error
+            raise click.UsageError(f"{name}:\n{error.message}") from error
         if as_json:
             click.echo(orjson.dumps(task.document, option=orjson.OPT_INDENT_2))
         else:

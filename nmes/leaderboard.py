@@ -119,18 +119,27 @@ class Leaderboard:
             raise NmesError("no_leaderboard", f"there is no leaderboard {self.path}")
         with self._trouble():
             self._db = sqlite3.connect(self.path)
-            kind, version = (
-                self._db.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version")
-            )
-            if (kind, version) == (0, 0) and not self._db.execute("SELECT 1 FROM sqlite_schema").fetchone():
-                with self._db:
-                    self._db.executescript(
-                        f"BEGIN; PRAGMA application_id = {_KIND}; PRAGMA user_version = {_VERSION}; {_TABLES} COMMIT;"
-                    )
-            elif kind != _KIND:
-                raise NmesError("no_leaderboard", f"{self.path} is a database, but no leaderboard")
-            elif version != _VERSION:
-                raise NmesError("no_leaderboard", f"{self.path} is a leaderboard of format {version}, not {_VERSION}")
+            try:
+                self._begin(create)
+            except BaseException:
+                self._db.close()
+                raise
+
+    def _begin(self, create: bool) -> None:
+        kind, version = (
+            self._db.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version")
+        )
+        empty = (kind, version) == (0, 0) and not self._db.execute("SELECT 1 FROM sqlite_schema").fetchone()
+        if empty and create:
+            with self._db:
+                self._db.executescript(
+                    f"BEGIN; PRAGMA application_id = {_KIND}; PRAGMA user_version = {_VERSION}; {_TABLES} COMMIT;"
+                )
+        elif kind != _KIND:
+            what = "empty" if empty else "a database, but no leaderboard"
+            raise NmesError("no_leaderboard", f"{self.path} is {what}")
+        elif version != _VERSION:
+            raise NmesError("no_leaderboard", f"{self.path} is a leaderboard of format {version}, not {_VERSION}")
 
     def close(self) -> None:
         """Closes the file."""

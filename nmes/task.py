@@ -19,14 +19,13 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
-import jiter
 import numpy as np
 import orjson
 
 from nmes import protocol
 from nmes.backend import Array, Quaternion, Vector
 from nmes.body import Body, corners
-from nmes.errors import DocumentError, NmesError
+from nmes.errors import DocumentError, NmesError, RejectedMessage
 from nmes.objective import Condition, Objective, Quantity
 from nmes.rotation import multiply, quaternion_from_euler, rotate
 from nmes.trace import Trace
@@ -141,9 +140,9 @@ class Task:
                 said = f"there is no task {str(name_or_path)!r}, nor such a file ({error.strerror}); {hint}"
                 raise DocumentError([("", said)]) from error
         try:
-            document = jiter.from_json(raw, catch_duplicate_keys=True, allow_inf_nan=False)
-        except ValueError as error:
-            raise DocumentError([("", f"{name_or_path}: this is not JSON: {error}")]) from error
+            document = protocol.parse_json(raw)
+        except RejectedMessage as error:
+            raise DocumentError([("", error.message)]) from error
         return cls(document)
 
     @staticmethod

@@ -3,6 +3,7 @@ from __future__ import annotations
 import base64
 import json
 import os
+import random
 import re
 import signal
 import socket
@@ -23,6 +24,7 @@ from nmes import Client
 from nmes.cli import SUBCOMMANDS, main
 from nmes.errors import RecordingError
 from nmes.recording import Kind, Recording
+from recordings import busy, record
 from serving import PATIENCE
 
 NMES = str(Path(sys.executable).parent / "nmes")
@@ -128,6 +130,57 @@ def test_every_option_is_documented(name: str) -> None:
     assert {option for option in said if f"`{option}" in part} <= options
 
 
+FILES: list[tuple[str, ...]] = [
+    ("info", "FILE"),
+    ("verify", "FILE"),
+    ("verify", "GOOD", "--verify-key", "FILE"),
+    ("sign", "FILE", "--key", "FILE"),
+    ("sign", "GOOD", "--key", "FILE"),
+    ("replay", "FILE"),
+    ("diff", "GOOD", "FILE"),
+    ("export", "FILE", "--to", "csv"),
+    ("fork", "FILE", "-o", "out.mcap"),
+    ("render", "FILE", "-o", "out.png"),
+    ("view", "FILE", "--save", "out.rrd"),
+    ("serve", "--resume", "FILE", "--port", "0"),
+    ("serve", "--config", "FILE", "--port", "0", "--no-record"),
+    ("serve", "--tls-cert", "FILE", "--tls-key", "FILE", "--port", "0", "--no-record"),
+    ("genome", "check", "FILE"),
+    ("genome", "show", "FILE"),
+    ("genome", "expand", "FILE"),
+    ("tasks", "FILE"),
+    ("eval", "FILE"),
+    ("eval", "walker", "--task", "FILE"),
+    ("eval", "--from-recording", "FILE"),
+    ("leaderboard", "add", "out.sqlite", "FILE"),
+    ("leaderboard", "show", "FILE"),
+    ("leaderboard", "verify", "FILE"),
+    ("leaderboard", "export", "FILE", "-o", "out.html"),
+    ("conform", "127.0.0.1:1", "--password", "x", "--replay", "FILE"),
+    ("worlds", "127.0.0.1:1", "--password", "x", "--tls-ca", "FILE"),
+]
+
+
+@pytest.mark.parametrize("arguments", FILES, ids=" ".join)
+def test_a_file_of_nonsense_is_said_and_leaves_nothing(
+    arguments: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "empty").touch()
+    (tmp_path / "noise").write_bytes(random.Random(1).randbytes(4000))
+    (tmp_path / "deep").write_text("[" * 100_000)
+    (tmp_path / "long").write_text(f'{{"format": {"9" * 5000}, "seed": 1e400}}')
+    record(tmp_path / "good.mcap", busy, {"backend": "ballistic"})
+    before = {path.name: path.stat().st_size for path in tmp_path.iterdir()}
+    for name in ("folder", "empty", "noise", "deep", "long", "nowhere"):
+        result = run(*(name if word == "FILE" else "good.mcap" if word == "GOOD" else word for word in arguments))
+        assert isinstance(result.exception, SystemExit) and result.exit_code in (1, 2), (name, result.output)
+        assert name in result.output or name in result.stderr, result.output
+    (tmp_path / "out.sqlite").unlink(missing_ok=True)  # made before its recordings are looked at
+    assert {path.name: path.stat().st_size for path in tmp_path.iterdir()} == before
+
+
 # -- nmes serve -------------------------------------------------------------------------------------------------------
 
 
@@ -223,6 +276,8 @@ def test_a_landscape_s_image_comes_from_beside_the_config(tmp_path: Path) -> Non
         (["--config", "nowhere.json"], None, "nowhere.json"),
         (["--config", "world.json"], "{", "world.json: "),
         (["--config", "world.json"], "[]", "a world config is a JSON object"),
+        (["--config", "world.json"], "[" * 100_000, "world.json: not strict JSON"),
+        (["--config", "world.json"], '{"seed": 1, "seed": 2}', "duplicate key"),
         (["--config", "world.json"], '{"substeps": 0}', "substeps: "),
         (["--config", "world.json"], '{"limits": {"cubes": "many"}}', "limits/cubes: "),
         (["--config", "world.json"], '{"gravitiy": [0, 0, 0]}', "gravitiy: "),

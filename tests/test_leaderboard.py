@@ -191,6 +191,11 @@ def test_a_doctored_or_missing_recording_is_found(board: Path, tmp_path: Path) -
 
 def test_what_is_no_leaderboard_is_said(tmp_path: Path) -> None:
     assert "there is no leaderboard" in run("show", tmp_path / "none.sqlite").stderr
+    (tmp_path / "empty.sqlite").touch()
+    for command in (("show",), ("verify",), ("export", "-o", tmp_path / "x.html")):
+        result = run(*command, tmp_path / "empty.sqlite")
+        assert result.exit_code == 2 and "empty.sqlite is empty" in result.stderr
+    assert (tmp_path / "empty.sqlite").stat().st_size == 0
     (tmp_path / "text.sqlite").write_text("hello, this is no database at all")
     assert "text.sqlite" in run("show", tmp_path / "text.sqlite").stderr
     sqlite3.connect(tmp_path / "other.sqlite").execute("CREATE TABLE t (x)").connection.close()

@@ -19,8 +19,8 @@ import jsonschema_rs
 from nmes.conformance.case import Finding
 from nmes.conformance.trial import Trial
 from nmes.conformance.wire import Message, Wire, clip
-from nmes.errors import NmesError
-from nmes.protocol import COMMANDS, request_from
+from nmes.errors import NmesError, RejectedMessage
+from nmes.protocol import COMMANDS, parse_json, request_from
 from nmes.schemas import Schema
 
 __all__ = ["Player", "Script", "load_script", "play_script", "write_script"]
@@ -290,8 +290,8 @@ def load_script(text: bytes) -> Script:
         NmesError: It is none.
     """
     try:
-        case = json.loads(text)
+        case = parse_json(text)
         jsonschema_rs.validate(_CASE, case)
-    except (ValueError, jsonschema_rs.ValidationError) as error:
-        raise NmesError("invalid", f"this is no case of nmes conform: {str(error).splitlines()[0]}") from error
+    except (RejectedMessage, jsonschema_rs.ValidationError) as error:
+        raise NmesError("invalid", f"no case of nmes conform: {str(error).splitlines()[0]}") from error
     return list(case["script"])
