@@ -51,7 +51,7 @@ def _open(context: click.Context, parameter: click.Parameter, value: str) -> Rec
 @click.option("--plot", "plot_to", type=click.Path(dir_okay=False, path_type=Path), help="Write the drift to an SVG.")
 @click.option("--from", "first", type=click.IntRange(0), help="Begin at the last keyframe before this frame.")
 @click.option("--to", "last", type=click.IntRange(0), help="End at this frame.")
-@click.option("--anyway", is_flag=True, help="Run it also where engine or machine differ, to see how far it agrees.")
+@click.option("--anyway", is_flag=True, help="Run it also where engine or machine differ, and measure the drift.")
 @click.option("--against", metavar="HOST:PORT", callback=split_address, help="Play it to this server, and compare.")
 @click.option("--world", metavar="NAME", help="With --against: which of the server's worlds; the first if left out.")
 @click.option(
@@ -124,11 +124,18 @@ def command(
         raise click.UsageError("--plot shows the drift between two engines: it needs --backend")
     with _progress(recording) as progress:
         report = replay(recording, anyway=anyway, progress=progress, first=first, last=last)
+    drift = None
+    if report.verdict == "not_comparable" and report.divergence is not None and not report.part:
+        with _progress(recording) as progress:
+            drift = measure_drift(recording, recording.config["backend"], progress=progress)
     if as_json:
-        click.echo(orjson.dumps(report.to_json(), option=orjson.OPT_INDENT_2))
+        plain = report.to_json() | {"drift": None if drift is None else drift.to_json()}
+        click.echo(orjson.dumps(plain, option=orjson.OPT_INDENT_2))
     else:
         for line in _lines(report):
             click.echo(line)
+        if drift is not None:
+            show(drift, Console(highlight=False, markup=False))
     if report.damage is not None and not report.cut:
         sys.exit(2)
     sys.exit(0 if report.verdict == "reproduced" else 1)

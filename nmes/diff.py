@@ -16,8 +16,8 @@ from itertools import islice, zip_longest
 from typing import Any
 
 from nmes.drift import Drift
-from nmes.export import COLUMNS, States, states
-from nmes.recording import Kind, Recording
+from nmes.export import COLUMNS
+from nmes.recording import Kind, Recording, States
 from nmes.rotation import angle_between
 
 __all__ = ["Comparison", "InputsPart", "StatesPart", "compare"]
@@ -100,8 +100,8 @@ def compare(first: Recording, second: Recording, *, anyway: bool = False) -> Com
     if tick is not None:
         comparison.states = StatesPart(tick)
         pairs = zip(
-            islice(states(first, anyway=anyway), skip[0], None),
-            islice(states(second, anyway=anyway), skip[1], None),
+            islice(first.states(anyway=anyway), skip[0], None),
+            islice(second.states(anyway=anyway), skip[1], None),
             strict=False,
         )
         every = max(1, round(first.config["tick_rate"] / _SAMPLES))

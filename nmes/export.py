@@ -1,4 +1,4 @@
-"""Recordings as data: tables of messages, and of the states after every tick, made by running the recording again.
+"""Recordings as data: tables of messages, and of the states after every tick.
 
 It hides the formats of the tables.
 """
@@ -10,16 +10,14 @@ import csv
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from itertools import chain, islice
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
 import orjson
 
-from nmes.backend import Array
 from nmes.errors import NmesError
-from nmes.playback import watch
-from nmes.recording import Kind, Record, Recording
+from nmes.recording import Kind, Record, Recording, States
 
-__all__ = ["COLUMNS", "States", "messages", "state_rows", "states", "write_csv", "write_jsonl", "write_parquet"]
+__all__ = ["COLUMNS", "messages", "state_rows", "write_csv", "write_jsonl", "write_parquet"]
 
 COLUMNS = tuple(
     f"{name}_{axis}"
@@ -29,34 +27,6 @@ COLUMNS = tuple(
 _BATCH = 50_000  # rows of a Parquet group
 
 Row = Mapping[str, Any]
-
-
-class States(NamedTuple):
-    """All cubes after one tick: their names, and an array (n, 13) of positions, quaternions and velocities."""
-
-    frame: int
-    time: float
-    names: list[str]
-    values: Array
-
-
-def states(recording: Recording | str | os.PathLike[str], *, anyway: bool = False) -> Iterator[States]:
-    """Runs a recording again and yields the states after each of its ticks. After a `reset`, frames begin at 1 again.
-
-    Args:
-        recording: The recording, or its file.
-        anyway: Go on where a tick does not come out as it was recorded, as on another machine.
-
-    Raises:
-        RecordingError: The file cannot be read, or a tick does not come out as recorded (`diverged`).
-        BackendNotFound: Its engine is not there.
-    """
-    if not isinstance(recording, Recording):
-        recording = Recording(recording)
-    yield from watch(recording, lambda world: States(world.frame, world.time, *world.poses()), anyway=anyway)
-
-
-# -- tables ----------------------------------------------------------------------------------------------------------
 
 
 def messages(recording: Recording) -> Iterator[Row]:

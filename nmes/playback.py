@@ -9,20 +9,33 @@ Invariant: nothing is handed out of a tick whose digest is not the recorded one,
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from typing import Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
 from nmes.errors import RecordingError
 from nmes.feeding import feed, happenings
 from nmes.protocol import Request
-from nmes.recording import Kind, Recording
-from nmes.world import World
+from nmes.records import Kind, Record
+from nmes.world import Journal, World
 
-__all__ = ["watch"]
+__all__ = ["Repeatable", "watch"]
 
 _Seen = TypeVar("_Seen")
 
 
-def watch(recording: Recording, look: Callable[[World], _Seen], *, anyway: bool = False) -> Iterator[_Seen]:
+class Repeatable(Protocol):
+    """What is asked of a recording."""
+
+    def start(self) -> Any:
+        """Returns where it begins."""
+
+    def begin(self, start: Any, journal: Journal) -> World:
+        """Makes the world that it has there."""
+
+    def __iter__(self) -> Iterator[Record]:
+        """Yields its records in order."""
+
+
+def watch(recording: Repeatable, look: Callable[[World], _Seen], *, anyway: bool = False) -> Iterator[_Seen]:
     """Runs a recording again and yields what `look` returns of the world after each of its ticks.
 
     Args:

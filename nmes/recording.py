@@ -28,13 +28,14 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice, zip_longest
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import jsonschema_rs
 import orjson
 from mcap.records import Channel
 
 from nmes import protocol
+from nmes.backend import Array
 from nmes.errors import NmesError, RecordingError, WorldError
 from nmes.feeding import advance
 from nmes.mcapfile import (
@@ -48,6 +49,7 @@ from nmes.mcapfile import (
     skim_chunk,
     split_chunk,
 )
+from nmes.playback import watch
 from nmes.recorder import Recorder
 from nmes.records import (
     BOXES,
@@ -66,7 +68,18 @@ from nmes.schemas import load
 from nmes.snapshot import ticks_of
 from nmes.world import Journal, World
 
-__all__ = ["FORMAT", "PROFILE", "REFUSED_LIMIT", "Kind", "Record", "Recorder", "Recording", "Start", "Summary"]
+__all__ = [
+    "FORMAT",
+    "PROFILE",
+    "REFUSED_LIMIT",
+    "Kind",
+    "Record",
+    "Recorder",
+    "Recording",
+    "Start",
+    "States",
+    "Summary",
+]
 
 _CLIENT_TOPIC = re.compile(r"client/(\d{1,9})/(commands|replies|refused)")
 _CLIENT_KINDS = {"commands": Kind.COMMAND, "replies": Kind.REPLY, "refused": Kind.REFUSED}
@@ -129,6 +142,22 @@ class Summary:
                 self.faults += 1
         self.began = self.began or record.wall
         self.ended = record.wall
+
+
+class States(NamedTuple):
+    """All cubes after one tick.
+
+    Attributes:
+        frame: The frame.
+        time: Its simulation time, s.
+        names: The cubes, in order of creation.
+        values: An array (n, 13) of positions (m), quaternions, linear (m/s) and angular velocities (rad/s).
+    """
+
+    frame: int
+    time: float
+    names: list[str]
+    values: Array
 
 
 class Recording:
@@ -396,6 +425,18 @@ class Recording:
         world.emit = emit
         if world.ticks != frame:
             raise RecordingError("no_such_frame", f"{self.path} ends at frame {world.ticks}; it has no frame {frame}")
+
+    def states(self, *, anyway: bool = False) -> Iterator[States]:
+        """Yields the states after each tick, made by running it again. After a `reset`, frames begin at 1 again.
+
+        Args:
+            anyway: Go on where a tick does not come out as it was recorded, as on another machine.
+
+        Raises:
+            RecordingError: The file cannot be read, or a tick does not come out as recorded (`diverged`).
+            BackendNotFound: Its engine is not there.
+        """
+        return watch(self, lambda world: States(world.frame, world.time, *world.poses()), anyway=anyway)
 
     def lineage(self, frame: int) -> dict[str, str]:
         """Returns what a recording that goes on from a frame of this one says of its parent (`nmes.parent`)."""

@@ -13,7 +13,7 @@ from click.testing import CliRunner
 
 from nmes.cli import main
 from nmes.errors import RecordingError
-from nmes.export import COLUMNS, messages, states
+from nmes.export import COLUMNS, messages
 from nmes.recording import Kind, Recorder, Recording
 from nmes.world import World
 from recordings import Line, busy, record, rewrite, send
@@ -59,7 +59,7 @@ def test_states_are_those_of_the_run(tmp_path: Path, backend: str) -> None:
     else:
         busy(world, client)
     recorder.close()
-    found = list(states(tmp_path / "x.mcap"))
+    found = list(Recording(tmp_path / "x.mcap").states())
     assert len(found) == len(recorder.states) >= 40
     for one, (frame, names, values) in zip(found, recorder.states, strict=True):
         assert (one.frame, one.names, one.time) == (frame, names, frame / 60)
@@ -74,15 +74,15 @@ def test_states_that_are_not_those_recorded_are_not_handed_out(tmp_path: Path) -
 
     edited = rewrite(path, tmp_path / "edited.mcap", push_harder)
     with pytest.raises(RecordingError, match="tick 2 does not come out as recorded") as info:
-        list(states(edited))
+        list(Recording(edited).states())
     assert info.value.code == "diverged"
-    assert len(list(states(edited, anyway=True))) == 40
+    assert len(list(Recording(edited).states(anyway=True))) == 40
 
     def never_step(lines: list[Line]) -> list[Line]:
         return [line._replace(data=line.data.replace(b'"ticks":10', b'"ticks":9')) for line in lines]
 
     with pytest.raises(RecordingError, match="fewer ticks than recorded"):
-        list(states(rewrite(path, tmp_path / "fewer.mcap", never_step)))
+        list(Recording(rewrite(path, tmp_path / "fewer.mcap", never_step)).states())
     code, output = run("export", edited, "--to", "csv")
     assert code == 1 and "does not come out as recorded" in output
 
@@ -95,7 +95,7 @@ def test_a_cut_recording_gives_what_it_holds(tmp_path: Path) -> None:
     send(world, client, type="step", ticks=4)
     recorder.flush()
     send(world, client, type="step", ticks=4)
-    assert [one.frame for one in states(tmp_path / "x.mcap")] == [1, 2, 3, 4]
+    assert [one.frame for one in Recording(tmp_path / "x.mcap").states()] == [1, 2, 3, 4]
     recorder.close()
 
 
@@ -120,7 +120,7 @@ def test_tables_hold_every_cube_after_every_tick(tmp_path: Path) -> None:
     path = record(tmp_path / "x.mcap", busy)
     expected = [
         [one.frame, one.time, name, *value]
-        for one in states(path)
+        for one in Recording(path).states()
         for name, value in zip(one.names, one.values.tolist(), strict=True)
     ]
     assert run("export", path, "--to", "csv", "--output", tmp_path / "x.csv") == (0, "")

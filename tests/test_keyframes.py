@@ -17,7 +17,6 @@ import programs
 from nmes import mcapfile
 from nmes.cli import main
 from nmes.errors import RecordingError
-from nmes.export import states
 from nmes.recording import Kind, Recorder, Recording
 from nmes.replay import replay
 from nmes.world import World
@@ -308,7 +307,7 @@ def test_a_recording_of_a_world_with_a_past_replays_by_itself(tmp_path: Path) ->
     assert recording.start().frame == before > 100 and recording.last_frame == world.ticks
     report = replay(path)
     assert (report.verdict, report.frames) == ("reproduced", (before, world.ticks)), report.divergence
-    assert report.ticks == len(list(states(path))) == world.ticks - before
+    assert report.ticks == len(list(Recording(path).states())) == world.ticks - before
     with pytest.raises(RecordingError, match="begins at frame"):
         recording.world_at(before - 1)
     assert recording.world_at(before).cubes()

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 import programs
 from nmes.cli import main
 from nmes.drift import measure_drift
-from nmes.export import messages, states
+from nmes.export import messages
 from nmes.fingerprint import fingerprint
 from nmes.logs import Log, replay_log
 from nmes.playback import watch
@@ -196,7 +196,7 @@ def test_nobody_goes_on_where_a_recording_ends_in_a_command(
     assert (report.verdict, report.ticks, report.commands, report.frames) == ("reproduced", 7, 0, (0, 7))
     assert report.damage is None
     recording = Recording(path)
-    assert [state.frame for state in states(recording)] == [1, 2, 3, 4, 5, 6, 7]
+    assert [state.frame for state in recording.states()] == [1, 2, 3, 4, 5, 6, 7]
     for frame in (None, 2):
         there = recording.world_at(frame)
         assert there.frame == (7 if frame is None else 2)
@@ -542,6 +542,25 @@ def test_nmes_replay_says_why_it_is_not_comparable(busy_file: Path, monkeypatch:
     code, output = run("replay", busy_file, "--anyway")
     assert code == 1
     assert "run anyway, it agrees all the same: 40 ticks, 47 commands" in output
+    assert json.loads(run("replay", busy_file, "--anyway", "--json")[1])["drift"] is None
+
+
+def test_elsewhere_the_drift_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # As if the engine pushed harder here: 2 N more for a tick.
+    def strengthen(lines: list[Line]) -> list[Line]:
+        at = next(i for i, line in enumerate(lines) if b'"force":[1.5' in line.data)
+        lines[at] = lines[at]._replace(data=lines[at].data.replace(b"[1.5", b"[3.5"))
+        return lines
+
+    path = rewrite(record(tmp_path / "x.mcap", busy, pose_rate=60), tmp_path / "y.mcap", strengthen)
+    monkeypatch.setattr("nmes.replay.fingerprint", lambda backend: {**fingerprint(backend), "simd": "x86-64-v0"})
+    code, output = run("replay", path, "--anyway")
+    assert code == 1 and "run anyway, it agrees as far as 0 ticks" in output
+    assert "metres from where each cube was recorded" in output
+    drift = json.loads(run("replay", path, "--anyway", "--json")[1])["drift"]
+    ends = {name: samples[-1]["distance"] for name, samples in drift["cubes"].items()}
+    assert ends["one"] == pytest.approx(2 / 60 * 39.5 / 60, rel=0.02)  # on 1 kg, for the 40 ticks
+    assert ends["two"] < 1e-6
 
 
 def test_nmes_info_counts_faults(tmp_path: Path) -> None:
