@@ -240,6 +240,27 @@ def landscape(world: World, client: int) -> None:
     do(world, client, "get_world_state")
 
 
+def keyframes(world: World, client: int) -> None:
+    """The world saves itself while a motored arm is hit and cut, and after a reset; any part of it replays."""
+    do(world, client, "subscribe", events=["state"], every=5)
+    base = spawn(world, client, "base", [0, 0.5, 0], is_base=True)
+    arm = spawn(world, client, "arm", [0, 1.6, 0], size=[0.5, 1, 0.5])
+    hinge = {"cube1": base, "cube2": arm, "joint_type": "hinge", "axis": [0, 0, 1], "position": [0, 1.05, 0]}
+    joint = do(world, client, "create_joint", **hinge, motor_max_force=50)["joint_name"]
+    do(world, client, "set_joint_param", joint_name=joint, param_name="motor_target_velocity", value=1.5)
+    for i in range(20):
+        if i == 4:
+            spawn(world, client, "ball", [-4, 1.6, 0], linear_velocity=[8, 2, 0])
+        if i == 12:
+            do(world, client, "remove_joint", joint_name=joint)
+        do(world, client, "step", ticks=1 + i % 7)
+    do(world, client, "reset", seed=3)
+    spawn(world, client, "again", [0, 2, 0], rotation=[0.3, 0.2, 0.1])
+    other = world.join()
+    do(world, other, "step", ticks=70)
+    do(world, other, "get_world_state")
+
+
 _HILLS = {
     "type": "heightfield",
     "heightfield": {"size": [40, 40], "height": 2, "hill": 9, "seed": 4},
@@ -257,6 +278,8 @@ def _corpus() -> Iterator[Golden]:
     yield Golden("mujoco-planets", shows, planets, {"backend": "mujoco", "scene": _PLANETS})
     shows = " ".join((landscape.__doc__ or "").split())
     yield Golden("mujoco-landscape", shows, landscape, {"backend": "mujoco", "scene": _HILLS})
+    shows = " ".join((keyframes.__doc__ or "").split())
+    yield Golden("mujoco-keyframes", shows, keyframes, {"backend": "mujoco", "seed": 11, "keyframes": 0.25})
 
 
 CORPUS = list(_corpus())

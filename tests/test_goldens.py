@@ -39,6 +39,19 @@ def test_it_replays(golden: Golden) -> None:
         assert report.ticks == twin(golden)["ticks"]
 
 
+def test_every_part_of_one_with_keyframes_replays() -> None:
+    (golden,) = [golden for golden in CORPUS if "keyframes" in golden.config]
+    recording = Recording(golden.recording)
+    kept, ticks = recording.summary().keyframes, twin(golden)["ticks"]
+    starts = set()
+    for first in (*range(0, ticks, 11), ticks):
+        report = replay(recording, first=first, anyway=True)
+        assert report.frames[1] == ticks
+        starts.add(report.frames[0])
+        assert report.differences or report.verdict == "reproduced", report.divergence
+    assert len(starts) == kept + 1 > 6
+
+
 @goldens
 def test_the_twin_says_what_it_holds(golden: Golden) -> None:
     told = twin(golden)
