@@ -73,7 +73,7 @@ def test_there_are_twelve_of_many_kinds() -> None:
     [
         ("walker", 12, 0.9),
         ("biped", 2, 0.7),
-        ("centipede", 2.5, 0.9),
+        ("centipede", 8, 0.9),
         ("inchworm", 3, 0.3),
         ("lurcher", 3, 0.3),
         ("roller", 10, 0.95),
@@ -195,10 +195,10 @@ def test_directories_and_patterns_mean_their_files(tmp_path: Path) -> None:
 def test_show_tables_the_body_and_draws_it() -> None:
     done = run("show", "centipede")
     assert done.exit_code == 0
-    for part in ("leg.3.mirror", "position, -0.6 to 0.6 rad, 12 N m", "segment.up.y", "brain: cpg", "@@"):
+    for part in ("leg.3.mirror", "position, -0.6 to 0.6 rad, 20 N m", "head.target_direction.z", "brain: cpg", "@@"):
         assert part in done.output
     (about,) = json.loads(run("show", "centipede", "--json").output)
-    assert len(about["cubes"]) == 21 and about["generative"] and len(about["motors"]) == 16
+    assert len(about["cubes"]) == 21 and about["generative"] and len(about["motors"]) == 19
 
 
 def test_show_draws_one_large_and_many_on_a_sheet(tmp_path: Path) -> None:

@@ -295,7 +295,8 @@ def blind(genome: Genome) -> Genome:
 
 
 @pytest.mark.parametrize(
-    ("name", "task", "least", "most"), [("seeker", "reach", 1.5, 0.5), ("juggler", "pole", 18.5, 1)]
+    ("name", "task", "least", "most"),
+    [("seeker", "reach", 1.5, 0.5), ("centipede", "reach", 1.4, 0.5), ("juggler", "pole", 18.5, 1)],
 )
 def test_targets_are_come_to_and_balanced_by_who_feels_them(
     name: str, task: str, least: float, most: float, tmp_path: Path
