@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import html
 import math
-from collections.abc import Iterator
 from pathlib import Path
 
 from rich.console import Console
 from rich.table import Table
 
+from nmes.cli._plot import Curves, write_plot
 from nmes.drift import Drift, DriftReport
 
 __all__ = ["plot", "show"]
@@ -17,8 +16,6 @@ __all__ = ["plot", "show"]
 TIMES = 5  # columns of the table
 CUBES = 20  # rows of the table: those that drift most
 FLOOR = 1e-6  # m: recorded poses are rounded to float32, so less than this is nothing
-COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
-WIDTH, HEIGHT, LEFT, BOTTOM, TOP, RIGHT = 900, 480, 70, 50, 40, 150
 
 
 def show(report: DriftReport, console: Console) -> None:
@@ -49,41 +46,9 @@ def show(report: DriftReport, console: Console) -> None:
 
 def plot(report: DriftReport, path: Path) -> None:
     """Writes each cube's distance over time as an SVG, on a logarithmic scale."""
-    path.write_text("\n".join(_svg(report)) + "\n")
-
-
-def _svg(report: DriftReport) -> Iterator[str]:
-    drifts = [drift for line in report.cubes.values() for drift in line]
-    end = max((drift.time for drift in drifts), default=0.0) or 1.0
-    low = math.floor(math.log10(FLOOR))
-    high = max(low + 1, math.ceil(math.log10(max((drift.distance for drift in drifts), default=0.0) or FLOOR)))
-
-    def x(time: float) -> float:
-        return LEFT + (WIDTH - LEFT - RIGHT) * time / end
-
-    def y(distance: float) -> float:
-        part = (math.log10(max(distance, FLOOR)) - low) / (high - low)
-        return HEIGHT - BOTTOM - (HEIGHT - BOTTOM - TOP) * part
-
-    yield f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {HEIGHT}" font-family="sans-serif">'
-    yield f'<rect width="{WIDTH}" height="{HEIGHT}" fill="white"/><g font-size="12" stroke-width="1.5">'
+    lines = {name: [(drift.time, drift.distance) for drift in line] for name, line in report.cubes.items()}
     title = f"Drift of {report.backend} from the recording on {report.recorded}"
-    yield f'<text x="{LEFT}" y="24" font-size="16">{html.escape(title)}</text>'
-    for power in range(low, high + 1):
-        level = y(10.0**power)
-        yield f'<path d="M{LEFT} {level:.1f}H{WIDTH - RIGHT}" stroke="#ddd"/>'
-        yield f'<text x="{LEFT - 6}" y="{level + 4:.1f}" text-anchor="end">1e{power} m</text>'
-    for part in range(6):
-        time = end * part / 5
-        yield f'<text x="{x(time):.1f}" y="{HEIGHT - BOTTOM + 18}" text-anchor="middle">{time:.3g} s</text>'
-    for i, (name, line) in enumerate(report.cubes.items()):
-        color = COLORS[i % len(COLORS)]
-        points = " ".join(f"{x(drift.time):.1f},{y(drift.distance):.1f}" for drift in line)
-        yield f'<polyline points="{points}" fill="none" stroke="{color}"/>'
-        if i < (HEIGHT - TOP - BOTTOM) // 16:
-            label = f'<text x="{WIDTH - RIGHT + 8}" y="{TOP + 16 * i + 12}" fill="{color}">'
-            yield f"{label}{html.escape(name)}</text>"
-    yield "</g></svg>"
+    write_plot(path, title, [Curves("distance (m)", lines, floor=FLOOR, height=380)])
 
 
 def _worst(drifts: list[Drift]) -> float:

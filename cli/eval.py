@@ -17,11 +17,13 @@ from click.core import ParameterSource
 from rich.console import Console
 from rich.table import Table
 
+from nmes.cli._course import plot_courses
 from nmes.cli._genomes import find_genomes
 from nmes.cli._progress import progress_bars
 from nmes.errors import DocumentError
 from nmes.evaluation import Evaluation, Job, Proof, evaluate_all, prove
 from nmes.genome import Genome
+from nmes.recording import Recording
 from nmes.task import Task
 
 __all__ = ["command"]
@@ -76,6 +78,12 @@ def _seeds(_: click.Context, parameter: click.Parameter, value: str | None) -> t
 @click.option("--jobs", type=click.IntRange(1), help="How many processes.  [default: one a core]")
 @click.option("--ray", metavar="ADDRESS", help="Use a Ray cluster instead: HOST:PORT, auto, or local.")
 @click.option("--resume", type=click.Path(dir_okay=False, path_type=Path), help="Keep results here; skip what it has.")
+@click.option(
+    "--plot",
+    "plot_to",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write score, height, energy and gait over time to an SVG; with --record or --from-recording.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print the results as CSV.")
 @click.pass_context
@@ -89,6 +97,7 @@ def command(
     jobs: int | None,
     ray: str | None,
     resume: Path | None,
+    plot_to: Path | None,
     as_json: bool,
     as_csv: bool,
 ) -> None:
@@ -110,14 +119,17 @@ def command(
         nmes eval walker
         nmes eval walker 'evolved/*.json' --task walk --seeds 1-5 --record proofs
         nmes eval --from-recording proofs/walk-walker-1.mcap --json
+        nmes eval walker --seeds 1-3 --record proofs --plot walker.svg
     """
     given = {name for name in context.params if context.get_parameter_source(name) is ParameterSource.COMMANDLINE}
-    if recordings and given - {"recordings", "genomes", "as_json", "as_csv"}:
-        raise click.UsageError("--from-recording scores what recordings hold: only --json and --csv go with it")
+    if recordings and given - {"recordings", "genomes", "as_json", "as_csv", "plot_to"}:
+        raise click.UsageError("--from-recording scores what recordings hold: only --json, --csv and --plot go with it")
     if not recordings and not genomes:
         raise click.UsageError("name a genome to score, or a recording with --from-recording")
     if as_json and as_csv:
         raise click.UsageError("either --json or --csv")
+    if plot_to is not None and not recordings and record is None:
+        raise click.UsageError("--plot is drawn from recordings: give --record, or --from-recording")
     if jobs is not None and ray is not None:
         raise click.UsageError("either --jobs or --ray")
     if recordings:
@@ -134,6 +146,11 @@ def command(
             record.mkdir(parents=True, exist_ok=True)
         found, whole = _evaluate(work, jobs or os.cpu_count() or 1, ray, resume)
     _print(found, as_json, as_csv)
+    if plot_to is not None:
+        made = [path for each in found for path in each.recordings]
+        if not made:
+            raise click.ClickException("there is no recording to plot")
+        plot_courses([Recording(path) for path in made], plot_to)
     sys.exit(0 if whole and all(each.error is None and not each.faults for each in found) else 1)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import click
@@ -25,8 +26,14 @@ def open_recording(_: click.Context, parameter: click.Parameter, value: str) -> 
 
 @click.command("info")
 @click.argument("recording", metavar="FILE", callback=open_recording)
+@click.option(
+    "--plot",
+    "plot_to",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Write score, height, energy and gait over time to an SVG, too.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
-def command(recording: Recording, as_json: bool) -> None:
+def command(recording: Recording, plot_to: Path | None, as_json: bool) -> None:
     """Show what a recording holds.
 
     The world, its seed and engine, clients, commands by type, ticks and duration, and whether the file is whole.
@@ -35,8 +42,13 @@ def command(recording: Recording, as_json: bool) -> None:
 
     \b
         nmes info run.mcap
+        nmes info run.mcap --plot run.svg
     """
     about = _about(recording)
+    if plot_to is not None:
+        from nmes.cli._course import plot_courses  # brains and tasks take long to import, and all commands import this
+
+        plot_courses([recording], plot_to)
     if as_json:
         click.echo(orjson.dumps(about, option=orjson.OPT_INDENT_2))
         return

@@ -49,7 +49,18 @@ from nmes.task import CREATURE, Task
 from nmes.trace import Cast, Trace
 from nmes.world import World
 
-__all__ = ["Episode", "Evaluation", "Job", "Proof", "Result", "brain_of", "evaluate", "evaluate_all", "prove"]
+__all__ = [
+    "Episode",
+    "Evaluation",
+    "Job",
+    "Proof",
+    "Result",
+    "brain_of",
+    "evaluate",
+    "evaluate_all",
+    "prove",
+    "scores_so_far",
+]
 
 _ABOUT: Final = "nmes.evaluation"  # the metadata record of a recording that says what it was for
 _POSE_RATE: Final = 1.0  # Hz; pictures for viewers cost as much as all else that is recorded, and follow from it
@@ -291,6 +302,10 @@ class Episode:
         rest = measured[_ENERGY], measured[_DISTANCE], trace.rows - 1
         return Result(self._seed, score, *rest, ended=self._ended, fault=fault)
 
+    def scores_so_far(self) -> Array:
+        """Returns the objective's value at the start and after each tick, array (n,); NaN where there is none."""
+        return np.zeros(0) if self._trace is None else self._trace.values_so_far(self._task.objective)
+
 
 class _Observer:
     """Fills the trace of an episode."""
@@ -522,6 +537,33 @@ def prove(recording: str | os.PathLike[str], *, brain: bool = False) -> Proof:
         DocumentError: Its task or its genome is not as it must be.
     """
     held = Recording(recording)
+    checker, task, genome = _check(held, brain)
+    with open(recording, "rb") as file:
+        digest = file_digest(file, "sha256").hexdigest()
+    return Proof(genome, task, checker.result(), str(recording), digest, held.fingerprint)
+
+
+def scores_so_far(recording: Recording) -> Array:
+    """Returns how an episode's score came about: what the objective is, tick by tick, over the ticks up to there.
+
+    Args:
+        recording: The episode's. It is run again as by `prove`.
+
+    Returns:
+        Array (n, 2) of times since the recording began, s, and of values; where there is none, NaN.
+
+    Raises:
+        RecordingError: As by `prove`.
+        DocumentError: As by `prove`.
+    """
+    checker, task, _genome = _check(recording, False)
+    values = checker.scores_so_far()
+    ticks = task.settle_ticks + np.arange(len(values))
+    return np.stack([ticks / task.tick_rate, values], axis=1)
+
+
+def _check(held: Recording, brain: bool) -> tuple[_Checker, Task, Genome]:
+    """Runs a recorded episode again; returns who followed it to its end, without finding fault."""
     about = held.metadata.get(_ABOUT)
     begun, first = islice(chain(held, (None, None)), 2)  # one that goes on from another would begin with a keyframe
     joined = begun is not None and begun.kind is Kind.JOINED
@@ -544,12 +586,10 @@ def prove(recording: str | os.PathLike[str], *, brain: bool = False) -> Proof:
             raise RecordingError("diverged", f"{at}: {report.divergence.message}")
         if report.damage is not None:
             raise RecordingError("damaged", report.damage)
-        result = checker.result()
+        checker.result()
     except (RecordingError, WorldError) as error:
         raise RecordingError(error.code, f"{held.path}: {error.message}") from error
-    with open(recording, "rb") as file:
-        digest = file_digest(file, "sha256").hexdigest()
-    return Proof(genome, task, result, str(recording), digest, held.fingerprint)
+    return checker, task, genome
 
 
 class _Checker:
@@ -585,6 +625,11 @@ class _Checker:
         if self._episode is None or not self._over:
             raise RecordingError("damaged", "the recording ends before the episode does")
         return self._episode.result()
+
+    def scores_so_far(self) -> Array:
+        """Returns what the score would have been, had the episode ended at each of its ticks."""
+        assert self._episode is not None
+        return self._episode.scores_so_far()
 
 
 def _agree(step: Step, request: Request | None) -> bool:

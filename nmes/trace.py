@@ -12,6 +12,7 @@ changes no bit.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -19,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nmes.backend import Array, Simulation
+from nmes.errors import WorldError
 from nmes.objective import Condition, Objective, Quantity
 
 __all__ = ["UPRIGHT", "Cast", "Flags", "Tally", "Trace", "touches"]
@@ -140,6 +142,16 @@ class Trace:
             WorldError: `bad_expression`: it is no finite number.
         """
         return objective.value(self.values(objective.needs))
+
+    def values_so_far(self, objective: Objective) -> Array:
+        """Returns an objective's value at each row, over the rows up to there, array (rows,); NaN: no finite number."""
+        columns = [self._so_far(quantity, range(self.rows)).tolist() for quantity in objective.needs]
+        found = np.full(self.rows, np.nan)
+        for row in range(self.rows):
+            values = dict(zip(objective.needs, [column[row] for column in columns], strict=True))
+            with suppress(WorldError):
+                found[row] = objective.value(values)
+        return found
 
     def first(self, condition: Condition, begin: int, end: int, every: int = 1) -> int | None:
         """Returns the first row at which a condition holds.

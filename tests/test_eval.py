@@ -10,14 +10,20 @@ import signal
 import subprocess
 import sys
 import time
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 from click.testing import CliRunner, Result
 
 from creatures import cpg, exploding, mlp, snake
 from nmes.cli import main
+from nmes.evaluation import scores_so_far
+from nmes.recording import Recording
+from nmes.world import World
+from recordings import record, send
 from test_evaluation import DASH
 
 NMES = str(Path(sys.executable).parent / "nmes")
@@ -99,8 +105,8 @@ def test_a_table_fits_80_columns_and_tells_namesakes_apart(folder: Path) -> None
         (["x.json", "--seeds", "1,1"], "each once"),
         (["x.json", "--json", "--csv"], "either --json or --csv"),
         (["x.json", "--jobs", "2", "--ray", "auto"], "either --jobs or --ray"),
-        (["--task", "walk", "--from-recording", __file__], "only --json and --csv go with it"),
-        (["--seeds", "1", "--from-recording", __file__], "only --json and --csv go with it"),
+        (["--task", "walk", "--from-recording", __file__], "only --json, --csv and --plot go with it"),
+        (["--seeds", "1", "--from-recording", __file__], "only --json, --csv and --plot go with it"),
         ([str(Path(__file__).parent)], "no .json file"),
     ],
 )
@@ -173,3 +179,68 @@ def test_a_ray_cluster_gives_the_same(folder: Path) -> None:
     )
     assert cluster.returncode == here.returncode == 1, cluster.stderr
     assert timeless(json.loads(cluster.stdout)) == timeless(json.loads(here.stdout))
+
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def drawn(path: Path, title: str) -> list[list[tuple[float, float]]]:
+    """The curves of a panel of a plot, as points of the picture."""
+    curves: dict[str, list[list[tuple[float, float]]]] = {}
+    panel = ""
+    for element in ElementTree.parse(path).getroot().iter():
+        if element.get("font-weight") == "bold":
+            panel = element.text or ""
+        elif element.tag == f"{SVG}polyline":
+            points = [tuple(map(float, point.split(","))) for point in (element.get("points") or "").split()]
+            curves.setdefault(panel, []).append([(x, y) for x, y in points])
+    return curves[title]
+
+
+def test_plots_show_score_height_energy_and_gait(folder: Path) -> None:
+    task = ("--task", folder / "dash.json", "--seeds", "1,2", "--json")
+    made = run(folder / "zoo" / "b-cpg.json", *task, "--record", folder / "r", "--plot", folder / "made.svg")
+    assert made.exit_code == 0, made.output
+    (found,) = json.loads(made.stdout)
+    for title in ("score so far", "height of the middle (m)", "speed of the middle (m/s)", "work of the motors (J)"):
+        assert len(drawn(folder / "made.svg", title)) == 2
+    for line in drawn(folder / "made.svg", "work of the motors (J)"):
+        assert all(later[1] <= earlier[1] for earlier, later in pairwise(line)), (
+            "work only grows; up is less in a picture"
+        )
+    again = run("--from-recording", *found["recordings"], "--plot", folder / "again.svg")
+    assert again.exit_code == 0, again.output
+    assert (folder / "again.svg").read_bytes() == (folder / "made.svg").read_bytes()
+    picture = ElementTree.parse(folder / "made.svg").getroot()
+    bars = [element for element in picture.iter(f"{SVG}rect") if element.get("x") is not None]
+    assert bars, "a snake lies on the ground"
+    assert run(folder / "zoo" / "b-cpg.json", *task, "--plot", folder / "none.svg").exit_code == 2
+
+
+def test_the_score_so_far_ends_at_the_score(folder: Path) -> None:
+    made = run(folder / "zoo" / "b-cpg.json", "--task", folder / "dash.json", "--json", "--record", folder / "r")
+    (found,) = json.loads(made.stdout)
+    for path, result in zip(found["recordings"], found["results"], strict=True):
+        scores = scores_so_far(Recording(path))
+        assert scores[-1, 1] == result["score"]
+        assert len(scores) == result["ticks"] + 1
+        assert scores[0, 0] == pytest.approx(scores[-1, 0] - result["ticks"] / 60)
+
+
+def test_info_plots_any_recording(tmp_path: Path) -> None:
+    def hop(world: World, client: int) -> None:
+        send(world, client, type="spawn_cube", cube_name="hopper", position=[0, 0.5, 0])
+        send(world, client, type="step", ticks=10)
+        send(world, client, type="apply_physics", impulse=[0, 3, 0])
+        send(world, client, type="step", ticks=110)
+
+    path = record(tmp_path / "hop.mcap", hop)
+    result = CliRunner().invoke(main, ["info", str(path), "--plot", str(tmp_path / "hop.svg")])
+    assert result.exit_code == 0, result.output
+    (line,) = drawn(tmp_path / "hop.svg", "height of the middle (m)")
+    top = min(line, key=lambda point: point[1])
+    assert line[0][0] < top[0] < line[-1][0] and top[1] < line[0][1] - 10
+    picture = ElementTree.parse(tmp_path / "hop.svg").getroot()
+    assert len([bar for bar in picture.iter(f"{SVG}rect") if bar.get("x") is not None]) == 2, (
+        "before the hop, and after"
+    )

@@ -13,6 +13,8 @@ import orjson
 
 from nmes.backend import Array, load_backend
 from nmes.course import Course
+from nmes.errors import RecordingError
+from nmes.evaluation import scores_so_far
 from nmes.feeding import happenings
 from nmes.playback import watch
 from nmes.recording import Kind, Recording
@@ -126,6 +128,12 @@ def show_recording(
     for name, values in course.curves().items():
         canvas.curve(name, course.times, values)
     inputs.plot()
+    try:
+        times, scores = scores_so_far(recording).T
+        canvas.curve("score so far", times, scores)
+    except RecordingError as error:
+        if error.code != "not_an_evaluation":
+            canvas.say(f"no score: {error.message}", "WARN")
     if report.divergence is not None:
         canvas.at(report.ticks / rate)
         canvas.say(f"diverged: {report.divergence.message}", "ERROR", "divergence")

@@ -1,0 +1,51 @@
+"""How recordings came along, plotted: score, height, speed, work, and which cubes touched what when."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from nmes.cli._plot import Bars, Curves, write_plot
+from nmes.cli._progress import progress_bars
+from nmes.course import Course
+from nmes.errors import RecordingError
+from nmes.evaluation import scores_so_far
+from nmes.playback import watch
+from nmes.recording import Recording
+
+__all__ = ["plot_courses"]
+
+STEP = 3  # ticks between two points of a curve, which a plot of this size cannot show
+
+
+def plot_courses(recordings: Sequence[Recording], path: Path) -> None:
+    """Runs recordings again and writes their curves, and the gait diagram of the first, to an SVG.
+
+    Raises:
+        RecordingError: One of them does not come out as recorded.
+        BackendNotFound: Its engine is not there.
+    """
+    curves: dict[str, dict[str, list[tuple[float, float]]]] = {}
+    gait: Bars | None = None
+    with progress_bars() as progress:
+        for recording in recordings:
+            name = recording.path.stem
+            course = Course()
+            total = recording.summary().ticks
+            for tick, _ in enumerate(watch(recording, course.note), start=1):
+                progress(f"running {recording.path.name}", tick, total)
+            try:
+                scores = scores_so_far(recording)
+                curves.setdefault("score so far", {})[name] = list(map(tuple, scores[::STEP].tolist()))
+            except RecordingError as error:
+                if error.code != "not_an_evaluation":
+                    raise
+            for title, values in course.curves().items():
+                points = np.stack([course.times, values], axis=1)[::STEP]
+                curves.setdefault(title, {})[name] = list(map(tuple, points.tolist()))
+            gait = gait or Bars(f"contacts of each cube in {name}", course.gait())
+    assert gait is not None
+    title = recordings[0].path.stem if len(recordings) == 1 else f"{len(recordings)} recordings"
+    write_plot(path, title, [*(Curves(title, lines) for title, lines in curves.items()), gait])

@@ -1,0 +1,135 @@
+"""Small plots as SVG: curves, and bars of when something was so, one panel below the other."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+__all__ = ["Bars", "Curves", "write_plot"]
+
+COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
+WIDTH, LEFT, RIGHT, TOP, GAP, BOTTOM = 980, 70, 230, 40, 44, 40
+LINE = 16  # of text, and the height of a bar
+BARS = 40  # at most
+
+Points = Sequence[tuple[float, float]]
+
+
+@dataclass(frozen=True, slots=True)
+class Curves:
+    """Curves over time.
+
+    Attributes:
+        title: What they show, with its unit.
+        lines: By name: times, s, and values. What is no finite number is left out.
+        floor: The scale is logarithmic, and all that is less is drawn here; None: it is linear.
+        height: Of the panel.
+    """
+
+    title: str
+    lines: Mapping[str, Points]
+    floor: float | None = None
+    height: int = 150
+
+    @property
+    def end(self) -> float:
+        """The last time."""
+        return max((time for line in self.lines.values() for time, _ in line), default=0.0)
+
+    def draw(self, top: int, width: float, end: float) -> Iterator[str]:
+        """Yields the panel's elements, given where it begins and how wide `end` seconds are."""
+        values = [value for line in self.lines.values() for _, value in line if math.isfinite(value)]
+        ticks = self._ticks(values)
+        low, high = ticks[0], ticks[-1]
+
+        def y(value: float) -> float:
+            return top + self.height * (1.0 - (self._scaled(value) - low) / (high - low))
+
+        for tick in ticks:
+            level = top + self.height * (1.0 - (tick - low) / (high - low))
+            label = f"1e{tick:.0f}" if self.floor is not None else f"{tick:g}"
+            yield f'<path d="M{LEFT} {level:.1f}H{LEFT + width}" stroke="#ddd"/>'
+            yield f'<text x="{LEFT - 6}" y="{level + 4:.1f}" text-anchor="end">{label}</text>'
+        for i, (name, line) in enumerate(self.lines.items()):
+            color = COLORS[i % len(COLORS)]
+            known = [(time, value) for time, value in line if math.isfinite(value)]
+            points = " ".join(f"{LEFT + width * time / end:.1f},{y(value):.1f}" for time, value in known)
+            yield f'<polyline points="{points}" fill="none" stroke="{color}"/>'
+            if i < self.height // LINE:
+                place = f'x="{LEFT + width + 8}" y="{top + LINE * i + 12}"'
+                yield f'<text {place} fill="{color}">{html.escape(name)}</text>'
+
+    def _scaled(self, value: float) -> float:
+        return value if self.floor is None else math.log10(max(value, self.floor))
+
+    def _ticks(self, values: Sequence[float]) -> list[float]:
+        """Returns what is written at the scale: round numbers round all values, two or more."""
+        if self.floor is not None:
+            low = math.floor(math.log10(self.floor))
+            high = max(low + 1, math.ceil(self._scaled(max(values, default=self.floor))))
+            return [float(power) for power in range(low, high + 1)]
+        least, most = min(values, default=0.0), max(values, default=1.0)
+        step = 10.0 ** math.floor(math.log10(max(most - least, 1e-9)))
+        step *= next(part for part in (0.25, 0.5, 1.0, 2.5) if (most - least) / (step * part) <= 5.0)
+        first, last = math.floor(least / step), max(math.ceil(most / step), math.floor(least / step) + 1)
+        return [step * number for number in range(first, last + 1)]
+
+
+@dataclass(frozen=True, slots=True)
+class Bars:
+    """Bars of when something was so.
+
+    Attributes:
+        title: What they show.
+        rows: By name: from when to when, s.
+    """
+
+    title: str
+    rows: Mapping[str, Points]
+
+    @property
+    def height(self) -> int:
+        """Of the panel."""
+        return LINE * min(len(self.rows), BARS)
+
+    @property
+    def end(self) -> float:
+        """The last time."""
+        return max((last for row in self.rows.values() for _, last in row), default=0.0)
+
+    def draw(self, top: int, width: float, end: float) -> Iterator[str]:
+        """Yields the panel's elements, as those of `Curves`."""
+        for i, (name, spans) in enumerate(list(self.rows.items())[:BARS]):
+            y = top + LINE * i
+            yield f'<path d="M{LEFT} {y + LINE - 1}H{LEFT + width}" stroke="#eee"/>'
+            yield f'<text x="{LEFT + width + 8}" y="{y + 12}">{html.escape(name)}</text>'
+            for first, last in spans:
+                x, wide = LEFT + width * first / end, max(width * (last - first) / end, 0.5)
+                color = COLORS[i % len(COLORS)]
+                yield f'<rect x="{x:.1f}" y="{y + 2}" width="{wide:.1f}" height="{LINE - 4}" fill="{color}"/>'
+
+
+def write_plot(path: Path, title: str, panels: Sequence[Curves | Bars]) -> None:
+    """Writes panels, over the same time, as one SVG."""
+    path.write_text("\n".join(_svg(title, panels)) + "\n")
+
+
+def _svg(title: str, panels: Sequence[Curves | Bars]) -> Iterator[str]:
+    height = TOP + sum(panel.height + GAP for panel in panels) + BOTTOM
+    width, end = float(WIDTH - LEFT - RIGHT), max((panel.end for panel in panels), default=0.0) or 1.0
+    yield f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" font-family="sans-serif">'
+    yield f'<rect width="{WIDTH}" height="{height}" fill="white"/><g font-size="12" stroke-width="1.5">'
+    yield f'<text x="{LEFT}" y="24" font-size="16">{html.escape(title)}</text>'
+    top = TOP
+    for panel in panels:
+        yield f'<text x="{LEFT}" y="{top + 14}" font-weight="bold">{html.escape(panel.title)}</text>'
+        top += 22
+        yield from panel.draw(top, width, end)
+        top += panel.height + GAP - 22
+    for part in range(6):
+        x = LEFT + width * part / 5
+        yield f'<text x="{x:.1f}" y="{top}" text-anchor="middle">{end * part / 5:.3g} s</text>'
+    yield "</g></svg>"
