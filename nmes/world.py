@@ -431,13 +431,24 @@ class World:
         self._clients = clients
         self._keyframe_due = self._next_keyframe()
 
-    def _next_keyframe(self) -> float:
-        """Returns the number of ticks at which the next keyframe is due."""
+    def _next_keyframe(self, began: int | None = None) -> float:
+        """Returns the number of ticks at which the next keyframe is due.
+
+        They count from the last reset, so that what a world answers after one does not depend on what was before. Where
+        episodes are shorter than that, a reset is the place for the keyframe that came due in the one before it.
+
+        Args:
+            began: At a reset, the number of ticks at which the episode began that it ends.
+        """
         seconds = self.config.get("keyframes", 0) if "snapshot" in self.backend.capabilities else 0
         if seconds == 0:
             return inf
         every = max(1, round(seconds * self._tick_rate))
-        return (self.ticks // every + 1) * every
+        if began is not None and not self._in_batch:
+            ticks = self._past - began
+            if ticks < every and began // every < self._past // every:
+                return self._past
+        return self._past + (self.frame // every + 1) * every
 
     def _keep_keyframe(self) -> None:
         """Saves the world, between two inputs: a tick of the clock or a command has just ended."""
@@ -572,8 +583,9 @@ class World:
 
     def _reset(self, client: Client, c: JsonObject) -> JsonObject:
         self._assembly.simulation.close()
-        self._past = self.ticks
+        began, self._past = self._past, self.ticks
         self._begin(c.get("seed", self.seed), version=self.structure_version + 1)
+        self._keyframe_due = self._next_keyframe(began)
         for other in self._clients.values():
             other.owned, other.goals = None, Goals()
         return {"type": "world_reset", "frame": 0, "seed": self.seed}

@@ -246,8 +246,38 @@ def test_keyframes_come_every_so_often_between_inputs() -> None:
         *[("tick", 14), ("reply", 1), ("keyframe", 1)],  # due at 6 and at 12, it waits for the command's end
         *[("tick", 4), ("keyframe", 1), ("tick", 3 + 4)],  # at 18, by the clock
         *[("reply", 1), ("keyframe", 1)],
-        *[("reply", 1), ("tick", 4), ("reply", 1), ("tick", 1), ("reply", 1), ("keyframe", 1)],  # at 30, over a reset
+        *[("reply", 1), ("tick", 4), ("reply", 1), ("tick", 1), ("reply", 1)],  # a reset, from which they count anew
     ]
+    seen.clear()
+    world.execute(client, {"type": "reset"})
+    world.execute(client, {"type": "step", "ticks": 5})
+    world.execute(client, {"type": "reset"})
+    world.execute(client, {"type": "step", "ticks": 6})
+    told = [(kind, len(list(row))) for kind, row in groupby(what[0] for what in seen if what[0] != "command")]
+    assert told == [
+        *[("reply", 1), ("keyframe", 1), ("tick", 5)],  # 25 to 30: of an episode that is over
+        *[("reply", 2), ("tick", 6), ("reply", 1), ("keyframe", 1)],
+    ]
+
+
+def test_what_a_world_answers_after_a_reset_does_not_depend_on_what_was_before() -> None:
+    def readings(world: World) -> list[Any]:
+        world.execute(1, {"type": "reset", "seed": 8})
+        for n, x in enumerate((0.0, 0.3, 2.0)):
+            world.execute(1, {"type": "spawn_cube", "cube_name": f"c{n}", "position": [x, 1.0 + n, 0]})
+        found = []
+        for _ in range(40):
+            world.execute(1, {"type": "step"})
+            found.append([world.execute(1, {"type": "get_cube_info", "cube_name": f"c{n}"}) for n in range(3)])
+        return found
+
+    fresh = World({"mode": "lockstep", "keyframes": 0.25})
+    fresh.join()
+    expected = readings(fresh)
+    for ticks in (1, 4, 9):  # each time another part of the way to a keyframe
+        fresh.execute(1, {"type": "reset"})
+        fresh.execute(1, {"type": "step", "ticks": ticks})
+        assert readings(fresh) == expected
 
 
 def test_keyframes_are_the_same_whoever_looks() -> None:
