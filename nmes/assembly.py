@@ -36,8 +36,10 @@ from nmes.rotation import (
     conjugate,
     cross,
     euler_from_quaternion,
+    minus,
     multiply,
     normalize,
+    plus,
     quaternion_from_euler,
     rotate,
 )
@@ -315,9 +317,9 @@ class Assembly:
         torque = self._turn(c["torque"]) if "torque" in c else ZERO
         spin = self._turn(c["angular_impulse"]) if "angular_impulse" in c else ZERO
         if "at" in c:
-            arm = _minus(self._position(c["at"]), self.simulation.body_state(cube.body).position)
-            torque = _plus(torque, cross(arm, force))
-            spin = _plus(spin, cross(arm, impulse))
+            arm = minus(self._position(c["at"]), self.simulation.body_state(cube.body).position)
+            torque = plus(torque, cross(arm, force))
+            spin = plus(spin, cross(arm, impulse))
         self.simulation.apply(cube.body, force, torque, impulse, spin)
 
     def move(self, cube: Cube, c: JsonObject) -> None:
@@ -336,15 +338,15 @@ class Assembly:
             if other is cube:
                 continue
             state = simulation.body_state(other.body)
-            arm = _minus(state.position, old.position)
+            arm = minus(state.position, old.position)
             arm = rotate(turn, arm) if "rotation" in c else arm
             if rigid:
-                v, w = _plus(linear, cross(angular, arm)), angular
+                v, w = plus(linear, cross(angular, arm)), angular
             else:
-                v = _plus(linear, rotate(turn, _minus(state.linear_velocity, old.linear_velocity)))
-                w = _plus(angular, rotate(turn, _minus(state.angular_velocity, old.angular_velocity)))
+                v = plus(linear, rotate(turn, minus(state.linear_velocity, old.linear_velocity)))
+                w = plus(angular, rotate(turn, minus(state.angular_velocity, old.angular_velocity)))
             q = normalize(multiply(turn, state.quaternion)) if "rotation" in c else state.quaternion
-            simulation.set_body_state(other.body, BodyState(_plus(position, arm), q, v, w))
+            simulation.set_body_state(other.body, BodyState(plus(position, arm), q, v, w))
         simulation.set_body_state(cube.body, BodyState(position, quaternion, linear, angular))
 
     def _connected(self, cube: Cube) -> list[Cube]:
@@ -414,7 +416,7 @@ class Assembly:
                 width=c["width"],
                 height=c["height"],
                 fov=float(c["fov"]),
-                position=_plus(state.position, rotate(state.quaternion, self._position(c["position"]))),
+                position=plus(state.position, rotate(state.quaternion, self._position(c["position"]))),
                 quaternion=normalize(multiply(state.quaternion, self._rotation(c["rotation"]))),
             ),
             {other.body: other.color for other in self._cubes.values()},
@@ -470,7 +472,7 @@ class Assembly:
         if "axis" in c:
             axis = self._axis(kind, c["axis"])
         elif kind == "conetwist":
-            axis = _unit(_minus(there, here)) or (1.0, 0.0, 0.0)
+            axis = _unit(minus(there, here)) or (1.0, 0.0, 0.0)
         else:
             axis = (1.0, 0.0, 0.0) if kind == "slide" else (0.0, 0.0, 1.0)
         given = {name: c[name] for name in jointparams.CAPABILITY if name in c}
@@ -578,14 +580,6 @@ class Assembly:
 def _vector(value: list[float]) -> Vector:
     x, y, z = value
     return (float(x), float(y), float(z))
-
-
-def _plus(a: Vector, b: Vector) -> Vector:
-    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
-
-
-def _minus(a: Vector, b: Vector) -> Vector:
-    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
 def _unit(v: Vector) -> Vector | None:

@@ -19,7 +19,7 @@ from typing import Any
 
 from nmes.backend import Quaternion, Vector
 from nmes.errors import DocumentError
-from nmes.rotation import multiply, normalize, quaternion_from_euler, rotate
+from nmes.rotation import multiply, normalize, plus, quaternion_from_euler, rotate
 
 __all__ = ["MOST_CUBES", "grow"]
 
@@ -73,9 +73,9 @@ class _Grown:
         """Returns the same seen from a frame in which this one's is shifted and turned."""
         return replace(
             self,
-            position=_plus(rotate(turn, self.position), shift),
+            position=plus(rotate(turn, self.position), shift),
             quaternion=multiply(turn, self.quaternion),
-            anchor=_plus(rotate(turn, self.anchor), shift),
+            anchor=plus(rotate(turn, self.anchor), shift),
             axis=rotate(turn, self.axis),
         )
 
@@ -284,7 +284,3 @@ def _across(v: Vector, axis: int) -> Vector:
     mirrored = list(v)
     mirrored[axis] = -mirrored[axis]
     return (mirrored[0], mirrored[1], mirrored[2])
-
-
-def _plus(a: Vector, b: Vector) -> Vector:
-    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])

@@ -1,4 +1,4 @@
-"""Rotations: the protocol's Euler angles, quaternions `(x, y, z, w)`, and turning vectors, in plain floats.
+"""Rotations: the protocol's Euler angles, quaternions `(x, y, z, w)`, and vectors to turn, in plain floats.
 
 Plain Python on purpose: one rotation costs a microsecond, an array operation several; only `euler_angles` takes many at
 once, with the same bits. Euler angles are radians `(x, y, z)` applied in the order Y, X, Z, Godot's convention: the
@@ -17,10 +17,13 @@ __all__ = [
     "angle_between",
     "conjugate",
     "cross",
+    "dot",
     "euler_angles",
     "euler_from_quaternion",
+    "minus",
     "multiply",
     "normalize",
+    "plus",
     "quaternion_from_euler",
     "rotate",
 ]
@@ -55,6 +58,21 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
         aw * bz + ax * by - ay * bx + az * bw,
         aw * bw - ax * bx - ay * by - az * bz,
     )
+
+
+def plus(a: Vector, b: Vector) -> Vector:
+    """Returns the sum."""
+    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
+
+
+def minus(a: Vector, b: Vector) -> Vector:
+    """Returns the difference."""
+    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
+
+
+def dot(a: Vector, b: Vector) -> float:
+    """Returns the dot product."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a: Vector, b: Vector) -> Vector:

@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from nmes.backend import BodyState, Quaternion, Vector
 from nmes.backends.mujoco3d.layout import Body, Forest, Joint, Layout, Slot, across, relative
-from nmes.rotation import conjugate, multiply, normalize, rotate
+from nmes.rotation import conjugate, dot, multiply, normalize, rotate
 
 __all__ = ["AWAKE", "affected", "carry", "kept_sleep", "place", "promoted", "put_sleep", "rezero", "turns"]
 
@@ -201,7 +201,7 @@ def _cone(joint: Joint, turn: Quaternion, flipped: bool) -> list[float]:
     x, y, z, w = normalize(multiply(conjugate(joint.zero), turn))
     u, v = across(joint.axis2)
     # The same rotation with the axis as x, u as y and v as z: Ry(a) Rz(b) Rx(twist).
-    x, y, z = (_dot((x, y, z), one) for one in (joint.axis2, u, v))
+    x, y, z = (dot((x, y, z), one) for one in (joint.axis2, u, v))
     b = asin(max(-1.0, min(1.0, 2.0 * (x * y + z * w))))
     a = atan2(2.0 * (y * w - x * z), 1.0 - 2.0 * (y * y + z * z))
     twist = atan2(2.0 * (x * w - y * z), 1.0 - 2.0 * (x * x + z * z))
@@ -211,10 +211,6 @@ def _cone(joint: Joint, turn: Quaternion, flipped: bool) -> list[float]:
 def _about(axis: Vector, angle: float) -> Quaternion:
     s = sin(angle / 2.0)
     return (axis[0] * s, axis[1] * s, axis[2] * s, cos(angle / 2.0))
-
-
-def _dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 # -- sleep -----------------------------------------------------------------------------------------------------------

@@ -16,11 +16,13 @@ stable: adding a joint never takes another one out of the tree.
 
 from __future__ import annotations
 
+import hashlib
 from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from math import log, pi, sin, sqrt
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -70,6 +72,10 @@ _LOOP_SOLIMP = [0.95, 0.999, 0.0005, 0.5, 2.0]
 _KIBIBYTE = 1 << 10
 
 
+def _hash(*parts: object) -> int:
+    return int.from_bytes(hashlib.blake2b(repr(parts).encode(), digest_size=16).digest(), "little")
+
+
 @dataclass(slots=True)
 class Body:
     """A box as the model needs it; see `nmes.backend.BodySpec` for units."""
@@ -80,6 +86,16 @@ class Body:
     friction: float
     restitution: float
     frozen: bool
+
+    @classmethod
+    def read(cls, given: dict[str, Any]) -> Body:
+        """Returns what was written down as JSON."""
+        return cls(**{**given, "size": tuple(given["size"])})
+
+    @property
+    def identity(self) -> int:
+        """A hash of all that MuJoCo's state does not say."""
+        return _hash("body", self.number, self)
 
 
 @dataclass(slots=True)
@@ -101,6 +117,21 @@ class Joint:
     axis2: Vector
     zero: Quaternion
     params: JointParams
+
+    @classmethod
+    def read(cls, given: dict[str, Any]) -> Joint:
+        """Returns what was written down as JSON."""
+        vectors = {name: tuple(value) for name, value in given.items() if isinstance(value, list)}
+        params: dict[str, Any] = dict(given["params"])
+        if params["limits"] is not None:
+            params["limits"] = tuple(params["limits"])
+        return cls(**{**given, **vectors, "params": JointParams(**params)})
+
+    @property
+    def identity(self) -> int:
+        """A hash of all that MuJoCo's state does not say."""
+        # A motor's targets are in the state as controls; leaving them out here keeps setting one cheap.
+        return _hash("joint", replace(self, params=replace(self.params, target_velocity=0.0, target_position=0.0)))
 
     @property
     def form(self) -> str:

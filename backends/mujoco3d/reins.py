@@ -56,6 +56,7 @@ class Reins:
         self._asleep = data.tree_asleep
         self._motors: dict[Joints, _Motors | None] = {}  # None where there is no fast way
         self._coordinates: dict[Joints, _Coordinates | None] = {}
+        self._powered: Sequence[int] | None = None  # the joints that powers were last looked up for
         self._ahead: dict[Joints, None] = {}  # those whose controls are newer than their parameters
 
     def forget(self) -> None:
@@ -106,6 +107,26 @@ class Reins:
         out[:, 1] = self._qvel[at.v]
         out[at.rows, 2] = self._efforts[at.motors]
         return out
+
+    def powers(self, joints: Sequence[int], out: Array, *, edited: bool) -> bool:
+        """Writes what the motors of joints perform, W, and returns whether that could be done at once.
+
+        The same list, whole and unchanged, is looked up only once: then it costs one multiplication.
+        """
+        if joints is not self._powered:
+            actuator = self._layout.actuator
+            if edited or any(joint not in actuator for joint in joints):
+                return False
+            self._motor_at = compact([actuator[joint] for joint in joints])
+            self._speed_at = compact([self._layout.joint[joint].v for joint in joints])
+            self._motor_efforts, self._speeds = self._efforts[self._motor_at], self._qvel[self._speed_at]
+            self._powered = joints
+        if not isinstance(self._motor_at, slice):  # a slice is a view and follows the engine, an array is a copy
+            self._motor_efforts = self._efforts[self._motor_at]
+        if not isinstance(self._speed_at, slice):
+            self._speeds = self._qvel[self._speed_at]
+        np.multiply(self._motor_efforts, self._speeds, out=out)
+        return True
 
     def _locate(self, joints: Joints) -> _Coordinates | None:
         slot, actuator = self._layout.joint, self._layout.actuator

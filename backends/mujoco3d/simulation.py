@@ -51,12 +51,13 @@ from nmes.backends.mujoco3d.layout import (
     weigh,
     write_params,
 )
-from nmes.backends.mujoco3d.reins import Reins, compact
+from nmes.backends.mujoco3d.parting import Parting
+from nmes.backends.mujoco3d.reins import Reins
 from nmes.backends.mujoco3d.scenery import Scenery
 from nmes.backends.mujoco3d.sensing import STATE, Senses, count_awake
 from nmes.backends.mujoco3d.tracking import MujocoTrack
 from nmes.errors import SimulationFault
-from nmes.rotation import conjugate, cross, multiply, normalize, rotate
+from nmes.rotation import conjugate, cross, dot, minus, multiply, normalize, plus, rotate
 
 __all__ = ["MujocoSimulation"]
 
@@ -71,11 +72,6 @@ _FAULTS = {
 _FEW = 5  # bodies: up to so many, one by one is faster than by arrays
 _HUGE = 1e10  # mjMAXVAL: beyond this the engine calls a state bad
 _MANY = 64  # bodies from which on compiling the model for one more takes too long
-
-# Bodies that an edit left deep inside each other (deeper than this part of their shortest edge) are not driven apart
-# faster than this (m/s and rad/s), where the contact springs alone would shoot them off.
-_DEEP = 0.01
-_PARTING_SPEED = 3.0
 
 # What MuJoCo prints of a diverging world goes to the log; the fault says it to the user.
 mujoco.set_mju_user_warning(lambda message: logger.debug("mujoco: %s", message))
@@ -92,7 +88,7 @@ class MujocoSimulation(Simulation):
         self._touched: set[int] = set()  # bodies of which the structure was edited since the last step
         self._arrived: dict[int, None] = {}  # free bodies that came since, and those that went
         self._left: dict[int, None] = {}
-        self._parting: set[int] = set()  # edited bodies that may be deep inside others
+        self._parting = Parting()
         self._stale_model = True
         self._wake_all = False
         self._force: dict[int, list[float]] = {}  # wrenches for the next step, by body
@@ -114,7 +110,6 @@ class MujocoSimulation(Simulation):
         self._calm = self._warnings.tobytes()
         self._xfrc, self._xpos, self._xquat, self._cvel = data.xfrc_applied, data.xpos, data.xquat, data.cvel
         self._asleep = data.tree_asleep
-        self._powered: Sequence[int] | None = None  # the joints that the motors were last looked up for
         self._senses = Senses(layout, data, self._scenery)
         self._reins = Reins(layout, data, self._joints)
 
@@ -123,7 +118,7 @@ class MujocoSimulation(Simulation):
     def add_body(self, body: int, spec: BodySpec) -> None:
         """Adds a body; the model follows at the next step."""
         self._bodies[body] = Body(body, spec.size, spec.mass, spec.friction, spec.restitution, spec.frozen)
-        self._identity ^= _hash("body", body, self._bodies[body])
+        self._identity ^= self._bodies[body].identity
         still = spec.frozen
         self._override[body] = BodyState(
             spec.position,
@@ -139,7 +134,7 @@ class MujocoSimulation(Simulation):
 
     def remove_body(self, body: int) -> None:
         """Removes a body; what slept on a frozen one wakes."""
-        self._identity ^= _hash("body", body, self._bodies[body])
+        self._identity ^= self._bodies[body].identity
         if self._bodies.pop(body).frozen:
             self._stale_model = self._wake_all = True
         elif body in self._arrived:
@@ -152,7 +147,7 @@ class MujocoSimulation(Simulation):
         self._force.pop(body, None)
         self._impulse.pop(body, None)
         self._touched.discard(body)
-        self._parting.discard(body)
+        self._parting.bodies.discard(body)
 
     def add_joint(self, joint: int, spec: JointSpec) -> None:
         """Joins two bodies as they stand now, which is the joint's zero."""
@@ -163,13 +158,13 @@ class MujocoSimulation(Simulation):
             kind=spec.kind,
             body1=spec.body1,
             body2=spec.body2,
-            anchor1=rotate(back1, _minus(spec.anchor, one.position)),
-            anchor2=rotate(back2, _minus(spec.anchor, two.position)),
+            anchor1=rotate(back1, minus(spec.anchor, one.position)),
+            anchor2=rotate(back2, minus(spec.anchor, two.position)),
             axis2=rotate(back2, spec.axis),
             zero=normalize(relative(one.quaternion, two.quaternion)),
             params=spec.params,
         )
-        self._identity ^= _hash_joint(self._joints[joint])
+        self._identity ^= self._joints[joint].identity
         self._edited(spec.body1)
         self._edited(spec.body2)
 
@@ -177,7 +172,7 @@ class MujocoSimulation(Simulation):
         """Cuts a joint."""
         self._reins.note()
         cut = self._joints.pop(joint)
-        self._identity ^= _hash_joint(cut)
+        self._identity ^= cut.identity
         self._edited(cut.body1)
         self._edited(cut.body2)
 
@@ -196,9 +191,9 @@ class MujocoSimulation(Simulation):
                 self._wake(self._layout.body[held.body1], self._layout.body[held.body2])
             return
         self._reins.forget()
-        self._identity ^= _hash_joint(held)
+        self._identity ^= held.identity
         held.params = params
-        self._identity ^= _hash_joint(held)
+        self._identity ^= held.identity
         if (params.motor == "off") != (before.motor == "off"):
             self._stale_model = True
         if held.form != form:  # a ball gets or loses its limits
@@ -221,9 +216,9 @@ class MujocoSimulation(Simulation):
         state = self.body_state(body)
         self._override[body] = BodyState(state.position, state.quaternion, ZERO, ZERO)
         held = self._bodies[body]
-        self._identity ^= _hash("body", body, held)
+        self._identity ^= held.identity
         held.frozen = frozen
-        self._identity ^= _hash("body", body, held)
+        self._identity ^= held.identity
         self._edited(body)
         for joint in self._joints.values():
             if body in (joint.body1, joint.body2):
@@ -339,13 +334,13 @@ class MujocoSimulation(Simulation):
         one, two = self.body_state(held.body1), self.body_state(held.body2)
         axis = rotate(two.quaternion, held.axis2)
         arm1, arm2 = rotate(one.quaternion, held.anchor1), rotate(two.quaternion, held.anchor2)
-        anchor = _plus(one.position, arm1)
+        anchor = plus(one.position, arm1)
         position = velocity = effort = 0.0
         if held.kind == "conetwist":
             turn = multiply(conjugate(held.zero), relative(one.quaternion, two.quaternion))
-            position = 2.0 * atan2(_dot(turn[:3], held.axis2), turn[3])
+            position = 2.0 * atan2(dot(turn[:3], held.axis2), turn[3])
             position = (position + pi) % (2.0 * pi) - pi
-            velocity = _dot(_minus(two.angular_velocity, one.angular_velocity), axis)
+            velocity = dot(minus(two.angular_velocity, one.angular_velocity), axis)
         elif held.kind in ("hinge", "slide"):
             slot = self._layout.joint.get(joint)
             if slot is not None:
@@ -353,12 +348,12 @@ class MujocoSimulation(Simulation):
             if slot is not None and not self._touched:
                 velocity = float(self._data.qvel[slot.v])
             elif held.kind == "hinge":
-                velocity = _dot(_minus(two.angular_velocity, one.angular_velocity), axis)
+                velocity = dot(minus(two.angular_velocity, one.angular_velocity), axis)
             else:
-                arm1 = _minus(_plus(two.position, arm2), one.position)
-                tip1 = _plus(one.linear_velocity, cross(one.angular_velocity, arm1))
-                tip2 = _plus(two.linear_velocity, cross(two.angular_velocity, arm2))
-                velocity = _dot(_minus(tip2, tip1), axis)
+                arm1 = minus(plus(two.position, arm2), one.position)
+                tip1 = plus(one.linear_velocity, cross(one.angular_velocity, arm1))
+                tip2 = plus(two.linear_velocity, cross(two.angular_velocity, arm2))
+                velocity = dot(minus(tip2, tip1), axis)
             motor = self._layout.actuator.get(joint)
             if motor is not None:
                 effort = float(self._data.actuator_force[motor])
@@ -377,20 +372,8 @@ class MujocoSimulation(Simulation):
 
     def powers(self, joints: Sequence[int], out: Array) -> None:
         """Writes powers, of all motors at once where nothing was edited since the last step."""
-        if joints is not self._powered:
-            if self._edits or any(joint not in self._layout.actuator for joint in joints):
-                super().powers(joints, out)
-                return
-            motors = [self._layout.actuator[joint] for joint in joints]
-            speeds = [self._layout.joint[joint].v for joint in joints]
-            self._motors, self._driven = compact(motors), compact(speeds)
-            self._efforts, self._speeds = self._data.actuator_force[self._motors], self._data.qvel[self._driven]
-            self._powered = joints
-        if not isinstance(self._motors, slice):
-            self._efforts = self._data.actuator_force[self._motors]
-        if not isinstance(self._driven, slice):
-            self._speeds = self._data.qvel[self._driven]
-        np.multiply(self._efforts, self._speeds, out=out)
+        if not self._reins.powers(joints, out, edited=self._edits):
+            super().powers(joints, out)
 
     def contacts(self, body: int) -> list[Contact]:
         """Returns what the body touched in the last step."""
@@ -476,8 +459,8 @@ class MujocoSimulation(Simulation):
         if self._scenery.attracts:
             self._advance_attracted(steps)
             return
-        while self._parting and steps:
-            self._part_gently()
+        while self._parting.bodies and steps:
+            self._parting.step(self._layout, self._data)
             steps -= 1
         if steps:
             mujoco.mj_step(self._model, self._data, steps)
@@ -487,30 +470,11 @@ class MujocoSimulation(Simulation):
         applied = self._xfrc.copy()
         for _ in range(steps):
             self._scenery.pull(self._model, self._data, applied)
-            if self._parting:
-                self._part_gently()
+            if self._parting.bodies:
+                self._parting.step(self._layout, self._data)
             else:
                 mujoco.mj_step(self._model, self._data)
         self._xfrc[:] = applied
-
-    def _part_gently(self) -> None:
-        """Takes one engine step in which trees that an edit left deep inside others gain little speed."""
-        model, data = self._model, self._data
-        before = data.qvel.copy()
-        mujoco.mj_step(model, data)
-        bodies = model.geom_bodyid[data.contact.geom]
-        edges = np.where(model.geom_size > 0.0, 2.0 * model.geom_size, np.inf).min(axis=1)  # a plane has none
-        depth = _DEEP * edges[data.contact.geom].min(axis=1)
-        trees = model.body_treeid[bodies[data.contact.dist < -depth]]
-        watched = {int(model.body_treeid[self._layout.body[body]]) for body in self._parting}
-        parting = {tree for pair in trees.tolist() if watched.intersection(pair) for tree in pair if tree >= 0}
-        for tree in sorted(parting):
-            dofs = slice(model.tree_dofadr[tree], model.tree_dofadr[tree] + model.tree_dofnum[tree])
-            bound = max(_PARTING_SPEED, float(np.abs(before[dofs]).max()))
-            speed = float(np.abs(data.qvel[dofs]).max())
-            if speed > bound:
-                data.qvel[dofs] *= bound / speed
-        self._parting = {body for body, index in self._layout.body.items() if int(model.body_treeid[index]) in parting}
 
     def _fail(self) -> None:
         data = self._data
@@ -537,8 +501,8 @@ class MujocoSimulation(Simulation):
             # The targets of motors that are not built yet are in no control.
             targets = [(joint.params.target_velocity, joint.params.target_position) for joint in self._joints.values()]
             h.update(repr(targets).encode())
-        if self._parting:
-            h.update(repr(sorted(self._parting)).encode())
+        if self._parting.bodies:
+            h.update(repr(sorted(self._parting.bodies)).encode())
         return h.digest()
 
     def snapshot(self) -> bytes:
@@ -562,7 +526,7 @@ class MujocoSimulation(Simulation):
                 },
                 "force": list(self._force.items()),
                 "impulse": list(self._impulse.items()),
-                "parting": sorted(self._parting),
+                "parting": sorted(self._parting.bodies),
                 "state": base64.b64encode(self._state.tobytes()).decode(),
                 "asleep": self._asleep.tolist(),
                 "roots": self._layout.roots,
@@ -572,24 +536,17 @@ class MujocoSimulation(Simulation):
     def restore(self, snapshot: bytes) -> None:
         """Takes up a state that `snapshot` returned, in place of all that is here."""
         held = orjson.loads(snapshot)
-        self._bodies, self._joints, self._identity = {}, {}, self._scenery.identity
-        for given in held["bodies"]:
-            body = Body(**{**given, "size": tuple(given["size"])})
-            self._bodies[body.number] = body
-            self._identity ^= _hash("body", body.number, body)
-        for given in held["joints"]:
-            params = given.pop("params")
-            if params["limits"] is not None:
-                params["limits"] = tuple(params["limits"])
-            vectors = {name: tuple(value) for name, value in given.items() if isinstance(value, list)}
-            joint = Joint(**{**given, **vectors}, params=JointParams(**params))
-            self._joints[joint.number] = joint
-            self._identity ^= _hash_joint(joint)
+        self._bodies = {body.number: body for body in map(Body.read, held["bodies"])}
+        self._joints = {joint.number: joint for joint in map(Joint.read, held["joints"])}
+        self._identity = self._scenery.identity
+        parts: list[Body | Joint] = [*self._bodies.values(), *self._joints.values()]
+        for part in parts:
+            self._identity ^= part.identity
         frozen_at = {int(n): (tuple(p[:3]), tuple(p[3:])) for n, p in held["frozen_at"].items()}
         self._forget_edits()
         self._force = {body: wrench for body, wrench in held["force"]}
         self._impulse = {body: wrench for body, wrench in held["impulse"]}
-        self._parting = set(held["parting"])
+        self._parting.bodies = set(held["parting"])
         forest = span(self._bodies, self._joints.values())
         roots = held["roots"]
         self._take(build(self._scene, self._scenery, self._bodies, self._joints, forest, frozen_at, roots))
@@ -648,7 +605,7 @@ class MujocoSimulation(Simulation):
         if self._arrived or self._left:
             weigh(layout)
         count_awake(model, data)
-        self._parting.update(self._touched)
+        self._parting.bodies.update(self._touched)
         self._read = False
         self._senses = Senses(layout, data, self._scenery)
 
@@ -670,9 +627,9 @@ class MujocoSimulation(Simulation):
             for joint in promoted(forest, old):
                 slot = old.joint.get(joint.number)
                 at = float(old_data.qpos[slot.q]) if slot is not None else 0.0
-                self._identity ^= _hash_joint(joint)
+                self._identity ^= joint.identity
                 rezero(joint, self.body_state(joint.body1), self.body_state(joint.body2), at)
-                self._identity ^= _hash_joint(joint)
+                self._identity ^= joint.identity
             frozen_at = {}
             for body in self._bodies.values():
                 if body.frozen:
@@ -689,7 +646,7 @@ class MujocoSimulation(Simulation):
         sleep = {} if self._wake_all else kept_sleep(old, self._asleep, states, self._bodies)
         self._take(layout)
         carry(old, old_data, layout, self._data, self._joints, states, balls)
-        self._parting.update(body for body in states if body in self._touched)
+        self._parting.bodies.update(body for body in states if body in self._touched)
         asleep = put_sleep(layout, sleep)
         if (asleep >= 0).any():
             self._settle(asleep)
@@ -740,24 +697,3 @@ class MujocoSimulation(Simulation):
         if woken:
             count_awake(self._model, self._data)
             self._read = False  # what was read of a static root left its sleeping branches out
-
-
-def _hash(*parts: object) -> int:
-    return int.from_bytes(hashlib.blake2b(repr(parts).encode(), digest_size=16).digest(), "little")
-
-
-def _hash_joint(joint: Joint) -> int:
-    # A motor's targets are in MuJoCo's state as controls; leaving them out here keeps setting one cheap.
-    return _hash("joint", replace(joint, params=replace(joint.params, target_velocity=0.0, target_position=0.0)))
-
-
-def _plus(a: Vector, b: Vector) -> Vector:
-    return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
-
-
-def _minus(a: Vector, b: Vector) -> Vector:
-    return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
-
-
-def _dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
