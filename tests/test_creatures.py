@@ -287,6 +287,36 @@ def test_a_body_in_the_plane_lives_in_the_planar_engine() -> None:
     assert place("sense", creature="worm")["values"][0:6:2] == pytest.approx([0.5] * 3, abs=0.05)
 
 
+@pytest.mark.parametrize("backend", ["mujoco", "pymunk", "ballistic"])
+def test_a_creature_s_life_in_any_engine_comes_out_again(backend: str, tmp_path: Path) -> None:
+    genome = crawler(2)
+    genome["body"]["joints"][0] = {**genome["body"]["joints"][0], "type": "fixed"}
+    for field in ("axis", "limits", "motor"):
+        del genome["body"]["joints"][0][field]
+    place = Place(tmp_path / "a.mcap", backend=backend)
+    place("spawn_creature", genome=genome, name="brick", position=[0, 1, 0])
+    place("spawn_creature", genome=crawler(1), name="die", position=[3, 2, 0])
+    place("set_objective", creature="brick", expression='min.cube("s1").height - energy + max.contacts')
+    place("step", ticks=40)
+    assert place("drive", creature="brick", controls=[])["type"] == "driven"
+    assert place("sense", creature="die")["values"][0] == pytest.approx(0.1, abs=0.05)
+    assert place("compute_reward")["value"] == pytest.approx(2.1, abs=0.05)
+    assert place("compute_reward", metric="energy", cube="die.s0")["value"] == 0
+    if "snapshot" in place.world.backend.capabilities:
+        restored = Place(backend=backend)
+        restored.world.restore(place.world.snapshot())
+        assert restored.world.creatures() == ["brick", "die"]
+        for command in ({"kind": "step", "ticks": 9}, {"kind": "sense", "creature": "die"}, {"kind": "compute_reward"}):
+            assert restored(**command) == place(**command)
+    else:
+        with pytest.raises(WorldError, match="no snapshots"):
+            place.world.snapshot()
+    place.world.close()
+    assert place.recorder is not None
+    place.recorder.close()
+    assert replay(tmp_path / "a.mcap").verdict == "reproduced"
+
+
 def test_it_is_a_creature_until_a_part_is_taken_away() -> None:
     place = Place()
     for name in "ab":
