@@ -54,6 +54,10 @@ class _Group(click.Group):
             return super().invoke(ctx)
         except NmesError as error:
             raise click.ClickException(error.message) from error
+        except OSError as error:
+            if error.filename is None:  # about no file that somebody has named
+                raise
+            raise click.ClickException(f"{error.filename}: {error.strerror}") from error
 
 
 @click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})

@@ -9,6 +9,7 @@ import base64
 import csv
 import os
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack
 from itertools import chain, islice
 from typing import IO, Any
 
@@ -96,18 +97,16 @@ def write_parquet(rows: Iterable[Row], path: str | os.PathLike[str]) -> None:
         raise NmesError("missing_package", "Parquet needs pyarrow: pip install 'nmes[arrow]'") from error
     flat = map(_flat, rows)
     writer = None
-    try:
+    with ExitStack() as opened:
         while batch := list(islice(flat, _BATCH)):
             if writer is None:
                 kinds = {"frame": pyarrow.int64(), "record": pyarrow.int64(), "wall_ns": pyarrow.int64()}
                 kinds |= {"client": pyarrow.int64(), "t": pyarrow.float64()}
                 kinds |= {name: pyarrow.float64() for name in COLUMNS}
                 schema = pyarrow.schema([(name, kinds.get(name, pyarrow.string())) for name in batch[0]])
-                writer = pyarrow.parquet.ParquetWriter(path, schema)
+                file = opened.enter_context(open(path, "wb"))
+                writer = opened.enter_context(pyarrow.parquet.ParquetWriter(file, schema))
             writer.write_table(pyarrow.Table.from_pylist(batch, schema=schema))
-    finally:
-        if writer is not None:
-            writer.close()
     if writer is None:
         raise NmesError("nothing_to_export", "the recording holds no such rows")
 

@@ -23,6 +23,7 @@ from layout import ROOT
 from nmes import Client
 from nmes.cli import SUBCOMMANDS, main
 from nmes.errors import RecordingError
+from nmes.leaderboard import Leaderboard
 from nmes.recording import Kind, Recording
 from recordings import busy, record
 from serving import PATIENCE
@@ -179,6 +180,28 @@ def test_a_file_of_nonsense_is_said_and_leaves_nothing(
         assert name in result.output or name in result.stderr, result.output
     (tmp_path / "out.sqlite").unlink(missing_ok=True)  # made before its recordings are looked at
     assert {path.name: path.stat().st_size for path in tmp_path.iterdir()} == before
+
+
+OUTPUTS: list[tuple[str, ...]] = [
+    ("export", "GOOD", "--to", "csv", "-o", "FILE"),
+    ("export", "GOOD", "--to", "parquet", "-o", "FILE"),
+    ("fork", "GOOD", "-o", "FILE"),
+    ("diff", "GOOD", "GOOD", "--plot", "FILE"),
+    ("replay", "GOOD", "--backend", "mujoco", "--plot", "FILE"),
+    ("genome", "show", "walker", "-o", "FILE"),
+    ("leaderboard", "export", "BOARD", "-o", "FILE"),
+    ("leaderboard", "add", "FILE", "GOOD"),
+]
+
+
+@pytest.mark.parametrize("arguments", OUTPUTS, ids=" ".join)
+def test_a_file_that_cannot_be_written_is_said(arguments: tuple[str, ...], tmp_path: Path) -> None:
+    words = {"GOOD": tmp_path / "good.mcap", "BOARD": tmp_path / "board.sqlite", "FILE": tmp_path / "nowhere" / "x"}
+    record(words["GOOD"], busy, {"backend": "ballistic"})
+    Leaderboard(words["BOARD"], create=True).close()
+    result = run(*(str(words.get(word, word)) for word in arguments))
+    assert isinstance(result.exception, SystemExit) and result.exit_code in (1, 2), result.output
+    assert "nowhere" in result.output
 
 
 # -- nmes serve -------------------------------------------------------------------------------------------------------
