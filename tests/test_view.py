@@ -21,6 +21,7 @@ from PIL import Image
 from rerun.chunk import RrdReader
 
 from nmes import Client
+from nmes.errors import CommandFailed
 from nmes.metrics import Metrics
 from nmes.world import World
 from recordings import Line, record, rewrite, send
@@ -321,6 +322,22 @@ def test_a_live_world_is_seen_whole_by_who_comes_late(tmp_path: Path, environmen
     assert shapes[3]["time"] > shapes[2]["time"], "time does not go back"
     assert f"{shapes[0]['Boxes3D:colors'][0]:08x}" == "ff0000ff"
     assert [row["TextLog:text"][0] for row in rows["/main/log"]] == ["the world was reset", "the world was closed"]
+
+
+def test_a_fault_is_told_where_it_comes(tmp_path: Path, environment: dict[str, str]) -> None:
+    with served({"backend": "mujoco"}) as running, running.client() as client:
+        name = client.spawn_cube(position=[0, 5, 0])["spawned"]
+        process = watch_live(running, environment, tmp_path / "fault.rrd")
+        client.step(ticks=4)
+        client.apply_physics(name, force=[1e15, 0, 0])
+        with pytest.raises(CommandFailed):
+            client.step(ticks=60)
+    _, errors = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, errors
+    fault, closed = read(tmp_path / "fault.rrd")["/main/log"]
+    assert fault["TextLog:level"] == ["ERROR"]
+    assert name in fault["TextLog:text"][0]
+    assert closed["TextLog:text"] == ["the world was closed"]
 
 
 def test_a_viewer_that_is_killed_disturbs_nobody(tmp_path: Path, environment: dict[str, str]) -> None:

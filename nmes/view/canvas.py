@@ -32,8 +32,7 @@ _PLAIN = 1000.0  # m: how far the ground of a plane is drawn
 _COLORS = {"hinge": (240, 200, 60), "slide": (90, 200, 240), "fixed": (150, 150, 150)}
 _OTHER = (200, 120, 240)
 _FORCE, _CONTACT, _SCENERY = (255, 90, 60), (210, 60, 190), (120, 125, 130)
-_CURVES = ((0, 114, 178), (213, 94, 0), (0, 158, 115), (204, 121, 167), (230, 159, 0), (86, 180, 233))
-_THIN, _THICK = 0.012, 0.025  # m: half of how thick lines are, of joints, and of cubes in the plane and of arrows
+_THIN, _THICK = -1.5, -2.0  # half of how thick lines are: what is negative is in points of the screen, for Rerun
 
 
 def load_rerun() -> Any:
@@ -70,7 +69,9 @@ class Canvas:
         self._shapes: dict[str, Shape] = {}
         self._poses = np.zeros((0, 7))
         self._drawn: set[str] = set()
-        self._curves = 0
+        self._root = root
+        self.curves: dict[str, str] = {}
+        """The entities of curves, by name."""
         self._now, self._until = 0.0, inf
         self.extent: tuple[Array, Array] | None = None
         """The lowest and the highest corner of where cubes were in their first seconds, arrays (3,), m."""
@@ -211,9 +212,8 @@ class Canvas:
         rr = self._rr
         known = np.isfinite(values)
         path = f"{self.entity}/plots/{rr.escape_entity_path_part(name)}"
-        color = _CURVES[self._curves % len(_CURVES)]
-        self._curves += 1
-        self._stream.log(path, rr.SeriesLines(names=name, colors=[color]), static=True)
+        self.curves[name] = path
+        self._stream.log(path, rr.SeriesLines(names=self._root), static=True)
         index = rr.TimeColumn("time", duration=times[known])
         self._stream.send_columns(path, [index], rr.Scalars.columns(scalars=values[known]))
 

@@ -31,7 +31,7 @@ __all__ = ["SHIFT", "TURN", "show_live"]
 
 SHIFT, TURN = 1e-3, 1e-2  # m, rad: the world tells of what moved farther
 _ASK_AGAIN = 1.0  # s between two questions for the joints
-_GONE = frozenset({"cube_not_found", "joint_not_found"})
+_GONE = frozenset({"cube_not_found", "joint_not_found", "world_faulted", "world_closed"})
 _GOLDEN = 0.618034  # of the circle of colours, from one cube to the next
 
 
@@ -57,11 +57,7 @@ def show_live(client: Client, stream: rr.RecordingStream, fps: float) -> None:
     lay_out(stream, {info["world"]: canvas}, live=True)
     every = max(1, round(client.welcome["tick_rate"] / fps))
     client.subscribe(events=["state"], every=every, position_threshold=SHIFT, rotation_threshold=TURN)
-    try:
-        _follow(client, canvas, info["t"], lambda: lay_out(stream, {info["world"]: canvas}, live=True))
-    except Disconnected as error:
-        if error.code != "world_closed":  # which may come while something was asked
-            raise
+    _follow(client, canvas, info["t"], lambda: lay_out(stream, {info["world"]: canvas}, live=True))
     canvas.say("the world was closed")
 
 
@@ -80,7 +76,8 @@ def _follow(client: Client, canvas: Canvas, last: float, look: Callable[[], None
             before += last
             canvas.at(before)
             canvas.say("the world was reset")
-            _draw_scenery(canvas, client.get_world_info())
+            for info in filter(None, _ask(client, [{"type": "get_world_info"}])):
+                _draw_scenery(canvas, info)
             shapes.clear()  # those of the same name may be others
         last = event["t"]
         canvas.at(before + last)
@@ -112,17 +109,20 @@ def _draw_scenery(canvas: Canvas, info: Any) -> None:
 
 
 def _ask(client: Client, commands: Sequence[dict[str, Any]]) -> list[Any]:
-    """Returns the replies, in one exchange; None in place of those that say that there is no such thing any more."""
+    """Returns the replies, in one exchange; None in place of those of what is not there any more, be it the world.
+
+    What is still to be told then comes as an event.
+    """
     if not commands:
         return []
-    with suppress(CommandFailed), client.pipeline() as together:  # each is looked at here
+    with suppress(CommandFailed, Disconnected), client.pipeline() as together:  # each is looked at here
         for command in commands:
             together.request(command)
     found = []
     for call in together.calls:
         try:
             found.append(call.result())
-        except CommandFailed as error:
+        except (CommandFailed, Disconnected) as error:
             if error.code not in _GONE:
                 raise
             found.append(None)
@@ -160,7 +160,8 @@ class _Hinge(NamedTuple):
 def _ask_joints(client: Client) -> list[_Hinge]:
     """Returns all joints, each as it is at one moment with the cube that carries it along."""
     found = []
-    joints = client.get_joint_list()["joints"]
+    (listed,) = _ask(client, [{"type": "get_joint_list"}])
+    joints = [] if listed is None else listed["joints"]
     moments = [
         [
             {"type": "get_cube_info", "cube_name": joint["cube1"]},
@@ -168,7 +169,7 @@ def _ask_joints(client: Client) -> list[_Hinge]:
         ]
         for joint in joints
     ]
-    for told in _ask(client, [{"type": "batch", "commands": commands} for commands in moments]):
+    for told in filter(None, _ask(client, [{"type": "batch", "commands": commands} for commands in moments])):
         cube, joint = told["results"]
         if cube["type"] == "cube_info" and joint["type"] == "joint_info":
             found.append(_Hinge(joint, [*cube["position"], *cube["quaternion"]]))

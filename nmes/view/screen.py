@@ -51,7 +51,14 @@ def lay_out(stream: rr.RecordingStream, worlds: Mapping[str, Canvas], live: bool
     views = [_planar_view(name, world) if world.planar else _view(name, world) for name, world in worlds.items()]
     shown = rrb.Horizontal(*views)
     if not live:
-        curves = [rrb.TimeSeriesView(origin=f"{world.entity}/plots", name=name) for name, world in worlds.items()]
+        # One view a curve, as their units are not the same; of all worlds together.
+        names = dict.fromkeys(name for world in worlds.values() for name in world.curves)
+        curves = [
+            rrb.TimeSeriesView(
+                origin="/", contents=[w.curves[name] for w in worlds.values() if name in w.curves], name=name
+            )
+            for name in names
+        ]
         if len(worlds) > 1:
             curves.append(rrb.TimeSeriesView(origin="/drift", name="drift"))
         shown = rrb.Vertical(shown, rrb.Horizontal(*curves), row_shares=[3, 1])
@@ -80,7 +87,12 @@ def _view(name: str, world: Canvas) -> Any:
     middle, radius = _ball(world)
     up, aside = sin(_ELEVATION), cos(_ELEVATION)
     direction = np.array([aside * sin(_AZIMUTH), up, aside * cos(_AZIMUTH)])
-    eye = rrb.EyeControls3D(position=middle + _AWAY * radius * direction, look_target=middle, eye_up=(0.0, 1.0, 0.0))
+    eye = rrb.EyeControls3D(
+        position=middle + _AWAY * radius * direction,
+        look_target=middle,
+        eye_up=(0.0, 1.0, 0.0),
+        tracking_entity=f"{world.entity}/cubes",
+    )
     grid = rrb.LineGrid3D(plane=rr.components.Plane3D([0.0, 1.0, 0.0], 0.0), color=_GRID)
     return rrb.Spatial3DView(origin=world.entity, contents=_SHOWN, name=name, line_grid=grid, eye_controls=eye)
 
