@@ -209,7 +209,7 @@ def run(*arguments: object) -> tuple[int, str]:
 def test_the_command(drawn: Recording, tmp_path: Path) -> None:
     path = tmp_path / "film.gif"
     status, told = run(drawn.path, "-o", path, "--size", "64x48", "--fps", 5, "--to", 1, "--camera", "orbit")
-    assert (status, told) == (0, f"Wrote {path}\n")
+    assert (status, told) == (0, f"wrote {path}\n")
     assert len(frames(path)) == 6
 
 
