@@ -29,6 +29,7 @@ JsonObject = Mapping[str, Any]
 Indices = npt.NDArray[np.intp]
 
 _TOUCHING = 1e-4  # m that cubes may overlap, and reach into the ground, by rounding
+_SIGNS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])  # of a box's corners
 _TOLD = 20  # overlaps that are named one by one
 _PARALLEL = 1e-6  # sine of the angle below which edges count as parallel
 _DRIVEN = ("hinge", "slide")
@@ -140,8 +141,7 @@ class Body:
 
 def corners(cube: BodyCube) -> Array:
     """Returns the eight corners of a cube, shape (8, 3), m."""
-    signs = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-    return np.asarray(signs * cube.size @ _axes(cube) + cube.position)
+    return np.asarray(_SIGNS * cube.size @ _axes(cube) + cube.position)
 
 
 def read_body(body: JsonObject, sensors: Sequence[JsonObject] | None, place: str | None = None) -> Body:

@@ -111,7 +111,9 @@ class Creature:
         Args:
             controls: Shape (m,), each from -1 to 1, in the order of `motors`; -1 is a motor's `low`, 1 its `high`.
         """
-        targets = self._low + (controls + 1.0) * self._half
+        targets: Array = controls + 1.0
+        targets *= self._half
+        targets += self._low
         if self._tuned != self._assembly.tuned:
             self._take_up_motors(targets)
         self._simulation.set_motor_targets(self._numbers, self._params, targets)

@@ -233,13 +233,13 @@ class Episode:
         for step in self.course():
             if step is None:
                 tick()
-            elif isinstance(step, bytes):
+            elif isinstance(step, np.ndarray):
+                drive(client, CREATURE, step)
+            else:
+                assert isinstance(step, bytes)
                 reply = protocol.decode(world.handle(client, protocol.parse(step)))
                 if reply["type"] == "error":
                     raise WorldError(reply["code"], reply["message"], reply.get("field"))
-            else:
-                assert isinstance(step, np.ndarray)
-                drive(client, CREATURE, step)
         world.leave(client)
         return self.result()
 

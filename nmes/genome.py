@@ -10,7 +10,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 from collections.abc import Mapping
-from functools import cached_property
+from functools import cached_property, lru_cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
@@ -46,26 +46,10 @@ class Genome:
 
     def __init__(self, document: Mapping[str, Any]) -> None:
         try:
-            plain = orjson.loads(protocol.encode(document))
+            text = protocol.encode(document)
         except (TypeError, ValueError, RecursionError) as error:
             raise DocumentError([("", f"this is not JSON data: {error}")]) from None
-        problems = [(problem.pointer, problem.said) for problem in protocol.problems(_GENOME, plain)]
-        if problems:
-            raise DocumentError(problems)
-        self._document: JsonObject = plain
-        body = self._document["body"]
-        if ("cubes" in body) == ("graph" in body) or ("graph" in body and "joints" in body):
-            raise DocumentError([("body", "must have either cubes (and joints between them) or a graph")])
-        self._grown: JsonObject | None = None
-        if "graph" in body:
-            self._grown = body = morphology.grow(body["graph"])
-            # Scales may have taken a size or a mass out of its bounds.
-            for problem in protocol.problems(_GENOME, {**self._document, "body": body}):
-                what = _named(body, problem.pointer)
-                problems.append(("body/graph", f"grows {what} is out of range: {problem.said}"))
-            if problems:
-                raise DocumentError(problems)
-        self.body: Body = read_body(body, self._document.get("sensors"), None if self._grown is None else "body/graph")
+        self._document, self._grown, self.body = _read(text)
 
     @classmethod
     def parse(cls, text: bytes) -> Genome:
@@ -144,6 +128,32 @@ class Genome:
 
     def __repr__(self) -> str:
         return f"Genome({self.name!r}, {self.hash[:12]})"
+
+
+# A creature is read where it is evaluated, and in each of its worlds.
+@lru_cache(maxsize=32)
+def _read(text: bytes) -> tuple[JsonObject, JsonObject | None, Body]:
+    """Returns a genome's document, its body written out where the document has a graph, and the body."""
+    try:
+        document: JsonObject = orjson.loads(text)
+    except ValueError as error:
+        raise DocumentError([("", f"this is not JSON data: {error}")]) from None
+    problems = [(problem.pointer, problem.said) for problem in protocol.problems(_GENOME, document)]
+    if problems:
+        raise DocumentError(problems)
+    body = document["body"]
+    if ("cubes" in body) == ("graph" in body) or ("graph" in body and "joints" in body):
+        raise DocumentError([("body", "must have either cubes (and joints between them) or a graph")])
+    grown: JsonObject | None = None
+    if "graph" in body:
+        grown = body = morphology.grow(body["graph"])
+        # Scales may have taken a size or a mass out of its bounds.
+        for problem in protocol.problems(_GENOME, {**document, "body": body}):
+            what = _named(body, problem.pointer)
+            problems.append(("body/graph", f"grows {what} is out of range: {problem.said}"))
+        if problems:
+            raise DocumentError(problems)
+    return document, grown, read_body(body, document.get("sensors"), None if grown is None else "body/graph")
 
 
 def _canonical(value: Any) -> Any:

@@ -763,7 +763,9 @@ def test_the_planar_engine_has_the_profile_of_a_landscape() -> None:
 
 
 def model_of(engine: Reply) -> Any:
-    simulation = World({"engine": engine}).simulation
+    world = World({"engine": engine})
+    world.tick()
+    simulation = world.simulation
     assert isinstance(simulation, MujocoSimulation)
     return simulation._model
 

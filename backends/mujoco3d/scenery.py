@@ -44,7 +44,7 @@ _INTEGRATORS = {
 
 
 class Scenery:
-    """The static part of one scene.
+    """The static part of one scene. Two are equal when the same things stand in them.
 
     Attributes:
         identity: A number that stands for all of it, 0 for the bare flat ground.
@@ -78,6 +78,12 @@ class Scenery:
             digest.update(heights.tobytes())
         plain = scene.ground and len(made) == 1
         self.identity = 0 if plain else int.from_bytes(digest.digest(), "little")
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Scenery) and self.identity == other.identity
+
+    def __hash__(self) -> int:
+        return self.identity
 
     def add(self, spec: mujoco.MjSpec) -> None:
         """Adds all of it to the world body of a model that is being built."""

@@ -14,6 +14,7 @@ import hashlib
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from math import atan2, pi
 
 import mujoco
@@ -53,7 +54,7 @@ from nmes.backends.mujoco3d.layout import (
 )
 from nmes.backends.mujoco3d.parting import Parting
 from nmes.backends.mujoco3d.reins import Reins
-from nmes.backends.mujoco3d.scenery import Scenery
+from nmes.backends.mujoco3d.scenery import Scenery, set_options
 from nmes.backends.mujoco3d.sensing import STATE, Senses, count_awake
 from nmes.backends.mujoco3d.tracking import MujocoTrack
 from nmes.errors import SimulationFault
@@ -96,12 +97,15 @@ class MujocoSimulation(Simulation):
         self._scenery = Scenery(scene)
         self._painter = Painter(self._scenery)
         self._identity = self._scenery.identity  # XOR of the hashes of everything that the state arrays do not say
-        self._install(build(scene, self._scenery, {}, {}, Forest(), {}, ()))
+        set_options(mujoco.MjSpec().option, scene.options)  # says what is wrong with them, now
+        self._install(*_nothing(self._scenery))
+        self._borrowed = True
 
-    def _install(self, layout: Layout) -> None:
+    def _install(self, layout: Layout, data: mujoco.MjData | None = None) -> None:
         self._layout = layout
         self._model = model = layout.model
-        self._data = data = mujoco.MjData(model)
+        self._data = data = mujoco.MjData(model) if data is None else data
+        self._borrowed = False  # whether the data are others', too: then they are only read
         self._read = False  # whether xpos, xquat, cvel belong to qpos, qvel
         self._state = np.empty(mujoco.mj_stateSize(model, STATE))
         self._before = np.empty_like(self._state)  # the state that a step began with
@@ -109,6 +113,7 @@ class MujocoSimulation(Simulation):
         self._warnings = data.warning.number
         self._calm = self._warnings.tobytes()
         self._xfrc, self._xpos, self._xquat, self._cvel = data.xfrc_applied, data.xpos, data.xquat, data.cvel
+        self._centre, self._root = data.subtree_com, model.body_rootid
         self._asleep = data.tree_asleep
         self._senses = Senses(layout, data, self._scenery)
         self._reins = Reins(layout, data, self._joints)
@@ -265,7 +270,7 @@ class MujocoSimulation(Simulation):
             return BodyState((x, y, z), (qx, qy, qz, qw), ZERO, ZERO)
         wx, wy, wz, vx, vy, vz = self._cvel[index].tolist()
         # cvel is the velocity at the tree's centre of mass; a box's own centre is its body frame's origin.
-        cx, cy, cz = self._data.subtree_com[self._model.body_rootid[index]].tolist()
+        cx, cy, cz = self._centre[self._root[index]].tolist()
         rx, ry, rz = x - cx, y - cy, z - cz
         return BodyState(
             (x, y, z),
@@ -287,7 +292,7 @@ class MujocoSimulation(Simulation):
         position, velocity = self._xpos[index], self._cvel[index]
         out[:, 0:3] = position
         out[:, 3:7] = self._xquat[index][:, (1, 2, 3, 0)]
-        x, y, z = (position - self._data.subtree_com[self._model.body_rootid[index]]).T
+        x, y, z = (position - self._centre[self._root[index]]).T
         wx, wy, wz = velocity[:, :3].T
         out[:, 7:10] = velocity[:, 3:]
         out[:, 7] += wy * z - wz * y  # numpy.cross costs as much as all the rest
@@ -305,6 +310,8 @@ class MujocoSimulation(Simulation):
     def _refresh(self) -> None:
         """Makes poses and velocities those of the coordinates: a step leaves them one step behind."""
         if not self._read:
+            if self._borrowed:
+                self._install(self._layout)
             mujoco.mj_kinematics(self._model, self._data)
             mujoco.mj_comPos(self._model, self._data)
             mujoco.mj_comVel(self._model, self._data)
@@ -697,3 +704,10 @@ class MujocoSimulation(Simulation):
         if woken:
             count_awake(self._model, self._data)
             self._read = False  # what was read of a static root left its sleeping branches out
+
+
+@lru_cache(maxsize=8)
+def _nothing(scenery: Scenery) -> tuple[Layout, mujoco.MjData]:
+    """Returns a scene before anything is in it. The first step replaces it, so it is only looked at: all share it."""
+    layout = build(SceneSpec(timestep=1.0), scenery, {}, {}, Forest(), {}, ())
+    return layout, mujoco.MjData(layout.model)
