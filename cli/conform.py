@@ -86,10 +86,10 @@ def command(
 ) -> None:
     """Judge any server by the protocol.
 
-    Plays some seven hundred short conversations with the server and says of each whether it went as the protocol says.
-    What a server may leave out and does not claim is skipped. The last cases search: two clients say anything, and what
-    goes wrong is shrunk to the shortest conversation and saved as a file in this directory, for --replay. The server's
-    world should be one for tests: cubes come and go, time is stopped and moved on, and a world in lockstep is reset.
+    Plays some eight hundred short conversations with the server and says of each whether it went as the protocol says.
+    What a server may leave out and does not claim is skipped. Some cases search: two clients say anything; what goes
+    wrong is shrunk to the shortest conversation and saved as a file in this directory, for --replay. The server's world
+    should be one for tests: cubes come and go, time is stopped and moved on, and a world in lockstep is reset.
 
     Exit status: 0 conforming, 1 not, 2 unreachable, wrong usage or the suite's own fault.
 

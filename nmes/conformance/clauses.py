@@ -84,6 +84,13 @@ _PROSE: Final[Mapping[str, str]] = {
     "3.6.3": "A connection owns the cube that it spawned last; commands that may omit `cube_name` mean that one.",
     "3.6.4": "Cubes outlive their connection.",
     "3.6.5": "`cube_list` is in order of creation.",
+    "3.7.1": "`spawn_creature` makes the body of a [genome](genomes.md) live, all of it or nothing: cubes and joints "
+    "that are called `NAME.id`.",
+    "3.7.2": "`sense` reads all its sensors and `drive` aims all its motors, each by one list of numbers in the order "
+    "that `creature_spawned` tells.",
+    "3.7.3": "`target` is what its sensors of a target are about: a point or a cube, which need not be there yet.",
+    "3.7.4": "A creature is nothing but its cubes and joints: when one of them is taken away it is a creature no more, "
+    "and what is left stays.",
     "5.1.1": "Required of every conforming server: sections 1 to 3, and the commands that messages.md says "
     "every server must have (of the joints `fixed`, `hinge` and `slide`).",
     "5.1.2": "The rest is optional and named in the `capabilities` of `world_info`; a server answers a command"
@@ -117,7 +124,6 @@ UNTESTED: Final[Mapping[str, str]] = {
     "4.error.too_many_connections": "see 1.4.6",
     "4.error.world_faulted": "an engine is not made to fail from outside",
     "4.error.world_unavailable": "it depends on how the server is set up",
-    "4.error.bad_expression": "see the commands about objectives",
     "4.error.internal": "a server is not made to fail from outside",
 }
 """Sentences without a case of their own, and why."""

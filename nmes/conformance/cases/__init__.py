@@ -7,6 +7,7 @@ from nmes.conformance.cases.auth import AUTH
 from nmes.conformance.cases.capabilities import CAPABILITIES
 from nmes.conformance.cases.clients import CLIENTS
 from nmes.conformance.cases.commands import CONTRACTS
+from nmes.conformance.cases.creatures import CREATURES
 from nmes.conformance.cases.determinism import DETERMINISM
 from nmes.conformance.cases.dialects import DIALECTS
 from nmes.conformance.cases.errors import ERRORS
@@ -14,6 +15,7 @@ from nmes.conformance.cases.fields import FIELDS
 from nmes.conformance.cases.framing import FRAMING
 from nmes.conformance.cases.limits import LIMITS
 from nmes.conformance.cases.names import NAMES
+from nmes.conformance.cases.objectives import OBJECTIVES
 from nmes.conformance.cases.physics import PHYSICS
 from nmes.conformance.cases.robustness import ROBUSTNESS
 from nmes.conformance.cases.search import SEARCH
@@ -41,5 +43,7 @@ CATEGORIES: Final[tuple[Category, ...]] = (
     ROBUSTNESS,
     CAPABILITIES,
     SEARCH,
+    CREATURES,
+    OBJECTIVES,
 )
 CASES: Final[tuple[Case, ...]] = tuple(case for category in CATEGORIES for case in category)
