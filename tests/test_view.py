@@ -268,26 +268,32 @@ def shapes_asked(metrics: Metrics) -> int:
     return round(sum(float(line.split()[-1]) for line in lines))
 
 
-def drive(running: Served, viewer: Callable[[], subprocess.Popen[str]] | None = None) -> list[bytes]:
-    """Does things to a world, with a viewer that comes in their midst, if any; returns its digests."""
+def drive(
+    running: Served, come: Callable[[], object] = lambda: None, seen: Callable[[int], None] = lambda cubes: None
+) -> list[bytes]:
+    """Does things to a world; returns its digests.
+
+    Calls `come` in their midst, and `seen` with how many cubes a viewer should have seen by then.
+    """
     digests = []
     with running.client() as client:
         client.spawn_cube(cube_name="a", position=[0, 9, 0], color=[1, 0, 0, 1], linear_velocity=[1, 0, 0])
         client.spawn_cube(cube_name="still", position=[5, 9, 0])
         client.freeze_cube("still", freeze=True)
         client.step(ticks=30)
-        if viewer is not None:
-            viewer()
+        come()
         for tick in range(30):
             if tick == 10:
                 client.spawn_cube(cube_name="b", position=[0, 20, 0], size=2)
             if tick == 20:
                 client.despawn_cube("a")
             client.step()
+            seen(3 if tick >= 11 else 0)  # every other tick is told
             digests.append(running.call(running.hosted.world.digest))
         client.reset()
         client.spawn_cube(cube_name="still", position=[0, 1, 0], size=3)
         client.step(ticks=10)
+        seen(4)
         digests.append(running.call(running.hosted.world.digest))
     return digests
 
@@ -295,14 +301,13 @@ def drive(running: Served, viewer: Callable[[], subprocess.Popen[str]] | None = 
 def test_a_live_world_is_seen_whole_by_who_comes_late(tmp_path: Path, environment: dict[str, str]) -> None:
     viewers: list[subprocess.Popen[str]] = []
 
-    def come() -> subprocess.Popen[str]:
-        viewers.append(watch_live(running, environment, tmp_path / "live.rrd"))
-        return viewers[0]
-
     metrics = Metrics()
     with served({}, metrics=metrics) as running:
-        watched = drive(running, come)
-        until(lambda: running.call(lambda: shapes_asked(metrics)) >= 4)  # each cube's, the last one's too
+        watched = drive(
+            running,
+            lambda: viewers.append(watch_live(running, environment, tmp_path / "live.rrd")),
+            lambda cubes: until(lambda: running.call(lambda: shapes_asked(metrics)) >= cubes),
+        )
     output, errors = viewers[0].communicate(timeout=PATIENCE)
     assert viewers[0].returncode == 0, errors
     assert "The world was closed" in output

@@ -115,14 +115,19 @@ def _ask(client: Client, commands: Sequence[dict[str, Any]]) -> list[Any]:
     """
     if not commands:
         return []
-    with suppress(CommandFailed, Disconnected), client.pipeline() as together:  # each is looked at here
-        for command in commands:
-            together.request(command)
+    try:
+        with suppress(CommandFailed), client.pipeline() as together:  # each of them is looked at below
+            for command in commands:
+                together.request(command)
+    except Disconnected as error:
+        if error.code not in _GONE:
+            raise
+        return [None] * len(commands)
     found = []
     for call in together.calls:
         try:
             found.append(call.result())
-        except (CommandFailed, Disconnected) as error:
+        except CommandFailed as error:
             if error.code not in _GONE:
                 raise
             found.append(None)
