@@ -759,6 +759,24 @@ def test_the_planar_engine_has_the_profile_of_a_landscape() -> None:
         assert 0.05 < y - surface(field, x, 0) < 0.16
 
 
+# -- before the first tick -------------------------------------------------------------------------------------------
+
+
+def test_worlds_that_never_ticked_are_each_in_their_own_scene() -> None:
+    tower = {"obstacles": [{"type": "box", "position": [0, 1, 0], "size": [2, 2, 2]}]}
+    drives = [Driver(scene) for scene in ({}, tower, {}, tower)]
+    for drive, height in zip(drives, (5, 5, 9, 9), strict=True):
+        drive.drop("a", 0, height, 0)
+
+    def below(drive: Driver) -> float:
+        (found,) = drive("get_cube_info", cube_name="a", sensors=True, rays=[[0, -1, 0]])["ranges"]
+        return float(found)
+
+    assert [below(drive) for drive in drives] == [5, 3, 9, 7]
+    drives[0]("step")
+    assert [below(drive) for drive in drives[1:]] == [3, 9, 7]
+
+
 # -- the engine's settings -------------------------------------------------------------------------------------------
 
 
