@@ -150,7 +150,9 @@ class Inhabitants:
     def _drive(self, client: Client, c: JsonObject) -> JsonObject:
         creature, controls = self._creatures.find(c["creature"]), c["controls"]
         if len(controls) != len(creature.motors):
-            said = f"controls: {len(controls)} numbers for the {len(creature.motors)} motors of {creature.name!r}"
+            motors = len(creature.motors)
+            many = "1 number, for its motor" if motors == 1 else f"{motors} numbers, one a motor"
+            said = f"controls: {creature.name!r} takes {many}, got {len(controls)}"
             raise WorldError("invalid", said, "controls")
         creature.drive(np.array(controls, float))
         return {"type": "driven", "creature": creature.name}

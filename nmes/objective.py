@@ -422,7 +422,7 @@ class _Reader:
     def _call(self) -> _Kind:
         name = self._take()
         if name.text not in FUNCTIONS:
-            self._refuse(name.at, f"there is no function {name.text!r}{_near(name.text, FUNCTIONS)}")
+            self._refuse(name.at, f"there is no function {_clip(name.text)!r}{_near(name.text, FUNCTIONS)}")
         self.called[name.text] = None
         self._out.append(name.text)
         self._copy()
@@ -466,7 +466,7 @@ class _Reader:
             elif name in QUANTITIES:
                 said = f"there is {name} of the whole only, not of one cube"
             else:
-                said = f"there is no quantity {name!r}{_near(name, known)}"
+                said = f"there is no quantity {_clip(name)!r}{_near(name, known)}"
             self._refuse(words[0].at, said)
         return Quantity(name, cube, fold)
 
@@ -482,6 +482,10 @@ class _Reader:
                 self._refuse(self._token.at, f"expected {mark!r} {why}, found {self._found()}")
             self._take()
         return token.text[1:-1]
+
+
+def _clip(name: str) -> str:
+    return name if len(name) <= 80 else f"{name[:77]}..."
 
 
 def _near(name: str, known: Mapping[str, object]) -> str:

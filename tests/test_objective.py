@@ -131,6 +131,11 @@ def test_a_value_that_is_no_finite_number_is_an_error_that_says_what_went_into_i
     assert all(f"{quantity} = 3" in caught.value.message for quantity in objective.needs)
 
 
+@pytest.mark.parametrize("text", ["x" * 2000, "f" * 1990 + "(1)"])
+def test_a_long_word_is_not_said_again_in_full(text: str) -> None:
+    assert len(refused(text)) < 700
+
+
 @pytest.mark.parametrize(
     "text",
     [
