@@ -242,6 +242,13 @@ def heard_behind_a_wrong_password(patch: MonkeyPatch) -> None:
     patch.setattr(Connection, "_refuse", listen)
 
 
+@defect("2.15")
+def any_world(patch: MonkeyPatch) -> None:
+    """It lets a connection into its world whatever world is named."""
+    find = Host.find
+    patch.setattr(Host, "find", lambda host, name: find(host, None))
+
+
 # -- dialects ---------------------------------------------------------------------------------------------------------
 
 
@@ -386,6 +393,18 @@ def comments_and_commas_accepted(patch: MonkeyPatch) -> None:
 def the_rest_of_a_frame_ignored(patch: MonkeyPatch) -> None:
     """It reads the first value of a frame and ignores the rest."""
     _loosely(patch, lambda raw: json.JSONDecoder().raw_decode(raw.decode())[0])
+
+
+@defect("4.2:list")
+def lists_of_commands(patch: MonkeyPatch) -> None:
+    """It executes the first command of a list."""
+    strict = protocol._parse_json
+
+    def first(raw: bytes) -> Any:
+        value = strict(raw)
+        return value[0] if isinstance(value, list) and value else value
+
+    patch.setattr(protocol, "_parse_json", first)
 
 
 def _change_ids(patch: MonkeyPatch, change: Callable[[Any], Any]) -> None:

@@ -403,6 +403,24 @@ def a_cube_of_that_name_again(patch: MonkeyPatch) -> None:
     around(patch, "spawn_cube", replace_it)
 
 
+@defect("7.6")
+def a_cube_joined_to_itself(patch: MonkeyPatch) -> None:
+    """It says `invalid` where a cube is to be joined to itself."""
+    _errors(patch, lambda reply: {**reply, "code": "invalid"} if reply["code"] == "self_joint" else reply)
+
+
+@defect("7.9:apply_physics")
+def nothing_owned_is_not_found(patch: MonkeyPatch) -> None:
+    """It says `cube_not_found` where a connection owns nothing."""
+    _errors(patch, lambda reply: {**reply, "code": "cube_not_found"} if reply["code"] == "nothing_owned" else reply)
+
+
+@defect("6.6", only_strict=True)
+def fields_without_their_place(patch: MonkeyPatch) -> None:
+    """It names the field of an error, and not the number in it."""
+    _errors(patch, lambda reply: {**reply, "field": reply["field"].split("/")[0]} if "field" in reply else reply)
+
+
 # -- names and ownership ----------------------------------------------------------------------------------------------
 
 

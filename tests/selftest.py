@@ -13,6 +13,7 @@ import sys
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 
+import broken_creatures
 import broken_times
 import broken_wires
 import broken_worlds
@@ -22,7 +23,7 @@ __all__ = ["BROKEN", "main"]
 
 BROKEN: dict[str, Defect] = {defect.name: defect for defect in DEFECTS}
 assert {defect.break_it.__module__ for defect in DEFECTS} == {
-    module.__name__ for module in (broken_wires, broken_worlds, broken_times)
+    module.__name__ for module in (broken_creatures, broken_times, broken_wires, broken_worlds)
 }
 
 

@@ -12,7 +12,7 @@ from nmes.conformance import CASES, CATEGORIES
 from nmes.protocol import DELIMITER, Session
 from selftest import BROKEN
 
-SAMPLE = list(BROKEN.values())[4::6]
+SAMPLE = list(BROKEN.values())[1::5]
 
 
 @pytest.mark.parametrize("defect", SAMPLE, ids=lambda defect: defect.name)
@@ -52,7 +52,7 @@ def test_a_server_that_is_wrong_about_everything_shows_nothing() -> None:
 
 
 def test_every_category_has_defects_and_every_name_a_case() -> None:
-    assert len(BROKEN) >= 150
+    assert len(BROKEN) >= 170
     named = {number for defect in BROKEN.values() for number in defect.cases}
     assert named <= {case.number for case in CASES}
     assert {int(number.split(".")[0]) for number in named} == {category.number for category in CATEGORIES}
