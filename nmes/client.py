@@ -23,9 +23,10 @@ from typing import Any, Self, cast
 
 import orjson
 
-from nmes.commands import AsyncCommands, AuthSuccess, BlockingCommands, Event, Pending, Pipeline, WorldSummary
+from nmes.commands import AsyncCommands, BlockingCommands, Pending, Pipeline
 from nmes.errors import CommandFailed, Disconnected, RejectedMessage
 from nmes.protocol import DELIMITER, FrameSplitter, encode
+from nmes.replies import AuthSuccess, Event, WorldSummary
 
 __all__ = ["AsyncClient", "Client"]
 

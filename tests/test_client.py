@@ -14,11 +14,12 @@ import numpy as np
 import pytest
 
 import nmes
-from nmes import commands, protocol
+from nmes import commands, protocol, replies
 from nmes.client import EVENT_BACKLOG, AsyncClient, Client
-from nmes.commands import BlockingCommands, Commands, Event
+from nmes.commands import BlockingCommands, Commands
 from nmes.errors import CommandFailed, Disconnected
 from nmes.protocol import DELIMITER
+from nmes.replies import Event
 from serving import PASSWORD, PATIENCE, Served, served
 
 
@@ -99,7 +100,7 @@ def declared() -> dict[str, Any]:
 
 def check_shape(typed: Any, schema: Any) -> None:
     """Compares a TypedDict with a schema, all the way down."""
-    hints = typing.get_type_hints(typed, vars(commands), include_extras=True)
+    hints = typing.get_type_hints(typed, include_extras=True)
     assert set(hints) == set(schema["properties"]) - {"id"}
     required = {name for name, kind in hints.items() if typing.get_origin(kind) is not typing.NotRequired}
     assert required == set(schema["required"])
@@ -134,11 +135,11 @@ def test_every_event_is_declared_as_its_schema_says(name: str) -> None:
 
 
 def test_the_welcome_and_the_choices_are_as_their_schemas_say() -> None:
-    check_shape(commands.AuthSuccess, protocol.REPLIES["auth_success"].schema)
-    check_shape(commands.WorldList, protocol.REPLIES["world_list"].schema)
+    check_shape(replies.AuthSuccess, protocol.REPLIES["auth_success"].schema)
+    check_shape(replies.WorldList, protocol.REPLIES["world_list"].schema)
     create_joint, set_mode = protocol.COMMANDS["create_joint"].schema, protocol.COMMANDS["set_mode"].schema
-    assert set(typing.get_args(commands.JointType)) == set(create_joint["properties"]["joint_type"]["enum"])
-    assert set(typing.get_args(commands.Mode)) == set(set_mode["properties"]["mode"]["enum"])
+    assert set(typing.get_args(replies.JointType)) == set(create_joint["properties"]["joint_type"]["enum"])
+    assert set(typing.get_args(replies.Mode)) == set(set_mode["properties"]["mode"]["enum"])
 
 
 # -- every command ----------------------------------------------------------------------------------------------------

@@ -1,0 +1,336 @@
+"""What replies and events hold, as dicts of known keys.
+
+It hides nothing: the schemas say all of it in full, with units and bounds; a test compares the names here with those
+there.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal, NotRequired, TypedDict
+
+__all__ = ["Event", "JointType", "Mode", "Names"]
+
+Names = list[str]
+
+
+class AuthSuccess(TypedDict):
+    type: Literal["auth_success"]
+    protocol: int
+    client: int
+    world: str
+    backend: str
+    dims: int
+    timestep: float
+    tick_rate: float
+    mode: str
+
+
+class CubeList(TypedDict):
+    type: Literal["cube_list"]
+    spawned: NotRequired[str]
+    cubes: NotRequired[Names]
+
+
+class CubeDespawned(TypedDict):
+    type: Literal["cube_despawned"]
+    cube_name: str
+    joints: Names
+
+
+class JointCreated(TypedDict):
+    type: Literal["joint_created"]
+    joint_name: str
+
+
+class BoneCreated(TypedDict):
+    type: Literal["bone_created"]
+    bone_name: str
+
+
+class JointRemoved(TypedDict):
+    type: Literal["joint_removed"]
+    joint_name: str
+
+
+class JointParamSet(TypedDict):
+    type: Literal["joint_param_set"]
+    joint_name: str
+    param_name: str
+    value: float | bool
+
+
+class CreatureSpawned(TypedDict):
+    type: Literal["creature_spawned"]
+    creature: str
+    cubes: dict[str, str]
+    joints: dict[str, str]
+    motors: Names
+    sensors: Names
+
+
+class Driven(TypedDict):
+    type: Literal["driven"]
+    creature: str
+
+
+class Senses(TypedDict):
+    type: Literal["senses"]
+    creature: str
+    values: list[float]
+
+
+class WorldSummary(TypedDict):
+    world: str
+    port: int
+    backend: str
+    mode: str
+    frame: int | None
+    clients: int
+    fault: str | None
+
+
+class WorldList(TypedDict):
+    type: Literal["world_list"]
+    worlds: list[WorldSummary]
+
+
+class JointSummary(TypedDict):
+    joint_name: str
+    joint_type: str
+    cube1: str
+    cube2: str
+
+
+class JointList(TypedDict):
+    type: Literal["joint_list"]
+    joints: list[JointSummary]
+
+
+class JointInfo(JointSummary):
+    type: Literal["joint_info"]
+    anchor: list[float]
+    axis: list[float]
+    position: float
+    velocity: float
+    effort: float
+    params: dict[str, float | bool]
+
+
+class PhysicsApplied(TypedDict):
+    type: Literal["physics_applied"]
+    cube_name: str
+
+
+class CubeStateSet(TypedDict):
+    type: Literal["cube_state_set"]
+    cube_name: str
+
+
+class CubeFrozen(TypedDict):
+    type: Literal["cube_frozen"]
+    cube_name: str
+    freeze: bool
+
+
+class CubeMotion(TypedDict):
+    cube_name: str
+    position: list[float]
+    rotation: list[float]
+    quaternion: list[float]
+    linear_velocity: list[float]
+    angular_velocity: list[float]
+
+
+class CubeState(CubeMotion):
+    type: Literal["cube_state"]
+
+
+class Touch(TypedDict):
+    cube_name: str | None
+    face: Literal["+x", "-x", "+y", "-y", "+z", "-z"]
+    position: list[float]
+    normal: list[float]
+    force: float
+
+
+class CubeInfo(CubeMotion):
+    type: Literal["cube_info"]
+    size: list[float]
+    mass: float
+    friction: float
+    restitution: float
+    color: list[float]
+    frozen: bool
+    sleeping: bool
+    joints: Names
+    contacts: list[Touch]
+    accelerometer: NotRequired[list[float]]
+    gyro: NotRequired[list[float]]
+    ranges: NotRequired[list[float | None]]
+
+
+class CameraImage(TypedDict):
+    type: Literal["camera_image"]
+    cube_name: str
+    width: int
+    height: int
+    image: str
+
+
+class SensedMotion(CubeMotion):
+    contacts: NotRequired[list[Touch]]
+    accelerometer: NotRequired[list[float]]
+    gyro: NotRequired[list[float]]
+
+
+class WorldState(TypedDict):
+    type: Literal["world_state"]
+    frame: int
+    t: float
+    cubes: list[SensedMotion]
+
+
+class Skeleton(TypedDict):
+    snake_id: str | int
+    bones: Names
+
+
+class WorldInfo(TypedDict):
+    type: Literal["world_info"]
+    world: str
+    backend: str
+    versions: dict[str, Any]
+    dims: int
+    seed: int
+    config: dict[str, Any]
+    mode: str
+    rate: float
+    paused: bool
+    frame: int
+    t: float
+    counts: dict[str, int]
+    limits: dict[str, int]
+    skeletons: NotRequired[list[Skeleton]]
+    capabilities: Names
+    fault: dict[str, Any] | None
+
+
+class Position(TypedDict):
+    x: float
+    y: float
+    z: float
+
+
+class Planet(TypedDict):
+    Name: str
+    Position: Position
+    Seed: int
+    BiomeType: int
+    ResourceLocations: list[Any]
+    TreeLocations: list[Any]
+
+
+class Planets(TypedDict):
+    type: Literal["planets"]
+    planets: list[Planet]
+
+
+class WorldReset(TypedDict):
+    type: Literal["world_reset"]
+    frame: int
+    seed: int
+
+
+class Stepped(TypedDict):
+    type: Literal["stepped"]
+    frame: int
+    t: float
+
+
+class Paused(TypedDict):
+    type: Literal["paused"]
+    frame: int
+
+
+class Resumed(TypedDict):
+    type: Literal["resumed"]
+    frame: int
+
+
+class ModeSet(TypedDict):
+    type: Literal["mode_set"]
+    mode: str
+    rate: float
+    barrier: NotRequired[bool]
+
+
+class Subscribed(TypedDict):
+    type: Literal["subscribed"]
+    events: Names
+    every: int
+    position_threshold: float
+    rotation_threshold: float
+
+
+class Unsubscribed(TypedDict):
+    type: Literal["unsubscribed"]
+
+
+class ObjectiveSet(TypedDict):
+    type: Literal["objective_set"]
+    name: str
+    cubes: Names
+    needs: list[str]
+
+
+class Reward(TypedDict):
+    type: Literal["reward"]
+    value: float
+    objective: NotRequired[str]
+    metric: NotRequired[str]
+    cube_name: NotRequired[str]
+
+
+class BatchResult(TypedDict):
+    type: Literal["batch_result"]
+    results: list[dict[str, Any]]
+
+
+class Pong(TypedDict):
+    type: Literal["pong"]
+
+
+class Tick(TypedDict):
+    type: Literal["tick"]
+    t: float
+    frame: int
+
+
+class State(TypedDict):
+    type: Literal["state"]
+    t: float
+    frame: int
+    cubes: list[CubeMotion]
+    removed: Names
+
+
+class WorldFault(TypedDict):
+    type: Literal["world_fault"]
+    code: str
+    frame: int
+    message: str
+
+
+class BarrierTimeout(TypedDict):
+    type: Literal["barrier_timeout"]
+    frame: int
+    clients: list[int]
+
+
+class WorldClosed(TypedDict):
+    type: Literal["world_closed"]
+
+
+Event = Tick | State | WorldFault | BarrierTimeout | WorldClosed
+JointType = Literal["fixed", "hinge", "slide", "slider", "pin", "conetwist"]
+Mode = Literal["realtime", "lockstep", "fast"]
