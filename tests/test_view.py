@@ -11,7 +11,7 @@ import time
 import urllib.request
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 from urllib.error import URLError
 
 import numpy as np
@@ -21,7 +21,7 @@ from PIL import Image
 from rerun.chunk import RrdReader
 
 from nmes import Client
-from nmes.errors import CommandFailed
+from nmes.errors import CommandFailed, WorldError
 from nmes.metrics import Metrics
 from nmes.world import World
 from recordings import Line, record, rewrite, send
@@ -343,6 +343,29 @@ def test_a_fault_is_told_where_it_comes(tmp_path: Path, environment: dict[str, s
     assert fault["TextLog:level"] == ["ERROR"]
     assert name in fault["TextLog:text"][0]
     assert closed["TextLog:text"] == ["the world was closed"]
+
+
+@pytest.mark.parametrize("lacking", ["batch", "get_joint_list"])
+def test_a_server_that_does_not_tell_of_joints_is_seen_without(
+    tmp_path: Path, environment: dict[str, str], monkeypatch: pytest.MonkeyPatch, lacking: str
+) -> None:
+    def refuse(*_: object) -> NoReturn:
+        raise WorldError("unsupported", "not here")
+
+    monkeypatch.setitem(World.COMMANDS, lacking, refuse)
+    metrics = Metrics()
+    with served({}, metrics=metrics) as running, running.client() as client:
+        for name in ("a", "b"):
+            client.spawn_cube(cube_name=name, position=[0, 5, ord(name)])
+        client.create_joint("a", "b", "fixed")
+        process = watch_live(running, environment, tmp_path / "plain.rrd")
+        client.step(ticks=4)
+        until(lambda: running.call(lambda: shapes_asked(metrics)) >= 2)
+    _, errors = process.communicate(timeout=PATIENCE)
+    assert process.returncode == 0, errors
+    rows = read(tmp_path / "plain.rrd")
+    assert rows["/main/cubes"][0]["Boxes3D:labels"] == ["a", "b"]
+    assert "/main/joints" not in rows
 
 
 def test_a_viewer_that_is_killed_disturbs_nobody(tmp_path: Path, environment: dict[str, str]) -> None:

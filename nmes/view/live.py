@@ -32,6 +32,7 @@ __all__ = ["SHIFT", "TURN", "show_live"]
 SHIFT, TURN = 1e-3, 1e-2  # m, rad: the world tells of what moved farther
 _ASK_AGAIN = 1.0  # s between two questions for the joints
 _GONE = frozenset({"cube_not_found", "joint_not_found", "world_faulted", "world_closed"})
+_LACKING = frozenset({"unsupported", "unknown_type"})  # a server may leave out what tells of joints
 _GOLDEN = 0.618034  # of the circle of colours, from one cube to the next
 
 
@@ -109,7 +110,7 @@ def _draw_scenery(canvas: Canvas, info: Any) -> None:
 
 
 def _ask(client: Client, commands: Sequence[dict[str, Any]]) -> list[Any]:
-    """Returns the replies, in one exchange; None in place of those of what is not there any more, be it the world.
+    """Returns the replies, in one exchange; None for what is not there any more, be it the world, or never was.
 
     What is still to be told then comes as an event.
     """
@@ -128,7 +129,7 @@ def _ask(client: Client, commands: Sequence[dict[str, Any]]) -> list[Any]:
         try:
             found.append(call.result())
         except CommandFailed as error:
-            if error.code not in _GONE:
+            if error.code not in _GONE | _LACKING:
                 raise
             found.append(None)
     return found
