@@ -13,9 +13,10 @@ from typing import Any, Generic, Protocol, TypeVar
 
 from nmes.errors import RecordingError
 from nmes.feeding import feed, happenings
+from nmes.journal import Journal
 from nmes.protocol import Request
 from nmes.records import Kind, Record
-from nmes.world import Journal, World
+from nmes.world import World
 
 __all__ = ["Repeatable", "watch"]
 

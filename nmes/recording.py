@@ -38,6 +38,7 @@ from nmes import protocol
 from nmes.backend import Array
 from nmes.errors import NmesError, RecordingError, WorldError
 from nmes.feeding import advance
+from nmes.journal import Journal
 from nmes.mcapfile import (
     MESSAGE_OVERHEAD,
     Block,
@@ -66,7 +67,7 @@ from nmes.records import (
 )
 from nmes.schemas import load
 from nmes.snapshot import ticks_of
-from nmes.world import Journal, World
+from nmes.world import World
 
 __all__ = [
     "FORMAT",

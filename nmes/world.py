@@ -19,7 +19,7 @@ import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from math import inf
-from typing import Any, ClassVar, Protocol
+from typing import Any, ClassVar
 
 from nmes import protocol
 from nmes.assembly import Assembly
@@ -30,12 +30,13 @@ from nmes.errors import NmesError, RecordingError, RejectedMessage, SimulationFa
 from nmes.fingerprint import VERSION
 from nmes.goals import Goals, metric
 from nmes.inhabitants import Inhabitants
+from nmes.journal import Journal
 from nmes.protocol import Request
 from nmes.snapshot import pack, unpack
 from nmes.subscription import Subscription
 from nmes.trace import Flags, touches
 
-__all__ = ["Barrier", "Fault", "Journal", "World"]
+__all__ = ["Barrier", "Fault", "World"]
 
 logger = logging.getLogger(__name__)
 
@@ -46,34 +47,6 @@ _WHEN_FAULTED = frozenset({"ping", "get_world_info", "reset", "subscribe", "unsu
 
 _BATCH_TICKS = 10_000  # as many as one `step` may ask for: others wait meanwhile
 _BATCH_REPLY = 8 << 20  # bytes of replies after which the rest of a batch is refused
-
-
-class Journal(Protocol):
-    """Where a world's history goes: a recorder, or a replay that compares. Called in the order of the history.
-
-    A journal that cannot keep what it is told raises RecordingError, and the world faults with its code.
-    """
-
-    def joined(self, client: int) -> None:
-        """A client came."""
-
-    def left(self, client: int) -> None:
-        """A client went."""
-
-    def received(self, client: int, request: Request) -> None:
-        """A frame came from a client; it is executed next."""
-
-    def replied(self, client: int, request: Request, reply: bytes) -> None:
-        """The frame was executed; `reply` is encoded, without delimiter."""
-
-    def ticked(self, frame: int, digest: bytes) -> None:
-        """The world reached `frame`."""
-
-    def keyframe(self, snapshot: bytes) -> None:
-        """The world was saved, as its config says that it is now and then."""
-
-    def faulted(self, frame: int, code: str, message: str) -> None:
-        """The world stopped at `frame`."""
 
 
 @dataclass(frozen=True, slots=True)
