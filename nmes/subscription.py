@@ -134,7 +134,7 @@ def _encode(names: Sequence[str], states: Array) -> bytes:
     texts = [encode(np.ascontiguousarray(column))[2:-2].split(b"],[") for column in columns]
     width = 2 + 2 * len(_KEYS)
     parts: list[bytes] = [b""] * (width * len(names))
-    parts[0::width] = encode(names)[2:-2].split(b'","')
+    parts[0::width] = encode(" ".join(names))[1:-1].split(b" ")  # no name has a space in it
     for place, (key, text) in enumerate(zip(_KEYS, texts, strict=True)):
         parts[1 + 2 * place :: width] = [key] * len(names)
         parts[2 + 2 * place :: width] = text

@@ -6,7 +6,7 @@ import math
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from nmes import World, protocol
@@ -401,6 +401,7 @@ def test_a_state_event_holds_what_moved_past_the_thresholds(drive: Driver) -> No
         protocol.validate_event(event)
 
 
+@example(cubes=[([0, 0, 0], '",'), ([0, 0, 0], ":")])
 @given(
     st.lists(
         st.tuples(
