@@ -428,6 +428,8 @@ def test_random_and_mutated_frames(tmp_path: Path, figures: Figures, count: int)
     with victim(tmp_path, {"limits": {"cubes": 100, "joints": 100}}) as host, Bystander(host) as good:
         warm = 0
         with host.peer() as peer:
+            peer.ask({"type": "spawn_cube"})  # expressions are loaded when the first one comes: now
+            assert peer.ask({"type": "set_objective", "expression": "height"})["type"] == "objective_set"
             for n in range(0, count, 100):
                 frames = [_mutate(draw) for _ in range(100)]
                 empty = sum(not frame.strip(b" \t\r\n") for frame in frames)
