@@ -5,11 +5,14 @@ from __future__ import annotations
 import csv
 import os
 import shlex
+import signal
 import sys
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from typing import NoReturn
 
 import click
 import orjson
@@ -185,25 +188,51 @@ def _evaluate(work: list[Job], jobs: int, ray: str | None, resume: Path | None) 
     done: dict[int, Evaluation] = {}
     keep = None
     if resume is not None:
-        kept = _read(resume)
-        done = {i: kept[job.key] for i, job in enumerate(work) if job.key in kept}
+        done = _held(work, resume)
         keep = resume.open("ab")
     left = [i for i in range(len(work)) if i not in done]
     try:
-        with progress_bars(len(work) > 1) as progress:
+        with progress_bars(len(work) > 1) as progress, _listening() as pressed:
             progress("evaluating", len(done), len(work))
             for place, evaluation in evaluate_all([work[i] for i in left], jobs=jobs, ray=ray):
-                done[left[place]] = evaluation
                 if keep is not None:
                     keep.write(_line(work[left[place]], evaluation))
                     keep.flush()
+                done[left[place]] = evaluation
                 progress("evaluating", len(done), len(work))
+                if pressed():
+                    raise KeyboardInterrupt
     except KeyboardInterrupt:
+        if keep is not None and resume is not None:
+            keep.close()
+            done = _held(work, resume)  # what is told is what is kept, wherever it was interrupted
         _interrupted(work, done, resume)
     finally:
         if keep is not None:
             keep.close()
     return [done[i] for i in sorted(done)], len(done) == len(work)
+
+
+@contextmanager
+def _listening() -> Iterator[Callable[[], bool]]:
+    """Gives what tells whether Ctrl-C was pressed: Python loses the exception if that was while a destructor ran."""
+    heard = False
+
+    def hear(*_: object) -> NoReturn:
+        nonlocal heard
+        heard = True
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGINT, hear)
+    try:
+        yield lambda: heard
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _held(work: Sequence[Job], path: Path) -> dict[int, Evaluation]:
+    kept = _read(path)
+    return {i: kept[job.key] for i, job in enumerate(work) if job.key in kept}
 
 
 def _line(job: Job, evaluation: Evaluation) -> bytes:
