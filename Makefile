@@ -39,7 +39,7 @@ test-long: lint
 	$(BIN)/pytest -n auto
 
 conform-selftest: $(READY)
-	@$(BIN)/python tests/selftest.py
+	@$(BIN)/python tools/selftest.py
 
 lint: $(READY) types imports
 	$(BIN)/ruff check .
@@ -47,7 +47,7 @@ lint: $(READY) types imports
 
 types: layout
 	$(BIN)/mypy --cache-dir build/mypy -p nmes
-	$(BIN)/mypy --cache-dir build/mypy tests benchmarks
+	$(BIN)/mypy --cache-dir build/mypy tests tools benchmarks
 	$(BIN)/mypy --cache-dir build/mypy examples
 
 imports: layout
@@ -55,7 +55,7 @@ imports: layout
 
 # The package as it is once installed, for tools that do not follow setuptools' package-dir.
 layout: $(READY)
-	@$(BIN)/python tests/layout.py build/layout
+	@$(BIN)/python tools/layout.py build/layout
 
 format: $(READY)
 	$(BIN)/ruff check --fix .
@@ -68,7 +68,7 @@ docs: $(READY)
 	$(BIN)/mkdocs build --strict
 
 goldens: $(READY)
-	@$(BIN)/python tests/goldens.py
+	@$(BIN)/python tools/goldens.py
 
 # Pins the newest versions that fit pyproject.toml: names and versions only.
 constraints: $(READY)

@@ -35,8 +35,8 @@ from nmes.backend import (
     Simulation,
     Vector,
 )
+from nmes.backend.rotation import cross, multiply, normalize
 from nmes.errors import SimulationFault, WorldError
-from nmes.rotation import cross, multiply, normalize
 
 __all__ = ["BallisticBackend"]
 

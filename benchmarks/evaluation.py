@@ -23,8 +23,8 @@ import orjson
 from measure import Figure, in_turns, ratio, summary
 from nmes import protocol
 from nmes.evaluation import Episode, Job, brain_of, evaluate, evaluate_all
+from nmes.evaluation.task import CREATURE, Task
 from nmes.genome import Genome
-from nmes.task import CREATURE, Task
 from nmes.world import World
 
 CUBES = 8
@@ -78,7 +78,7 @@ class Bare:
         client, simulation = world.join(), world.simulation
         controls: list[np.ndarray[Any, np.dtype[np.float64]]] = []
         self.start: mujoco.MjData | None = None
-        for step in Episode(world, genome, brain_of(genome), task, 1).course():
+        for step in Episode(world, genome, brain_of(genome), task, 1).steps():
             if step is None:
                 world.tick()
                 # The model is compiled in the first tick, in which the servos hold still.

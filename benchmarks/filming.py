@@ -12,8 +12,8 @@ from measure import Figure
 from nmes import Genome, Task, evaluate
 from nmes.backend import CameraSpec
 from nmes.errors import WorldError
-from nmes.film import Cut, Stage, film, moments
 from nmes.recording import Recording
+from nmes.view.film import Cut, Stage, film, moments
 
 SECONDS, FPS, SIZE = 10.0, 30, (640, 480)
 

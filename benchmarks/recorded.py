@@ -17,6 +17,7 @@ from statistics import median
 
 from measure import Figure, in_turns, summary
 from nmes import World
+from nmes.playback.restore import make_world
 from nmes.recording import Recorder, Recording
 
 CUBES = 150
@@ -108,7 +109,7 @@ def seeking(path: Path) -> list[float]:
         began = time.perf_counter()
         recording = Recording(path)
         start = recording.start(1800 * rate + rate)
-        world = recording.begin(start)
+        world = make_world(recording, start)
         took.append(time.perf_counter() - began)
         assert world.ticks == start.frame == 1800 * rate
         world.close()

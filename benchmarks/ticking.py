@@ -17,8 +17,8 @@ import mujoco
 
 from measure import Figure, in_turns, ratio, summary
 from nmes import World
+from nmes.playback.compare import replay
 from nmes.recording import Recorder
-from nmes.replay import replay
 
 FLIGHT = 59  # ticks from one push to the next; with the one in which the push acts, a second
 HOPS = 50

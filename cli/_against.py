@@ -8,7 +8,7 @@ import orjson
 from rich.console import Console
 from rich.table import Table
 
-from nmes.against import AgainstReport, Sighting
+from nmes.playback.remote import Mismatch, RemoteReplayReport
 
 __all__ = ["show"]
 
@@ -16,7 +16,7 @@ FIELDS = 40  # rows of the table
 _SHORT = 60  # characters of a value
 
 
-def show(report: AgainstReport, console: Console) -> None:
+def show(report: RemoteReplayReport, console: Console) -> None:
     """Prints a report."""
     amount = f"{report.commands:,} commands, {report.ticks:,} ticks, {report.values:,} values"
     console.print(f"{report.verdict}: {amount}; numbers may differ by {report.tolerance:g}", soft_wrap=True)
@@ -45,7 +45,7 @@ def show(report: AgainstReport, console: Console) -> None:
         console.print(f"  {line}", soft_wrap=True)
 
 
-def _sighting(seen: Sighting) -> str:
+def _sighting(seen: Mismatch) -> str:
     where = f"frame {seen.frame}" + (f", {seen.cube}" if seen.cube is not None else "")
     by = f", by {seen.difference:.3g}" if seen.difference is not None else ""
     return f"{where}: {_value(seen.expected)}, there {_value(seen.actual)}{by}"

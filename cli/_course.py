@@ -9,11 +9,11 @@ import numpy as np
 
 from nmes.cli._plot import Bars, Curves, write_plot
 from nmes.cli._progress import progress_bars
-from nmes.course import Course
 from nmes.errors import RecordingError
 from nmes.evaluation import scores_so_far
-from nmes.playback import watch
+from nmes.playback.watch import watch
 from nmes.recording import Recording
+from nmes.view.time_series import TimeSeries
 
 __all__ = ["plot_courses"]
 
@@ -32,7 +32,7 @@ def plot_courses(recordings: Sequence[Recording], path: Path) -> None:
     with progress_bars() as progress:
         for recording in recordings:
             name = recording.path.stem
-            course = Course()
+            course = TimeSeries()
             total = recording.summary().ticks
             for tick, _ in enumerate(watch(recording, course.note), start=1):
                 progress(f"running {recording.path.name}", tick, total)

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from nmes.cli._plot import Curves, write_plot
-from nmes.drift import Drift, DriftReport
+from nmes.playback.drift import Drift, DriftReport
 
 __all__ = ["plot", "show"]
 

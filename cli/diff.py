@@ -13,8 +13,8 @@ from rich.table import Table
 
 from nmes.cli._drift import plot
 from nmes.cli.info import open_recording
-from nmes.diff import Comparison, compare
-from nmes.drift import DriftReport
+from nmes.playback.diff import Comparison, compare
+from nmes.playback.drift import DriftReport
 from nmes.recording import Recording
 
 __all__ = ["command"]

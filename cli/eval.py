@@ -25,9 +25,9 @@ from nmes.cli._genomes import find_genomes
 from nmes.cli._progress import progress_bars
 from nmes.errors import DocumentError
 from nmes.evaluation import Evaluation, Job, Proof, evaluate_all, prove
+from nmes.evaluation.task import Task
 from nmes.genome import Genome
 from nmes.recording import Recording
-from nmes.task import Task
 
 __all__ = ["command"]
 

@@ -7,7 +7,8 @@ from pathlib import Path
 import click
 
 from nmes.cli.info import open_recording
-from nmes.export import messages, state_rows, write_csv, write_jsonl, write_parquet
+from nmes.playback import states
+from nmes.playback.export import messages, state_rows, write_csv, write_jsonl, write_parquet
 from nmes.recording import Recording
 
 __all__ = ["command"]
@@ -39,7 +40,7 @@ def command(recording: Recording, kind: str, what: str | None, output: Path | No
     if kind == "parquet" and output is None:
         raise click.UsageError("parquet needs --output")
     as_messages = what == "messages" if what is not None else kind == "jsonl"
-    rows = messages(recording) if as_messages else state_rows(recording.states(anyway=anyway))
+    rows = messages(recording) if as_messages else state_rows(states(recording, anyway=anyway))
     if kind == "parquet":
         assert output is not None
         write_parquet(rows, output)

@@ -7,8 +7,8 @@ from pathlib import Path
 import click
 import orjson
 
-from nmes.branching import branch
 from nmes.cli.info import open_recording
+from nmes.playback.fork import fork
 from nmes.recording import Recording
 from nmes.world import World
 
@@ -26,7 +26,7 @@ def command(recording: Recording, frame: int | None, output: Path, as_json: bool
     """Take the world out of a recording as it was at a frame.
 
     Writes a recording that begins there and holds nothing else: small, whole without its parent, of which it tells, and
-    the place from which others go on. Scripts do so with Recording("NEW.mcap").world_at(), servers with
+    the place from which others go on. Scripts do so with nmes.playback.world_at, servers with
     `nmes serve --resume NEW.mcap`. The clients of then are in it. Where the engine cannot save a world, all that came
     before the frame is in it.
 
@@ -39,7 +39,7 @@ def command(recording: Recording, frame: int | None, output: Path, as_json: bool
     """
     world = World(recording.config)
     try:
-        branch(recording, world, output, frame).close()
+        fork(recording, world, output, frame).close()
         done = {"file": str(output), "parent": str(recording.path), "frame": world.ticks, "cubes": len(world.cubes())}
     finally:
         world.close()

@@ -12,10 +12,10 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from nmes.body import Body
 from nmes.cli._genomes import find_genomes
 from nmes.errors import DocumentError
 from nmes.genome import Genome
+from nmes.genome.body import Body
 
 __all__ = ["command"]
 
@@ -123,7 +123,7 @@ def _load(file: str) -> Genome:
 def _draw(genomes: list[Genome], output: Path) -> None:
     from PIL import Image
 
-    from nmes.portrait import portrait, sheet
+    from nmes.genome.preview import portrait, sheet
 
     if len(genomes) == 1:
         pixels = portrait(genomes[0].body)
@@ -164,7 +164,7 @@ def _about(genome: Genome) -> dict[str, Any]:
 
 
 def _print(console: Console, genome: Genome) -> None:
-    from nmes.portrait import text_portrait
+    from nmes.genome.preview import text_portrait
 
     about, body = _about(genome), genome.body
     by = f" by {about['author']}" if about["author"] else ""

@@ -12,7 +12,7 @@ import orjson
 
 from nmes.cli._progress import progress_bars
 from nmes.errors import NmesError
-from nmes.leaderboard import Entry, Leaderboard
+from nmes.evaluation.leaderboard import Entry, Leaderboard
 
 if TYPE_CHECKING:
     from nmes.evaluation import Proof
@@ -193,7 +193,7 @@ def export(file: Path, output: Path, task: str | None, top: int) -> None:
     \b
         nmes leaderboard export board.sqlite -o board.html --top 100
     """
-    from nmes.gallery import write_page
+    from nmes.evaluation.leaderboard_page import write_page
 
     count = write_page(_open(file), output, task=task, top=top)
     click.echo(f"{output}: {count:,} {'entry' if count == 1 else 'entries'}")

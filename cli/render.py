@@ -9,8 +9,8 @@ import click
 
 from nmes.cli._progress import progress_bars
 from nmes.cli.info import open_recording
-from nmes.film import Cut, Way, film
 from nmes.recording import Recording
+from nmes.view.film import Cut, Way, film
 
 __all__ = ["command"]
 

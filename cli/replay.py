@@ -14,18 +14,18 @@ import click
 import orjson
 from rich.console import Console
 
-from nmes.against import replay_against
 from nmes.cli import _against
 from nmes.cli._address import split_address
 from nmes.cli._connection import connection_options, connector
 from nmes.cli._drift import plot, show
 from nmes.cli._progress import progress_bars
 from nmes.cli.info import open_recording
-from nmes.drift import measure_drift
 from nmes.errors import NmesError, RecordingError
-from nmes.logs import Log, LogReport, replay_log
+from nmes.playback.compare import Divergence, ReplayReport, replay
+from nmes.playback.drift import measure_drift
+from nmes.playback.log import Log, LogReport, replay_log
+from nmes.playback.remote import replay_remotely
 from nmes.recording import Recording
-from nmes.replay import Divergence, ReplayReport, replay
 
 __all__ = ["command"]
 
@@ -201,7 +201,7 @@ def _played(
     client = connector(address, **connection, timeout=60.0)
     with _progress(recording) as progress:
         try:
-            report = replay_against(recording, lambda: client().connect(), tolerance=tolerance, progress=progress)
+            report = replay_remotely(recording, lambda: client().connect(), tolerance=tolerance, progress=progress)
         except (NmesError, TimeoutError) as error:
             # Usage, or a file that cannot be read: nothing was compared.
             click.echo(f"Error: {error}", err=True)

@@ -23,10 +23,10 @@ from nmes.cli import _logs
 from nmes.cli._password import PASSWORD_VARIABLE, choose_password, password_options
 from nmes.cli.info import open_recording
 from nmes.errors import RejectedMessage, WorldError
-from nmes.metrics import Metrics
 from nmes.protocol import parse_json
 from nmes.recording import Recording
 from nmes.server import Host
+from nmes.server.metrics import Metrics
 from nmes.view.screen import has_display
 from nmes.world import World
 

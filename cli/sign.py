@@ -8,7 +8,7 @@ import click
 
 from nmes.cli.info import open_recording
 from nmes.recording import Recording
-from nmes.signing import private_key, sign
+from nmes.recording.signing import private_key, sign
 
 __all__ = ["command"]
 

@@ -15,7 +15,7 @@ from nmes import protocol
 from nmes.cli.info import open_recording
 from nmes.errors import RecordingError
 from nmes.recording import Recording
-from nmes.signing import check_signature, public_key
+from nmes.recording.signing import check_signature, public_key
 
 __all__ = ["command"]
 

@@ -6,13 +6,28 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from nmes.backend import load_backend
     from nmes.client import AsyncClient, Client
-    from nmes.evaluation import Episode, Evaluation, evaluate
+    from nmes.evaluation import Episode, Evaluation, Task, evaluate
     from nmes.genome import Genome
-    from nmes.task import Task
+    from nmes.playback import replay
+    from nmes.recording import Recorder, Recording
     from nmes.world import World
 
-__all__ = ["AsyncClient", "Client", "Episode", "Evaluation", "Genome", "Task", "World", "evaluate"]
+__all__ = [
+    "AsyncClient",
+    "Client",
+    "Episode",
+    "Evaluation",
+    "Genome",
+    "Recorder",
+    "Recording",
+    "Task",
+    "World",
+    "evaluate",
+    "load_backend",
+    "replay",
+]
 
 _HOMES = {
     "AsyncClient": "nmes.client",
@@ -20,9 +35,13 @@ _HOMES = {
     "Episode": "nmes.evaluation",
     "Evaluation": "nmes.evaluation",
     "Genome": "nmes.genome",
-    "Task": "nmes.task",
+    "Recorder": "nmes.recording",
+    "Recording": "nmes.recording",
+    "Task": "nmes.evaluation",
     "World": "nmes.world",
     "evaluate": "nmes.evaluation",
+    "load_backend": "nmes.backend",
+    "replay": "nmes.playback",
 }
 
 
@@ -31,3 +50,7 @@ def __getattr__(name: str) -> Any:
     if name in _HOMES:
         return getattr(importlib.import_module(_HOMES[name]), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

@@ -23,8 +23,8 @@ import mujoco
 import numpy as np
 
 from nmes.backend import Arena, Array, Quaternion, Vector
+from nmes.backend.rotation import multiply
 from nmes.errors import WorldError
-from nmes.rotation import multiply
 
 __all__ = ["Part", "parts"]
 

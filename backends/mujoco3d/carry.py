@@ -20,8 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from nmes.backend import BodyState, Quaternion, Vector
+from nmes.backend.rotation import conjugate, dot, multiply, normalize, rotate
 from nmes.backends.mujoco3d.layout import Body, Forest, Joint, Layout, Slot, across, relative
-from nmes.rotation import conjugate, dot, multiply, normalize, rotate
 
 __all__ = ["AWAKE", "affected", "carry", "kept_sleep", "place", "promoted", "put_sleep", "rezero", "turns"]
 

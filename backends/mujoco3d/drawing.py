@@ -22,10 +22,10 @@ import mujoco
 import numpy as np
 
 from nmes.backend import Array, CameraSpec, Image
+from nmes.backend.rotation import rotate
 from nmes.backends.mujoco3d.layout import Layout
 from nmes.backends.mujoco3d.scenery import Scenery
 from nmes.errors import WorldError
-from nmes.rotation import rotate
 
 __all__ = ["Painter"]
 

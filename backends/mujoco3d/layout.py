@@ -28,8 +28,8 @@ import mujoco
 import numpy as np
 
 from nmes.backend import JointParams, Quaternion, SceneSpec, Vector
+from nmes.backend.rotation import conjugate, cross, multiply, rotate
 from nmes.backends.mujoco3d.scenery import Scenery, set_options
-from nmes.rotation import conjugate, cross, multiply, rotate
 
 __all__ = ["Body", "Forest", "Joint", "Layout", "Slot", "across", "build", "relative", "span"]
 

@@ -36,6 +36,7 @@ from nmes.backend import (
     Simulation,
     Vector,
 )
+from nmes.backend.rotation import conjugate, cross, dot, minus, multiply, normalize, plus, rotate
 from nmes.backends.mujoco3d.carry import AWAKE, affected, carry, kept_sleep, place, promoted, put_sleep, rezero, turns
 from nmes.backends.mujoco3d.drawing import Painter
 from nmes.backends.mujoco3d.layout import (
@@ -58,7 +59,6 @@ from nmes.backends.mujoco3d.scenery import Scenery, set_options
 from nmes.backends.mujoco3d.sensing import STATE, Senses, count_awake
 from nmes.backends.mujoco3d.tracking import MujocoTrack
 from nmes.errors import SimulationFault
-from nmes.rotation import conjugate, cross, dot, minus, multiply, normalize, plus, rotate
 
 __all__ = ["MujocoSimulation"]
 

@@ -2,7 +2,7 @@
 
 from nmes_example_backend import ExampleBackend
 
-from nmes.contract import BackendContract
+from nmes.backend.contract import BackendContract
 
 
 class TestExample(BackendContract):

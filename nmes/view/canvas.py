@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from nmes.backend import Array, Heightfield, SceneSpec
+from nmes.backend.rotation import cross, normalize, rotate
 from nmes.errors import NmesError
-from nmes.rotation import cross, normalize, rotate
-from nmes.scene import Shape
+from nmes.recording.viewer_messages import Shape
 
 if TYPE_CHECKING:
     import rerun as rr

@@ -16,13 +16,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from nmes import protocol
+from nmes.backend.rotation import conjugate, multiply, rotate
 from nmes.client import Client
 from nmes.errors import CommandFailed, Disconnected, NmesError
-from nmes.rotation import conjugate, multiply, rotate
-from nmes.scene import Shape
-from nmes.scenery import scene_spec
+from nmes.recording.viewer_messages import Shape
 from nmes.view.canvas import Canvas
 from nmes.view.screen import lay_out
+from nmes.world.scenery import scene_spec
 
 if TYPE_CHECKING:
     import rerun as rr

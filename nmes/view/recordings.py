@@ -12,17 +12,17 @@ import numpy as np
 import orjson
 
 from nmes.backend import Array, load_backend
-from nmes.course import Course
 from nmes.errors import RecordingError
 from nmes.evaluation import scores_so_far
-from nmes.feeding import happenings
-from nmes.playback import watch
+from nmes.playback.compare import ReplayReport, replay
+from nmes.playback.inputs import recorded_inputs
+from nmes.playback.watch import watch
 from nmes.recording import Kind, Recording
-from nmes.replay import ReplayReport, replay
-from nmes.scene import Shape
-from nmes.scenery import scene_spec
+from nmes.recording.viewer_messages import Shape
 from nmes.view.canvas import Canvas, load_rerun
+from nmes.view.time_series import TimeSeries
 from nmes.world import World
+from nmes.world.scenery import scene_spec
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -87,7 +87,7 @@ def show_recording(
     rate: int = recording.config["tick_rate"]
     canvas = Canvas(stream, root, load_backend(recording.config["backend"]).dims == 2)
     report = replay(recording, anyway=True)
-    course, inputs = Course(), _Inputs(recording, canvas, rate)
+    course, inputs = TimeSeries(), _Inputs(recording, canvas, rate)
     every = max(1, round(rate / fps))
     total = recording.summary().ticks
     version, shapes = -1, dict[str, Shape]()
@@ -204,7 +204,7 @@ class _Inputs:
 
 def _said(recording: Recording, rate: int) -> Iterator[_Said]:
     ticks = 0
-    for record, effects in happenings(recording):
+    for record, effects in recorded_inputs(recording):
         reply = orjson.loads(effects[-1].data) if effects and effects[-1].kind is Kind.REPLY else {}
         match record.kind:
             case Kind.COMMAND:

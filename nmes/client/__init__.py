@@ -1,0 +1,7 @@
+"""The protocol from the other side: clients of a world, blocking and awaiting."""
+
+from __future__ import annotations
+
+from nmes.client.client import AsyncClient, Client
+
+__all__ = ["AsyncClient", "Client"]

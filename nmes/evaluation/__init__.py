@@ -1,0 +1,32 @@
+"""Tasks, and creatures evaluated on them: episodes, scores, proofs, leaderboards."""
+
+from __future__ import annotations
+
+from nmes.evaluation.evaluator import (
+    Episode,
+    Evaluation,
+    Job,
+    Proof,
+    Result,
+    brain_of,
+    evaluate,
+    evaluate_all,
+    prove,
+    scores_so_far,
+)
+from nmes.evaluation.task import Limits, Task
+
+__all__ = [
+    "Episode",
+    "Evaluation",
+    "Job",
+    "Limits",
+    "Proof",
+    "Result",
+    "Task",
+    "brain_of",
+    "evaluate",
+    "evaluate_all",
+    "prove",
+    "scores_so_far",
+]

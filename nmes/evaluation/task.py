@@ -1,0 +1,389 @@
+"""Tasks: what creatures are asked to do, as documents.
+
+Hides how a document and a seed become a world, a place for a creature in it, the commands that set the scene, and the
+row at which an episode ends. A task runs nothing: `nmes.evaluation` does, by what is said here.
+
+Invariants: all that differs between two episodes of a task follows from their seeds, drawn by hashing and so the same
+everywhere; a task that could be loaded has only expressions that can be run.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from hashlib import blake2b, sha256
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import orjson
+
+from nmes import protocol
+from nmes.backend import Array, Quaternion, Vector
+from nmes.backend.rotation import multiply, quaternion_from_euler, rotate
+from nmes.errors import DocumentError, NmesError, RejectedMessage
+from nmes.genome.body import Body, corners
+from nmes.objective import Condition, Objective, Quantity
+from nmes.objective.trajectory import Trajectory
+
+__all__ = ["Limits", "Task"]
+
+JsonObject = dict[str, Any]
+
+_SHAPE = protocol.document_schema("task.json")
+_OURS = ("name", "seed", "mode", "rate")  # of the world's config: the task, its seeds and the evaluation say these
+_LOOKS = 10  # in a second, at the conditions that end an episode
+_GAP = 0.001  # m between a prop that lies and what it lies on, so that the engine does not find them overlapping
+CREATURE: Final = "creature"
+"""The name of the creature in a task's world; its cubes are `creature.ID`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a creature may be and use; None is no limit.
+
+    Attributes:
+        cubes: How many cubes.
+        mass: Of all of them, kg.
+        size: Longest edge of the box around the body, m.
+        energy: Work of its motors, J.
+    """
+
+    cubes: int | None = None
+    mass: float | None = None
+    size: float | None = None
+    energy: float | None = None
+
+
+class Task:
+    """A task.
+
+    Attributes:
+        document: What it was made from, with every default filled in.
+        name: Its name.
+        description: What is asked, for people.
+        duration: Length of an episode, s.
+        seeds: One episode each.
+        limits: What a creature may be and use.
+        objective: What an episode is worth.
+        ends: What ends an episode early, and what it is called then.
+        hash: SHA-256 of the document, defaults filled in, hexadecimal.
+    """
+
+    def __init__(self, document: Mapping[str, Any]) -> None:
+        """Makes a task of a document.
+
+        Args:
+            document: As `schemas/task.json` says.
+
+        Raises:
+            DocumentError: It is not, with all that is wrong.
+        """
+        found = [(problem.pointer, problem.said) for problem in protocol.problems(_SHAPE, document)]
+        if found:
+            raise DocumentError(found)
+        self.document = plain = _completed(document)
+        found += [
+            (f"world/{name}", "a task does not say this: it is the evaluation's")
+            for name in _OURS
+            if name in plain["world"]
+        ]
+        config: JsonObject = {}
+        try:
+            config = protocol.complete_config({key: value for key, value in plain["world"].items() if key not in _OURS})
+        except NmesError as error:
+            found.append((f"world/{error.path}" if error.path else "world", _without(error)))
+        found += _crossed(plain)
+        expressions: list[Objective | Condition] = []
+        for path, text in _expressions(plain):
+            try:
+                expressions.append((Objective if path == "objective" else Condition)(text, path))
+            except NmesError as error:
+                found.append((path, _without(error)))
+        if found:
+            raise DocumentError(found)
+        self._config = config
+        self.name: str = plain["name"]
+        self.description: str = plain["description"]
+        self.duration = float(plain["duration"])
+        self.seeds: tuple[int, ...] = tuple(plain["seeds"])
+        self.limits = Limits(**plain["limits"])
+        objective, *conditions = expressions
+        assert isinstance(objective, Objective)
+        self.objective = objective
+        self.ends: tuple[tuple[str, Condition], ...] = tuple(
+            (end["name"], condition)
+            for end, condition in zip(plain["ends"], conditions, strict=True)
+            if isinstance(condition, Condition)
+        )
+        self.hash = sha256(orjson.dumps(plain, option=orjson.OPT_SORT_KEYS)).hexdigest()
+
+    @classmethod
+    def load(cls, name_or_path: str | Path) -> Task:
+        """Loads a task that comes with the package, by its name, or a file.
+
+        Raises:
+            DocumentError: There is no such task or file, or it is not as it must be.
+        """
+        if str(name_or_path) in cls.names():
+            raw = (files("nmes.evaluation") / "tasks" / f"{name_or_path}.json").read_bytes()
+        else:
+            try:
+                raw = Path(name_or_path).read_bytes()
+            except OSError as error:
+                near = difflib.get_close_matches(str(name_or_path), cls.names(), n=1)
+                hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(cls.names())}"
+                said = f"there is no task {str(name_or_path)!r}, nor such a file ({error.strerror}); {hint}"
+                raise DocumentError([("", said)]) from error
+        try:
+            document = protocol.parse_json(raw)
+        except RejectedMessage as error:
+            raise DocumentError([("", error.message)]) from error
+        return cls(document)
+
+    @staticmethod
+    def names() -> tuple[str, ...]:
+        """Returns the names of the tasks that come with the package, sorted."""
+        found = (entry.name for entry in (files("nmes.evaluation") / "tasks").iterdir())
+        return tuple(sorted(name.removesuffix(".json") for name in found if name.endswith(".json")))
+
+    # -- time ----------------------------------------------------------------------------------------------------
+
+    @property
+    def tick_rate(self) -> int:
+        """Ticks in a second."""
+        rate: int = self._config["tick_rate"]
+        return rate
+
+    @property
+    def ticks(self) -> int:
+        """Ticks of an episode that is not ended early."""
+        return max(1, round(self.duration * self.tick_rate))
+
+    @property
+    def settle_ticks(self) -> int:
+        """Ticks before the start, in which the creature comes to rest."""
+        return round(float(self.document["settle"]) * self.tick_rate)
+
+    def ended(self, trace: Trajectory, begin: int, end: int) -> tuple[int, str] | None:
+        """Returns the first row at which an episode is ended early, and what has happened then.
+
+        Conditions are looked at ten times a second; those about contacts at every tick, for a touch may be short.
+
+        Args:
+            trace: The episode so far.
+            begin: The first row to look at.
+            end: The row after the last.
+        """
+        found = []
+        for name, condition in self._stops:
+            touchy = any(quantity.name == "contacts" for quantity in condition.needs)
+            row = trace.first(condition, begin, end, 1 if touchy else max(1, self.tick_rate // _LOOKS))
+            if row is not None:
+                found.append((row, name))
+        # Of two at the same row, the one that comes first in the document.
+        return min(found, key=lambda stop: stop[0], default=None)
+
+    @cached_property
+    def _stops(self) -> tuple[tuple[str, Condition], ...]:
+        energy = self.limits.energy
+        return self.ends if energy is None else (*self.ends, ("energy", Condition(f"energy > {energy!r}")))
+
+    @property
+    def needs(self) -> tuple[Quantity, ...]:
+        """What its objective and its conditions need to know."""
+        return tuple(
+            dict.fromkeys([*self.objective.needs, *(q for _, condition in self._stops for q in condition.needs)])
+        )
+
+    # -- episodes ------------------------------------------------------------------------------------------------
+
+    def _draw(self, seed: int, what: str, bounds: Sequence[float]) -> float:
+        """Draws a number, evenly: the same on every machine."""
+        part = (
+            int.from_bytes(blake2b(f"{self.name}:{seed}:{what}".encode(), digest_size=8).digest(), "little") / 2.0**64
+        )
+        low, high = bounds
+        return float(low + part * (high - low))
+
+    def world_config(self, seed: int) -> JsonObject:
+        """Returns the config of an episode's world: in lockstep, with the task's name."""
+        config = {**self._config, "name": self.name, "seed": seed, "mode": "lockstep"}
+        if "friction" in self.document["vary"]:
+            config["friction"] = self._draw(seed, "friction", self.document["vary"]["friction"])
+        return config
+
+    def target(self, seed: int) -> Vector | str | None:
+        """Returns where the target is, m, or which prop it is, if there is one."""
+        target = self.document.get("target")
+        if target is None:
+            return next((prop["id"] for prop in self.document["props"] if prop["target"]), None)
+        far, bearing = (self._draw(seed, what, target[what]) for what in ("distance", "bearing"))
+        return far * math.cos(bearing), float(target["height"]), -far * math.sin(bearing)
+
+    def entry(self, seed: int, genome: Mapping[str, Any], body: Body) -> list[JsonObject]:
+        """Returns the commands that set a creature down, its origin at the world's but for its height.
+
+        Args:
+            seed: The episode's.
+            genome: The document.
+            body: The genome's.
+        """
+        vary, lowest = self.document["vary"], body.bounds()[0][1]
+        position = [0.0, self._draw(seed, "drop", vary["drop"]) - lowest, 0.0]
+        spawn: JsonObject = {"type": "spawn_creature", "genome": genome, "name": CREATURE, "position": position}
+        target = self.target(seed)
+        if target is not None:
+            spawn["target"] = target
+        commands = [spawn]
+        yaw = self._draw(seed, "yaw", vary["yaw"])
+        if yaw:
+            root = body.cubes[0]
+            turned = multiply(quaternion_from_euler(0.0, yaw, 0.0), root.quaternion)
+            name = f"{CREATURE}.{root.id}"
+            commands.append({"type": "set_cube_state", "cube_name": name, "rotation": list(turned)})
+        return commands
+
+    def prop_ids(self) -> list[str]:
+        """Returns the names of the props, which are their ids in expressions too."""
+        return [prop["id"] for prop in self.document["props"]]
+
+    def props(self, seed: int, body: Body, root: Array) -> list[JsonObject]:
+        """Returns the commands that put the props on a creature that has settled.
+
+        Args:
+            seed: The episode's.
+            body: The creature's.
+            root: State of its root, array (13,) as `Simulation.states` has it.
+        """
+        commands: list[JsonObject] = []
+        cube = body.cubes[0]
+        for prop in self.document["props"]:
+            lean = self._draw(seed, f"lean of {prop['id']}", prop["lean"])
+            foot = _top(root, cube.size)
+            if not prop["hinge"]:
+                foot = foot[0], foot[1] + _GAP, foot[2]
+            turn = quaternion_from_euler(0.0, 0.0, lean)
+            up = rotate(turn, (0.0, prop["size"][1] / 2.0, 0.0))
+            commands.append(
+                {
+                    "type": "spawn_cube",
+                    "cube_name": prop["id"],
+                    "position": [a + b for a, b in zip(foot, up, strict=True)],
+                    "rotation": list(turn),
+                    "size": prop["size"],
+                    "mass": prop["mass"],
+                    "color": prop["color"],
+                    "list": False,
+                }
+            )
+            if prop["hinge"]:
+                ends = {"cube1": f"{CREATURE}.{cube.id}", "cube2": prop["id"]}
+                joint = {"type": "create_joint", "joint_type": "hinge", "position": list(foot), "axis": [0, 0, 1]}
+                commands.append({**joint, **ends})
+        return commands
+
+    def check(self, body: Body) -> list[str]:
+        """Returns why a body may not take part, in words; nothing if it may."""
+        limits, low, high = self.limits, *body.bounds()
+        size = max(b - a for a, b in zip(low, high, strict=True))
+        found = []
+        for limit, value, said in (
+            (limits.cubes, len(body.cubes), "{} cubes, at most {} are allowed"),
+            (limits.mass, body.mass, "{:g} kg, at most {:g} are allowed"),
+            (limits.size, size, "{:g} m from end to end, at most {:g} are allowed"),
+        ):
+            if limit is not None and value > limit * (1.0 + 1e-9):
+                found.append(f"the body has {said.format(value, limit)}")
+        ids, props = {cube.id for cube in body.cubes}, self.prop_ids()
+        found += [
+            f"the task puts a cube {name!r} there, and the body has one of that id" for name in props if name in ids
+        ]
+        found += [
+            f"the task puts {name!r} on the root, where the cube {part!r} is" for name, part in self._covered(body)
+        ]
+        named = {quantity.cube for quantity in self.needs if quantity.cube is not None}
+        found += [
+            f"the task is about a cube {name!r}, which the body has not" for name in sorted(named - ids - {*props})
+        ]
+        return found
+
+    def _covered(self, body: Body) -> Iterator[tuple[str, str]]:
+        """Yields props and the cubes of a body at rest that are where they are to stand."""
+        root = body.cubes[0]
+        x, top, z = _top(np.array([*root.position, *root.quaternion]), root.size)
+        for prop in self.document["props"]:
+            width, height, depth = prop["size"]
+            low = np.array([x - width / 2.0, top, z - depth / 2.0])
+            high = np.array([x + width / 2.0, top + height, z + depth / 2.0])
+            for cube in body.cubes[1:]:
+                points = corners(cube)
+                if (np.minimum(points.max(axis=0), high) - np.maximum(points.min(axis=0), low) > _GAP).all():
+                    yield prop["id"], cube.id
+
+
+def _top(root: Array, size: Vector) -> Vector:
+    """Returns the point above a box's centre where a thing that stands on its highest point has its foot."""
+    x, y, z, *turn = root[:7].tolist()
+    quaternion: Quaternion = (turn[0], turn[1], turn[2], turn[3])
+    up = sum(abs(rotate(quaternion, axis)[1]) * edge / 2.0 for axis, edge in zip(_UNITS, size, strict=True))
+    return x, y + up, z
+
+
+_UNITS: tuple[Vector, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+
+
+def _completed(document: Mapping[str, Any]) -> JsonObject:
+    """Returns a copy with defaults filled in, but for the world's, which completes itself."""
+    plain: JsonObject = orjson.loads(orjson.dumps(dict(document)))
+
+    def fill(schema: Mapping[str, Any], value: JsonObject) -> None:
+        for name, part in schema["properties"].items():
+            if name == "world":
+                value.setdefault(name, {})
+                continue
+            if name not in value and "default" in part:
+                value[name] = orjson.loads(orjson.dumps(part["default"]))
+            if name in value and part.get("type") == "object":
+                fill(part, value[name])
+            for item in value.get(name, []) if part.get("items", {}).get("type") == "object" else []:
+                fill(part["items"], item)
+
+    fill(_SHAPE.schema, plain)
+    plain["seeds"] = [int(seed) for seed in plain["seeds"]]
+    if "cubes" in plain["limits"]:
+        plain["limits"]["cubes"] = int(plain["limits"]["cubes"])
+    return plain
+
+
+def _expressions(plain: JsonObject) -> Iterator[tuple[str, str]]:
+    yield "objective", plain["objective"]
+    for index, end in enumerate(plain["ends"]):
+        yield f"ends/{index}/when", end["when"]
+
+
+def _crossed(plain: JsonObject) -> Iterator[tuple[str, str]]:
+    """Yields what no schema sees: bounds the wrong way round, names that are there twice."""
+    bounds = [(f"vary/{name}", value) for name, value in plain["vary"].items()]
+    bounds += [(f"target/{name}", value) for name, value in plain.get("target", {}).items() if name != "height"]
+    bounds += [(f"props/{index}/lean", prop["lean"]) for index, prop in enumerate(plain["props"])]
+    for path, (low, high) in bounds:
+        if low > high:
+            yield path, f"expected the lowest first, got {low:g} before {high:g}"
+    targets = [f"props/{index}/target" for index, prop in enumerate(plain["props"]) if prop["target"]]
+    for path in targets if "target" in plain else targets[1:]:
+        yield path, "there is a target already"
+    for index, prop in enumerate(plain["props"]):
+        if prop["id"] in [other["id"] for other in plain["props"][:index]]:
+            yield f"props/{index}/id", f"there is a prop {prop['id']!r} already"
+        if prop["id"].startswith(f"{CREATURE}."):
+            yield f"props/{index}/id", f"names that begin with {CREATURE!r} and a point are the creature's"
+
+
+def _without(error: NmesError) -> str:
+    """Returns an error's words without the field that they begin with."""
+    return error.message.removeprefix(f"{error.path}: ")

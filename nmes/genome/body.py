@@ -1,0 +1,438 @@
+"""A creature's body at rest: its cubes, joints, motors and sensors, read from a genome's document and judged.
+
+Hides what a document may leave out, how patterns and vectors of sensors become single sensors, and the geometry by
+which cubes are found to overlap. A body is plain data; the creature that lives in a world is `nmes.creature`'s.
+
+Invariants: cubes and joints are in the document's order (a graph's in the order in which it grows), motors in that of
+their joints; every id is unique among its kind; a body is connected, stands on or above y = 0, and no two of its cubes
+overlap unless a joint joins them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from typing import Any, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from nmes.backend import Array, Quaternion, Vector
+from nmes.backend.rotation import normalize, quaternion_from_euler, rotate
+from nmes.errors import DocumentError
+from nmes.protocol import did_you_mean
+
+__all__ = ["Body", "BodyCube", "BodyJoint", "Motor", "Sensor", "corners", "read_body"]
+
+JsonObject = Mapping[str, Any]
+Indices = npt.NDArray[np.intp]
+
+_TOUCHING = 1e-4  # m that cubes may overlap, and reach into the ground, by rounding
+_SIGNS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])  # of a box's corners
+_TOLD = 20  # overlaps that are named one by one
+_PARALLEL = 1e-6  # sine of the angle below which edges count as parallel
+_DRIVEN = ("hinge", "slide")
+_OF_JOINT = ("position", "velocity", "effort")
+_OF_TARGET = ("target_direction", "target_distance", "target_velocity")
+_OF_CUBE = ("height", "up", "velocity", "spin", "touch", *_OF_TARGET)
+_VECTORS = ("up", "velocity", "spin", "target_direction", "target_velocity")
+_ROOT = ("height", "up", "velocity", "spin")  # what the root senses where a document names no sensors
+
+
+@dataclass(frozen=True, slots=True)
+class BodyCube:
+    """A cube as the document has it: m, kg; `friction` and `restitution` None where they are the world's."""
+
+    id: str
+    size: Vector
+    mass: float
+    position: Vector
+    quaternion: Quaternion
+    friction: float | None
+    restitution: float | None
+    color: tuple[float, ...] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Motor:
+    """A motor. A control c in [-1, 1] aims at `low + (c + 1) / 2 * (high - low)`.
+
+    Attributes:
+        id: That of its joint.
+        mode: `position` (rad or m) or `velocity` (rad/s or m/s).
+        low: What -1 stands for.
+        high: What 1 stands for.
+        max_effort: The most that it gives, N m or N.
+    """
+
+    id: str
+    mode: Literal["position", "velocity"]
+    low: float
+    high: float
+    max_effort: float
+
+
+@dataclass(frozen=True, slots=True)
+class BodyJoint:
+    """A joint as the document has it: `anchor` in m, `axis` None where it is its type's own."""
+
+    id: str
+    cube1: str
+    cube2: str
+    kind: str
+    anchor: Vector
+    axis: Vector | None
+    limits: tuple[float, float] | None
+    stiffness: float
+    damping: float
+    motor: Motor | None
+
+
+@dataclass(frozen=True, slots=True)
+class Sensor:
+    """One number that a body feels.
+
+    Attributes:
+        id: Its name, unique in the body.
+        type: As in the document.
+        of: Whether it is on a joint or a cube.
+        target: The id of that.
+        axis: `x`, `y` or `z` of a vector, else None.
+    """
+
+    id: str
+    type: str
+    of: Literal["joint", "cube"]
+    target: str
+    axis: str | None
+
+
+@dataclass(frozen=True, slots=True)
+class Body:
+    """A whole body; see the module."""
+
+    cubes: tuple[BodyCube, ...]
+    joints: tuple[BodyJoint, ...]
+    sensors: tuple[Sensor, ...]
+
+    @property
+    def motors(self) -> tuple[Motor, ...]:
+        """The motors, in the order of their joints."""
+        return tuple(joint.motor for joint in self.joints if joint.motor is not None)
+
+    @property
+    def mass(self) -> float:
+        """Mass of all cubes, kg."""
+        return sum(cube.mass for cube in self.cubes)
+
+    @property
+    def planar(self) -> bool:
+        """Whether it lies in the plane z = 0 and moves in it: what an engine of that plane can hold."""
+        flat = all(cube.position[2] == 0.0 and cube.quaternion[:2] == (0.0, 0.0) for cube in self.cubes)
+        return flat and all(_stays_in_plane(joint) for joint in self.joints)
+
+    def bounds(self) -> tuple[Vector, Vector]:
+        """Returns the lowest and the highest corner of the box around the body, m."""
+        points = np.concatenate([corners(cube) for cube in self.cubes])
+        low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+        return (low[0], low[1], low[2]), (high[0], high[1], high[2])
+
+
+def corners(cube: BodyCube) -> Array:
+    """Returns the eight corners of a cube, shape (8, 3), m."""
+    return np.asarray(_SIGNS * cube.size @ _axes(cube) + cube.position)
+
+
+def read_body(body: JsonObject, sensors: Sequence[JsonObject] | None, place: str | None = None) -> Body:
+    """Reads the `body` and `sensors` of a document that its schema has accepted.
+
+    Args:
+        body: Its `cubes` and `joints`.
+        sensors: As in the document; None for those that a body has by default.
+        place: What of the document to blame for the cubes and joints; None where they stand in it themselves.
+
+    Raises:
+        DocumentError: With everything that is wrong, each with its place.
+    """
+    return _Reader(place).read(body, sensors)
+
+
+class _Reader:
+    """Reads one body, and notes what is wrong with it."""
+
+    def __init__(self, place: str | None) -> None:
+        self.problems: list[tuple[str, str]] = []
+        self.place = place
+
+    def note(self, path: str, said: str) -> None:
+        self.problems.append((self.place if self.place is not None and path.startswith("body/") else path, said))
+
+    def read(self, body: JsonObject, sensors: Sequence[JsonObject] | None) -> Body:
+        cubes = [_cube(given) for given in body["cubes"]]
+        self.unique([f"body/cubes/{i}/id" for i in range(len(cubes))], [cube.id for cube in cubes], "cube")
+        joints = [_joint(given) for given in body.get("joints", ())]
+        self.unique([f"body/joints/{i}/id" for i in range(len(joints))], [joint.id for joint in joints], "joint")
+        for i, joint in enumerate(joints):
+            self.joint(joint, f"body/joints/{i}")
+        self.structure(cubes, joints)
+        self.geometry(cubes, joints)
+        paths, felt = [], []
+        for i, given in enumerate(_default_sensors(cubes, joints) if sensors is None else sensors):
+            found = self.sensor(given, f"sensors/{i}", cubes, joints)
+            paths += [f"sensors/{i}"] * len(found)
+            felt += found
+        self.unique(paths, [sensor.id for sensor in felt], "sensor")
+        if self.problems:
+            raise DocumentError(self.problems)
+        return Body(tuple(cubes), tuple(joints), tuple(felt))
+
+    def unique(self, paths: Iterable[str], ids: Iterable[str], what: str) -> None:
+        seen: set[str] = set()
+        for path, name in zip(paths, ids, strict=True):
+            if name in seen:
+                self.note(path, f"there is a {what} {name!r} already")
+            seen.add(name)
+
+    def joint(self, joint: BodyJoint, path: str) -> None:
+        """Judges a joint by itself."""
+        kind, limits, motor = joint.kind, joint.limits, joint.motor
+        said = f"joint {joint.id!r}"
+        if kind not in _DRIVEN:
+            if motor is not None:
+                self.note(f"{path}/motor", f"{said} is a {kind}; only a hinge or a slide can have a motor")
+            for name, value in (("stiffness", joint.stiffness), ("damping", joint.damping)):
+                if value:
+                    self.note(f"{path}/{name}", f"{said} is a {kind}; only a hinge or a slide can have {name}")
+        if limits is not None:
+            if kind in ("fixed", "pin"):
+                self.note(f"{path}/limits", f"{said} is a {kind}, which has no limits")
+            elif kind == "conetwist" and min(limits) < 0.0:
+                self.note(f"{path}/limits", f"the swing and twist of {said} must not be negative")
+            elif kind != "conetwist" and limits[0] > limits[1]:
+                low, high = limits
+                self.note(f"{path}/limits", f"the lower limit of {said}, {low:g}, is above the upper, {high:g}")
+        if motor is not None and motor.low == motor.high:
+            self.note(f"{path}/motor/range", f"both ends of the motor of {said} are {motor.low:g}: it could do nothing")
+
+    def structure(self, cubes: Sequence[BodyCube], joints: Sequence[BodyJoint]) -> None:
+        """Judges who is joined to whom."""
+        names = [cube.id for cube in cubes]
+        leader = {name: name for name in names}
+
+        def find(name: str) -> str:
+            while leader[name] != name:
+                leader[name] = leader[leader[name]]
+                name = leader[name]
+            return name
+
+        joined: dict[frozenset[str], str] = {}
+        for i, joint in enumerate(joints):
+            path, ends = f"body/joints/{i}", (joint.cube1, joint.cube2)
+            for field, name in zip(("cube1", "cube2"), ends, strict=True):
+                if name not in leader:
+                    self.note(f"{path}/{field}", f"there is no cube {name!r}{did_you_mean(name, names)}")
+            pair = frozenset(ends)
+            if len(pair) == 1:
+                self.note(f"{path}/cube2", f"joint {joint.id!r} joins {joint.cube1!r} to itself")
+            elif pair in joined:
+                self.note(path, f"{ends[0]!r} and {ends[1]!r} are joined by {joined[pair]!r} already")
+            elif pair <= leader.keys():
+                joined[pair] = joint.id
+                leader[find(joint.cube2)] = find(joint.cube1)
+        loose = [name for name in names if find(name) != find(names[0])]
+        for i, name in enumerate(names):
+            if name in loose and find(name) == name:
+                others = [other for other in loose if find(other) == name and other != name]
+                with_them = f" (nor are {', '.join(map(repr, others))}, joined to it)" if others else ""
+                self.note(f"body/cubes/{i}", f"{name!r} is not joined to the rest of the body{with_them}")
+
+    def geometry(self, cubes: Sequence[BodyCube], joints: Sequence[BodyJoint]) -> None:
+        """Judges where the cubes are."""
+        pairs = {frozenset((joint.cube1, joint.cube2)) for joint in joints}
+        centres = np.array([cube.position for cube in cubes])
+        axes = np.array([_axes(cube) for cube in cubes])
+        halves = np.array([cube.size for cube in cubes]) / 2.0
+        one, other = _near_pairs(centres, halves)
+        depths = _depths(centres[other] - centres[one], axes[one], axes[other], halves[one], halves[other])
+        found = 0
+        for i, j, depth in zip(one.tolist(), other.tolist(), depths.tolist(), strict=True):
+            if depth <= _TOUCHING or frozenset((cubes[i].id, cubes[j].id)) in pairs:
+                continue
+            found += 1
+            if found <= _TOLD:
+                said = f"{cubes[i].id!r} and {cubes[j].id!r} overlap by {depth:.3g} m, and no joint joins them"
+                self.note(f"body/cubes/{j}", said)
+        if found > _TOLD:
+            self.note("body/cubes", f"{found - _TOLD} more pairs of cubes overlap")
+        lowest = centres[:, 1] - (halves * abs(axes[:, :, 1])).sum(axis=1)
+        for i, low in enumerate(lowest.tolist()):
+            if low < -_TOUCHING:
+                said = f"{cubes[i].id!r} reaches {-low:.3g} m below the ground, y = 0"
+                self.note(f"body/cubes/{i}/position", said)
+
+    def sensor(
+        self, given: JsonObject, path: str, cubes: Sequence[BodyCube], joints: Sequence[BodyJoint]
+    ) -> list[Sensor]:
+        """Reads one sensor of the document, which may stand for many."""
+        kind, axis = given["type"], given.get("axis")
+        if ("joint" in given) == ("cube" in given):
+            self.note(path, "must have either a joint or a cube that it is on")
+            return []
+        of: Literal["joint", "cube"] = "joint" if "joint" in given else "cube"
+        kinds = _OF_JOINT if of == "joint" else _OF_CUBE
+        if kind not in kinds:
+            self.note(f"{path}/type", f"a {of} has no sensor {kind!r}, only {', '.join(kinds)}")
+            return []
+        vector = of == "cube" and kind in _VECTORS
+        if axis is not None and not vector:
+            self.note(f"{path}/axis", f"{kind} is one number and has no axis")
+            return []
+        found = self.targets(given[of], of, kind, f"{path}/{of}", cubes, joints)
+        if "id" in given and len(found) > 1:
+            said = f"{given[of]!r} fits {len(found)} {of}s, so that one id is not enough: leave it out"
+            self.note(f"{path}/id", said)
+            return []
+        result = []
+        for target in found:
+            name = given.get("id", f"{target}.{kind}")
+            if not vector:
+                result.append(Sensor(name, kind, of, target, None))
+            elif axis is not None:
+                result.append(Sensor(given.get("id", f"{name}.{axis}"), kind, of, target, axis))
+            else:
+                result += [Sensor(f"{name}.{each}", kind, of, target, each) for each in "xyz"]
+        return result
+
+    def targets(
+        self,
+        pattern: str,
+        of: str,
+        kind: str,
+        path: str,
+        cubes: Sequence[BodyCube],
+        joints: Sequence[BodyJoint],
+    ) -> list[str]:
+        """Returns the ids that a pattern fits; of joints, only those that have such a reading."""
+        names = [thing.id for thing in (joints if of == "joint" else cubes)]
+        found = [name for name in names if fnmatchcase(name, pattern)]
+        if not found:
+            plain = not set(pattern) & set("*?")
+            missing = f"there is no {of} {pattern!r}{did_you_mean(pattern, names)}"
+            self.note(path, missing if plain else f"no {of} fits {pattern!r}")
+        if of == "cube":
+            return found
+        able = {
+            joint.id for joint in joints if (joint.motor is not None if kind == "effort" else joint.kind in _DRIVEN)
+        }
+        read = [name for name in found if name in able]
+        if found and not read:
+            what = "have a motor" if kind == "effort" else "are hinges or slides"
+            self.note(path, f"{kind} is only of joints that {what}; of {', '.join(map(repr, found[:5]))} none is one")
+        return read
+
+
+def _cube(given: JsonObject) -> BodyCube:
+    size, color = given["size"], given.get("color")
+    x, y, z = size if isinstance(size, Sequence) else (size, size, size)
+    return BodyCube(
+        id=given["id"],
+        size=(float(x), float(y), float(z)),
+        mass=float(given["mass"]),
+        position=_vector(given["position"]),
+        quaternion=_quaternion(given.get("rotation", (0.0, 0.0, 0.0))),
+        friction=None if "friction" not in given else float(given["friction"]),
+        restitution=None if "restitution" not in given else float(given["restitution"]),
+        color=None if color is None else tuple(map(float, color)),
+    )
+
+
+def _joint(given: JsonObject) -> BodyJoint:
+    limits, motor = given.get("limits"), given.get("motor")
+    return BodyJoint(
+        id=given["id"],
+        cube1=given["cube1"],
+        cube2=given["cube2"],
+        kind=given["type"],
+        anchor=_vector(given["anchor"]),
+        axis=_vector(given["axis"]) if "axis" in given else None,
+        limits=None if limits is None else (float(limits[0]), float(limits[1])),
+        stiffness=float(given.get("stiffness", 0.0)),
+        damping=float(given.get("damping", 0.0)),
+        motor=None if motor is None else _motor(given["id"], motor),
+    )
+
+
+def _motor(name: str, given: JsonObject) -> Motor:
+    low, high = given["range"]
+    return Motor(name, given["mode"], float(low), float(high), float(given["max_effort"]))
+
+
+def _stays_in_plane(joint: BodyJoint) -> bool:
+    if joint.kind == "hinge":
+        return joint.axis is None or joint.axis[:2] == (0.0, 0.0)
+    if joint.kind == "slide":
+        return joint.axis is None or joint.axis[2] == 0.0
+    return joint.kind in ("fixed", "pin")
+
+
+def _default_sensors(cubes: Sequence[BodyCube], joints: Sequence[BodyJoint]) -> Iterator[JsonObject]:
+    for joint in joints:
+        if joint.motor is not None and joint.kind in _DRIVEN:
+            for kind in ("position", "velocity"):
+                yield {"type": kind, "joint": joint.id}
+    for kind in _ROOT:
+        yield {"type": kind, "cube": cubes[0].id}
+
+
+# -- geometry ---------------------------------------------------------------------------------------------------------
+
+
+def _axes(cube: BodyCube) -> Array:
+    """Returns a cube's own directions as rows, shape (3, 3)."""
+    q = cube.quaternion
+    return np.array([rotate(q, (1.0, 0.0, 0.0)), rotate(q, (0.0, 1.0, 0.0)), rotate(q, (0.0, 0.0, 1.0))])
+
+
+def _near_pairs(centres: Array, halves: Array) -> tuple[Indices, Indices]:
+    """Returns the pairs (i < j) whose bounding spheres meet, in order."""
+    reach = np.sqrt((halves * halves).sum(axis=1))
+    arms = centres[:, None] - centres[None]
+    close = (arms * arms).sum(axis=2) < (reach[:, None] + reach[None]) ** 2
+    one, other = np.nonzero(np.triu(close, 1))
+    return one, other
+
+
+def _depths(arms: Array, axes1: Array, axes2: Array, halves1: Array, halves2: Array) -> Array:
+    """Returns how far pairs of boxes overlap, m, shape (n,): not above 0 where they do not.
+
+    By the separating axis theorem: of two boxes, the faces' normals and the cross products of the edges.
+
+    Args:
+        arms: From the first centre to the second, shape (n, 3).
+        axes1: The first boxes' own directions as rows, shape (n, 3, 3).
+        axes2: The second ones'.
+        halves1: Half the first boxes' edges, shape (n, 3).
+        halves2: Half the second ones'.
+    """
+    crossed = np.cross(axes1[:, :, None], axes2[:, None]).reshape(-1, 9, 3)
+    length = np.sqrt((crossed * crossed).sum(axis=2))
+    crossed /= np.maximum(length, _PARALLEL)[..., None]
+    axes = np.concatenate([axes1, axes2, crossed], axis=1)
+    reach = (abs(axes @ axes1.transpose(0, 2, 1)) * halves1[:, None]).sum(axis=2)
+    reach += (abs(axes @ axes2.transpose(0, 2, 1)) * halves2[:, None]).sum(axis=2)
+    depths = reach - abs((axes * arms[:, None]).sum(axis=2))
+    depths[:, 6:][length < _PARALLEL] = np.inf  # parallel edges span no plane of their own
+    return np.asarray(depths.min(axis=1))
+
+
+def _vector(value: Sequence[float]) -> Vector:
+    x, y, z = value
+    return float(x), float(y), float(z)
+
+
+def _quaternion(value: Sequence[float]) -> Quaternion:
+    if len(value) == 3:
+        return quaternion_from_euler(*_vector(value))
+    x, y, z, w = value
+    return normalize((float(x), float(y), float(z), float(w)))

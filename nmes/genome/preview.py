@@ -1,0 +1,205 @@
+"""Pictures of bodies at rest, drawn in software: the same pixels on every machine, without a GPU or a window.
+
+Hides an orthographic ray caster over boxes: one view from the front right and above (+x, forward, is to the right), one
+lamp, a shadow on the ground, thin lines along edges, and a grid on the ground whose lines are a round number of metres
+apart. Boxes may pass through each other, which drawing them one over the other could not show.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import ceil, cos, floor, log10, radians, sin, sqrt
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFont
+
+from nmes.backend import Array
+from nmes.backend import Image as Pixels
+from nmes.backend.rotation import rotate
+from nmes.genome.body import Body, BodyCube, corners
+
+__all__ = ["grid_step", "portrait", "sheet", "text_portrait"]
+
+_YAW, _PITCH = radians(32.0), radians(24.0)
+_BACK = np.array([sin(_YAW) * cos(_PITCH), sin(_PITCH), cos(_YAW) * cos(_PITCH)])  # towards the eye
+_RIGHT = np.array([cos(_YAW), 0.0, -sin(_YAW)])
+_UP = np.cross(_BACK, _RIGHT)
+_LAMP = np.array([0.35, 1.0, 0.55]) / sqrt(0.35**2 + 1.0 + 0.55**2)
+_SKY, _GROUND, _GRID, _SHADE = (
+    np.array(c, float) for c in ((246, 247, 249), (232, 233, 236), (208, 211, 217), (150, 154, 163))
+)
+_PALETTE = ((0.36, 0.55, 0.75), (0.85, 0.62, 0.31), (0.45, 0.65, 0.45), (0.72, 0.42, 0.42), (0.58, 0.49, 0.7))
+_MARGIN = 0.08  # of the picture, free on each side
+_FINE = 2  # rays a pixel, in each direction
+_RAMP = " .:-=+*#%@"
+
+
+def portrait(body: Body, width: int = 720, height: int = 540) -> Pixels:
+    """Returns a picture of a body, shape (height, width, 3), rows from the top.
+
+    Args:
+        body: The body.
+        width: Pixels.
+        height: Pixels.
+    """
+    fine = _Canvas(body, width * _FINE, height * _FINE).draw(lines=True)
+    return np.asarray(fine.reshape(height, _FINE, width, _FINE, 3).mean(axis=(1, 3)).round().astype(np.uint8))
+
+
+def sheet(bodies: Sequence[tuple[str, Body]], width: int = 320, height: int = 260) -> Pixels:
+    """Returns one picture of many bodies side by side, each over its title.
+
+    Args:
+        bodies: Titles and bodies.
+        width: Of each, pixels.
+        height: Of each without its title, pixels.
+    """
+    columns = min(len(bodies), max(1, ceil(sqrt(len(bodies) * height / width))))
+    title, gap = 24, 6
+    rows = ceil(len(bodies) / columns)
+    whole = Image.new("RGB", (columns * (width + gap) + gap, rows * (height + title + gap) + gap), (255, 255, 255))
+    pen, font = ImageDraw.Draw(whole), ImageFont.load_default(14)
+    for index, (name, body) in enumerate(bodies):
+        x, y = gap + index % columns * (width + gap), gap + index // columns * (height + title + gap)
+        whole.paste(Image.fromarray(portrait(body, width, height)), (x, y))
+        while name and pen.textlength(name, font=font) > width:
+            name = name[:-1]
+        pen.text((x + width / 2, y + height + title / 2), name, fill=(40, 42, 48), font=font, anchor="mm")
+    return np.asarray(whole)
+
+
+def text_portrait(body: Body, columns: int = 72, rows: int = 22) -> list[str]:
+    """Returns a picture of a body made of characters: the darker the fuller, `rows` lines of at most `columns`."""
+    # A character is twice as high as it is wide.
+    canvas = _Canvas(body, columns * 2, rows * 4)
+    bright = canvas.draw(lines=False).mean(axis=2)
+    solid = canvas.seen >= 0
+    lines = []
+    for row in range(rows):
+        line = ""
+        for column in range(columns):
+            block = np.s_[4 * row : 4 * row + 4, 2 * column : 2 * column + 2]
+            if solid[block].sum() * 2 < solid[block].size:
+                line += " "
+            else:
+                dark = 1.0 - bright[block][solid[block]].mean() / 255.0
+                line += _RAMP[min(len(_RAMP) - 1, max(2, int(dark * len(_RAMP) * 1.2)))]
+        lines.append(line.rstrip())
+    return lines
+
+
+def grid_step(body: Body) -> float:
+    """Returns how far the lines on the ground are from each other, m: 1, 2 or 5 times a power of ten."""
+    low, high = body.bounds()
+    wanted = max(high[0] - low[0], high[2] - low[2], high[1] - low[1]) / 4.0
+    power = 10.0 ** floor(log10(wanted))
+    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= wanted * (1.0 + 1e-9)))
+
+
+class _Canvas:
+    """One picture in the making. `seen` says which face of which cube (6 * cube + face) is at a pixel, or -1."""
+
+    def __init__(self, body: Body, width: int, height: int) -> None:
+        self._width, self._height, self._body = width, height, body
+        points = np.concatenate([corners(cube) for cube in body.cubes])
+        points = np.concatenate([points, _on_ground(points)])
+        across, upward = points @ _RIGHT, points @ _UP
+        room = 1.0 - 2.0 * _MARGIN
+        span = max(float(np.ptp(across)) / (width * room), float(np.ptp(upward)) / (height * room))
+        self._pixel = span  # m
+        self._left = float(across.max() + across.min()) / 2.0 - span * width / 2.0
+        self._top = float(upward.max() + upward.min()) / 2.0 + span * height / 2.0
+        self.seen = np.full((height, width), -1)
+        self._depth = np.full((height, width), np.inf)
+
+    def draw(self, lines: bool) -> Array:
+        """Returns the pixels as floats, shape (height, width, 3)."""
+        image = self._ground()
+        for number, cube in enumerate(self._body.cubes):
+            self._cast(image, number, cube)
+        if lines:
+            self._outline(image)
+        return image
+
+    def _origins(self, area: tuple[slice, slice]) -> Array:
+        """Returns where the rays of an area begin, shape (h, w, 3)."""
+        rows, columns = area
+        upward = self._top - (np.arange(rows.start, rows.stop) + 0.5) * self._pixel
+        across = self._left + (np.arange(columns.start, columns.stop) + 0.5) * self._pixel
+        return np.asarray(upward[:, None, None] * _UP + across[None, :, None] * _RIGHT)
+
+    def _area(self, points: Array) -> tuple[slice, slice]:
+        """Returns the part of the picture in which points lie."""
+        across, upward = points @ _RIGHT, points @ _UP
+        left, right = (float(across.min()) - self._left) / self._pixel, (float(across.max()) - self._left) / self._pixel
+        top, bottom = (self._top - float(upward.max())) / self._pixel, (self._top - float(upward.min())) / self._pixel
+        return (
+            slice(max(0, floor(top) - 1), min(self._height, ceil(bottom) + 1)),
+            slice(max(0, floor(left) - 1), min(self._width, ceil(right) + 1)),
+        )
+
+    def _ground(self) -> Array:
+        """Paints the ground with its grid and the shadows on it."""
+        whole = (slice(0, self._height), slice(0, self._width))
+        places = self._landing(whole)
+        step = grid_step(self._body)
+        image = np.broadcast_to(_GROUND, places.shape).copy()
+        for axis in (0, 2):
+            along = places[..., axis] / step
+            image[abs(along - np.round(along)) * step < 0.7 * self._pixel] = _GRID
+        shaded = np.zeros(image.shape[:2], bool)
+        for cube in self._body.cubes:
+            area = self._area(_on_ground(corners(cube)))
+            if area[0].stop > area[0].start and area[1].stop > area[1].start:
+                near, far, _ = _meet(cube, self._landing(area), _LAMP)
+                shaded[area] |= (near <= far) & (far > 0.0)
+        image[shaded] = 0.45 * image[shaded] + 0.55 * _SHADE
+        fade = np.linspace(0.55, 0.0, self._height)[:, None, None]
+        return np.asarray(image * (1.0 - fade) + _SKY * fade)
+
+    def _landing(self, area: tuple[slice, slice]) -> Array:
+        origins = self._origins(area)
+        return np.asarray(origins - (origins[..., 1] / _BACK[1])[..., None] * _BACK)
+
+    def _cast(self, image: Array, number: int, cube: BodyCube) -> None:
+        """Paints a cube where nothing is in front of it."""
+        area = self._area(corners(cube))
+        near, far, face = _meet(cube, self._origins(area), -_BACK)
+        visible = (near <= far) & (near < self._depth[area])
+        self._depth[area][visible] = near[visible]
+        self.seen[area][visible] = 6 * number + face[visible]
+        base = 255.0 * np.array(cube.color[:3] if cube.color is not None else _PALETTE[number % len(_PALETTE)])
+        shades = np.array([0.42 + 0.58 * max(0.0, float(normal @ _LAMP)) for normal in _normals(cube)])
+        image[area][visible] = base * shades[face[visible]][:, None]
+
+    def _outline(self, image: Array) -> None:
+        """Draws lines where one face ends and another begins."""
+        edge = np.zeros(self.seen.shape, bool)
+        edge[:, 1:] |= self.seen[:, 1:] != self.seen[:, :-1]
+        edge[1:] |= self.seen[1:] != self.seen[:-1]
+        image[edge] *= 0.45
+
+
+def _normals(cube: BodyCube) -> Array:
+    """Returns the directions of the six faces: -x, +x, -y, +y, -z, +z."""
+    axes = [rotate(cube.quaternion, unit) for unit in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
+    return np.array([[sign * part for part in axis] for axis in axes for sign in (-1.0, 1.0)])
+
+
+def _meet(cube: BodyCube, origins: Array, direction: Array) -> tuple[Array, Array, Array]:
+    """Returns where rays enter and leave a cube (none where they enter after leaving), and by which face they enter."""
+    axes = _normals(cube)[1::2]
+    start = (origins - np.array(cube.position)) @ axes.T
+    course = axes @ direction
+    course = np.where(abs(course) < 1e-9, 1e-9, course)
+    half = np.array(cube.size) / 2.0
+    first, second = (-half - start) / course, (half - start) / course
+    entries = np.minimum(first, second)
+    axis = entries.argmax(axis=-1)
+    face = 2 * axis + (course < 0.0)[axis]
+    return entries.max(axis=-1), np.maximum(first, second).min(axis=-1), face
+
+
+def _on_ground(points: Array) -> Array:
+    """Returns where the shadows of points fall."""
+    return np.asarray(points - (points[:, 1] / _LAMP[1])[:, None] * _LAMP)

@@ -1,0 +1,379 @@
+"""What an episode leaves, and the quantities that objectives name, computed from it.
+
+Hides the formulas behind `nmes.objective.QUANTITIES`. There are two ways to the same figures, bit for bit: a
+`Trajectory` keeps every row and computes whatever is asked at the end, many rows at a time; `RunningQuantities` is told
+each row as it comes and keeps only what its quantities need, for worlds that run for ever.
+
+Invariants: row 0 is the start, and there is one row a tick. A quantity of a row depends on that row and the start alone
+(but `time_upright`, which counts rows), and every sum is taken in order, so that how many rows are computed at a time
+changes no bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from nmes.backend import Array, Simulation
+from nmes.errors import WorldError
+from nmes.objective.expression import Condition, Objective, Quantity
+
+__all__ = ["UPRIGHT", "Flags", "ObservedBodies", "RunningQuantities", "Trajectory", "touches"]
+
+Flags = npt.NDArray[np.bool_]
+
+UPRIGHT: Final = 0.5  # uprightness from which on a body counts as upright
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ObservedBodies:
+    """Who is observed: what stays the same from row to row.
+
+    Attributes:
+        cubes: Ids, as expressions name them: those of the body first, then others that are named.
+        body: How many of them are the body, 1 or more.
+        sizes: Edge lengths, array (n, 3), m.
+        masses: Array (n,), kg.
+        tick_rate: Rows in a second.
+        target: Where `distance` is measured from: a point, m, or the id of a cube; None: from the start.
+    """
+
+    cubes: tuple[str, ...]
+    body: int
+    sizes: Array
+    masses: Array
+    tick_rate: int
+    target: tuple[float, float, float] | str | None = None
+
+    def columns(self, cube: str | None) -> slice:
+        """Returns which columns a cube is, or the body where there is none.
+
+        Raises:
+            KeyError: No cube has that id.
+        """
+        if cube is None:
+            return slice(0, self.body)
+        if cube not in self.cubes:
+            raise KeyError(cube)
+        column = self.cubes.index(cube)
+        return slice(column, column + 1)
+
+
+class Trajectory:
+    """Everything that an episode leaves.
+
+    Whoever runs the episode writes the rows into the arrays and sets `rows`; nothing is computed until it is asked for.
+
+    Attributes:
+        cast: Who it is about.
+        states: Array (rows, n, 13) of the states of the cast's cubes, as `Simulation.states` has them.
+        work: Array (rows, m): what each motor of the body has worked since the start, J; see `meter`.
+        touches: Array (rows, n, 2), whether a cube touches anything, and anything that is not of the body; where no
+            quantity of the episode is about contacts, it may have no rows.
+        rows: How many rows are written.
+    """
+
+    def __init__(self, cast: ObservedBodies, ticks: int, motors: int, *, contacts: bool = False) -> None:
+        """Makes room for the start and so many ticks."""
+        n = len(cast.cubes)
+        self.cast = cast
+        self.states: Array = np.zeros((ticks + 1, n, 13))
+        self.work: Array = np.zeros((ticks + 1, motors))
+        self.touches: Flags = np.zeros((ticks + 1 if contacts else 0, n, 2), np.bool_)
+        self.rows = 0
+        self._watts: Array = np.zeros(motors)  # the sum of each motor's power over the rows of which the work is known
+
+    def meter(self, begin: int, velocities: Array, efforts: Array) -> None:
+        """Writes `work` of some rows, given what the motors' joints did; of all rows in order, many at a time or few.
+
+        Args:
+            begin: The first row.
+            velocities: In each row, shape (k, m), rad/s or m/s.
+            efforts: What the motors gave, the same shape, N m or N.
+        """
+        powers = np.abs(velocities * efforts)
+        if begin == 0:
+            powers[:1] = 0.0  # what they gave before the start
+            self._watts = np.zeros(powers.shape[1])
+        if len(powers):
+            powers[0] += self._watts
+            sums: Array = np.add.accumulate(powers)
+            self._watts = sums[-1]
+            self.work[begin : begin + len(sums)] = sums / self.cast.tick_rate
+
+    def series(self, quantity: Quantity, begin: int = 0, end: int | None = None) -> Array:
+        """Returns a quantity row by row, array (end - begin,), whatever its fold.
+
+        Args:
+            quantity: What is asked.
+            begin: The first row.
+            end: The row after the last, or None for all that are written.
+        """
+        end = self.rows if end is None else end
+        if quantity.name == "time_upright":
+            upright = self.series(Quantity("uprightness"), 1, end) >= UPRIGHT
+            return np.concatenate([[0.0], np.cumsum(upright) / self.cast.tick_rate])[begin:end]
+        work = _in_order(self.work[begin:end])
+        block = _Block(self.cast, self.states[0], begin, self.states[begin:end], work, self.touches[begin:end])
+        return block.series(quantity)
+
+    def values(self, quantities: Iterable[Quantity]) -> dict[Quantity, float]:
+        """Returns what quantities are over all rows that are written."""
+        return {quantity: self._fold(quantity) for quantity in quantities}
+
+    def _fold(self, quantity: Quantity) -> float:
+        if quantity.fold in ("start", "final"):
+            row = 0 if quantity.fold == "start" else self.rows - 1
+            return float(self.series(quantity, row, row + 1)[0])
+        series = self.series(quantity)
+        if quantity.fold == "mean":
+            return float(np.add.accumulate(series)[-1] / len(series))
+        return float(series.min() if quantity.fold == "min" else series.max())
+
+    def value(self, objective: Objective) -> float:
+        """Returns an objective's value over all rows that are written.
+
+        Raises:
+            WorldError: `bad_expression`: it is no finite number.
+        """
+        return objective.value(self.values(objective.needs))
+
+    def values_so_far(self, objective: Objective) -> Array:
+        """Returns an objective's value at each row, over the rows up to there, array (rows,); NaN: no finite number."""
+        columns = [self._so_far(quantity, range(self.rows)).tolist() for quantity in objective.needs]
+        found = np.full(self.rows, np.nan)
+        for row in range(self.rows):
+            values = dict(zip(objective.needs, [column[row] for column in columns], strict=True))
+            with suppress(WorldError):
+                found[row] = objective.value(values)
+        return found
+
+    def first(self, condition: Condition, begin: int, end: int, every: int = 1) -> int | None:
+        """Returns the first row at which a condition holds.
+
+        Args:
+            condition: It sees the episode as it was at that row; folds are over the rows up to there.
+            begin: The first row to look at.
+            end: The row after the last.
+            every: Only rows of which the number is a multiple of this are looked at.
+        """
+        looked = range(begin + -begin % every, end, every)
+        if not looked:
+            return None
+        columns = [self._so_far(quantity, looked).tolist() for quantity in condition.needs]
+        rows = zip(*columns, strict=True) if columns else ((),) * len(looked)
+        for row, values in zip(looked, rows, strict=True):
+            if condition.holds(dict(zip(condition.needs, values, strict=True))):
+                return row
+        return None
+
+    def _so_far(self, quantity: Quantity, looked: range) -> Array:
+        if quantity.fold == "final":
+            return self.series(quantity, looked.start, looked[-1] + 1)[:: looked.step]
+        if quantity.fold == "start":
+            return np.repeat(self.series(quantity, 0, 1), len(looked))
+        series = self.series(quantity, 0, looked[-1] + 1)
+        if quantity.fold == "mean":
+            folded = np.add.accumulate(series) / np.arange(1, len(series) + 1)
+        else:
+            folded = (np.minimum if quantity.fold == "min" else np.maximum).accumulate(series)
+        return folded[looked.start :: looked.step]
+
+
+class RunningQuantities:
+    """The quantities of something that goes on and on, of which no row is kept but the start.
+
+    Args:
+        cast: Who it is about.
+        quantities: What will be asked.
+        states: At the start, array (n, 13).
+        touches: At the start, array (n, 2); as in `Trajectory`.
+    """
+
+    def __init__(self, cast: ObservedBodies, quantities: Iterable[Quantity], states: Array, touches: Flags) -> None:
+        self.cast = cast
+        self.ticks = 0
+        """Rows that came after the start."""
+        self._quantities = tuple(quantities)
+        self._start = states
+        self._upright = 0
+        self._counts = any(quantity.name == "time_upright" for quantity in self._quantities)
+        self._folds = {quantity: 0.0 for quantity in self._quantities if quantity.fold != "final"}
+        self.watches = self._counts or any(quantity.fold != "start" for quantity in self._folds)
+        """Whether it must be told every row; else only how many ticks have passed."""
+        if self._folds:
+            row = self._row(states, np.zeros(0), touches)
+            self._folds = {quantity: self._now(quantity, row) for quantity in self._folds}
+
+    def add(self, states: Array, work: Array, touches: Flags) -> None:
+        """Takes the row of the next tick.
+
+        Args:
+            states: Array (n, 13).
+            work: Of each of the body's motors since the start, array (m,), J.
+            touches: Array (n, 2); as in `Trajectory`.
+        """
+        self.ticks += 1
+        row = self._row(states, work, touches)
+        if self._counts and row.series(Quantity("uprightness"))[0] >= UPRIGHT:
+            self._upright += 1
+        for quantity, before in self._folds.items():
+            now = self._now(quantity, row)
+            if quantity.fold == "mean":  # the sum, until somebody asks
+                self._folds[quantity] = before + now
+            elif quantity.fold != "start":
+                self._folds[quantity] = min(before, now) if quantity.fold == "min" else max(before, now)
+
+    def values(self, states: Array, work: Array, touches: Flags) -> dict[Quantity, float]:
+        """Returns what the quantities are, given how things are now (as in `add`)."""
+        row = self._row(states, work, touches)
+        values = {}
+        for quantity in self._quantities:
+            if quantity.fold == "final":
+                values[quantity] = self._now(quantity, row)
+            else:
+                values[quantity] = self._folds[quantity] / (self.ticks + 1 if quantity.fold == "mean" else 1)
+        return values
+
+    def _row(self, states: Array, work: Array, touches: Flags) -> _Block:
+        rows = states[np.newaxis], _in_order(work[np.newaxis]), touches[np.newaxis]
+        return _Block(self.cast, self._start, self.ticks, *rows)
+
+    def _now(self, quantity: Quantity, row: _Block) -> float:
+        if quantity.name == "time_upright":
+            return self._upright / self.cast.tick_rate
+        return float(row.series(quantity)[0])
+
+    def state(self) -> dict[str, object]:
+        """Returns what it has gathered, as plain JSON data, for `resume`."""
+        return {
+            "start": self._start.tolist(),
+            "ticks": self.ticks,
+            "upright": self._upright,
+            "folds": list(self._folds.values()),
+        }
+
+    def resume(self, state: Mapping[str, object]) -> None:
+        """Takes up what `state` of a tally of the same quantities returned."""
+        self._start = np.array(state["start"], np.float64).reshape(-1, 13)
+        ticks, upright, folds = state["ticks"], state["upright"], state["folds"]
+        assert isinstance(ticks, int) and isinstance(upright, int) and isinstance(folds, Sequence)
+        self.ticks, self._upright = ticks, upright
+        self._folds = dict(zip(self._folds, map(float, folds), strict=True))
+
+
+def touches(simulation: Simulation, bodies: Sequence[int], body: int) -> Flags:
+    """Returns the row of `Trajectory.touches`, array (n, 2), for bodies of which the first `body` are the body's."""
+    own = set(bodies[:body])
+    partners = [[contact.other for contact in simulation.contacts(number)] for number in bodies]
+    return np.array([(bool(others), any(other not in own for other in others)) for others in partners]).reshape(-1, 2)
+
+
+# -- formulas ---------------------------------------------------------------------------------------------------------
+
+
+def _in_order(values: Array) -> Array:
+    """Sums over the last axis from left to right: how numpy's own sum is grouped depends on the array's shape."""
+    if not values.shape[-1]:
+        return np.zeros(values.shape[:-1])
+    sums: Array = np.add.accumulate(values, axis=-1)
+    return sums[..., -1]
+
+
+def _length(vectors: Array) -> Array:
+    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    return np.sqrt(x * x + y * y + z * z)
+
+
+@dataclass(eq=False, slots=True)
+class _Block:
+    """Some rows in a row: `states` (k, n, 13), `work` (k,), `touches` (k, n, 2), the first being number `begin`."""
+
+    cast: ObservedBodies
+    start: Array
+    begin: int
+    states: Array
+    work: Array
+    touches: Flags
+    _centres: dict[str | None, Array] = field(default_factory=dict)
+
+    def series(self, quantity: Quantity) -> Array:
+        """Returns a quantity of each row."""
+        name, _, axis = quantity.name.partition(".")
+        columns = self.cast.columns(quantity.cube)
+        match name:
+            case "time":
+                return np.arange(self.begin, self.begin + len(self.states)) / self.cast.tick_rate
+            case "energy":
+                return self.work
+            case "cubes" | "mass":
+                masses = self.cast.masses[columns]
+                value = float(len(masses)) if name == "cubes" else float(_in_order(masses))
+                return np.full(len(self.states), value)
+            case "contacts":
+                count: Array = self.touches[:, columns, 0 if quantity.cube is not None else 1].sum(
+                    axis=1, dtype=np.float64
+                )
+                return count
+            case "uprightness":
+                x, z = self.states[:, columns.start, 3], self.states[:, columns.start, 5]
+                return 1.0 - 2.0 * (x * x + z * z)
+            case "lowest" | "highest" | "reach":
+                return self._extent(name, columns, quantity.cube)
+            case "velocity" | "speed":
+                vectors = self._mean(self.states, columns, 7)
+            case "position" | "height":
+                vectors, axis = self._centre(quantity.cube), axis or "y"
+            case "displacement" | "distance":
+                vectors = self._centre(quantity.cube)
+                aim = self.cast.target if name == "distance" else None
+                if aim is None:
+                    vectors = vectors - self._mean(self.start[np.newaxis], columns, 0)
+                else:
+                    vectors = vectors - (self._centre(aim) if isinstance(aim, str) else np.array(aim))
+            case _:
+                raise KeyError(name)
+        if axis == "horizontal":
+            vectors = vectors * np.array([1.0, 0.0, 1.0])
+        return _length(vectors) if axis in ("", "horizontal") else vectors[:, "xyz".index(axis)]
+
+    def _centre(self, cube: str | None) -> Array:
+        """Returns the centre of mass of a cube or the body in each row, (k, 3)."""
+        if cube not in self._centres:
+            self._centres[cube] = self._mean(self.states, self.cast.columns(cube), 0)
+        return self._centres[cube]
+
+    def _mean(self, states: Array, columns: slice, first: int) -> Array:
+        """Returns the mean, weighted by mass, of a vector that begins at number `first` of each state, (k, 3)."""
+        vectors, masses = states[:, columns, first : first + 3], self.cast.masses[columns]
+        if len(masses) == 1:
+            return vectors[:, 0]
+        weights = masses / _in_order(masses)
+        sums: Array = np.add.accumulate(vectors * weights[:, np.newaxis], axis=1)
+        return sums[:, -1]
+
+    def _extent(self, name: str, columns: slice, cube: str | None) -> Array:
+        states, half = self.states[:, columns], self.cast.sizes[columns] / 2.0
+        x, y, z, w = (states[:, :, i] for i in range(3, 7))
+        if name != "reach":
+            # How far a turned box reaches up and down from its centre: its half edges along the world's y axis.
+            up = np.abs(2.0 * (x * y + w * z)) * half[:, 0]
+            up += np.abs(1.0 - 2.0 * (x * x + z * z)) * half[:, 1]
+            up += np.abs(2.0 * (y * z - w * x)) * half[:, 2]
+            middle = states[:, :, 1]
+            end: Array = np.min(middle - up, axis=1) if name == "lowest" else np.max(middle + up, axis=1)
+            return end
+        arm = states[:, :, 0:3] - self._centre(cube)[:, np.newaxis]
+        a, b, c = (arm[:, :, i] for i in range(3))
+        # The arm in the box's own axes; its farthest corner lies beyond its centre along each of them.
+        own = np.empty_like(arm)
+        own[:, :, 0] = a * (1.0 - 2.0 * (y * y + z * z)) + b * (2.0 * (x * y + w * z)) + c * (2.0 * (x * z - w * y))
+        own[:, :, 1] = a * (2.0 * (x * y - w * z)) + b * (1.0 - 2.0 * (x * x + z * z)) + c * (2.0 * (y * z + w * x))
+        own[:, :, 2] = a * (2.0 * (x * z + w * y)) + b * (2.0 * (y * z - w * x)) + c * (1.0 - 2.0 * (x * x + y * y))
+        farthest: Array = np.max(_length(np.abs(own) + half), axis=1)
+        return farthest

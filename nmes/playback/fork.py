@@ -1,0 +1,53 @@
+"""Going on from a frame of a recording: a new history that begins where another was, and says so.
+
+Where its engine can save a world, a branch begins with a keyframe. Where it cannot, all that came before is fed to the
+world again, and is recorded in the branch too. Either way the branch replays by itself, without its parent.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import Any
+
+from nmes.errors import NmesError
+from nmes.playback.restore import restore_into
+from nmes.recording import Recording
+from nmes.recording.recorder import Recorder
+from nmes.recording.records import PARENT
+from nmes.world import World
+
+__all__ = ["fork"]
+
+
+def fork(
+    recording: Recording, world: World, path: str | os.PathLike[str], frame: int | None = None, **options: Any
+) -> Recorder:
+    """Brings a world to a frame of a recording, and begins a recording of its own there, which is its journal then.
+
+    The clients of then are still in it.
+
+    Args:
+        recording: The parent.
+        world: A new world of the parent's config.
+        path: The new recording, a file that does not exist yet.
+        frame: The frame, counted on through resets; None: where the parent ends.
+        options: Of the `Recorder`.
+
+    Raises:
+        RecordingError: There is no such frame (`no_such_frame`), a tick on the way does not come out as recorded
+            (`diverged`), the world has stopped there, or the new file cannot be written (`recording_failed`).
+    """
+    frame = recording.last_frame if frame is None else frame
+    about = {PARENT: recording.lineage(frame)}
+    if "snapshot" in world.backend.capabilities:
+        restore_into(world, recording, frame)
+        world.journal = recorder = Recorder(path, world, about=about, **options)
+        return recorder
+    world.journal = recorder = Recorder(path, world, about=about, **options)
+    try:
+        restore_into(world, recording, frame)
+    except NmesError:
+        recorder.close()
+        recorder.path.unlink()
+        raise
+    return recorder

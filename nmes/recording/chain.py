@@ -1,0 +1,223 @@
+"""The hash chain of a recording: chunks become records, each continuing those before it.
+
+It hides which channel is what, where the checksums of single records stand, and what a chunk must end with.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+from itertools import islice, zip_longest
+
+import jsonschema_rs
+import orjson
+from mcap.records import Channel
+
+from nmes.errors import RecordingError
+from nmes.recording.mcapfile import (
+    MESSAGE_OVERHEAD,
+    Block,
+    DamagedFile,
+    Message,
+    Skim,
+    message_checksums,
+    skim_chunk,
+    split_chunk,
+)
+from nmes.recording.records import BOXES, KEYFRAMES, SEQUENCE_MASK, Kind, Record, next_head
+from nmes.schemas import load
+
+__all__ = ["Chain", "keyframe_ticks"]
+
+_CLIENT_TOPIC = re.compile(r"client/(\d{1,9})/(commands|replies|refused)")
+_CLIENT_KINDS = {"commands": Kind.COMMAND, "replies": Kind.REPLY, "refused": Kind.REFUSED}
+_KINDS = {"clients": Kind.JOINED, "ticks": Kind.TICKS, "faults": Kind.FAULT, "/tf": Kind.POSES, "/scene": Kind.SCENE}
+_KINDS[KEYFRAMES] = Kind.KEYFRAME
+_SHAPES = {
+    kind: jsonschema_rs.Draft202012Validator(load(f"recording/{topic}.json"))
+    for topic, kind in _KINDS.items()
+    if not topic.startswith("/") and topic != KEYFRAMES
+}
+_WRONG = (ValueError, KeyError, TypeError, IndexError)  # what a chunk that is not ours may lead to
+_RECORD_START = struct.Struct("<BQ")
+_LINK_SIZE = len('{"head":""}') + 64  # bytes of a message on `chain`
+_KEYFRAME = jsonschema_rs.Draft202012Validator(load("recording/keyframes.json"))
+
+
+def keyframe_ticks(snapshot: bytes) -> int:
+    """Returns how many ticks came before a keyframe, by the line of JSON with which its snapshot begins.
+
+    Raises:
+        RecordingError: It is no snapshot of a world (`recording_damaged`).
+    """
+    try:
+        state = orjson.loads(snapshot.partition(b"\n")[0])
+    except ValueError:
+        state = None
+    if not _KEYFRAME.is_valid(state):
+        raise RecordingError("recording_damaged", "a keyframe is no snapshot of a world")
+    return int(state["ticks"])
+
+
+class Chain:
+    """Reads chunk after chunk, each of which must continue the hash chain and the count of those before it."""
+
+    def __init__(self, head: bytes) -> None:
+        self.head = head
+        self.sequence = 0
+        self._kinds: dict[int, tuple[Kind | None, int | None]] = {}  # by channel; None: not known to this version
+        self._boxes: dict[int, str] = {}  # by channel: whose
+
+    def copy(self) -> Chain:
+        """Returns one that stands at the same place."""
+        other = Chain(self.head)
+        other.sequence, other._kinds, other._boxes = self.sequence, dict(self._kinds), dict(self._boxes)
+        return other
+
+    def follow(self, block: Block | None) -> None:
+        """Takes its place behind a chunk, by what that says of itself; None: at the beginning."""
+        if block is None:
+            return
+        try:
+            *_, last = split_chunk(block.content)
+            if not isinstance(last, Message):
+                raise ValueError("its last record is no message")
+            self.head = bytes.fromhex(orjson.loads(last.data)["head"])
+            self.sequence = last.sequence + 1
+        except _WRONG as error:
+            raise self._damage(block, error) from error
+
+    def keyframe(self, block: Block) -> bytes | None:
+        """Returns the keyframe with which a chunk begins, if it does; no more of it is looked at.
+
+        Raises:
+            DamagedFile: It does not consist of records.
+        """
+        try:
+            for item in split_chunk(block.content):
+                if isinstance(item, Message):
+                    return item.data if self._kinds[item.channel][0] is Kind.KEYFRAME else None
+                self.define(item)
+        except _WRONG as error:
+            raise self._damage(block, error) from error
+        return None
+
+    def records(self, block: Block) -> list[Record]:
+        """Returns the records of the next chunk.
+
+        Raises:
+            DamagedFile: It is not what the recorder wrote after the chunks before it.
+        """
+        try:
+            messages = self._messages(block.content)
+            head = self._next(block.content, MESSAGE_OVERHEAD + len(messages[-1].data))
+            records = [record for record in map(self._record, messages) if record is not None]
+        except _WRONG as error:
+            raise self._damage(block, error) from error
+        self.head = head
+        self.sequence += len(messages)
+        return records
+
+    def check(self, block: Block) -> None:
+        """Does as `records`, but makes none, which is many times faster."""
+        content = block.content
+        try:
+            skim = skim_chunk(content)
+            count = len(skim.sequences)
+            expected = [number & SEQUENCE_MASK for number in range(self.sequence, self.sequence + count)]
+            if list(skim.sequences) != expected:
+                wrong = next(one for one, other in zip(skim.sequences, expected, strict=True) if one != other)
+                raise ValueError(f"record {wrong} is out of its place")
+            done = 0
+            for before, channel in skim.definitions:
+                self._check_shapes(content, skim, done, before)
+                self.define(channel)
+                done = before
+            self._check_shapes(content, skim, done, count)
+            head = self._next(content, MESSAGE_OVERHEAD + len(skim.data(content, count - 1)))
+        except _WRONG as error:
+            raise self._damage(block, error) from error
+        self.head = head
+        self.sequence += count
+
+    def _check_shapes(self, content: bytes, skim: Skim, begin: int, end: int) -> None:
+        """Checks messages of our own against their schemas; raises ValueError or, for an unknown channel, KeyError."""
+        channels = skim.channels[begin:end]
+        kinds = {channel: self._kinds[channel][0] for channel in set(channels)}
+        ours = {channel: _SHAPES[kind] for channel, kind in kinds.items() if kind in _SHAPES}
+        for number in [n for n, channel in enumerate(channels, begin) if channel in ours]:
+            channel = channels[number - begin]
+            if not ours[channel].is_valid(orjson.loads(skim.data(content, number))):
+                raise ValueError(f"record {skim.sequences[number]} does not have the shape of {kinds[channel]}")
+
+    def first_bad(self, content: bytes) -> int | None:
+        """Returns the number of the next chunk's first record that does not match its checksum, if one does not.
+
+        The content may be anything. The checksums are looked for from its end; where they are not found, nothing is
+        known.
+        """
+        link = len(content) - MESSAGE_OVERHEAD - _LINK_SIZE
+        for count in range(link // 4):
+            start = link - MESSAGE_OVERHEAD - 4 * count
+            if start < 0:
+                break
+            if content.startswith(_RECORD_START.pack(5, MESSAGE_OVERHEAD - 9 + 4 * count), start):
+                expected = struct.unpack_from(f"<{count}I", content, start + MESSAGE_OVERHEAD)
+                found = list(islice(message_checksums(content), count))
+                for i, (one, other) in enumerate(zip_longest(expected, found)):
+                    if one != other:
+                        return self.sequence + i
+                break
+        return None
+
+    def _next(self, content: bytes, link: int) -> bytes:
+        """Returns the head that a chunk leads to, which the last `link` bytes of it must state."""
+        head = next_head(self.head, memoryview(content)[:-link])
+        if orjson.loads(content[len(content) - link + MESSAGE_OVERHEAD :]) != {"head": head.hex()}:
+            raise ValueError("it does not continue the hash chain")
+        return head
+
+    def _damage(self, block: Block, error: Exception) -> DamagedFile:
+        message = f"the chunk at byte {block.offset} is not as it was recorded: {error}"
+        return DamagedFile(block.offset, message, content=block.content)
+
+    def _place(self, sequence: int, count: int) -> None:
+        if sequence != (self.sequence + count) & SEQUENCE_MASK:
+            raise ValueError(f"record {sequence} is out of its place")
+
+    def define(self, channel: Channel) -> None:
+        """Takes note of what a channel is for."""
+        if match := _CLIENT_TOPIC.fullmatch(channel.topic):
+            self._kinds[channel.id] = _CLIENT_KINDS[match[2]], int(match[1])
+        elif channel.topic.startswith(BOXES):
+            self._kinds[channel.id] = Kind.BOX, None
+            self._boxes[channel.id] = channel.topic.removeprefix(BOXES)
+        else:
+            self._kinds[channel.id] = _KINDS.get(channel.topic), None
+
+    def _messages(self, content: bytes) -> list[Message]:
+        messages: list[Message] = []
+        for item in split_chunk(content):
+            if isinstance(item, Message):
+                self._place(item.sequence, len(messages))
+                messages.append(item)
+            else:
+                self.define(item)
+        return messages
+
+    def _record(self, message: Message) -> Record | None:
+        number, sequence, log_time, publish_time, data = message
+        kind, client = self._kinds[number]
+        if kind is None:
+            return None
+        shape = _SHAPES.get(kind)
+        if kind is Kind.BOX:
+            return Record(kind, sequence, log_time, publish_time, None, data, {"cube": self._boxes[number]})
+        if shape is None:
+            return Record(kind, sequence, log_time, publish_time, client, data)
+        about = orjson.loads(data)
+        if not shape.is_valid(about):
+            raise ValueError(f"record {sequence} does not have the shape of {kind}")
+        if kind is Kind.JOINED:  # stands for its channel, on which clients leave too
+            kind, client = Kind(about["event"]), about["client"]
+        return Record(kind, sequence, log_time, publish_time, client, data, about)

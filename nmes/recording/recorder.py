@@ -1,0 +1,353 @@
+"""The writer of recordings: one world's history written down as it happens.
+
+It hides how little that costs a world (notes now, records later), when a chunk is written and the chain's next head
+made, and what the file's end says. What a recording is, `nmes.recording` says.
+
+Invariants: what was flushed is never changed; whatever keeps the file from being written is raised, and from then on.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from functools import cache
+from pathlib import Path
+from time import time_ns
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import orjson
+
+from nmes import protocol
+from nmes.backend.fingerprint import VERSION, fingerprint
+from nmes.errors import RecordingError, SimulationFault, WorldError
+from nmes.protocol import Request
+from nmes.recording import viewer_messages as scene
+from nmes.recording.mcapfile import Writer, message_checksums
+from nmes.recording.records import BOXES, END, FORMAT, KEYFRAMES, PROFILE, REFUSED_LIMIT, SEQUENCE_MASK, next_head
+from nmes.schemas import load
+
+if TYPE_CHECKING:
+    from nmes.world import World
+
+__all__ = ["Recorder"]
+
+_NS = 1_000_000_000
+_FLUSH_SIZE = 256 << 10  # bytes of records: about as many as the processor's caches still hold
+_MANY = 512  # notes
+_LONG_RUN = 4096  # ticks
+_NEVER = -1  # when a recorder flushed that cannot: the next record of any kind then tries to, and meets the error
+
+# What a client's records are kept under until they are packed: 4 * client + one of these. Our own are negative.
+_COMMAND, _REPLY, _REFUSED = 0, 1, 2
+_TICKS, _CLIENTS, _FAULTS, _POSES, _SCENE, _CHAIN, _CHECKSUMS, _KEYFRAMES = -1, -2, -3, -4, -5, -6, -7, -8
+_VIEWS = {_POSES: scene.POSES_SCHEMA, _SCENE: scene.SCENE_SCHEMA}
+_MANY_BOXES = 8192  # cubes; a channel each, of which a file has no more than 65,535
+_TOPICS = {_TICKS: "ticks", _CLIENTS: "clients", _FAULTS: "faults", _POSES: "/tf", _SCENE: "/scene", _CHAIN: "chain"}
+_OCTETS = {_CHECKSUMS: "checksums", _KEYFRAMES: KEYFRAMES}
+_CLIENT_TOPICS = {_COMMAND: "commands", _REPLY: "replies", _REFUSED: "refused"}
+
+
+class _Channels(dict[int | str, int]):
+    """The numbers of a file's channels by key; one is registered when it is first asked for."""
+
+    def __init__(self, writer: Writer) -> None:
+        self._writer = writer
+        self._schemas: dict[str, int] = {}
+
+    def __missing__(self, key: int | str) -> int:
+        if isinstance(key, str):
+            channel = self._view(BOXES + key, scene.BOX_SCHEMA)
+        elif key >= 0:
+            client, kind = divmod(key, 4)
+            topic = f"client/{client}/{_CLIENT_TOPICS[kind]}"
+            channel = (
+                self._writer.channel(topic, "application/octet-stream")
+                if kind == _REFUSED
+                else self._writer.channel(topic, "json", self._schema("command" if kind == _COMMAND else "reply"))
+            )
+        elif key in _OCTETS:
+            channel = self._writer.channel(_OCTETS[key], "application/octet-stream")
+        elif key in _VIEWS:
+            channel = self._view(_TOPICS[key], _VIEWS[key])
+        else:
+            channel = self._writer.channel(_TOPICS[key], "json", self._schema(_TOPICS[key]))
+        self[key] = channel
+        return channel
+
+    def _view(self, topic: str, name: str) -> int:
+        """Registers a channel for viewers."""
+        if name not in self._schemas:
+            self._schemas[name] = self._writer.schema(name, "protobuf", scene.descriptors(name))
+        return self._writer.channel(topic, "protobuf", self._schemas[name])
+
+    def _schema(self, name: str) -> int:
+        if name not in self._schemas:
+            self._schemas[name] = self._writer.schema(f"nmes.{name}", "jsonschema", _schema(name))
+        return self._schemas[name]
+
+
+@cache  # a short episode takes no longer than making these
+def _schema(name: str) -> bytes:
+    match name:
+        case "command" | "reply":
+            schema = protocol.bundled_schema(name)
+        case _:
+            schema = load(f"recording/{name}.json")
+    return protocol.encode(schema)
+
+
+_Note = tuple[int, int, int, Any]  # key, frame, wall time; data, or a tick's digest, or a snapshot to draw
+
+
+class Recorder:
+    """Writes a world's history to a file; it becomes the world's journal with `world.journal = recorder`.
+
+    What the journal is told is noted, and a few hundred notes at a time are made into records: code that has just run
+    runs twice as fast. `flush` writes the records out. It happens when a second has gone by or 256 KiB are waiting; a
+    host calls it too, for worlds in which nothing happens, and `commit` before it tells anybody anything. While the
+    world is faulted, and after `close`, the file has its end and every MCAP reader can read it.
+
+    Args:
+        path: A file that does not exist yet.
+        world: The world to record. Where it has a past, the recording begins with a keyframe.
+        pose_rate: How often the poses are kept for viewers, in Hz of simulation time; 0 for never.
+        flush_interval: For how long (s) a record may wait while others come in. With 0, `commit` waits for the disk.
+        about: Further metadata records by name: what the run was for.
+
+    Raises:
+        RecordingError: The file cannot be created, or the world has a past and cannot be saved. Every other method
+            raises it when the file cannot be written (`recording_failed`), and from then on.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        world: World,
+        *,
+        pose_rate: float = 10.0,
+        flush_interval: float = 1.0,
+        about: Mapping[str, Mapping[str, str]] | None = None,
+    ) -> None:
+        past = None if world.untouched else _saved(world)
+        self.path = Path(path)
+        self._world = world
+        self._rate: int = world.config["tick_rate"]
+        self._pose_every = max(1, round(self._rate / pose_rate)) if pose_rate > 0 else 0
+        self._painter = scene.Painter(world)
+        self._boxed = 0  # how many cubes have a channel for their box
+        self._writer = Writer(path, profile=PROFILE, library=f"nmes {VERSION}")
+        self._channels = _Channels(self._writer)
+        self._notes: list[_Note] = []
+        self._run: list[bytes] = []  # digests of the ticks packed since the last record
+        self._run_end = (0, 0)  # the frame and the wall time of the last of them
+        self._frame = self._time = 0  # the last record's frame, and that in ns
+        self._sequence = 0
+        self._flushed = time_ns()
+        self._durable = flush_interval == 0
+        self._flush_after = _NS if self._durable else int(flush_interval * _NS)
+        self._error: RecordingError | None = None
+        try:
+            metadata = {**_metadata(world), **(about or {})}
+            begin = [self._writer.metadata(name, values) for name, values in metadata.items()]
+            self._head = next_head(b"", b"".join(begin))
+            if past is not None:
+                self.keyframe(past)
+        except RecordingError:
+            self._writer.close()
+            raise
+
+    # -- the journal -----------------------------------------------------------------------------------------------
+
+    def joined(self, client: int) -> None:
+        """Records that a client came."""
+        self._notes.append((_CLIENTS, self._world.frame, time_ns(), b'{"client":%d,"event":"joined"}' % client))
+        self._pack()
+
+    def left(self, client: int) -> None:
+        """Records that a client went."""
+        self._notes.append((_CLIENTS, self._world.frame, time_ns(), b'{"client":%d,"event":"left"}' % client))
+        self._pack()
+
+    # What happens for each command of each client is written for speed, and only notes.
+
+    def received(self, client: int, request: Request) -> None:
+        """Records a frame as it came; of a refused one no more than `REFUSED_LIMIT` bytes and a note."""
+        key = 4 * client + (_COMMAND if request.error is None else _REFUSED)
+        self._notes.append((key, self._world.frame, time_ns(), request.raw))
+
+    def replied(self, client: int, request: Request, reply: bytes) -> None:
+        """Records a reply."""
+        wall = time_ns()
+        self._notes.append((4 * client + _REPLY, self._world.frame, wall, reply))
+        if not 0 <= wall - self._flushed < self._flush_after or len(self._notes) > _MANY:
+            self._pack()
+
+    def ticked(self, frame: int, digest: bytes) -> None:
+        """Records a tick, and the poses when it is their turn."""
+        wall = time_ns()
+        self._notes.append((_TICKS, frame, wall, digest))
+        if self._pose_every and frame % self._pose_every == 0:
+            self._notes.append((_POSES, frame, wall, self._painter.look()))
+        if not 0 <= wall - self._flushed < self._flush_after or len(self._notes) > _MANY:
+            self._pack()
+
+    def keyframe(self, snapshot: bytes) -> None:
+        """Records what the world is. It begins a chunk, so that a reader can begin there."""
+        self.flush()
+        self._notes.append((_KEYFRAMES, self._world.frame, time_ns(), snapshot))
+        self._pack()
+
+    def faulted(self, frame: int, code: str, message: str) -> None:
+        """Records that the world stopped, and gives the file its end."""
+        what = orjson.dumps({"frame": frame, "code": code, "message": message})
+        self._notes.append((_FAULTS, frame, time_ns(), what))
+        self.flush()
+
+    def _pack(self) -> None:
+        """Makes records of what was noted, and flushes when it is time to."""
+        if self._error is not None:
+            raise self._error
+        try:
+            self._make_records()
+        except RecordingError as error:
+            self._fail(error)
+        # The wall clock may be set back: that is a reason to flush, too.
+        if len(self._writer.open_chunk) > _FLUSH_SIZE or not 0 <= time_ns() - self._flushed < self._flush_after:
+            self.flush()
+
+    def _make_records(self) -> None:
+        notes, self._notes = self._notes, []
+        for key, frame, wall, what in notes:
+            if key == _TICKS:
+                self._run.append(what)
+                self._run_end = frame, wall
+                continue
+            if self._run:
+                self._end_run()
+            if key == _POSES:
+                view = self._painter.draw(what)
+                for name, box in view.boxes.items():
+                    new = name not in self._channels
+                    if not new or self._boxed < _MANY_BOXES:
+                        self._boxed += new
+                        self._add(name, frame, wall, box)
+                if view.scene is not None:
+                    self._add(_SCENE, frame, wall, view.scene)
+                what = view.poses
+            elif key & 3 == _REFUSED and key > 0 and len(what) > REFUSED_LIMIT:
+                what = what[:REFUSED_LIMIT] + b"... (%d bytes in all)" % len(what)
+            self._add(key, frame, wall, what)
+        if len(self._run) > _LONG_RUN:
+            self._end_run()
+
+    def _end_run(self) -> None:
+        """Makes a record of the ticks since the last one."""
+        (frame, wall), digests = self._run_end, '","'.join([digest.hex() for digest in self._run])
+        first = frame - len(self._run) + 1
+        self._run = []
+        self._add(_TICKS, frame, wall, f'{{"frame":{first},"digests":["{digests}"]}}'.encode())
+
+    def _add(self, key: int | str, frame: int, wall: int, data: bytes) -> None:
+        if frame != self._frame:
+            self._frame, self._time = frame, (frame * _NS + self._rate // 2) // self._rate
+        self._writer.add(self._channels[key], self._sequence & SEQUENCE_MASK, self._time, wall, data)
+        self._sequence += 1
+
+    # -- the file --------------------------------------------------------------------------------------------------
+
+    def flush(self) -> None:
+        """Hands everything recorded so far to the operating system."""
+        if self._error is not None:
+            raise self._error
+        self._flushed = time_ns()
+        try:
+            self._write_chunk()
+            if self._world.fault is not None:
+                self._seal()
+        except RecordingError as error:
+            self._fail(error)
+
+    def commit(self) -> None:
+        """Where the flush interval is 0: returns when all that was recorded so far is on disk. Else does nothing."""
+        if self._durable:
+            self.flush()
+            try:
+                self._writer.sync()
+            except RecordingError as error:
+                self._fail(error)
+
+    def close(self) -> None:
+        """Flushes and gives the file its end. A second time it does nothing.
+
+        Raises:
+            RecordingError: The end cannot be written; the file is closed all the same.
+        """
+        if self._error is None:
+            try:
+                self._write_chunk()
+                self._seal()
+                if self._durable:
+                    self._writer.sync()
+            except RecordingError as error:
+                self._fail(error)
+            self._error = RecordingError("recording_closed", f"the recording {self.path} is closed")
+            self._flushed = _NEVER
+            self._writer.close()
+
+    def _fail(self, error: RecordingError) -> NoReturn:
+        self._error = error
+        self._flushed = _NEVER
+        self._writer.close()
+        raise error
+
+    def _write_chunk(self) -> None:
+        self._make_records()
+        if self._run:
+            self._end_run()
+        if self._writer.open_chunk:
+            # Both channels first, so that nothing stands between the two messages.
+            ends = (self._channels[_CHECKSUMS], self._checksums), (self._channels[_CHAIN], self._link)
+            for channel, describe in ends:
+                self._writer.add(channel, self._sequence & SEQUENCE_MASK, self._time, self._flushed, describe())
+                self._sequence += 1
+            self._writer.flush()
+
+    def _checksums(self) -> bytes:
+        sums = list(message_checksums(self._writer.open_chunk))
+        return struct.pack(f"<{len(sums)}I", *sums)
+
+    def _link(self) -> bytes:
+        self._head = next_head(self._head, self._writer.open_chunk)
+        return b'{"head":"%s"}' % self._head.hex().encode()
+
+    def _seal(self) -> None:
+        end = {"head": self._head.hex(), "records": str(self._sequence), "closed": _now()}
+        self._writer.seal(END, end)
+
+
+def _saved(world: World) -> bytes:
+    try:
+        return world.snapshot()
+    except (WorldError, SimulationFault) as error:
+        reason = f"this world has a past, and cannot be saved: {error.message}"
+        raise RecordingError("recording_failed", reason) from error
+
+
+def _metadata(world: World) -> dict[str, dict[str, str]]:
+    return {
+        "nmes.recording": {
+            "format": FORMAT,
+            "nmes": VERSION,
+            "protocol": str(protocol.PROTOCOL_VERSION),
+            "schemas": protocol.schema_hash(),
+            "created": _now(),
+        },
+        "nmes.world": {"config": protocol.encode(world.config).decode(), "seed": str(world.seed)},
+        "nmes.fingerprint": fingerprint(world.backend),
+    }
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="milliseconds")

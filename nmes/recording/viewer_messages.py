@@ -1,0 +1,214 @@
+"""A world as viewers see it: poses and shapes in the Protobuf messages of Foxglove.
+
+Each cube is a coordinate frame that moves in the frame `ROOT` and carries one box. Poses are rounded to float32:
+viewers draw no finer, and it halves what they take up. For what is exact there are digests.
+
+Rerun knows no scene updates. For it each box is said again, as a grid of one voxel in its cube's frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.VoxelGrid_pb2 import VoxelGrid
+from google.protobuf.descriptor import FileDescriptor
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+
+from nmes.backend import Array, Vector
+
+if TYPE_CHECKING:
+    from nmes.world import World
+
+__all__ = [
+    "BOX_SCHEMA",
+    "POSES_SCHEMA",
+    "POSE_FIELDS",
+    "ROOT",
+    "SCENE_SCHEMA",
+    "Painter",
+    "Shape",
+    "Snapshot",
+    "View",
+    "decode_poses",
+    "decode_shapes",
+    "descriptors",
+]
+
+ROOT = "world origin"  # no cube can have a name with white space in it
+POSES_SCHEMA = FrameTransforms.DESCRIPTOR.full_name
+SCENE_SCHEMA = SceneUpdate.DESCRIPTOR.full_name
+BOX_SCHEMA = VoxelGrid.DESCRIPTOR.full_name
+_MESSAGES = {message.DESCRIPTOR.full_name: message for message in (FrameTransforms, SceneUpdate, VoxelGrid)}
+
+POSE_FIELDS = (*(f"position/{i}" for i in range(3)), *(f"quaternion/{i}" for i in range(4)))
+Pose = tuple[float, float, float, float, float, float, float]  # position, quaternion (x, y, z, w)
+
+
+Color = tuple[float, float, float, float]
+Shape = tuple[Vector, Color]  # edge lengths, colour
+
+
+class Snapshot(NamedTuple):
+    """What there is to see of a world at one frame: poses, and all shapes where they may have changed."""
+
+    frame: int
+    states: Array
+    shapes: dict[str, Shape] | None
+
+
+class View(NamedTuple):
+    """A snapshot as messages: the shapes where they changed since the last view, and all poses.
+
+    Attributes:
+        scene: The boxes that are new, changed or gone, or None.
+        poses: All poses.
+        boxes: The boxes of `scene` once more, each by itself, by cube; one that is gone is a grid of nothing.
+    """
+
+    scene: bytes | None
+    poses: bytes
+    boxes: dict[str, bytes]
+
+
+class Painter:
+    """Turns one world's states into messages, one view after the other.
+
+    Looking at the world (`look`) is quick and drawing what was seen (`draw`) can wait; both go in the same order.
+    """
+
+    def __init__(self, world: World) -> None:
+        """Begins with nothing drawn."""
+        self._world = world
+        self._rate: int = world.config["tick_rate"]
+        self._version = -1
+        self._shapes: dict[str, Shape] = {}
+        self._transforms = FrameTransforms()
+        # Setting the fields of messages that are there takes a third of the time of making new ones.
+        self._handles: list[tuple[Any, Any, Any]] = []
+
+    def look(self) -> Snapshot:
+        """Returns the world as it is now."""
+        world = self._world
+        names, states = world.poses()
+        if world.structure_version == self._version:
+            return Snapshot(world.frame, states, None)
+        self._version = world.structure_version
+        return Snapshot(world.frame, states, {name: world.cube_shape(name) for name in names})
+
+    def draw(self, snapshot: Snapshot) -> View:
+        """Returns the messages that show a snapshot to somebody who has seen all those before."""
+        seconds, ticks = divmod(snapshot.frame, self._rate)
+        nanos = ticks * 1_000_000_000 // self._rate
+        scene: bytes | None = None
+        boxes: dict[str, bytes] = {}
+        if snapshot.shapes is not None:
+            scene, boxes = self._changed(snapshot.shapes, seconds, nanos)
+        poses: list[Pose] = snapshot.states[:, :7].astype(np.float32).tolist()
+        for (timestamp, position, rotation), pose in zip(self._handles, poses, strict=True):
+            timestamp.seconds, timestamp.nanos = seconds, nanos
+            position.x, position.y, position.z, rotation.x, rotation.y, rotation.z, rotation.w = pose
+        return View(scene, bytes(self._transforms.SerializeToString()), boxes)
+
+    def _changed(self, shapes: dict[str, Shape], seconds: int, nanos: int) -> tuple[bytes | None, dict[str, bytes]]:
+        if list(shapes.items()) == list(self._shapes.items()):
+            return None, {}
+        update = SceneUpdate()
+        boxes: dict[str, bytes] = {}
+        for name in self._shapes:
+            if name not in shapes:
+                gone = update.deletions.add(type=SceneEntityDeletion.MATCHING_ID, id=name)
+                gone.timestamp.seconds, gone.timestamp.nanos = seconds, nanos
+                boxes[name] = _box(name, self._shapes[name][0], None, seconds, nanos)
+        for name, shape in shapes.items():
+            if self._shapes.get(name) != shape:
+                entity = update.entities.add(id=name, frame_id=name, frame_locked=True)
+                entity.timestamp.seconds, entity.timestamp.nanos = seconds, nanos
+                cube, (size, color) = entity.cubes.add(), shape
+                cube.size.x, cube.size.y, cube.size.z = size
+                cube.color.r, cube.color.g, cube.color.b, cube.color.a = color
+                cube.pose.orientation.w = 1.0
+                boxes[name] = _box(name, size, color, seconds, nanos)
+        self._shapes = shapes
+        self._transforms.Clear()
+        self._handles = []
+        for name in shapes:
+            transform = self._transforms.transforms.add(parent_frame_id=ROOT, child_frame_id=name)
+            self._handles.append((transform.timestamp, transform.translation, transform.rotation))
+        return bytes(update.SerializeToString()), boxes
+
+
+def _box(name: str, size: Vector, color: Color | None, seconds: int, nanos: int) -> bytes:
+    """Returns a cube's box as a grid of one voxel; of none where it has no colour."""
+    # A field that is zero is not written, and Rerun goes on with what it had; so of nothing only the data are empty.
+    grid = VoxelGrid(frame_id=name, row_count=1, column_count=1, cell_stride=4, row_stride=4, slice_stride=4)
+    grid.timestamp.seconds, grid.timestamp.nanos = seconds, nanos
+    grid.pose.orientation.w = 1.0
+    for offset, field in enumerate(("red", "green", "blue", "alpha")):
+        grid.fields.add(name=field, offset=offset, type=PackedElementField.UINT8)
+    grid.cell_size.x, grid.cell_size.y, grid.cell_size.z = size
+    # A grid lies with its corner at its origin, a cube with its middle.
+    grid.pose.position.x, grid.pose.position.y, grid.pose.position.z = (-edge / 2 for edge in size)
+    if color is not None:
+        grid.data = bytes(round(255 * part) for part in color)
+    return bytes(grid.SerializeToString())
+
+
+def decode_poses(data: bytes) -> dict[str, Pose]:
+    """Returns the poses in a transforms message by cube.
+
+    Raises:
+        ValueError: The bytes are no such message.
+    """
+    try:
+        message = FrameTransforms.FromString(data)
+    except Exception as error:  # the class of the decoder's errors depends on its build
+        raise ValueError("not a transforms message") from error
+    return {
+        transform.child_frame_id: (
+            *(transform.translation.x, transform.translation.y, transform.translation.z),
+            *(transform.rotation.x, transform.rotation.y, transform.rotation.z, transform.rotation.w),
+        )
+        for transform in message.transforms
+    }
+
+
+def decode_shapes(data: bytes, known: Mapping[str, Shape]) -> dict[str, Shape]:
+    """Returns the shapes of all cubes after a scene message, given those before it.
+
+    Raises:
+        ValueError: The bytes are no such message.
+    """
+    try:
+        update = SceneUpdate.FromString(data)
+    except Exception as error:  # as above
+        raise ValueError("not a scene message") from error
+    gone = {deletion.id for deletion in update.deletions}
+    shapes = {name: shape for name, shape in known.items() if name not in gone}
+    for entity in update.entities:
+        for cube in entity.cubes:
+            size, color = cube.size, cube.color
+            shapes[entity.id] = (size.x, size.y, size.z), (color.r, color.g, color.b, color.a)
+    return shapes
+
+
+@cache
+def descriptors(name: str) -> bytes:
+    """Returns the schema that an MCAP file carries for one of the messages: its descriptor and all it needs."""
+    result, seen = FileDescriptorSet(), set()
+
+    def add(file: FileDescriptor) -> None:
+        if file.name not in seen:
+            seen.add(file.name)
+            for needed in file.dependencies:
+                add(needed)
+            file.CopyToProto(result.file.add())
+
+    add(_MESSAGES[name].DESCRIPTOR.file)
+    return bytes(result.SerializeToString())

@@ -1,0 +1,349 @@
+"""One socket of a host: its authentication, its requests, its output, and when it has to go.
+
+Invariants:
+
+- What a socket brings is executed as it arrives; what has to wait, for its world or for others, keeps its place, and
+  nothing more is read from that socket meanwhile.
+- All replies to what one read brought leave in one write, in the order of the requests; events keep their place.
+- Nobody waits for long: commands run in slices of `SLICE` s, then others have their turn.
+- What a peer does not read is bounded: over half the limit its commands wait, over the limit it is cut.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections import deque
+from time import monotonic
+from typing import TYPE_CHECKING, cast
+
+from nmes.errors import NmesError, RejectedMessage, WorldError
+from nmes.protocol import Auth, Request, Session
+from nmes.server.hosted_world import SLICE, HostedWorld
+
+if TYPE_CHECKING:
+    from nmes.server.host import Host
+
+__all__ = ["LINGER", "READ", "Connection"]
+
+logger = logging.getLogger(__name__)
+
+LINGER = 2.0  # s: how long a connection that we end may take to read our last words and hang up
+SPARE = 64  # connections over the limit that are told so; any more are dropped without a word
+READ = 256 << 10  # bytes that are read at once; fresh memory for each read would cost more than all of asyncio
+CHUNK = 256 << 10  # bytes of replies that are handed to the socket before the rest of a read is executed
+
+
+class Connection(asyncio.BufferedProtocol):
+    """One socket: its authentication, its requests, its output, and when it has to go."""
+
+    _transport: asyncio.Transport
+
+    def __init__(self, host: Host, default_world: str | None) -> None:
+        """Serves `default_world` to a client that names none."""
+        self._host = host
+        self._limits = host.limits
+        self._default_world = default_world
+        self._session = Session(host.limits)
+        self._wanted: HostedWorld | None = None  # the world to join
+        self._world: HostedWorld | None = None  # the world joined
+        self._client = 0
+        self._timer: asyncio.TimerHandle | None = None  # the deadline that applies: auth, its answer, hanging up
+        self._backlog: deque[Request] = deque()  # what is yet to be executed; reading pauses meanwhile
+        self._full = False  # the peer does not read: its commands wait
+        self._overflowed = False  # it did not read for so long that events were dropped: it must go
+        self._ended = False  # the peer has said its last word
+        self._closing = False  # we have said ours
+        self._lost = False
+        self._output: list[bytes] = []
+        self._output_size = 0
+        self._written = 0
+        self._taken = 0  # how much of that the peer had taken at the last look, and when it last took some
+        self._taken_at = 0.0
+        self._active_at = 0.0
+
+    # -- what the event loop calls ---------------------------------------------------------------------------------
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """Waits for authentication; or says that the host is full."""
+        self._transport = cast(asyncio.Transport, transport)
+        self._transport.set_write_buffer_limits(high=self._limits.pending // 2)
+        self._active_at = self._taken_at = monotonic()
+        over = self._host.admit(self) - self._limits.connections
+        if over <= 0:
+            loop = asyncio.get_running_loop()
+            self._timer = loop.call_later(self._limits.auth_timeout, self._auth_timed_out)
+        elif over <= SPARE:
+            most = self._limits.connections
+            self._end(RejectedMessage("too_many_connections", f"this host serves {most} connections at once"))
+        else:
+            self._closing = True
+            self._transport.abort()
+
+    def get_buffer(self, sizehint: int) -> memoryview:
+        """Lends the host's one buffer: it is read into and emptied without anything else happening in between."""
+        return self._host.buffer
+
+    def buffer_updated(self, nbytes: int) -> None:
+        """Executes what came, and answers it in one write."""
+        self._host.received += nbytes
+        if self._closing:
+            return
+        try:
+            messages = self._session.receive(bytes(self._host.buffer[:nbytes]))
+            if self._world is None:
+                self._authenticate(messages)
+            else:
+                self._take(messages)
+                self._work()
+        except Exception:
+            self._failed()
+
+    def _failed(self) -> None:
+        """A mistake of ours must neither reach the peer as a traceback nor hurt anybody else."""
+        logger.exception("a connection failed")
+        self._end(NmesError("internal", "the server failed; see its log"))
+
+    def eof_received(self) -> bool:
+        """Hangs up: everything is answered, for while something waits nothing is read."""
+        self._ended = True
+        self._end(None)
+        return False
+
+    def connection_lost(self, error: Exception | None) -> None:
+        """Leaves the world, when the rest of what the peer had asked for is done."""
+        self._lost = self._closing = True
+        self._full = False
+        self._cancel_timer()
+        self._host.forget(self)
+        self._work()
+
+    def pause_writing(self) -> None:
+        """Lets this peer's commands wait until it reads."""
+        self._full = True
+
+    def resume_writing(self) -> None:
+        """Goes on with the commands that waited."""
+        self._full = False
+        if self._backlog:
+            asyncio.get_running_loop().call_soon(self._work)
+
+    # -- authentication --------------------------------------------------------------------------------------------
+
+    def _authenticate(self, messages: list[Auth | Request]) -> None:
+        """Deals with the first frame, if it has come."""
+        if not messages:
+            if self._session.violation is not None:
+                self._end(self._session.violation)
+            return
+        self._cancel_timer()
+        auth = cast(Auth, messages[0])
+        if auth.error is not None:
+            self._refuse(auth.error)
+        elif not self._host.accepts(auth.password):
+            self._refuse(RejectedMessage("auth_failed", "that is not the password"))
+        elif auth.list:
+            self._output.append(self._session.accept(self._host.list_worlds(self._port)))
+            self._end(None)
+        else:
+            try:
+                self._wanted = self._host.find(auth.world or self._default_world)
+            except WorldError as error:
+                self._end(error)
+                return
+            self._transport.pause_reading()
+            self._join()
+
+    def _join(self) -> None:
+        """Joins the world as soon as it can be joined, and executes what came behind the password."""
+        world = self._wanted
+        if world is not None and world.admits(self):
+            self._wanted, self._world = None, world
+            self._client, welcome = world.join(self)
+            self._put(self._session.accept(welcome))
+            self._take(self._session.receive(b""))
+            self._work()
+
+    def _refuse(self, error: NmesError) -> None:
+        """Says no after a while, so that guessing passwords is slow; what comes meanwhile is not even read."""
+        logger.warning("%s failed to authenticate: %s", self._peer, error.code)
+        self._transport.pause_reading()
+        self._timer = asyncio.get_running_loop().call_later(self._host.auth_delay, self._end, error)
+
+    def _auth_timed_out(self) -> None:
+        self._end(RejectedMessage("auth_timeout", f"no authentication within {self._limits.auth_timeout:g} s"))
+
+    # -- commands --------------------------------------------------------------------------------------------------
+
+    def _take(self, messages: list[Auth | Request]) -> None:
+        """Queues what came."""
+        if messages:
+            self._active_at = monotonic()
+            self._backlog.extend(cast(list[Request], messages))
+        if self._session.violation is not None:
+            # It goes through the world, so that the recording tells of it; of the frame itself nothing is kept.
+            self._backlog.append(Request(b"", None, self._session.violation))
+
+    def go_on(self) -> None:
+        """Goes on with what had to wait for others."""
+        try:
+            self._join()
+            if self._backlog:
+                self._work()
+        except Exception:
+            self._failed()
+
+    def _work(self) -> None:
+        """Executes what is in the backlog for one slice."""
+        world, session, backlog = self._world, self._session, self._backlog
+        if world is None:
+            return
+        until = monotonic() + SLICE
+        held = False
+        while backlog and not self._full:
+            held = world.holds(self._client, backlog[0])
+            if held:
+                break
+            request = backlog.popleft()
+            reply = session.reply(request, world.handle(self._client, request))
+            if reply:
+                self._put(reply)
+                if self._output_size > CHUNK:
+                    self.flush()
+            if request.error is not None and request.error is session.violation:
+                self._end(None)
+            if monotonic() >= until:
+                break
+        world.settle()
+        if backlog:
+            self._transport.pause_reading()
+            if not self._full and not held:
+                asyncio.get_running_loop().call_soon(self._work)
+        elif self._lost:
+            self._leave()
+        else:
+            self._transport.resume_reading()
+
+    # -- output ----------------------------------------------------------------------------------------------------
+
+    def send_event(self, event: bytes) -> None:
+        """Adds an event to what goes out when the slice ends, unless the peer is too far behind."""
+        if self._closing or self._overflowed:
+            return
+        if self._output_size + self._transport.get_write_buffer_size() > self._limits.pending:
+            # The world is in the middle of telling its clients, so this one goes when the slice ends.
+            self._overflowed = True
+            assert self._world is not None
+            self._world.speak(self)
+        else:
+            self._put(self._session.event(event))
+
+    def unsay(self) -> None:
+        """Takes back what was not yet handed to the socket."""
+        self._output.clear()
+        self._output_size = 0
+
+    def _put(self, data: bytes) -> None:
+        if not self._output:
+            assert self._world is not None
+            self._world.speak(self)
+        self._output.append(data)
+        self._output_size += len(data)
+
+    def flush(self) -> None:
+        """Hands what there is to the socket, in one write."""
+        if self._output and self._world is not None:
+            self._world.commit()
+        if self._output:
+            data = b"".join(self._output)
+            self._output.clear()
+            self._output_size = 0
+            if not self._lost:
+                self._written += len(data)
+                self._host.sent += len(data)
+                self._active_at = monotonic()
+                self._transport.write(data)
+        if self._overflowed:
+            self._cut()
+
+    def inspect(self, now: float) -> None:
+        """Looks after a connection now and then: ends it when nothing moves any more."""
+        buffered = self._transport.get_write_buffer_size()
+        taken = self._written - buffered
+        if taken != self._taken or not (buffered or self._closing):
+            self._taken, self._taken_at = taken, now
+        if self._closing:
+            if now - self._taken_at >= LINGER:
+                self._transport.abort()
+        elif now - self._taken_at >= self._limits.stall_timeout:
+            self._cut()
+        elif self._backlog:
+            self._active_at = now  # it waits for us
+        elif self._world is not None and now - self._active_at >= self._limits.idle_timeout:
+            logger.info("%s was idle for %g s", self._peer, self._limits.idle_timeout)
+            self._end(None)
+
+    def _cut(self) -> None:
+        logger.warning("%s does not read what it is sent and is cut off", self._peer)
+        self._end(RejectedMessage("slow_consumer", "you do not read what you are sent"))
+
+    # -- the end ---------------------------------------------------------------------------------------------------
+
+    def hang_up(self, error: NmesError | None = None) -> None:
+        """Ends the connection from our side, and says why."""
+        self._end(error)
+
+    @property
+    def draining(self) -> bool:
+        """Whether there is output that the peer has not yet taken."""
+        return self._transport.get_write_buffer_size() > 0
+
+    def abort(self) -> None:
+        """Ends the connection at once."""
+        self._transport.abort()
+
+    def _end(self, error: NmesError | None) -> None:
+        """Says the last word and leaves the world; the socket is closed when the peer has hung up too, or soon."""
+        if self._closing:
+            return
+        self._closing = True
+        self._overflowed = False
+        self._wanted = None
+        self._backlog.clear()
+        self._cancel_timer()
+        if error is not None:
+            self._output.append(self._session.refuse(error))
+        self.flush()
+        self._leave()
+        self._taken_at = monotonic()
+        self._timer = asyncio.get_running_loop().call_later(self._limits.idle_timeout, self._transport.abort)
+        if self._ended or not self._transport.can_write_eof():
+            self._transport.close()
+        else:
+            # Closing a socket while the peer still sends resets it, and may take our last word away from the peer. So
+            # this side is closed only, and what still comes is read and thrown away.
+            with contextlib.suppress(OSError):  # the peer is gone already
+                self._transport.write_eof()
+            self._transport.resume_reading()
+
+    def _leave(self) -> None:
+        world, self._world = self._world, None
+        if world is not None:
+            world.leave(self._client)
+            world.settle()
+
+    def _cancel_timer(self) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+            self._timer = None
+
+    @property
+    def _port(self) -> int:
+        """The port that the peer came to."""
+        return int(self._transport.get_extra_info("sockname")[1])
+
+    @property
+    def _peer(self) -> str:
+        address = self._transport.get_extra_info("peername")
+        return f"{address[0]}:{address[1]}" if address else "a client"

@@ -1,0 +1,64 @@
+"""How a world came along: its figures over time, for those who plot them.
+
+It hides what is noted of a world after a tick and how that becomes curves.
+
+Invariant: it only looks; whoever runs the world, once or again, calls `note` after each tick.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from nmes.backend import Array
+from nmes.world import World
+
+__all__ = ["TimeSeries"]
+
+
+class TimeSeries:
+    """The figures of a world, tick by tick. Where there is no cube, height and speed are no number."""
+
+    def __init__(self) -> None:
+        self._rows: list[tuple[float, float, float, float]] = []
+        self._touching: list[set[str]] = []
+        self._names: dict[str, None] = {}
+
+    def note(self, world: World) -> None:
+        """Takes a world as it is after a tick."""
+        names, states = world.poses()
+        height = speed = float("nan")
+        if names:
+            height = float(states[:, 1].mean())
+            speed = float(np.linalg.norm(states[:, 7:10].mean(axis=0)))
+        self._rows.append((world.ticks / world.config["tick_rate"], height, speed, world.motor_work()))
+        self._names.update(dict.fromkeys(names))
+        touching = world.touches(names, 0)[:, 0].tolist()
+        self._touching.append({name for name, flag in zip(names, touching, strict=True) if flag})
+
+    @property
+    def times(self) -> Array:
+        """The ticks' times, array (n,), s; a `reset` does not set them back."""
+        return self._column(0)
+
+    def curves(self) -> dict[str, Array]:
+        """Returns by name, with their units, arrays (n,): what is of the middle of all cubes, and the motors' work."""
+        return {
+            "height of the middle (m)": self._column(1),
+            "speed of the middle (m/s)": self._column(2),
+            "work of the motors (J)": self._column(3),
+        }
+
+    def gait(self) -> dict[str, list[tuple[float, float]]]:
+        """Returns of each cube, in the order in which they came, from when to when it touched something, s."""
+        found: dict[str, list[tuple[float, float]]] = {name: [] for name in self._names}
+        before: set[str] = set()
+        times = self.times.tolist()
+        for time, touching in zip(times, self._touching, strict=True):
+            for name in touching:
+                since = found[name].pop()[0] if name in before else time
+                found[name].append((since, time))
+            before = touching
+        return found
+
+    def _column(self, number: int) -> Array:
+        return np.array(self._rows, float).reshape(-1, 4)[:, number]

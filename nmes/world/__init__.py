@@ -1,0 +1,7 @@
+"""The world: a deterministic state machine of cubes, joints, creatures, clients and frames over any engine."""
+
+from __future__ import annotations
+
+from nmes.world.world import Barrier, Fault, World
+
+__all__ = ["Barrier", "Fault", "World"]

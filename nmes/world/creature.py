@@ -1,0 +1,420 @@
+"""Creatures: bodies of genomes that live in a world, driven and felt as a whole.
+
+Hides which cubes and joints of the world a creature is, how controls become targets of motors, and how readings become
+the values of sensors. A creature is nothing but its cubes and joints: whoever moves, pushes or retunes those by their
+own names does it to the creature; when one of them is taken away, it is a creature no more, and what is left stays.
+
+Invariants: `spawn` makes all of a body or changes nothing; `drive` does what `set_joint_param` of each motor's target
+would, in order; `sense` changes nothing; creatures are in order of creation.
+"""
+
+from __future__ import annotations
+
+from math import sqrt
+from typing import Any
+
+import numpy as np
+import orjson
+
+from nmes import protocol
+from nmes.backend import Array, BodyState, Vector
+from nmes.backend.rotation import conjugate, rotate
+from nmes.errors import WorldError
+from nmes.genome import Genome
+from nmes.genome.body import Body, BodyCube, BodyJoint, Motor, Sensor
+from nmes.protocol import Request
+from nmes.world import joint_params as jointparams
+from nmes.world.entities import Cube, Entities, Joint
+
+__all__ = ["Creature", "Creatures"]
+
+JsonObject = dict[str, Any]
+
+_NAME_LENGTH = 128
+_HERE = 1e-9  # m; nearer than this a target is in no direction
+_TURNING = 0.1  # sensors tell turning in 10 rad/s
+
+
+class Creature:
+    """One creature. Made by `Creatures.spawn`; valid until its world resets or one of its parts is taken away.
+
+    Attributes:
+        name: Unique among the creatures of its world.
+        genome: What it was made from; `body` is the genome's.
+        target: What its sensors of a target are about: a point, m, or the name of a cube; None where it has none.
+        cubes: The names of its cubes in the world by the ids in its body; `joints` likewise.
+        motors: In the order of controls.
+        sensors: In the order of values.
+    """
+
+    def __init__(
+        self,
+        entities: Entities,
+        name: str,
+        genome: Genome,
+        cubes: dict[str, Cube],
+        joints: dict[str, Joint],
+        target: Vector | str | None,
+    ) -> None:
+        self._entities, self._simulation = entities, entities.simulation
+        self.name, self.genome, self.body = name, genome, (body := genome.body)
+        self.target = target
+        self.motors: tuple[Motor, ...] = body.motors
+        self.sensors: tuple[Sensor, ...] = body.sensors
+        self._shape = (len(self.motors),)
+        self._cubes, self._joints = cubes, joints
+        self.cubes: dict[str, str] = {part: cube.name for part, cube in cubes.items()}
+        self.joints: dict[str, str] = {part: joint.name for part, joint in joints.items()}
+        self._low = np.array([motor.low for motor in self.motors])
+        self._half = np.array([(motor.high - motor.low) / 2.0 for motor in self.motors])
+        self._driven = tuple(joints[motor.id] for motor in self.motors)
+        self._numbers = tuple(joint.number for joint in self._driven)
+        self._fields = tuple(
+            "target_position" if motor.mode == "position" else "motor_target_velocity" for motor in self.motors
+        )
+        self._tuned = -1  # the entities', when the joints' parameters were looked at last
+        self._targets: list[tuple[JsonObject, str]] = []
+        self._params: list[Any] = []
+        self._drive_head = protocol.encode({"type": "drive", "creature": name, "controls": []}).removesuffix(b"[]}")
+        self._driven_reply = protocol.encode({"type": "driven", "creature": name})
+        self._plan_senses()
+
+    @property
+    def whole(self) -> bool:
+        """Whether all its cubes and joints are still there."""
+        entities = self._entities
+        return all(entities.find(cube.name) is cube for cube in self._cubes.values()) and all(
+            entities.find_joint(joint.name) is joint for joint in self._joints.values()
+        )
+
+    def accepts(self, controls: Array) -> bool:
+        """Whether `drive` may be called with this: of the right shape and type, and from -1 to 1."""
+        if controls.shape != self._shape or controls.dtype != np.float64:
+            return False
+        for control in controls.tolist():  # of a few numbers faster than by arrays
+            if not -1.0 <= control <= 1.0:  # also where it is no number
+                return False
+        return True
+
+    def message(self, controls: Array) -> tuple[Request, bytes]:
+        """Returns the command `drive` as it would come over the wire, and its encoded reply."""
+        raw = self._drive_head + orjson.dumps(controls, option=orjson.OPT_SERIALIZE_NUMPY) + b"}"
+        command = {"type": "drive", "creature": self.name, "controls": controls.tolist()}
+        return Request(raw, command, None, "drive"), self._driven_reply
+
+    # -- motors ---------------------------------------------------------------------------------------------------
+
+    def drive(self, controls: Array) -> None:
+        """Sets what the motors aim at, until they are driven again.
+
+        A motor that was switched off or made one of the other mode since is what it was made as again.
+
+        Args:
+            controls: Shape (m,), each from -1 to 1, in the order of `motors`; -1 is a motor's `low`, 1 its `high`.
+        """
+        targets: Array = controls + 1.0
+        targets *= self._half
+        targets += self._low
+        if self._tuned != self._entities.tuned:
+            self._take_up_motors(targets)
+        self._simulation.set_motor_targets(self._numbers, self._params, targets)
+        for (params, field), target in zip(self._targets, targets.tolist(), strict=True):
+            params[field] = target
+
+    def _take_up_motors(self, targets: Array) -> None:
+        """Sees to it that all motors run as they were made, and where their parameters are."""
+        for joint, motor, field, target in zip(self._driven, self.motors, self._fields, targets.tolist(), strict=True):
+            servo = joint.params["target_position"] is not None
+            if not joint.params["motor_enabled"] or servo != (motor.mode == "position"):
+                self._entities.set_param(joint, field, target)
+        self._params = [jointparams.engine_params(joint.params) for joint in self._driven]
+        self._targets = [(joint.params, field) for joint, field in zip(self._driven, self._fields, strict=True)]
+        self._tuned = self._entities.tuned
+
+    # -- sensors --------------------------------------------------------------------------------------------------
+
+    def _plan_senses(self) -> None:
+        """Finds where each sensor's value comes from: a column of a joint's readings, or a reading of a cube."""
+        sensors = self.sensors
+        on_joints = [(row, sensor) for row, sensor in enumerate(sensors) if sensor.of == "joint"]
+        parts = list(dict.fromkeys(sensor.target for _, sensor in on_joints))
+        self._read = tuple(self._joints[part].number for part in parts)
+        self._joint_rows = _rows([row for row, _ in on_joints]) if on_joints else []
+        column = ("position", "velocity", "effort").index
+        self._picked = np.array([3 * parts.index(s.target) + column(s.type) for _, s in on_joints], np.intp)
+        self._scale = np.array([self._joint_scale(sensor) for _, sensor in on_joints])
+        felt: dict[str, list[tuple[int, int]]] = {}
+        aimed: dict[str, list[tuple[int, int]]] = {}
+        touched = []
+        for row, sensor in enumerate(sensors):
+            if sensor.of == "cube" and sensor.type == "touch":
+                touched.append((row, self._cubes[sensor.target].body))
+            elif sensor.of == "cube":
+                axis = 0 if sensor.axis is None else "xyz".index(sensor.axis)
+                into, first = (felt, _FELT) if sensor.type in _FELT else (aimed, _AIMED)
+                into.setdefault(sensor.target, []).append((row, first[sensor.type] + axis))
+        self._felt: list[tuple[int, slice | list[int], list[int] | None]] = []
+        for part, wanted in felt.items():
+            picked = [number for _, number in wanted]
+            everything = picked == list(range(10))  # as where a document names no sensors
+            rows = _rows([row for row, _ in wanted])
+            self._felt.append((self._cubes[part].body, rows, None if everything else picked))
+        self._aimed: list[tuple[int, slice | list[int], list[int]]] = [
+            (self._cubes[part].body, _rows([row for row, _ in wanted]), [number for _, number in wanted])
+            for part, wanted in aimed.items()
+        ]
+        self._touch_rows = [row for row, _ in touched]
+        self._touch_bodies = [body for _, body in touched]
+
+    def _joint_scale(self, sensor: Sensor) -> float:
+        joint = next(joint for joint in self.body.joints if joint.id == sensor.target)
+        if sensor.type == "effort":
+            assert joint.motor is not None
+            return 1.0 / joint.motor.max_effort if joint.motor.max_effort > 0.0 else 0.0
+        return _TURNING if sensor.type == "velocity" and joint.kind == "hinge" else 1.0
+
+    def sense(self) -> Array:
+        """Returns what the sensors read now: a new array, shape (s,), in the order of `sensors`.
+
+        Units are those of `schemas/genome.json`.
+        """
+        out = np.empty(len(self.sensors))
+        simulation = self._simulation
+        if self._read:
+            out[self._joint_rows] = simulation.joint_readings(self._read).take(self._picked) * self._scale
+        for body, rows, picked in self._felt:
+            felt = _feel(simulation.body_state(body))
+            out[rows] = felt if picked is None else [felt[i] for i in picked]
+        if self._touch_bodies:
+            out[self._touch_rows] = simulation.touching(self._touch_bodies)
+        if self._aimed:
+            self._sense_target(out)
+        return out
+
+    def _sense_target(self, out: Array) -> None:
+        target, simulation = self.target, self._simulation
+        place: Vector | None = None
+        motion: Vector = (0.0, 0.0, 0.0)
+        if isinstance(target, str):
+            cube = self._entities.find(target)
+            if cube is not None:
+                state = simulation.body_state(cube.body)
+                place, motion = state.position, state.linear_velocity
+        else:
+            place = target
+        for body, rows, picked in self._aimed:
+            if place is None:
+                out[rows] = 0.0
+            else:
+                seen = _aim(simulation.body_state(body), place, motion)
+                out[rows] = [seen[i] for i in picked]
+
+
+# What `_feel` returns, by type of sensor: where its first number is.
+_FELT = {"height": 0, "up": 1, "velocity": 4, "spin": 7}
+# What `_aim` returns, likewise.
+_AIMED = {"target_direction": 0, "target_distance": 3, "target_velocity": 4}
+
+
+def _feel(state: BodyState) -> tuple[float, ...]:
+    """Returns a cube's height, and in its own axes which way is up, its velocity and its spin (in 10 rad/s)."""
+    x, y, z, w = state.quaternion
+    vx, vy, vz = state.linear_velocity
+    wx, wy, wz = state.angular_velocity
+    # The rows of the matrix that turns into the cube's own axes. Of three vectors that is less than turning each.
+    ax, ay, az = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)
+    bx, by, bz = 2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)
+    cx, cy, cz = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
+    return (
+        state.position[1],
+        ay,
+        by,
+        cy,
+        ax * vx + ay * vy + az * vz,
+        bx * vx + by * vy + bz * vz,
+        cx * vx + cy * vy + cz * vz,
+        _TURNING * (ax * wx + ay * wy + az * wz),
+        _TURNING * (bx * wx + by * wy + bz * wz),
+        _TURNING * (cx * wx + cy * wy + cz * wz),
+    )
+
+
+def _aim(state: BodyState, place: Vector, motion: Vector) -> tuple[float, ...]:
+    """Returns where a target is from a cube, how far, and how it moves past it, directions being the cube's own."""
+    back = conjugate(state.quaternion)
+    (x, y, z), (vx, vy, vz) = state.position, state.linear_velocity
+    dx, dy, dz = place[0] - x, place[1] - y, place[2] - z
+    distance = sqrt(dx * dx + dy * dy + dz * dz)
+    part = 1.0 / distance if distance > _HERE else 0.0
+    direction = rotate(back, (dx * part, dy * part, dz * part))
+    return (*direction, distance, *rotate(back, (motion[0] - vx, motion[1] - vy, motion[2] - vz)))
+
+
+def _rows(rows: list[int]) -> slice | list[int]:
+    """Returns a slice where rows follow one another: it is written to faster."""
+    first, last = rows[0], rows[0] + len(rows)
+    return slice(first, last) if rows == list(range(first, last)) else rows
+
+
+class Creatures:
+    """All creatures of one world, over its cubes and joints.
+
+    Args:
+        entities: Where their cubes and joints are made.
+    """
+
+    def __init__(self, entities: Entities) -> None:
+        self._entities = entities
+        self._creatures: dict[str, Creature] = {}
+        self._count = 0
+        self._version = entities.version
+
+    def names(self) -> list[str]:
+        """Returns the names of the creatures in order of creation."""
+        self._forget_dissolved()
+        return list(self._creatures)
+
+    def find(self, name: str) -> Creature:
+        """Returns a creature.
+
+        Raises:
+            WorldError: `creature_not_found`.
+        """
+        creature = self.get(name)
+        if creature is None:
+            raise WorldError("creature_not_found", f"there is no creature {name!r}", "creature")
+        return creature
+
+    def get(self, name: str) -> Creature | None:
+        """Returns a creature, or None."""
+        if self._version != self._entities.version:
+            self._forget_dissolved()
+        return self._creatures.get(name)
+
+    def _forget_dissolved(self) -> None:
+        self._creatures = {name: creature for name, creature in self._creatures.items() if creature.whole}
+        self._version = self._entities.version
+
+    def spawn(self, genome: Genome, position: Vector, name: str | None, target: Vector | str | None = None) -> Creature:
+        """Makes a body live, all of it or nothing.
+
+        Args:
+            genome: Whose body it is.
+            position: Where the origin of its document comes to be, m.
+            name: Of the creature; its cubes and joints are called `NAME.id`. Drawn from the world's seed if None.
+            target: What its sensors of a target are about: a point, m, or the name of a cube, which need not be there.
+
+        Raises:
+            WorldError: The name is taken or too long, the world is full, or the engine lacks what the body needs.
+        """
+        self._forget_dissolved()
+        entities, body = self._entities, genome.body
+        count = self._count
+        if name is None:
+            count += 1
+            while self._taken(drawn := entities.draw("creature", count), body) is not None:
+                count += 1
+            name = drawn
+        self._check(body, name)
+        cubes = {part.id: entities.spawn(_spawn_command(part, name, position)) for part in body.cubes}
+        joints = {}
+        for joint in body.joints:
+            command = _joint_command(joint, name, position)
+            joints[joint.id] = entities.joint(entities.connect(command, joint.kind, "joint", name=f"{name}.{joint.id}"))
+        self._count = count
+        self._creatures[name] = creature = Creature(entities, name, genome, cubes, joints, target)
+        self._version = entities.version
+        return creature
+
+    def snapshot(self) -> JsonObject:
+        """Returns which creatures there are, as plain JSON data; their cubes and joints are the entities' own."""
+        self._forget_dissolved()
+        kept = [
+            {"name": name, "genome": creature.genome.document, "target": creature.target}
+            for name, creature in self._creatures.items()
+        ]
+        return {"count": self._count, "creatures": kept}
+
+    def restore(self, state: JsonObject) -> None:
+        """Takes up what `snapshot` returned, over entities that have taken up their own part."""
+        entities, self._count, self._version = self._entities, state["count"], self._entities.version
+        for given in state["creatures"]:
+            name, genome = given["name"], Genome(given["genome"])
+            cubes = {part.id: entities.cube(f"{name}.{part.id}") for part in genome.body.cubes}
+            joints = {part.id: entities.joint(f"{name}.{part.id}") for part in genome.body.joints}
+            target = given["target"]
+            aim = (target[0], target[1], target[2]) if isinstance(target, list) else target
+            self._creatures[name] = Creature(entities, name, genome, cubes, joints, aim)
+
+    def _taken(self, name: str, body: Body) -> WorldError | None:
+        """Says who has a name that a creature of this name would need."""
+        if name in self._creatures:
+            return WorldError("creature_exists", f"there is a creature {name!r} already", "name")
+        for cube in body.cubes:
+            if self._entities.find(f"{name}.{cube.id}") is not None:
+                return WorldError("cube_exists", f"there is a cube '{name}.{cube.id}' already", "name")
+        for joint in body.joints:
+            if self._entities.find_joint(f"{name}.{joint.id}") is not None:
+                return WorldError("joint_exists", f"there is a joint '{name}.{joint.id}' already", "name")
+        return None
+
+    def _check(self, body: Body, name: str) -> None:
+        """Raises what would go wrong while the body is made: afterwards nothing can."""
+        taken = self._taken(name, body)
+        if taken is not None:
+            raise taken
+        longest = max(len(part) for part in [*(c.id for c in body.cubes), *(j.id for j in body.joints)])
+        if len(name) + 1 + longest > _NAME_LENGTH:
+            most = _NAME_LENGTH - 1 - longest
+            said = f"name: the names of this body's parts leave room for {most} characters"
+            raise WorldError("invalid", said, "name")
+        self._entities.require_room(len(body.cubes), len(body.joints))
+        self._entities.require_plane(body.planar, "body that leaves the XY plane", "genome/body")
+        for joint in body.joints:
+            place, said = "genome/body", f"joints of type {joint.kind}"
+            self._entities.require(f"joint.{joint.kind}", said, place)
+            if joint.limits is not None:
+                self._entities.require("limits", "limits of joints", place)
+            if joint.stiffness or joint.damping:
+                self._entities.require("spring", "springs in joints", place)
+            if joint.motor is not None:
+                self._entities.require("motor" if joint.motor.mode == "velocity" else "servo", "such motors", place)
+        if any(sensor.type == "touch" for sensor in body.sensors):
+            self._entities.require("contacts", "sense of touch", "genome/sensors")
+
+
+def _spawn_command(part: BodyCube, name: str, position: Vector) -> JsonObject:
+    """Returns the `spawn_cube` command that makes a cube of a creature."""
+    command: JsonObject = {
+        "cube_name": f"{name}.{part.id}",
+        "size": list(part.size),
+        "mass": part.mass,
+        "position": _shifted(part.position, position),
+        "rotation": list(part.quaternion),
+    }
+    surface = {"friction": part.friction, "restitution": part.restitution, "color": part.color}
+    return {**command, **{field: value for field, value in surface.items() if value is not None}}
+
+
+def _joint_command(joint: BodyJoint, name: str, position: Vector) -> JsonObject:
+    """Returns the `create_joint` command that makes a joint of a creature: a motor begins at rest, at position 0."""
+    command: JsonObject = {
+        "cube1": f"{name}.{joint.cube1}",
+        "cube2": f"{name}.{joint.cube2}",
+        "position": _shifted(joint.anchor, position),
+    }
+    if joint.axis is not None:
+        command["axis"] = list(joint.axis)
+    if joint.limits is not None:
+        command["limits"] = list(joint.limits)
+    for field, value in (("stiffness", joint.stiffness), ("damping", joint.damping)):
+        if value:
+            command[field] = value
+    if joint.motor is not None:
+        command["motor_max_force"] = joint.motor.max_effort
+        command["target_position" if joint.motor.mode == "position" else "motor_target_velocity"] = 0.0
+    return command
+
+
+def _shifted(point: Vector, by: Vector) -> list[float]:
+    return [point[0] + by[0], point[1] + by[1], point[2] + by[2]]

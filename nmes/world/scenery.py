@@ -1,0 +1,273 @@
+"""From a world config's `scene` to the primitives that engines are given, and nothing that moves.
+
+It hides what an obstacle is made of, how a landscape is drawn from a seed or read from an image, and where planets
+stand. Everything here follows from config and seed alone; terrain is drawn with sums and products only, and with a
+generator whose numbers numpy promises to keep, so that no version of a library changes it. Files are read elsewhere:
+an image is part of the config, so that a recording holds it.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import io
+import struct
+from collections.abc import Mapping
+from hashlib import blake2b
+from itertools import pairwise, product
+from math import atan2, hypot
+from typing import Any
+
+import numpy as np
+from PIL import Image
+
+from nmes.backend import Arena, Array, Heightfield, Planet, Quaternion, SceneSpec, StaticBox, Vector
+from nmes.backend.rotation import normalize, quaternion_from_euler, rotate
+from nmes.errors import WorldError
+
+__all__ = ["needs", "planet_list", "scene_spec"]
+
+JsonObject = dict[str, Any]
+
+_PLANK = 0.1  # m: thickness of a ramp
+_PLAIN = 1000.0  # m: how far the ground reaches where it has gaps, and thus an end
+_OCTAVES = 8  # sizes of hills at most, each half the one before
+_LARGEST_IMAGE = 1025  # pixels a side
+_BIOMES = 5
+
+
+def needs(config: Mapping[str, Any]) -> dict[str, str]:
+    """Returns the capabilities that an engine needs for the scene, each with the field of the config that asks."""
+    scene = config["scene"]
+    found = {} if scene["type"] == "flat" else {f"scene.{scene['type']}": "scene/type"}
+    if scene["obstacles"]:
+        found["scene.obstacles"] = "scene/obstacles"
+    return found
+
+
+def scene_spec(config: Mapping[str, Any], seed: int) -> SceneSpec:
+    """Returns what an engine makes of a complete config; `seed` is the world's.
+
+    Raises:
+        WorldError: The scene contradicts itself; `path` names the field.
+    """
+    scene = config["scene"]
+    kind = scene["type"]
+    boxes = [box for obstacle in scene["obstacles"] for box in _OBSTACLES[obstacle["type"]](obstacle)]
+    gaps = [(i, obstacle) for i, obstacle in enumerate(scene["obstacles"]) if obstacle["type"] == "gap"]
+    if gaps and kind != "flat":
+        raise WorldError("invalid", "only the flat ground can have gaps", f"scene/obstacles/{gaps[0][0]}/type")
+    arena = scene.get("arena")
+    return SceneSpec(
+        timestep=1.0 / (config["tick_rate"] * config["substeps"]),
+        gravity=_vector(config["gravity"]),
+        max_bodies=config["limits"]["cubes"],
+        ground=kind == "flat" and not gaps,
+        boxes=(*boxes, *_ground_with_gaps([gap for _, gap in gaps])),
+        heightfield=_landscape(scene["heightfield"], seed) if kind == "heightfield" else None,
+        planets=tuple(_planets(scene["planets"])) if kind == "planets" else (),
+        arena=None if arena is None else Arena(**{"seed": seed, **arena}),
+        options=config["engine"],
+    )
+
+
+# -- obstacles --------------------------------------------------------------------------------------------------------
+
+
+def _box(c: JsonObject) -> list[StaticBox]:
+    size, turn = c["size"], c["rotation"]
+    edges = _vector(size) if isinstance(size, list) else (float(size),) * 3
+    quaternion = quaternion_from_euler(*turn) if len(turn) == 3 else normalize((turn[0], turn[1], turn[2], turn[3]))
+    return [StaticBox(edges, _vector(c["position"]), quaternion)]
+
+
+def _placed(c: JsonObject, size: Vector, along: float, up: float, tilt: float = 0.0) -> StaticBox:
+    """Returns a box whose middle is `along` the heading and `up` from the obstacle's position; `tilt` raises it."""
+    turn: Quaternion = quaternion_from_euler(0.0, c["heading"], tilt)
+    x, y, z = rotate(quaternion_from_euler(0.0, c["heading"], 0.0), (along, up, 0.0))
+    at = c["position"]
+    return StaticBox(size, (at[0] + x, at[1] + y, at[2] + z), turn)
+
+
+def _wall(c: JsonObject) -> list[StaticBox]:
+    return [_placed(c, (c["length"], c["height"], c["width"]), 0.0, c["height"] / 2.0)]
+
+
+def _ramp(c: JsonObject) -> list[StaticBox]:
+    """A plank whose upper face runs from the line at its position up to the height."""
+    length, height = c["length"], c["height"]
+    slope = hypot(length, height)
+    # Down from the middle of the upper face, at a right angle to it.
+    along = length / 2.0 + _PLANK / 2.0 * height / slope
+    up = height / 2.0 - _PLANK / 2.0 * length / slope
+    return [_placed(c, (slope, _PLANK, c["width"]), along, up, atan2(height, length))]
+
+
+def _stairs(c: JsonObject) -> list[StaticBox]:
+    depth, rise = c["length"] / c["steps"], c["height"] / c["steps"]
+    return [
+        _placed(c, (depth, rise * step, c["width"]), depth * (step - 0.5), rise * step / 2.0)
+        for step in range(1, c["steps"] + 1)
+    ]
+
+
+def _gap(c: JsonObject) -> list[StaticBox]:
+    return []  # what is left of the ground is made of all gaps together
+
+
+_OBSTACLES = {"box": _box, "wall": _wall, "ramp": _ramp, "stairs": _stairs, "gap": _gap}
+
+
+def _ground_with_gaps(gaps: list[JsonObject]) -> list[StaticBox]:
+    """Returns the flat ground as boxes: its floor is as deep as the deepest of the gaps that cover a place."""
+    if not gaps:
+        return []
+    spans = [
+        [tuple(min(max(c["position"][i] + end * c[size], -_PLAIN), _PLAIN) for end in (-0.5, 0.5)) for c in gaps]
+        for i, size in ((0, "length"), (2, "width"))
+    ]
+    bottom = -max(c["depth"] for c in gaps) - 1.0
+    xs, zs = (sorted({-_PLAIN, _PLAIN, *(edge for span in part for edge in span)}) for part in spans)
+    boxes = []
+    for x1, x2 in pairwise(xs):
+        # Neighbours of the same depth become one box: the fewer seams, the better.
+        strips: list[tuple[float, float, float]] = []
+        for z1, z2 in pairwise(zs):
+            over = [
+                c["depth"]
+                for c, across, along in zip(gaps, *spans, strict=True)
+                if across[0] <= x1 and x2 <= across[1] and along[0] <= z1 and z2 <= along[1]
+            ]
+            depth = max(over, default=0.0)
+            if strips and strips[-1][2] == depth:
+                z1 = strips.pop()[0]
+            strips.append((z1, z2, depth))
+        for z1, z2, depth in strips:
+            height = -depth - bottom
+            middle = ((x1 + x2) / 2.0, bottom + height / 2.0, (z1 + z2) / 2.0)
+            boxes.append(StaticBox((x2 - x1, height, z2 - z1), middle))
+    return boxes
+
+
+# -- landscapes -------------------------------------------------------------------------------------------------------
+
+
+def _landscape(c: JsonObject, seed: int) -> Heightfield:
+    size = (float(c["size"][0]), float(c["size"][1]))
+    if "image" in c and "heights" in c:
+        raise WorldError("invalid", "give an image or heights, not both", "scene/heightfield/image")
+    if "image" in c:
+        return Heightfield(size, _read_image(c["image"]) * float(c["height"]))
+    if "heights" in c:
+        rows = c["heights"]
+        for i, row in enumerate(rows):
+            if len(row) != len(rows[0]):
+                message = f"expected {len(rows[0])} numbers as in the first row, got {len(row)}"
+                raise WorldError("invalid", message, f"scene/heightfield/heights/{i}")
+        return Heightfield(size, np.array(rows, float))
+    return Heightfield(size, _draw_hills(c, size, c.get("seed", seed)))
+
+
+def _draw_hills(c: JsonObject, size: tuple[float, float], seed: int) -> Array:
+    """Draws hills of sizes from `hill` down to the grid's own, the smaller the lower, and levels the clearing."""
+    # RandomState is the one generator of which numpy promises the same numbers for ever.
+    draw = np.random.RandomState(np.random.MT19937(np.random.SeedSequence(seed)))
+    columns, rows = (int(count) for count in c["samples"])
+    x, z = np.linspace(-size[0] / 2.0, size[0] / 2.0, columns), np.linspace(-size[1] / 2.0, size[1] / 2.0, rows)
+    finest = min(x[1] - x[0], z[1] - z[0])
+    heights = np.zeros((rows, columns))
+    extent, weight = float(c["hill"]), 1.0
+    for octave in range(_OCTAVES):
+        if octave and extent < 2.0 * finest:
+            break
+        heights += weight * _smooth_noise(draw, x, z, extent)
+        extent, weight = extent / 2.0, weight * c["roughness"]
+    low, high = heights.min(), heights.max()
+    heights = (heights - low) * (c["height"] / (high - low)) if high > low else heights - low
+    heights -= heights[rows // 2, columns // 2]
+    if c["clearing"] > 0.0:
+        far = np.clip((np.sqrt(z[:, None] ** 2 + x[None, :] ** 2) - c["clearing"]) / c["clearing"], 0.0, 1.0)
+        heights = heights * _ease(far)
+    return np.asarray(heights, np.float64)
+
+
+def _smooth_noise(draw: np.random.RandomState, x: Array, z: Array, extent: float) -> Array:
+    """Returns random heights from 0 to 1 at the knots of a grid with this spacing, and what lies between them."""
+    at_x, at_z = ((line - line[0]) / max(extent, line[1] - line[0]) for line in (x, z))
+    knots = draw.random_sample((int(at_z[-1]) + 2, int(at_x[-1]) + 2))
+    i, k = at_z.astype(int), at_x.astype(int)
+    part_z, part_x = _ease(at_z - i)[:, None], _ease(at_x - k)[None, :]
+    near = knots[np.ix_(i, k)] * (1.0 - part_x) + knots[np.ix_(i, k + 1)] * part_x
+    far = knots[np.ix_(i + 1, k)] * (1.0 - part_x) + knots[np.ix_(i + 1, k + 1)] * part_x
+    between: Array = near * (1.0 - part_z) + far * part_z
+    return between
+
+
+def _ease(part: Array) -> Array:
+    """Leads from 0 to 1 with no kink at either end."""
+    return part * part * (3.0 - 2.0 * part)
+
+
+def _read_image(text: str) -> Array:
+    """Returns a PNG's pixels from 0 (black) to 1 (white)."""
+    path = "scene/heightfield/image"
+    try:
+        data = base64.b64decode(text, validate=True)
+    except binascii.Error as error:
+        raise WorldError("invalid", f"the image is not base64: {error}", path) from error
+    # The header first: a small file may claim to be of any size.
+    if len(data) < 24 or not data.startswith(b"\x89PNG\r\n\x1a\n"):
+        raise WorldError("invalid", "the image is no PNG", path)
+    width, height = struct.unpack(">II", data[16:24])
+    if not (2 <= width <= _LARGEST_IMAGE and 2 <= height <= _LARGEST_IMAGE):
+        raise WorldError("invalid", f"the image is {width} x {height}, not 2 to {_LARGEST_IMAGE} pixels a side", path)
+    try:
+        with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
+            grey = image if image.mode.startswith("I") else image.convert("L")
+            return np.asarray(grey, float) / (65535.0 if image.mode.startswith("I") else 255.0)
+    except (OSError, SyntaxError, ValueError) as error:
+        raise WorldError("invalid", f"the image cannot be read: {error}", path) from error
+
+
+# -- planets ----------------------------------------------------------------------------------------------------------
+
+
+def _planets(c: JsonObject) -> list[Planet]:
+    """Returns the planets, the one under the origin first, then by distance from it."""
+    radius, spacing = float(c["radius"]), float(c["spacing"])
+    if spacing < 2.0 * radius:
+        message = f"planets of radius {radius:g} m need a spacing of twice that"
+        raise WorldError("invalid", message, "scene/planets/spacing")
+    side = 1
+    while side**3 < c["count"]:
+        side += 1
+    line = [i - (side - 1) // 2 for i in range(side)]
+    cells = sorted(product(line, repeat=3), key=lambda cell: (sum(i * i for i in cell), cell))
+    return [Planet((x * spacing, y * spacing - radius, z * spacing), radius) for x, y, z in cells[: c["count"]]]
+
+
+def planet_list(config: Mapping[str, Any], seed: int) -> list[JsonObject]:
+    """Returns the planets of a complete config as `get_planets` tells them."""
+    scene = config["scene"]
+    if scene["type"] != "planets":
+        return []
+    seed = scene["planets"].get("seed", seed)
+    found = []
+    for number, planet in enumerate(_planets(scene["planets"])):
+        drawn = blake2b(f"{seed} planet {number}".encode(), digest_size=8).digest()
+        x, y, z = planet.position
+        found.append(
+            {
+                "Name": f"Planet_{number}",
+                "Position": {"x": x, "y": y, "z": z},
+                "Seed": int.from_bytes(drawn[:4], "little") >> 1,
+                "BiomeType": drawn[4] % _BIOMES,
+                "ResourceLocations": [],
+                "TreeLocations": [],
+            }
+        )
+    return found
+
+
+def _vector(values: list[float]) -> Vector:
+    return (float(values[0]), float(values[1]), float(values[2]))

@@ -1,0 +1,347 @@
+from __future__ import annotations
+
+import base64
+import json
+import os
+import random
+import re
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import click
+import pytest
+from click.testing import CliRunner, Result
+from PIL import Image
+
+from layout import ROOT
+from nmes import Client
+from nmes.cli import SUBCOMMANDS, main
+from nmes.errors import RecordingError
+from nmes.evaluation.leaderboard import Leaderboard
+from nmes.recording import Kind, Recording
+from recordings import busy, record
+from serving import PATIENCE
+
+NMES = str(Path(sys.executable).parent / "nmes")
+DOCUMENT = (ROOT / "docs" / "cli.md").read_text()
+
+
+def run(*arguments: str, **environment: str | None) -> Result:
+    """Runs a command in this process."""
+    return CliRunner().invoke(main, arguments, env={"NMES_PASSWORD": None, **environment})
+
+
+@contextmanager
+def process(*arguments: str, **environment: str) -> Iterator[subprocess.Popen[str]]:
+    """Runs a command as users do."""
+    inherited = {name: value for name, value in os.environ.items() if name != "NMES_PASSWORD"}
+    with subprocess.Popen(
+        [NMES, *arguments],
+        env={**inherited, **environment},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as running:
+        try:
+            yield running
+        finally:
+            running.kill()
+
+
+def ready(server: subprocess.Popen[str]) -> dict[str, Any]:
+    """Returns what `nmes serve --json` says when it is ready."""
+    assert server.stdout is not None
+    line = server.stdout.readline()
+    assert line, server.communicate(timeout=PATIENCE)
+    said = json.loads(line)
+    assert isinstance(said, dict)
+    return said
+
+
+# -- the command line as a whole --------------------------------------------------------------------------------------
+
+
+def test_help_lists_all_and_loads_none_of_them() -> None:
+    code = "import sys; from nmes.cli import main; main(['--help'], standalone_mode=False); print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=PATIENCE)
+    for name, about in SUBCOMMANDS.items():
+        assert re.search(rf"^  {name} +{re.escape(about)}$", done.stdout, flags=re.MULTILINE)
+    loaded = set(done.stdout.splitlines()[-1].split())
+    assert not loaded & {"numpy", "mujoco", "mcap", "asyncio", "jsonschema_rs", "nmes.server", "nmes.cli.serve"}
+
+
+def commands(group: click.Group) -> Iterator[click.Command]:
+    """Yields what a group holds, and what groups in it hold."""
+    with click.Context(group) as context:
+        for name in group.list_commands(context):
+            command = group.get_command(context, name)
+            assert command is not None
+            yield command
+            if isinstance(command, click.Group):
+                yield from commands(command)
+
+
+def test_help_is_as_it_was_meant_to_be_read() -> None:
+    for command in commands(main):
+        said = command.get_help(click.Context(command))
+        assert "\\" not in said and "\b" not in said, said  # marks for layout that came through
+        for line in said.splitlines():
+            assert line.count("nmes ") < 2, line  # examples that have run together
+
+
+def test_version() -> None:
+    result = run("--version")
+    assert result.exit_code == 0
+    assert re.fullmatch(r"\S+ \d+\.\d+\.\d+\n", result.output)
+
+
+def test_an_unknown_subcommand_is_wrong_usage() -> None:
+    assert run("fly").exit_code == 2
+
+
+def test_errors_are_one_line_and_exit_1(monkeypatch: pytest.MonkeyPatch) -> None:
+    @click.command()
+    def failing() -> None:
+        raise RecordingError("damaged", "it ends at byte 7")
+
+    monkeypatch.setitem(SUBCOMMANDS, "failing", "Fail.")
+    module = type(sys)("nmes.cli.failing")
+    monkeypatch.setattr(module, "command", failing, raising=False)
+    monkeypatch.setitem(sys.modules, "nmes.cli.failing", module)
+    result = run("failing")
+    assert (result.exit_code, result.output) == (1, "Error: it ends at byte 7\n")
+
+
+@pytest.mark.parametrize("name", SUBCOMMANDS)
+def test_every_option_is_documented(name: str) -> None:
+    command = main.get_command(click.Context(main), name)
+    assert command is not None
+    part = DOCUMENT.split(f"\n## nmes {name}\n")[1].split("\n## ")[0]
+    said = set(re.findall(r"--[a-z-]+", part))
+    parts = [command, *commands(command)] if isinstance(command, click.Group) else [command]
+    parameters = [parameter for part in parts for parameter in part.params]
+    options = {option for parameter in parameters for option in parameter.opts if option.startswith("--")}
+    assert options <= said
+    assert {option for option in said if f"`{option}" in part} <= options
+
+
+FILES: list[tuple[str, ...]] = [
+    ("info", "FILE"),
+    ("verify", "FILE"),
+    ("verify", "GOOD", "--verify-key", "FILE"),
+    ("sign", "FILE", "--key", "FILE"),
+    ("sign", "GOOD", "--key", "FILE"),
+    ("replay", "FILE"),
+    ("diff", "GOOD", "FILE"),
+    ("export", "FILE", "--to", "csv"),
+    ("fork", "FILE", "-o", "out.mcap"),
+    ("render", "FILE", "-o", "out.png"),
+    ("view", "FILE", "--save", "out.rrd"),
+    ("serve", "--resume", "FILE", "--port", "0"),
+    ("serve", "--config", "FILE", "--port", "0", "--no-record"),
+    ("serve", "--tls-cert", "FILE", "--tls-key", "FILE", "--port", "0", "--no-record"),
+    ("genome", "check", "FILE"),
+    ("genome", "show", "FILE"),
+    ("genome", "expand", "FILE"),
+    ("tasks", "FILE"),
+    ("eval", "FILE"),
+    ("eval", "walker", "--task", "FILE"),
+    ("eval", "--from-recording", "FILE"),
+    ("leaderboard", "add", "out.sqlite", "FILE"),
+    ("leaderboard", "show", "FILE"),
+    ("leaderboard", "verify", "FILE"),
+    ("leaderboard", "export", "FILE", "-o", "out.html"),
+    ("conform", "127.0.0.1:1", "--password", "x", "--replay", "FILE"),
+    ("worlds", "127.0.0.1:1", "--password", "x", "--tls-ca", "FILE"),
+]
+
+
+@pytest.mark.parametrize("arguments", FILES, ids=" ".join)
+def test_a_file_of_nonsense_is_said_and_leaves_nothing(
+    arguments: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "empty").touch()
+    (tmp_path / "noise").write_bytes(random.Random(1).randbytes(4000))
+    (tmp_path / "deep").write_text("[" * 100_000)
+    (tmp_path / "long").write_text(f'{{"format": {"9" * 5000}, "seed": 1e400}}')
+    record(tmp_path / "good.mcap", busy, {"backend": "ballistic"})
+    before = {path.name: path.stat().st_size for path in tmp_path.iterdir()}
+    for name in ("folder", "empty", "noise", "deep", "long", "nowhere"):
+        result = run(*(name if word == "FILE" else "good.mcap" if word == "GOOD" else word for word in arguments))
+        assert isinstance(result.exception, SystemExit) and result.exit_code in (1, 2), (name, result.output)
+        assert name in result.output or name in result.stderr, result.output
+    (tmp_path / "out.sqlite").unlink(missing_ok=True)  # made before its recordings are looked at
+    assert {path.name: path.stat().st_size for path in tmp_path.iterdir()} == before
+
+
+OUTPUTS: list[tuple[str, ...]] = [
+    ("export", "GOOD", "--to", "csv", "-o", "FILE"),
+    ("export", "GOOD", "--to", "parquet", "-o", "FILE"),
+    ("fork", "GOOD", "-o", "FILE"),
+    ("diff", "GOOD", "GOOD", "--plot", "FILE"),
+    ("replay", "GOOD", "--backend", "mujoco", "--plot", "FILE"),
+    ("genome", "show", "walker", "-o", "FILE"),
+    ("leaderboard", "export", "BOARD", "-o", "FILE"),
+    ("leaderboard", "add", "FILE", "GOOD"),
+]
+
+
+@pytest.mark.parametrize("arguments", OUTPUTS, ids=" ".join)
+def test_a_file_that_cannot_be_written_is_said(arguments: tuple[str, ...], tmp_path: Path) -> None:
+    words = {"GOOD": tmp_path / "good.mcap", "BOARD": tmp_path / "board.sqlite", "FILE": tmp_path / "nowhere" / "x"}
+    record(words["GOOD"], busy, {"backend": "ballistic"})
+    Leaderboard(words["BOARD"], create=True).close()
+    result = run(*(str(words.get(word, word)) for word in arguments))
+    assert isinstance(result.exception, SystemExit) and result.exit_code in (1, 2), result.output
+    assert "nowhere" in result.output
+
+
+# -- nmes serve -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_ends_everything_properly(tmp_path: Path, number: int) -> None:
+    options = ["--json", "--port", "0", "--backend", "ballistic", "--mode", "fast", "--seed", "7", "--record"]
+    with process("serve", *options, str(tmp_path), NMES_PASSWORD="secret in the environment") as server:
+        said = ready(server)
+        port = said.pop("port")
+        recording = Path(said.pop("recording"))
+        assert said == {
+            "host": "127.0.0.1",
+            "password_source": "environment",
+            "world": "main",
+            "backend": "ballistic",
+            "mode": "fast",
+            "rate": 1.0,
+            "seed": 7,
+        }
+        with Client(port=port, password="secret in the environment", timeout=PATIENCE) as client:
+            client.spawn_cube("a")
+            client.subscribe(events=["tick"], every=1_000_000)
+            server.send_signal(number)
+            assert [event["type"] for event in client.events() if event["type"] != "tick"] == ["world_closed"]
+        out, log = server.communicate(timeout=PATIENCE)
+        assert server.returncode == 0, log
+        assert "secret" not in out + log
+    assert recording.parent == tmp_path
+    assert Recording(recording).complete
+    assert sum(record.kind is Kind.COMMAND for record in Recording(recording)) == 2
+    assert b"secret" not in recording.read_bytes()
+
+
+def test_it_says_for_people_what_it_does(tmp_path: Path) -> None:
+    with process("serve", "--port", "0", "--backend", "ballistic", "--record", str(tmp_path)) as server:
+        assert server.stdout is not None
+        lines = [server.stdout.readline() for _ in range(5)]
+        text = "".join(lines)
+        assert re.match(r"World 'main': ballistic \S+, realtime x 1, seed 0\nListening on 127\.0\.0\.1:\d+\n", text)
+        password = re.search(r"^Password: (\S+)  \(made up for this run\)$", text, flags=re.MULTILINE)
+        port = re.search(r":(\d+)$", lines[1])
+        assert password and port
+        assert f"Recording to {tmp_path}/main-" in text
+        with Client(port=int(port[1]), password=password[1], timeout=PATIENCE) as client:
+            assert client.ping()
+        server.terminate()
+        out, log = server.communicate(timeout=PATIENCE)
+        assert re.fullmatch(r"Stopped at frame \d+\n", out)
+        assert server.returncode == 0, log
+
+
+def test_a_config_file_and_options_that_win_over_it(tmp_path: Path) -> None:
+    (tmp_path / "world.json").write_text('{"name": "arena", "backend": "ballistic", "seed": 3, "tick_rate": 100}')
+    (tmp_path / "password").write_text("secret of a file\nsecond line\n")
+    options = ["--config", str(tmp_path / "world.json"), "--password-file", str(tmp_path / "password")]
+    with process("serve", "--json", "--port", "0", "--no-record", "--seed", "4", *options) as server:
+        said = ready(server)
+        assert said["recording"] is None
+        assert said["password_source"] == "file"
+        assert "password" not in said
+        with Client(port=said["port"], password="secret of a file", world="arena", timeout=PATIENCE) as client:
+            config = client.get_world_info()["config"]
+        assert (config["name"], config["seed"], config["tick_rate"]) == ("arena", 4, 100)
+        server.terminate()
+        assert server.wait(PATIENCE) == 0
+
+
+def test_a_landscape_s_image_comes_from_beside_the_config(tmp_path: Path) -> None:
+    (tmp_path / "below").mkdir()
+    Image.linear_gradient("L").save(tmp_path / "below" / "hills.png")
+    scene = {"type": "heightfield", "heightfield": {"image_file": "hills.png"}}
+    (tmp_path / "below" / "world.json").write_text(json.dumps({"scene": scene, "mode": "lockstep"}))
+    options = ["--config", str(tmp_path / "below" / "world.json"), "--password", "p", "--record", str(tmp_path)]
+    with process("serve", "--json", "--port", "0", *options) as server:
+        said = ready(server)
+        server.terminate()
+        assert server.wait(PATIENCE) == 0
+    image = Recording(Path(said["recording"])).config["scene"]["heightfield"]["image"]
+    assert base64.b64decode(image) == (tmp_path / "below" / "hills.png").read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("options", "config", "says"),
+    [
+        (["--host", "0.0.0.0"], None, "0.0.0.0 can be reached from elsewhere: give a password"),
+        (["--host", "example.org"], None, "give a password"),
+        (["--password", ""], None, "is empty"),
+        (["--password", "a", "--password-file", "world.json"], "{}", "not both"),
+        (["--password-file", "nowhere"], None, "nowhere"),
+        (["--mode", "slow"], None, "slow"),
+        (["--rate", "0"], None, "rate"),
+        (["--port", "65536"], None, "65536"),
+        (["--config", "nowhere.json"], None, "nowhere.json"),
+        (["--config", "world.json"], "{", "world.json: "),
+        (["--config", "world.json"], "[]", "a world config is a JSON object"),
+        (["--config", "world.json"], "[" * 100_000, "world.json: not strict JSON"),
+        (["--config", "world.json"], '{"seed": 1, "seed": 2}', "duplicate key"),
+        (["--config", "world.json"], '{"substeps": 0}', "substeps: "),
+        (["--config", "world.json"], '{"limits": {"cubes": "many"}}', "limits/cubes: "),
+        (["--config", "world.json"], '{"gravitiy": [0, 0, 0]}', "gravitiy: "),
+        (["--config", "world.json"], '{"scene": {"type": "heightfield"}}', "ballistic backend has no scenery"),
+        (
+            ["--config", "world.json"],
+            '{"scene": {"type": "heightfield", "heightfield": {"image_file": "nowhere.png"}}}',
+            "scene/heightfield/image_file: ",
+        ),
+    ],
+)
+def test_wrong_usage_exits_2_and_names_what_is_wrong(
+    options: list[str], config: str | None, says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    if config is not None:
+        Path("world.json").write_text(config)
+    result = run("serve", "--no-record", "--port", "0", "--backend", "ballistic", *options)
+    assert result.exit_code == 2, result.output
+    assert says in result.output
+    assert result.exception is None or isinstance(result.exception, SystemExit)
+
+
+def test_an_unreadable_password_file(tmp_path: Path) -> None:
+    (tmp_path / "password").write_bytes(b"\xff")
+    result = run("serve", "--no-record", "--password-file", str(tmp_path / "password"))
+    assert result.exit_code == 2
+    (tmp_path / "password").write_bytes(b"")
+    assert run("serve", "--no-record", "--password-file", str(tmp_path / "password")).exit_code == 2
+
+
+def test_what_cannot_be_done_exits_1_with_one_line(tmp_path: Path) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        result = run("serve", "--no-record", "--backend", "ballistic", "--port", port)
+    assert result.exit_code == 1
+    assert re.fullmatch(rf"Error: cannot listen on 127\.0\.0\.1:{port}: .+\n", result.output)
+    result = run("serve", "--no-record", "--backend", "mojoco")
+    assert result.exit_code == 1
+    assert result.output.startswith("Error: ") and "did you mean 'mujoco'" in result.output
+    (tmp_path / "file").touch()
+    result = run("serve", "--backend", "ballistic", "--port", "0", "--record", str(tmp_path / "file" / "below"))
+    assert result.exit_code == 1
+    assert result.output.startswith("Error: cannot make ")

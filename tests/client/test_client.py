@@ -1,0 +1,530 @@
+from __future__ import annotations
+
+import asyncio
+import inspect
+import json
+import socket
+import threading
+import typing
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+import nmes
+from nmes import protocol
+from nmes.client import AsyncClient, Client, commands, replies
+from nmes.client.client import EVENT_BACKLOG
+from nmes.client.commands import BlockingCommands, Commands
+from nmes.client.replies import Event
+from nmes.errors import CommandFailed, Disconnected
+from nmes.protocol import DELIMITER
+from serving import PASSWORD, PATIENCE, Served, served
+
+
+@pytest.fixture
+def server() -> Iterator[Served]:
+    with served() as running:
+        yield running
+
+
+@pytest.fixture
+def client(server: Served) -> Iterator[Client]:
+    with server.client() as connected:
+        yield connected
+
+
+def async_client(server: Served, **options: Any) -> AsyncClient:
+    return AsyncClient(port=server.port, **{"password": PASSWORD, "timeout": PATIENCE, **options})
+
+
+class Scripted:
+    """The server's end of a connection, played by a test: any client gets in, then the script goes on."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._socket = connection
+        self._buffer = b""
+        self.hear()
+        self.say({"type": "auth_success"})
+
+    def hear(self) -> Any:
+        while DELIMITER not in self._buffer:
+            data = self._socket.recv(1 << 16)
+            if not data:
+                raise EOFError
+            self._buffer += data
+        frame, self._buffer = self._buffer.split(DELIMITER, 1)
+        return json.loads(frame)
+
+    def say(self, *messages: Any) -> None:
+        self.send(b"".join(json.dumps(message).encode() + DELIMITER for message in messages))
+
+    def send(self, data: bytes) -> None:
+        self._socket.sendall(data)
+
+
+@contextmanager
+def scripted(script: Callable[[Scripted], None]) -> Iterator[int]:
+    """Serves each connection with a script and then hangs up; yields the port."""
+    listener = socket.create_server(("127.0.0.1", 0))
+
+    def serve() -> None:
+        while True:
+            try:
+                connection, _ = listener.accept()
+            except OSError:
+                return
+            with connection:
+                try:
+                    script(Scripted(connection))
+                except (EOFError, OSError):
+                    pass
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    try:
+        yield listener.getsockname()[1]
+    finally:
+        listener.shutdown(socket.SHUT_RDWR)
+        listener.close()
+        thread.join(PATIENCE)
+
+
+# -- the declarations and the schemas ---------------------------------------------------------------------------------
+
+
+def declared() -> dict[str, Any]:
+    return {name: value.__wrapped__ for name, value in vars(Commands).items() if isinstance(value, commands.command)}
+
+
+def check_shape(typed: Any, schema: Any) -> None:
+    """Compares a TypedDict with a schema, all the way down."""
+    hints = typing.get_type_hints(typed, include_extras=True)
+    assert set(hints) == set(schema["properties"]) - {"id"}
+    required = {name for name, kind in hints.items() if typing.get_origin(kind) is not typing.NotRequired}
+    assert required == set(schema["required"])
+    for name, kind in hints.items():
+        part = schema["properties"][name]
+        if typing.is_typeddict(kind):
+            check_shape(kind, part)
+        elif typing.get_origin(kind) is list and typing.is_typeddict(typing.get_args(kind)[0]):
+            check_shape(typing.get_args(kind)[0], part["items"])
+        elif typing.get_origin(kind) is typing.Literal:
+            assert typing.get_args(kind) == (tuple(part["enum"]) if "enum" in part else (part["const"],))
+
+
+@pytest.mark.parametrize("name", sorted(set(protocol.COMMANDS) | set(declared())))
+def test_every_command_is_declared_as_its_schema_says(name: str) -> None:
+    schema = protocol.COMMANDS[name]
+    declaration = declared()[name]
+    parameters = list(inspect.signature(declaration).parameters.values())[1:]
+    required = set(schema.schema["required"]) - {"type"}
+    assert {parameter.name for parameter in parameters} == set(schema.schema["properties"]) - {"type", "id"}
+    assert {parameter.name for parameter in parameters if parameter.default is parameter.empty} == required
+    assert declaration.__doc__
+    (reply,) = typing.get_args(typing.get_type_hints(declaration, vars(commands))["return"])
+    check_shape(reply, protocol.REPLIES[schema.reply].schema)
+
+
+@pytest.mark.parametrize("name", sorted(protocol.EVENTS))
+def test_every_event_is_declared_as_its_schema_says(name: str) -> None:
+    kinds = {typing.get_args(typing.get_type_hints(kind)["type"])[0]: kind for kind in typing.get_args(Event)}
+    assert set(kinds) == set(protocol.EVENTS)
+    check_shape(kinds[name], protocol.EVENTS[name].schema)
+
+
+def test_the_welcome_and_the_choices_are_as_their_schemas_say() -> None:
+    check_shape(replies.AuthSuccess, protocol.REPLIES["auth_success"].schema)
+    check_shape(replies.WorldList, protocol.REPLIES["world_list"].schema)
+    create_joint, set_mode = protocol.COMMANDS["create_joint"].schema, protocol.COMMANDS["set_mode"].schema
+    assert set(typing.get_args(replies.JointType)) == set(create_joint["properties"]["joint_type"]["enum"])
+    assert set(typing.get_args(replies.Mode)) == set(set_mode["properties"]["mode"]["enum"])
+
+
+# -- every command ----------------------------------------------------------------------------------------------------
+
+
+class Checked(BlockingCommands):
+    """Sends what a client sends, and checks each reply against its schema."""
+
+    def __init__(self, client: Client) -> None:
+        self._client = client
+        self.used: set[str] = set()
+
+    def request(self, message: Any) -> Any:
+        reply = self._client.request(message)
+        protocol.validate_reply(reply)
+        assert reply["type"] == protocol.COMMANDS[message["type"]].reply
+        self.used.add(message["type"])
+        return reply
+
+
+def test_every_command_works_once() -> None:
+    with served({"backend": "mujoco"}) as server, server.client() as client:
+        c = Checked(client)
+        assert c.ping() == {"type": "pong"}
+        assert c.spawn_cube("a", position=[0, 2, 0], size=0.5, mass=2, is_base=True)["spawned"] == "a_BASE"
+        assert c.spawn_cube("b", position=np.array([1, 2, 0]), mass=None, list=False) == {
+            "type": "cube_list",
+            "spawned": "b",
+        }
+        joint = c.create_joint("a_BASE", "b", "hinge", axis=[0, 0, 1], limits=[-1, 1])["joint_name"]
+        assert c.set_joint_param(joint, "motor_target_velocity", np.float64(1.5))["value"] == 1.5
+        assert [j["joint_name"] for j in c.get_joint_list()["joints"]] == [joint]
+        assert c.get_joint_info(joint)["params"]["limit_upper"] == 1
+        assert c.apply_physics("b", torque=[0, 0, 1])["cube_name"] == "b"
+        assert c.apply_force(force=[0, 0, 1])["cube_name"] == "b"
+        assert c.step(2)["frame"] == 2
+        assert c.get_cube_state("b")["cube_name"] == "b"
+        assert c.get_cube_info("a_BASE")["frozen"]
+        seen = c.get_cube_info("b", sensors=True, rays=[[0, -1, 0]], max_range=9.5)
+        assert seen["ranges"] == [pytest.approx(2, abs=1)]
+        assert len(c.get_world_state()["cubes"]) == 2
+        assert [len(cube["gyro"]) for cube in c.get_world_state(sensors=True)["cubes"]] == [3, 3]
+        assert [cube["cube_name"] for cube in c.get_world_state(cubes=["b"])["cubes"]] == ["b"]
+        assert c.remove_joint(joint)["joint_name"] == joint
+        assert c.set_cube_state("b", position=[5, 5, 5])["cube_name"] == "b"
+        assert c.freeze_cube("a_BASE", False)["freeze"] is False
+        assert c.get_cube_list()["cubes"] == ["a_BASE", "b"]
+        assert c.despawn_cube("b") == {"type": "cube_despawned", "cube_name": "b", "joints": []}
+        assert c.get_world_info()["counts"] == {"cubes": 1, "joints": 0, "clients": 1}
+        assert c.get_planets()["planets"] == []
+        rocker = protocol.COMMANDS["spawn_creature"].schema["examples"][0]["genome"]
+        assert c.spawn_creature(rocker, name="r", position=[3, 0, 0])["motors"] == ["shoulder"]
+        assert c.drive("r", [0.5])["creature"] == "r"
+        assert len(c.sense("r")["values"]) == 12
+        assert c.set_objective("height", creature="r", target=[1, 0, 0])["needs"] == ["height"]
+        assert c.set_objective("time", name="b", cubes=["a_BASE"])["cubes"] == ["a_BASE"]
+        assert c.compute_reward(objective="b")["value"] == 0.0
+        assert c.compute_reward(metric="displacement", cube="a_BASE", axis=[0, 0, 1])["metric"] == "displacement"
+        assert c.compute_reward(metric="distance", cube="a_BASE", target=[0, 0, 0])["value"] > 0.0
+        assert c.subscribe(events=["state"], every=2)["every"] == 2
+        assert c.unsubscribe()
+        assert c.batch([{"type": "ping"}, {"type": "step"}])["results"][1]["frame"] == 3
+        assert c.set_mode("realtime", rate=2) == {"type": "mode_set", "mode": "realtime", "rate": 2}
+        c.pause()
+        c.resume()
+        assert c.reset(seed=5)["seed"] == 5
+        optional = {"create_bone", "get_camera"}  # an engine, or the machine, may lack it
+        assert set(protocol.COMMANDS) - c.used == optional
+        with pytest.raises(CommandFailed):
+            c.create_bone("a", "b", snake_id="s")
+
+
+def test_arguments_are_checked_as_any_function_s(client: Client) -> None:
+    with pytest.raises(TypeError, match="cube_name"):
+        client.despawn_cube()  # type: ignore[call-arg]
+    with pytest.raises(TypeError, match="colour"):
+        client.spawn_cube(colour=[1, 0, 0])  # type: ignore[call-arg]
+    assert client.get_cube_list()["cubes"] == []
+
+
+def test_a_refused_command_raises_its_code(client: Client) -> None:
+    with pytest.raises(CommandFailed, match="there is no cube 'x'") as failed:
+        client.get_cube_info("x")
+    assert (failed.value.code, failed.value.path) == ("cube_not_found", "cube_name")
+    with pytest.raises(CommandFailed) as failed:
+        client.request({"type": "fly"})
+    assert failed.value.code == "unknown_type"
+    with pytest.raises(TypeError):
+        client.request({"type": "ping", "x": object()})
+    assert client.ping() == {"type": "pong"}
+
+
+# -- connecting -------------------------------------------------------------------------------------------------------
+
+
+def test_connecting(server: Served) -> None:
+    client = server.client()
+    with pytest.raises(Disconnected) as lost:
+        client.ping()
+    assert lost.value.code == "not_connected"
+    with pytest.raises(Disconnected):
+        _ = client.welcome
+    with client.connect():
+        assert client.welcome["client"] == 1
+        with pytest.raises(RuntimeError, match="connected already"):
+            client.connect()
+        with client as same:
+            assert same is client
+    client.close()
+    with pytest.raises(Disconnected, match="was closed"):
+        client.ping()
+    assert PASSWORD not in repr(client)
+
+
+def test_a_wrong_password_or_world_is_a_failed_command(server: Served) -> None:
+    for options, code in [({"password": "guess"}, "auth_failed"), ({"world": "elsewhere"}, "world_not_found")]:
+        with pytest.raises(CommandFailed) as failed:
+            server.client(**options).connect()
+        assert failed.value.code == code
+
+
+def test_nobody_there() -> None:
+    with socket.socket() as unused:
+        unused.bind(("127.0.0.1", 0))
+        port = unused.getsockname()[1]
+        with pytest.raises(Disconnected, match=rf"cannot connect to 127\.0\.0\.1:{port}") as lost:
+            Client(port=port, password="x").connect()
+        assert lost.value.code == "unreachable"
+        with pytest.raises(Disconnected, match="cannot connect"):
+            asyncio.run(AsyncClient(port=port, password="x").connect())
+
+
+def test_reconnecting_makes_another_client(server: Served, client: Client) -> None:
+    client.spawn_cube("a")
+    client.subscribe()
+    client.step()
+    assert client.reconnect().welcome["client"] == 2
+    assert list(client.events(timeout=0)) == []
+    with pytest.raises(CommandFailed) as failed:
+        client.get_cube_state()
+    assert failed.value.code == "nothing_owned"
+    assert client.get_cube_list()["cubes"] == ["a"]
+
+
+# -- pipelines --------------------------------------------------------------------------------------------------------
+
+
+def test_a_pipeline_is_sent_before_any_reply_is_awaited() -> None:
+    def script(end: Scripted) -> None:
+        asked = [end.hear() for _ in range(3)]
+        end.say(*({"type": "pong", "id": message["id"], "of": message["type"]} for message in asked))
+
+    with scripted(script) as port, Client(port=port, password="x", timeout=PATIENCE) as client:
+        with client.pipeline() as together:
+            together.apply_physics("a", force=[1, 0, 0])
+            together.step()
+            seen = together.get_cube_info("a")
+            with pytest.raises(RuntimeError, match="has not come"):
+                seen.result()
+        assert json.loads(json.dumps(seen.result()))["of"] == "get_cube_info"
+
+
+def test_a_pipeline_raises_its_first_failure_and_keeps_the_other_results(client: Client) -> None:
+    with pytest.raises(CommandFailed, match="'x'"), client.pipeline() as together:
+        first = together.spawn_cube("a")
+        together.get_cube_info("x")
+        together.get_cube_info("y")
+        last = together.get_cube_list()
+    assert first.result()["spawned"] == "a"
+    assert last.result()["cubes"] == ["a"]
+
+
+def test_an_empty_pipeline_and_one_that_was_given_up_send_nothing(client: Client) -> None:
+    with client.pipeline():
+        pass
+    with pytest.raises(ZeroDivisionError), client.pipeline() as together:
+        together.spawn_cube("a")
+        _ = 1 / 0
+    assert client.get_cube_list()["cubes"] == []
+
+
+def test_a_pipeline_larger_than_all_buffers(client: Client) -> None:
+    color = [0.123456789] * 3
+    with client.pipeline() as many:
+        for _ in range(10_000):
+            many.spawn_cube(color=color, position=[0.123456789] * 3, list=False)
+            many.get_cube_state()
+    assert many.calls[-1].result()["cube_name"] == many.calls[-2].result()["spawned"]
+
+
+# -- what may go wrong ------------------------------------------------------------------------------------------------
+
+
+def test_a_late_reply_is_not_mistaken_for_the_next() -> None:
+    ready = threading.Event()
+
+    def script(end: Scripted) -> None:
+        late = end.hear()
+        assert ready.wait(PATIENCE)
+        end.say({"type": "pong", "id": late["id"], "n": 1})
+        end.say({"type": "pong", "id": end.hear()["id"], "n": 2})
+
+    with scripted(script) as port, Client(port=port, password="x", timeout=PATIENCE) as client:
+        client.timeout = 0.05
+        with pytest.raises(TimeoutError, match=r"did not answer within 0\.05 s"):
+            client.ping()
+        client.timeout = PATIENCE
+        ready.set()
+        assert client.request({"type": "ping"}) == {"type": "pong", "n": 2}
+
+
+@pytest.mark.parametrize(
+    ("answer", "code"),
+    [
+        (b"", "disconnected"),
+        (b'{"type":"po', "disconnected"),
+        (b'{"type":"error","code":"slow_consumer","message":"read!"}' + DELIMITER, "slow_consumer"),
+        (b"nonsense" + DELIMITER, "bad_reply"),
+        (b"[]" + DELIMITER, "bad_reply"),
+        (b'{"type":"pong","id":99}' + DELIMITER, "bad_reply"),
+    ],
+)
+def test_a_lost_connection_says_why(answer: bytes, code: str) -> None:
+    def script(end: Scripted) -> None:
+        end.hear()
+        end.send(answer)
+
+    async def by_await(port: int) -> None:
+        async with AsyncClient(port=port, password="x", timeout=PATIENCE) as client:
+            await client.ping()
+
+    with scripted(script) as port:
+        with pytest.raises(Disconnected) as lost, Client(port=port, password="x", timeout=PATIENCE) as client:
+            client.ping()
+        assert lost.value.code == code
+        with pytest.raises(Disconnected) as lost:
+            asyncio.run(by_await(port))
+        assert lost.value.code == code
+
+
+@pytest.mark.parametrize("last_word", [b"", b'{"type":"error","code":"slow_consumer","message":""}' + DELIMITER])
+def test_a_connection_lost_while_sending(last_word: bytes) -> None:
+    with scripted(lambda end: end.send(last_word)) as port:
+        with Client(port=port, password="x", timeout=PATIENCE) as client:
+            with pytest.raises(Disconnected), client.pipeline() as many:
+                for _ in range(100_000):
+                    many.ping()
+
+
+def test_a_server_that_never_answers_auth() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        port = silent.getsockname()[1]
+        with pytest.raises(TimeoutError):
+            Client(port=port, password="x", timeout=0.05).connect()
+        with pytest.raises(TimeoutError):
+            asyncio.run(AsyncClient(port=port, password="x", timeout=0.05).connect())
+
+
+# -- events -----------------------------------------------------------------------------------------------------------
+
+
+def test_events_are_kept_until_asked_for(client: Client) -> None:
+    client.subscribe(events=["tick"])
+    client.step(3)
+    assert [event["frame"] for event in client.events(timeout=0) if event["type"] == "tick"] == [1, 2, 3]
+
+
+def test_events_that_nobody_takes_are_forgotten_from_the_oldest_on(client: Client) -> None:
+    client.subscribe(events=["tick"])
+    with client.pipeline() as together:
+        together.step(10_000)
+        together.step(10)
+    frames = [event["frame"] for event in client.events(timeout=0) if event["type"] == "tick"]
+    assert len(frames) == EVENT_BACKLOG
+    assert frames[-1] == 10_010
+
+
+def test_events_go_to_the_callback_and_what_it_raises_loses_nothing(server: Served) -> None:
+    seen: list[Event] = []
+
+    def take(event: Event) -> None:
+        seen.append(event)
+        if len(seen) == 1:
+            raise KeyError("mine")
+
+    with server.client(on_event=take) as client:
+        client.subscribe(events=["tick"])
+        with pytest.raises(KeyError):
+            client.step(3)
+        assert client.ping() == {"type": "pong"}
+        assert len(seen) == 3
+
+
+def test_iteration_ends_with_the_world(server: Served, client: Client) -> None:
+    client.subscribe()
+    server.close()
+    assert [event["type"] for event in client.events()] == ["world_closed"]
+    with pytest.raises(Disconnected) as lost:
+        client.ping()
+    assert lost.value.code == "world_closed"
+
+
+def test_iteration_over_a_lost_connection_raises() -> None:
+    with scripted(lambda end: end.say({"type": "tick", "frame": 1, "t": 0})) as port:
+        with Client(port=port, password="x") as client:
+            events = client.events()
+            assert next(events)["type"] == "tick"
+            with pytest.raises(Disconnected):
+                next(events)
+
+
+# -- awaited ----------------------------------------------------------------------------------------------------------
+
+
+async def test_many_tasks_share_a_connection(server: Served) -> None:
+    async with async_client(server) as client:
+        spawned = await asyncio.gather(*(client.spawn_cube(f"c{n}", list=False) for n in range(100)))
+        assert [reply["spawned"] for reply in spawned] == [f"c{n}" for n in range(100)]
+        with pytest.raises(CommandFailed):
+            await client.get_cube_info("x")
+        async with client.pipeline() as together:
+            together.apply_physics("c1", force=[60, 0, 0])
+            together.step()
+            seen = together.get_cube_state("c1")
+        assert seen.result()["linear_velocity"][0] == pytest.approx(1.0)
+        with pytest.raises(RuntimeError, match="connected already"):
+            await client.connect()
+        await client.reconnect()
+        assert client.welcome["client"] == 2
+    with pytest.raises(Disconnected):
+        await client.ping()
+
+
+async def test_awaited_events(server: Served) -> None:
+    seen: list[Event] = []
+    async with async_client(server) as client, async_client(server, on_event=seen.append) as other:
+        await client.subscribe(events=["tick"])
+        await other.subscribe(events=["tick"])
+        asyncio.get_running_loop().call_later(0.05, asyncio.ensure_future, other.step(2))
+        frames = []
+        async for event in client.events():
+            assert event["type"] == "tick"
+            frames.append(event["frame"])
+            if len(frames) == 2:
+                break
+        assert frames == [1, 2]
+        await other.ping()
+        assert len(seen) == 2
+        assert [event async for event in client.events(timeout=0.01)] == []
+        await asyncio.to_thread(server.close)
+        assert [event["type"] async for event in client.events()] == ["world_closed"]
+
+
+async def test_closing_while_a_reply_is_awaited() -> None:
+    with scripted(lambda end: end.hear() and end.hear()) as port:
+        client = await AsyncClient(port=port, password="x", timeout=PATIENCE).connect()
+        waiting = asyncio.ensure_future(client.ping())
+        await asyncio.sleep(0)
+        await client.close()
+        with pytest.raises(Disconnected):
+            await waiting
+
+
+async def test_a_late_reply_is_dropped_by_the_awaiting_client_too() -> None:
+    ready = threading.Event()
+
+    def script(end: Scripted) -> None:
+        late = end.hear()
+        assert ready.wait(PATIENCE)
+        end.say({"type": "pong", "id": late["id"], "n": 1})
+        end.say({"type": "pong", "id": end.hear()["id"], "n": 2})
+
+    with scripted(script) as port:
+        async with AsyncClient(port=port, password="x", timeout=0.05) as client:
+            with pytest.raises(TimeoutError):
+                await client.ping()
+            client.timeout = PATIENCE
+            ready.set()
+            assert await client.request({"type": "ping"}) == {"type": "pong", "n": 2}
+
+
+def test_the_package_s_front_is_light_and_complete() -> None:
+    assert nmes.Client is Client
+    assert nmes.AsyncClient is AsyncClient
+    assert nmes.World.__module__ == "nmes.world.world"
+    with pytest.raises(AttributeError, match="no attribute 'Clint'"):
+        _ = nmes.Clint

@@ -1,0 +1,251 @@
+"""`nmes eval`: tables, files, processes, interruptions."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import pytest
+from click.testing import CliRunner, Result
+from test_evaluation import DASH
+
+from creatures import cpg, exploding, mlp, snake
+from nmes.cli import main
+from nmes.evaluation import scores_so_far
+from nmes.recording import Recording
+from nmes.world import World
+from recordings import record, send
+
+NMES = str(Path(sys.executable).parent / "nmes")
+PATIENCE = 60
+
+
+def run(*arguments: str | Path | int) -> Result:
+    return CliRunner().invoke(main, ["eval", *map(str, arguments)])
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    """A folder with a task and, in `zoo`, three creatures and something that is none."""
+    (tmp_path / "dash.json").write_text(json.dumps(DASH))
+    zoo = tmp_path / "zoo"
+    zoo.mkdir()
+    for name, brain in {"a-wave": None, "b-cpg": cpg(4), "c-net": mlp(4)}.items():
+        (zoo / f"{name}.json").write_text(json.dumps(snake(brain, name=name) if brain else snake(name=name)))
+    (zoo / "d-ill.json").write_text(json.dumps(snake(name="ill", body={"cubes": []})))
+    return tmp_path
+
+
+def timeless(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [{key: value for key, value in each.items() if key not in ("wall_seconds", "recordings")} for each in found]
+
+
+def test_results_do_not_depend_on_processes_order_or_recording(folder: Path) -> None:
+    task = ("--task", folder / "dash.json", "--json")
+    whole = run(folder / "zoo", *task, "--jobs", 2)
+    assert whole.exit_code == 1  # of the one that is ill
+    found = json.loads(whole.stdout)
+    assert [each["genome"] for each in found] == ["a-wave", "b-cpg", "c-net", "d-ill"]
+    assert "cubes" in found[3]["error"] and found[3]["score"] is None
+    alone = run(folder / "zoo" / "c-net.json", folder / "zoo" / "b*.json", *task, "--jobs", 1, "--record", folder / "r")
+    assert alone.exit_code == 0
+    assert timeless(json.loads(alone.stdout)) == timeless([found[2], found[1]])
+    # In a fresh process, from nothing but the recordings.
+    recordings = [path for each in json.loads(alone.stdout) for path in each["recordings"]]
+    command = [NMES, "eval", "--json", "--from-recording", *reversed(recordings)]
+    again = subprocess.run(command, capture_output=True, timeout=PATIENCE)
+    assert again.returncode == 0, again.stderr
+    assert timeless(json.loads(again.stdout)) == timeless([found[1], found[2]])
+
+
+def test_a_table_and_csv(folder: Path) -> None:
+    (folder / "bang.json").write_text(json.dumps(exploding()))
+    table = run(
+        folder / "bang.json",
+        folder / "zoo" / "a-wave.json",
+        folder / "zoo" / "d-ill.json",
+        "--task",
+        folder / "dash.json",
+        "--seeds",
+        4,
+        "--jobs",
+        1,
+    )
+    assert table.exit_code == 1
+    assert "a-wave" in table.stdout and "dash" in table.stdout and "d-ill: body/cubes" in table.stdout
+    assert "bang, seed 4, tick" in table.stdout and "diverged: the engine diverged" in table.stdout
+    rows = run(folder / "zoo" / "a-wave.json", "--task", folder / "dash.json", "--csv", "--seeds", "4,7-9", "--jobs", 1)
+    (row,) = csv.DictReader(io.StringIO(rows.stdout))
+    assert row["genome"] == "a-wave" and float(row["score"]) > -1.0 and row["faults"] == "0"
+
+
+def test_a_table_fits_80_columns_and_tells_namesakes_apart(folder: Path) -> None:
+    for i in range(2):
+        (folder / f"{i}.json").write_text(json.dumps(snake(name="sidewinder", author=f"author {i}")))
+    table = run(folder / "0.json", folder / "1.json", "--task", "walk", "--seeds", "4-6,9", "--jobs", 1).stdout
+    rows = [line.split() for line in table.splitlines() if line.startswith("sidewinder")]
+    assert [row[0] for row in rows] == ["sidewinder"] * 2 and rows[0][1] != rows[1][1]
+    assert all(row[2:4] == ["walk", "4-6,9"] and len(row) == 10 for row in rows)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ([], "name a genome"),
+        (["nobody"], "there is no file nobody"),
+        (["x.json", "--seeds", "1,x"], "no list of seeds"),
+        (["x.json", "--seeds", "1,1"], "each once"),
+        (["x.json", "--json", "--csv"], "either --json or --csv"),
+        (["x.json", "--jobs", "2", "--ray", "auto"], "either --jobs or --ray"),
+        (["--task", "walk", "--from-recording", __file__], "only --json, --csv and --plot go with it"),
+        (["--seeds", "1", "--from-recording", __file__], "only --json, --csv and --plot go with it"),
+        ([str(Path(__file__).parent)], "no .json file"),
+    ],
+)
+def test_wrong_usage_is_said(arguments: list[str], said: str) -> None:
+    result = run(*arguments)
+    assert result.exit_code == 2 and said in result.stderr
+
+
+def test_what_is_no_task_or_recording_is_said(folder: Path) -> None:
+    result = run(folder / "zoo", "--task", "wlak")
+    assert result.exit_code == 2 and "did you mean walk?" in result.stderr
+    result = run("--from-recording", folder / "dash.json")
+    assert result.exit_code == 1 and "dash.json" in result.stderr
+
+
+def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(folder: Path) -> None:
+    many = folder / "many"
+    many.mkdir()
+    for i in range(200):  # more than are done before anybody can press a key
+        (many / f"{i:03}.json").write_text(json.dumps(snake(mlp(4, seed=i), name=f"n{i}")))
+    kept = folder / "kept.jsonl"
+    command = [NMES, "eval", str(many), "--task", str(folder / "dash.json"), "--jobs", "2", "--json"]
+    with subprocess.Popen([*command, "--resume", str(kept)], stderr=subprocess.PIPE, stdout=subprocess.PIPE) as running:
+        deadline = time.monotonic() + PATIENCE
+        while not (kept.exists() and kept.read_bytes().count(b"\n") >= 3):
+            assert time.monotonic() < deadline and running.poll() is None
+            time.sleep(0.01)
+        running.send_signal(signal.SIGINT)
+        stdout, stderr = running.communicate(timeout=PATIENCE)
+    done = kept.read_bytes().count(b"\n")
+    assert running.returncode == 1 and 3 <= done < 200
+    assert b"of 200 done" in stderr and b"the same command goes on" in stderr and b"Traceback" not in stderr
+    assert len(json.loads(stdout)) == done
+    with kept.open("ab") as file:  # as a run that was killed in the midst of a line leaves it
+        file.write(b'{"key": "')
+    name = json.loads(kept.read_bytes().splitlines()[0])["genome"]
+    one_done = many / f"{int(name[1:]):03}.json"
+    some = (one_done, many / "199.json", "--task", folder / "dash.json", "--json", "--jobs", 1)
+    rest = run(*some, "--resume", kept)
+    assert rest.exit_code == 0 and kept.read_bytes().count(b"\n") == done + 1
+    assert timeless(json.loads(rest.stdout)) == timeless(json.loads(run(*some).stdout))
+
+
+def test_without_a_file_to_resume_from_ctrl_c_makes_one(folder: Path) -> None:
+    for i in range(200):  # as above
+        (folder / "zoo" / f"x{i:03}.json").write_text(json.dumps(snake(mlp(4, seed=i))))
+    command = [NMES, "eval", str(folder / "zoo"), "--task", str(folder / "dash.json"), "--jobs", "1", "--record", "r"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, stdout=subprocess.PIPE, cwd=folder) as running:
+        deadline = time.monotonic() + PATIENCE
+        while not (folder / "r").is_dir() or len(list((folder / "r").glob("*.mcap"))) < 4:
+            assert time.monotonic() < deadline and running.poll() is None
+            time.sleep(0.01)
+        running.send_signal(signal.SIGINT)
+        stdout, stderr = running.communicate(timeout=PATIENCE)
+    assert running.returncode == 1, stderr
+    found = list(folder.glob("eval-*.jsonl"))
+    assert len(found) == 1, stderr
+    (kept,) = found
+    assert f"--resume {kept.name}" in stderr.decode() and b"a-wave" in stdout
+    assert len(kept.read_bytes().splitlines()) >= 1
+    # What has the name of a recording is one.
+    assert all(path.stat().st_size > 10_000 for path in (folder / "r").glob("*.mcap"))
+
+
+@pytest.mark.long
+def test_a_ray_cluster_gives_the_same(folder: Path) -> None:
+    pytest.importorskip("ray")
+    command = [NMES, "eval", str(folder / "zoo"), "--task", str(folder / "dash.json"), "--json"]
+    quiet = {**os.environ, "RAY_AUTH_MODE": "disabled", "RAY_USAGE_STATS_ENABLED": "0"}
+    cluster, here = (
+        subprocess.run([*command, *more], capture_output=True, timeout=300, env=quiet)
+        for more in (("--ray", "local"), ("--jobs", "1"))
+    )
+    assert cluster.returncode == here.returncode == 1, cluster.stderr
+    assert timeless(json.loads(cluster.stdout)) == timeless(json.loads(here.stdout))
+
+
+SVG = "{http://www.w3.org/2000/svg}"
+
+
+def drawn(path: Path, title: str) -> list[list[tuple[float, float]]]:
+    """The curves of a panel of a plot, as points of the picture."""
+    curves: dict[str, list[list[tuple[float, float]]]] = {}
+    panel = ""
+    for element in ElementTree.parse(path).getroot().iter():
+        if element.get("font-weight") == "bold":
+            panel = element.text or ""
+        elif element.tag == f"{SVG}polyline":
+            points = [tuple(map(float, point.split(","))) for point in (element.get("points") or "").split()]
+            curves.setdefault(panel, []).append([(x, y) for x, y in points])
+    return curves[title]
+
+
+def test_plots_show_score_height_energy_and_gait(folder: Path) -> None:
+    task = ("--task", folder / "dash.json", "--seeds", "1,2", "--json")
+    made = run(folder / "zoo" / "b-cpg.json", *task, "--record", folder / "r", "--plot", folder / "made.svg")
+    assert made.exit_code == 0, made.output
+    (found,) = json.loads(made.stdout)
+    for title in ("score so far", "height of the middle (m)", "speed of the middle (m/s)", "work of the motors (J)"):
+        assert len(drawn(folder / "made.svg", title)) == 2
+    for line in drawn(folder / "made.svg", "work of the motors (J)"):
+        assert all(later[1] <= earlier[1] for earlier, later in pairwise(line)), (
+            "work only grows; up is less in a picture"
+        )
+    again = run("--from-recording", *found["recordings"], "--plot", folder / "again.svg")
+    assert again.exit_code == 0, again.output
+    assert (folder / "again.svg").read_bytes() == (folder / "made.svg").read_bytes()
+    picture = ElementTree.parse(folder / "made.svg").getroot()
+    bars = [element for element in picture.iter(f"{SVG}rect") if element.get("x") is not None]
+    assert bars, "a snake lies on the ground"
+    assert run(folder / "zoo" / "b-cpg.json", *task, "--plot", folder / "none.svg").exit_code == 2
+
+
+def test_the_score_so_far_ends_at_the_score(folder: Path) -> None:
+    made = run(folder / "zoo" / "b-cpg.json", "--task", folder / "dash.json", "--json", "--record", folder / "r")
+    (found,) = json.loads(made.stdout)
+    for path, result in zip(found["recordings"], found["results"], strict=True):
+        scores = scores_so_far(Recording(path))
+        assert scores[-1, 1] == result["score"]
+        assert len(scores) == result["ticks"] + 1
+        assert scores[0, 0] == pytest.approx(scores[-1, 0] - result["ticks"] / 60)
+
+
+def test_info_plots_any_recording(tmp_path: Path) -> None:
+    def hop(world: World, client: int) -> None:
+        send(world, client, type="spawn_cube", cube_name="hopper", position=[0, 0.5, 0])
+        send(world, client, type="step", ticks=10)
+        send(world, client, type="apply_physics", impulse=[0, 3, 0])
+        send(world, client, type="step", ticks=110)
+
+    path = record(tmp_path / "hop.mcap", hop)
+    result = CliRunner().invoke(main, ["info", str(path), "--plot", str(tmp_path / "hop.svg")])
+    assert result.exit_code == 0, result.output
+    (line,) = drawn(tmp_path / "hop.svg", "height of the middle (m)")
+    top = min(line, key=lambda point: point[1])
+    assert line[0][0] < top[0] < line[-1][0] and top[1] < line[0][1] - 10
+    picture = ElementTree.parse(tmp_path / "hop.svg").getroot()
+    assert len([bar for bar in picture.iter(f"{SVG}rect") if bar.get("x") is not None]) == 2, (
+        "before the hop, and after"
+    )

@@ -1,0 +1,87 @@
+"""What creatures score: the same every time, and provable from a recording alone."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from creatures import SINE, cpg, exploding, mlp, snake
+from layout import ROOT
+from nmes.errors import RecordingError
+from nmes.evaluation import Evaluation, evaluate, prove
+from nmes.evaluation.task import Task
+from nmes.genome import Genome
+from nmes.playback.compare import replay
+
+DASH = {
+    "format": "nmes-task/1",
+    "name": "dash",
+    "description": "Get away from the start.",
+    "duration": 2.5,
+    "seeds": [3, 4],
+    "vary": {"yaw": [-1, 1], "drop": [0.01, 0.1]},
+    "objective": "displacement.horizontal - 0.001 * energy",
+}
+
+
+def task(**changes: Any) -> Task:
+    return Task({**DASH, **changes})
+
+
+@pytest.mark.parametrize("brain", [SINE, cpg(4), mlp(4), None], ids=["sine", "cpg", "mlp", "none"])
+def test_a_recording_proves_the_score_that_evaluating_gave(brain: dict[str, Any] | None, tmp_path: Path) -> None:
+    genome = Genome(snake(brain))
+    first, second = evaluate(genome, task()), evaluate(genome, task(), record=tmp_path)
+    assert first == second and first.error is None and first.score is not None
+    assert [result.ticks for result in first.results] == [150, 150]
+    assert first.results[0].score != first.results[1].score or brain is None
+    for path, result in zip(second.recordings, second.results, strict=True):
+        assert replay(path).verdict == "reproduced"
+        assert prove(path).result == prove(path, brain=True).result == result
+    assert len(list(tmp_path.iterdir())) == 2
+    assert Evaluation.from_json(json.loads(json.dumps(first.to_json()))) == first
+
+
+def test_seeds_may_be_given() -> None:
+    genome = Genome(snake())
+    whole, one = evaluate(genome, task()), evaluate(genome, task(), seeds=[4])
+    assert one.results == whole.results[1:]
+    assert one.spread == 0.0 and whole.spread is not None and whole.spread > 0.0
+
+
+def test_what_ends_an_episode_is_seen_by_whoever_scores_the_recording(tmp_path: Path) -> None:
+    ends = [{"name": "gone", "when": "displacement.horizontal > 0.1"}]
+    found = evaluate(Genome(snake()), task(ends=ends), record=tmp_path)
+    for path, result in zip(found.recordings, found.results, strict=True):
+        assert result.ended == "gone" and result.ticks < 150 and result.ticks % 6 == 0
+        assert result.distance > 0.1
+        assert prove(path).result == result
+
+
+def test_a_creature_that_a_task_does_not_allow_is_an_error() -> None:
+    found = evaluate(Genome(snake()), task(limits={"cubes": 3}))
+    assert found.error is not None and "4 cubes, at most 3" in found.error
+    assert found.results == () and found.score is None
+
+
+def test_a_world_that_diverges_is_a_result_with_its_reason_and_is_proved_too(tmp_path: Path) -> None:
+    found = evaluate(Genome(exploding()), task(), record=tmp_path)
+    assert found.error is None and found.score is None and found.faults == 2
+    for path, result in zip(found.recordings, found.results, strict=True):
+        assert result.fault is not None and result.fault.startswith("diverged: ") and result.score is None
+        assert 0 < result.ticks < 20
+        assert prove(path).result == prove(path, brain=True).result == result
+
+
+def test_a_score_that_is_no_number_is_a_fault() -> None:
+    found = evaluate(Genome(snake()), task(objective="1 / (energy - energy)"))
+    assert found.faults == 2 and found.score is None and "finite" in (found.results[0].fault or "")
+
+
+def test_a_recording_of_something_else_proves_nothing(tmp_path: Path) -> None:
+    path = next((ROOT / "replays").glob("*.mcap"))
+    with pytest.raises(RecordingError, match="no recording of `nmes eval`"):
+        prove(path)

@@ -1,0 +1,246 @@
+"""Leaderboards: nothing is listed that its recordings do not prove."""
+
+from __future__ import annotations
+
+import json
+import sqlite3
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import orjson
+import pytest
+from click.testing import CliRunner, Result
+from test_evaluation import task
+
+from creatures import SINE, cpg, snake
+from nmes.cli import main
+from nmes.errors import NmesError, RecordingError
+from nmes.evaluation import evaluate, prove
+from nmes.evaluation.leaderboard import Leaderboard
+from nmes.evaluation.task import CREATURE, Task
+from nmes.genome import Genome
+from nmes.protocol import parse, request_from
+from nmes.recording import Recording
+from nmes.recording.recorder import Recorder
+from nmes.world import World
+from recordings import Line, rewrite
+
+NMES = str(Path(sys.executable).parent / "nmes")
+
+
+def run(*arguments: str | Path) -> Result:
+    return CliRunner().invoke(main, ["leaderboard", *map(str, arguments)])
+
+
+@pytest.fixture(scope="module")
+def proofs(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """Recordings of two creatures, of two episodes each."""
+    folder = tmp_path_factory.mktemp("proofs")
+    return [
+        path
+        for brain, name in ((SINE, "wave"), (cpg(4), "<b>chain</b>"))
+        for path in evaluate(Genome(snake(brain, name=name)), task(), record=folder).recordings
+    ]
+
+
+@pytest.fixture
+def board(tmp_path: Path, proofs: list[str]) -> Path:
+    """A leaderboard with both."""
+    path = tmp_path / "board.sqlite"
+    result = run("add", path, *proofs, "--author", "Ada & Co")
+    assert result.exit_code == 0, result.output
+    return path
+
+
+def test_what_is_proved_is_listed_best_first(board: Path, proofs: list[str]) -> None:
+    shown = json.loads(run("show", board, "--json").stdout)
+    expected = {prove(path).genome.hash for path in proofs}
+    assert {entry["genome_hash"] for entry in shown} == expected and len(shown) == 2
+    assert shown[0]["score"] >= shown[1]["score"]
+    scores = [prove(path).result.score for path in proofs[:2]]
+    (wave,) = (entry for entry in shown if entry["name"] == "wave")
+    assert wave["score"] == pytest.approx(sum(score for score in scores if score is not None) / 2, abs=0)
+    assert wave["author"] == "Ada & Co" and wave["task"] == "dash" and wave["fingerprint"]["backend"] == "mujoco"
+    for digest in wave["recordings"]:
+        assert Recording(board.with_suffix(".recordings") / f"{digest}.mcap").complete
+    lines = run("show", board).stdout.splitlines()
+    assert len(lines) == 3 and "wave" in lines[1] + lines[2] and lines[1].split()[2] == "1"
+    assert run("show", board, "--task", "walk").stdout.count("\n") == 1
+    assert run("show", board, "--top", "1").stdout.count("\n") == 2
+    assert run("verify", board, "--jobs", "2").stdout == "2 of 2 entries hold\n"
+
+
+def test_nothing_is_listed_twice_or_in_part(board: Path, proofs: list[str], tmp_path: Path) -> None:
+    again = run("add", board, *proofs[:2])
+    assert again.exit_code == 1 and "listed for the task dash already" in again.stderr
+    part = run("add", tmp_path / "other.sqlite", proofs[0])
+    assert part.exit_code == 1 and "one recording for each of the seeds 3, 4" in part.stderr
+    assert list(Leaderboard(tmp_path / "other.sqlite").entries()) == []
+
+
+def forged(source: str, target: Path, change: Any) -> Path:
+    """Rewrites the 40th `drive` of a recording; its chain and checksums are in order."""
+    seen = 0
+
+    def edit(lines: list[Line]) -> list[Line]:
+        nonlocal seen
+        for i, line in enumerate(lines):
+            if line.topic.endswith("/commands") and b'"drive"' in line.data:
+                seen += 1
+                if seen == 40:
+                    lines[i] = line._replace(data=orjson.dumps(change(orjson.loads(line.data))))
+        # The checksums of single records are only believed where a chunk is not as its chain says.
+        return lines
+
+    path = rewrite(Path(source), target, edit)
+    assert Recording(path).complete
+    return path
+
+
+def test_a_doctored_command_is_refused_with_the_first_frame_that_differs(proofs: list[str], tmp_path: Path) -> None:
+    path = forged(proofs[0], tmp_path / "forged.mcap", lambda drive: {**drive, "controls": [1.0, 1.0, 1.0]})
+    frame = task().settle_ticks + 40
+    with pytest.raises(RecordingError, match=rf"diverges at frame {frame}: tick {frame} does not come out") as caught:
+        prove(path)
+    assert caught.value.code == "diverged"
+    refused = run("add", tmp_path / "board.sqlite", path, proofs[1])
+    assert refused.exit_code == 1 and f"frame {frame - 1}" in refused.stderr  # the brain would not have said that
+    assert Leaderboard(tmp_path / "board.sqlite").entries() == []
+
+
+def played(target: Path, seed: int, meddle: Any) -> Path:
+    """Records an honest run of dishonest commands: `meddle` is shown each tick, and may do what it likes."""
+    genome, dash = Genome(snake()), task()
+    world = World(dash.world_config(seed))
+    about = {"task": json.dumps(dash.document), "genome": genome.hash, "seed": str(seed)}
+    recorder = world.journal = Recorder(target, world, about={"nmes.evaluation": about})
+    client = world.join()
+    for command in dash.entry(seed, genome.document, genome.body):
+        world.handle(client, parse(orjson.dumps(command)))
+    for _ in range(dash.settle_ticks):
+        world.tick()
+    for tick in range(dash.ticks):
+        meddle(world, client, tick)
+        world.tick()
+    recorder.close()
+    world.close()
+    return target
+
+
+def drive(world: World, client: int, controls: list[float]) -> None:
+    world.handle(client, request_from({"type": "drive", "creature": CREATURE, "controls": controls}))
+
+
+def test_what_the_brain_did_not_do_proves_nothing_of_the_genome(tmp_path: Path) -> None:
+    path = played(tmp_path / "by-hand.mcap", 3, lambda world, client, tick: drive(world, client, [0.5, -0.5, 0.5]))
+    assert prove(path).result.score is not None  # the log alone does not say who drove
+    with pytest.raises(RecordingError, match=r"at frame 30 it has the command drive where there should be what the br"):
+        prove(path, brain=True)
+
+
+def test_nobody_may_push_a_creature(tmp_path: Path) -> None:
+    def push(world: World, client: int, tick: int) -> None:
+        if tick == 7:
+            force = {"type": "apply_physics", "cube_name": f"{CREATURE}.c0", "impulse": [9, 0, 0]}
+            world.handle(client, request_from(force))
+        drive(world, client, [0.0, 0.0, 0.0])
+
+    with pytest.raises(RecordingError, match="at frame 37 it has the command apply_physics"):
+        prove(played(tmp_path / "pushed.mcap", 3, push))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ("UPDATE entries SET score = score + 1 WHERE name = 'wave'", "prove a score of"),
+        ("UPDATE entries SET task_hash = genome_hash WHERE name = 'wave'", "of another genome or task"),
+    ],
+)
+def test_a_doctored_entry_is_found_and_no_longer_shown(board: Path, change: str, said: str) -> None:
+    with sqlite3.connect(board) as database:
+        true = database.execute("SELECT score, task_hash FROM entries WHERE name = 'wave'").fetchone()
+        database.execute(change)
+    database.close()
+    result = run("verify", board, "--jobs", "1")
+    assert result.exit_code == 1 and said in result.stdout and "1 of 2 entries hold" in result.stdout
+    assert [entry.name for entry in Leaderboard(board).entries()] == ["<b>chain</b>"]
+    assert "refused:" in run("show", board, "--refused").stdout
+    with sqlite3.connect(board) as database:
+        database.execute("UPDATE entries SET score = ?, task_hash = ? WHERE name = 'wave'", true)
+    database.close()
+    assert run("verify", board, "--jobs", "1").exit_code == 0 and len(Leaderboard(board).entries()) == 2
+
+
+def test_a_doctored_or_missing_recording_is_found(board: Path, tmp_path: Path) -> None:
+    wave = next(entry for entry in Leaderboard(board).entries() if entry.name == "wave")
+    kept = Leaderboard(board).recording(wave.recordings[1])
+    held = kept.read_bytes()
+    kept.unlink()
+    assert kept.name in run("verify", board, "--jobs", "1").stdout
+    kept.write_bytes(held[: len(held) // 2] + bytes([held[len(held) // 2] ^ 1]) + held[len(held) // 2 + 1 :])
+    assert run("verify", board, "--jobs", "1").exit_code == 1
+    kept.write_bytes(held)
+    new = forged(str(kept), tmp_path / "new.mcap", lambda drive: {**drive, "controls": [0.0, 0.0, 0.0]})
+    kept.write_bytes(new.read_bytes())
+    result = run("verify", board, "--jobs", "1")
+    assert result.exit_code == 1 and "frame" in result.stdout
+
+
+def test_what_is_no_leaderboard_is_said(tmp_path: Path) -> None:
+    assert "there is no leaderboard" in run("show", tmp_path / "none.sqlite").stderr
+    (tmp_path / "empty.sqlite").touch()
+    for command in (("show",), ("verify",), ("export", "-o", tmp_path / "x.html")):
+        result = run(*command, tmp_path / "empty.sqlite")
+        assert result.exit_code == 2 and "empty.sqlite is empty" in result.stderr
+    assert (tmp_path / "empty.sqlite").stat().st_size == 0
+    (tmp_path / "text.sqlite").write_text("hello, this is no database at all")
+    assert "text.sqlite" in run("show", tmp_path / "text.sqlite").stderr
+    sqlite3.connect(tmp_path / "other.sqlite").execute("CREATE TABLE t (x)").connection.close()
+    assert "no leaderboard" in run("show", tmp_path / "other.sqlite").stderr
+
+
+def test_ten_thousand_entries_are_shown_whole(board: Path) -> None:
+    with sqlite3.connect(board) as database:
+        database.execute(
+            "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 10000)"
+            " INSERT INTO entries SELECT NULL, task, task_hash, name || i, printf('%064x', i), author, score - i,"
+            " recordings, fingerprint, genome, added, NULL FROM entries, n WHERE name = 'wave'"
+        )
+    database.close()
+    began = time.perf_counter()
+    shown = subprocess.run([NMES, "leaderboard", "show", str(board)], capture_output=True, check=True)
+    took = time.perf_counter() - began
+    lines = shown.stdout.decode().splitlines()
+    assert len(lines) == 10_003 and len(set(map(len, lines))) < 20
+    print(f"10,002 entries shown in {took:.2f} s")
+
+
+def test_a_page_is_one_file_with_a_picture_of_each(board: Path, tmp_path: Path) -> None:
+    page = tmp_path / "board.html"
+    result = run("export", board, "-o", page)
+    assert result.exit_code == 0 and "2 entries" in result.stdout
+    text = page.read_text()
+    assert text.count("<li>") == 2 and text.count('src="data:image/png;base64,') == 2
+    assert "&lt;b&gt;chain&lt;/b&gt;" in text and "<b>chain</b>" not in text and "Ada &amp; Co" in text
+    assert "http" not in text and "<script" not in text
+
+
+def test_a_task_that_is_edited_is_another_task(board: Path, proofs: list[str], tmp_path: Path) -> None:
+    easier = Task({**task().document, "objective": "10 + displacement.horizontal"})
+    found = evaluate(Genome(snake(name="wave")), easier, record=tmp_path)
+    assert run("add", board, *found.recordings).exit_code == 0
+    shown = Leaderboard(board).entries()
+    assert len(shown) == 3 and len({entry.task_hash for entry in shown}) == 2
+    with pytest.raises(NmesError, match="one recording for each"):
+        Leaderboard(board).add([prove(found.recordings[0]), prove(proofs[1])])
+
+
+def test_a_recording_that_goes_on_from_another_proves_nothing(proofs: list[str], tmp_path: Path) -> None:
+    ahead = tmp_path / "ahead.mcap"
+    forked = CliRunner().invoke(main, ["fork", proofs[0], "--at", "0", "-o", str(ahead)])
+    assert forked.exit_code == 0, forked.output
+    with pytest.raises(RecordingError, match="no recording of `nmes eval`"):
+        prove(ahead)

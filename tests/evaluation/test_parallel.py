@@ -1,0 +1,69 @@
+"""One function over many items, in processes: nothing about the processes shows in the results."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+
+from nmes.evaluation.parallel import Lost, in_processes
+
+
+def square(number: int) -> tuple[int, int, str | None]:
+    return number * number, os.getpid(), os.environ.get("OMP_NUM_THREADS")
+
+
+def die_over_three(number: int) -> int:
+    if number == 3:
+        os.kill(os.getpid(), signal.SIGSEGV)
+    return number
+
+
+def raise_over_one(number: int) -> int:
+    return 1 // (number - 1)
+
+
+def interrupt_all(number: int) -> int:
+    os.kill(os.getpid(), signal.SIGINT)
+    return number
+
+
+def test_every_item_is_worked_on_once_by_workers_with_one_thread() -> None:
+    found = dict(in_processes(square, range(7), 3))
+    results = [found[i] for i in range(7)]
+    assert [result[0] for result in results if not isinstance(result, Lost)] == [i * i for i in range(7)]
+    assert {result[2] for result in results if not isinstance(result, Lost)} == {"1"}
+    pids = {result[1] for result in results if not isinstance(result, Lost)}
+    assert len(pids) == 3 and os.getpid() not in pids
+    assert os.environ.get("OMP_NUM_THREADS") != "1"
+
+
+def test_one_job_works_here() -> None:
+    assert list(in_processes(square, [5], 4)) == [(0, (25, os.getpid(), os.environ.get("OMP_NUM_THREADS")))]
+    assert [i for i, _ in in_processes(square, [5, 6], 1)] == [0, 1]
+
+
+def test_a_worker_that_dies_takes_one_item_with_it() -> None:
+    found = dict(in_processes(die_over_three, range(6), 2))
+    lost = found.pop(3)
+    assert isinstance(lost, Lost) and "SIGSEGV" in lost.reason
+    assert found == {i: i for i in (0, 1, 2, 4, 5)}
+
+
+def test_a_function_that_raises_is_heard() -> None:
+    with pytest.raises(RuntimeError, match="ZeroDivisionError"):
+        list(in_processes(raise_over_one, range(3), 2))
+
+
+def test_workers_do_not_hear_of_ctrl_c() -> None:
+    assert dict(in_processes(interrupt_all, range(3), 2)) == {0: 0, 1: 1, 2: 2}
+
+
+def test_whoever_stops_taking_results_ends_the_workers() -> None:
+    results = in_processes(square, range(100), 2)
+    _, first = next(results)
+    results.close()
+    assert not isinstance(first, Lost)
+    with pytest.raises(ProcessLookupError):
+        os.kill(first[1], 0)

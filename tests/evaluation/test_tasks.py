@@ -1,0 +1,340 @@
+"""Tasks: which documents are tasks, what is said of those that are not, and what a seed decides."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from layout import ROOT
+from nmes.cli import main
+from nmes.errors import DocumentError
+from nmes.evaluation import evaluate, prove
+from nmes.evaluation.task import Limits, Task
+from nmes.genome import Genome
+from nmes.genome.body import Body, BodyCube
+from nmes.objective import Quantity
+from nmes.objective.trajectory import ObservedBodies, Trajectory
+
+TEN = [
+    "carry", "gaps", "jump-far", "jump-high", "planar-walk", "pole", "reach", "rough", "stairs", "walk",
+]  # fmt: skip
+PLAIN: dict[str, Any] = {
+    "format": "nmes-task/1", "name": "sprint", "description": "Run.", "duration": 5, "seeds": [1, 2],
+    "objective": "displacement.x",
+}  # fmt: skip
+PROP: dict[str, Any] = {"id": "a", "size": [1, 1, 1], "mass": 1, "target": True}
+
+
+def block(*ids: str, mass: float = 10.0, size: float = 1.0, low: float = 0.0) -> Body:
+    """A body of cubes all in one place, which is all one to a task."""
+    place, turn = (0.0, low + size / 2, 0.0), (0.0, 0.0, 0.0, 1.0)
+    parts = ids or ("root",)
+    cubes = (BodyCube(part, (size,) * 3, mass / len(parts), place, turn, None, None, None) for part in parts)
+    return Body(tuple(cubes), (), ())
+
+
+def test_ten_tasks_come_with_the_package() -> None:
+    assert list(Task.names()) == TEN
+    assert {path.stem for path in (ROOT / "nmes" / "evaluation" / "tasks").glob("*.json")} == set(TEN)
+
+
+@pytest.mark.parametrize("name", TEN)
+def test_each_of_them_is_whole(name: str) -> None:
+    task = Task.load(name)
+    assert task.name == name
+    assert len(task.seeds) >= 3
+    assert None not in (task.limits.cubes, task.limits.mass, task.limits.size, task.limits.energy)
+    configs = [task.world_config(seed) for seed in task.seeds]
+    assert all((config["name"], config["mode"]) == (name, "lockstep") for config in configs)
+    # Seeds make different episodes, and the same seed the same.
+    episodes = [json.dumps([task.world_config(s), task.target(s), task.entry(s, {}, block())]) for s in task.seeds * 2]
+    assert len(set(episodes)) == len(task.seeds)
+
+
+def test_a_task_is_loaded_from_a_file_and_hashed_by_what_it_says(tmp_path: Path) -> None:
+    path = tmp_path / "mine.json"
+    path.write_text(json.dumps(PLAIN, indent=4))
+    task = Task.load(path)
+    assert (task.name, task.duration, task.ticks, task.settle_ticks) == ("sprint", 5.0, 300, 30)
+    assert task.limits == Limits()
+    assert task.hash == Task(dict(reversed(PLAIN.items()))).hash
+    assert task.hash != Task({**PLAIN, "duration": 6}).hash
+
+
+def test_what_is_no_task_is_refused_with_everything_that_is_wrong(tmp_path: Path) -> None:
+    document = {
+        **PLAIN,
+        "world": {"seed": 3, "gravity": [0, -9.81], "friction": 1},
+        "duration": "long",
+        "vary": {"yaw": [1, -1]},
+        "objective": "heigth",
+        "ends": [{"name": "up", "when": "height"}],
+        "colour": 1,
+    }
+    with pytest.raises(DocumentError) as caught:
+        Task(document)
+    assert {path for path, _ in caught.value.problems} == {"duration", "colour", "world/gravity"}
+    del document["colour"]
+    with pytest.raises(DocumentError) as caught:
+        Task({**document, "duration": 5, "world": {"seed": 3}})
+    said = dict(caught.value.problems)
+    assert set(said) == {"world/seed", "vary/yaw", "objective", "ends/0/when"}
+    assert said["objective"] == "line 1, column 1: there is no quantity 'heigth'; did you mean height?"
+    assert "it must give true or false" in said["ends/0/when"]
+
+
+@pytest.mark.parametrize(
+    ("changed", "place", "word"),
+    [
+        ({"props": [{"id": "a", "size": [1, 1, 1], "mass": 1}] * 2}, "props/1/id", "already"),
+        ({"props": [{"id": "creature.a", "size": [1, 1, 1], "mass": 1}]}, "props/0/id", "creature"),
+        ({"target": {"distance": [2, 1]}}, "target/distance", "the lowest first"),
+        ({"target": {"distance": [1, 2]}, "props": [PROP]}, "props/0/target", "a target already"),
+        ({"props": [{**PROP, "id": "b"}, PROP]}, "props/1/target", "a target already"),
+        ({"world": {"scene": {"type": "flat", "heightfield": {}}}}, "world/scene/heightfield", "only where type is"),
+        ({"seeds": [1, 1]}, "seeds", "different seeds"),
+        ({"limits": {"cubes": 0}}, "limits/cubes", "from 1"),
+    ],
+)
+def test_what_is_wrong_has_its_place(changed: dict[str, Any], place: str, word: str) -> None:
+    with pytest.raises(DocumentError) as caught:
+        Task({**PLAIN, **changed})
+    ((path, said),) = caught.value.problems
+    assert path == place and word in said
+
+
+def test_a_name_that_is_none_is_answered_with_the_nearest(tmp_path: Path) -> None:
+    with pytest.raises(DocumentError, match=r"no task 'wlak'.*did you mean walk"):
+        Task.load("wlak")
+    (tmp_path / "bad.json").write_text('{"a": 1, "a": 2}')
+    with pytest.raises(DocumentError, match="not strict JSON"):
+        Task.load(tmp_path / "bad.json")
+
+
+def test_a_creature_is_set_down_on_the_ground_and_turned() -> None:
+    task = Task({**PLAIN, "vary": {"yaw": [0.5, 0.5], "drop": [0.25, 0.25], "friction": [0.7, 0.7]}})
+    body = block(low=2.0)
+    spawn, turn = task.entry(1, {"name": "x"}, body)
+    assert (spawn["type"], spawn["genome"], spawn["position"]) == ("spawn_creature", {"name": "x"}, [0.0, -1.75, 0.0])
+    assert (turn["type"], turn["cube_name"]) == ("set_cube_state", "creature.root")
+    assert turn["rotation"] == pytest.approx([0.0, math.sin(0.25), 0.0, math.cos(0.25)])
+    assert task.world_config(1)["friction"] == 0.7
+    assert len(Task(PLAIN).entry(1, {}, body)) == 1
+
+
+def test_targets_lie_where_they_are_said_to_and_fill_the_range() -> None:
+    task = Task(
+        {**PLAIN, "target": {"distance": [3, 5], "bearing": [-0.5, 1], "height": 0.25}, "seeds": list(range(200))}
+    )
+    points = np.array([task.target(seed) for seed in task.seeds])
+    far, bearing = np.hypot(points[:, 0], points[:, 2]), np.arctan2(-points[:, 2], points[:, 0])
+    assert 3 <= far.min() < 3.1 and 4.9 < far.max() <= 5
+    assert -0.5 <= bearing.min() < -0.4 and 0.9 < bearing.max() <= 1
+    assert (points[:, 1] == 0.25).all()
+    assert abs(np.corrcoef(far, bearing)[0, 1]) < 0.2
+    assert Task(PLAIN).target(1) is None
+    assert task.entry(5, {}, block())[0]["target"] == task.target(5)
+    assert "target" not in Task(PLAIN).entry(5, {}, block())[0]
+
+
+def test_props_stand_on_the_top_of_the_root() -> None:
+    stick = {"id": "stick", "size": [0.1, 2, 0.1], "mass": 1, "hinge": True, "lean": [0.3, 0.3]}
+    task = Task({**PLAIN, "props": [stick, {"id": "cargo", "size": [0.2, 0.2, 0.2], "mass": 2}]})
+    state = np.array([5.0, 1.0, 2.0, 0.0, 0.0, math.sin(math.pi / 8), math.cos(math.pi / 8), *[0.0] * 6])
+    pole, joint, cargo = task.props(1, block(), state)
+    top = 1.0 + math.sqrt(2) / 2  # of a cube that stands on its edge
+    assert (joint["type"], joint["cube1"], joint["cube2"]) == ("create_joint", "creature.root", "stick")
+    assert joint["position"] == pytest.approx([5.0, top, 2.0])
+    assert pole["position"] == pytest.approx([5.0 - math.sin(0.3), top + math.cos(0.3), 2.0])
+    assert cargo["position"] == pytest.approx([5.0, top + 0.1, 2.0], abs=0.002)
+    assert cargo["position"][1] > top + 0.1
+
+
+def test_what_a_body_may_not_be_is_said() -> None:
+    limits = {"cubes": 2, "mass": 20, "size": 1.5}
+    about = 'cube("tail").height + cube("cargo").height + cube("root").height'
+    props = [{"id": "cargo", "size": [1, 1, 1], "mass": 1}]
+    task = Task({**PLAIN, "limits": limits, "objective": about, "props": props})
+    assert task.check(block("root", "tail")) == []
+    assert task.check(block("root", "tail", "cargo", mass=21.0, size=2.0)) == [
+        "the body has 3 cubes, at most 2 are allowed",
+        "the body has 21 kg, at most 20 are allowed",
+        "the body has 2 m from end to end, at most 1.5 are allowed",
+        "the task puts a cube 'cargo' there, and the body has one of that id",
+    ]
+    assert task.check(block()) == ["the task is about a cube 'tail', which the body has not"]
+    hat = BodyCube("tail", (0.2, 0.2, 0.2), 1.0, (0.5, 1.1, 0.5), (0.0, 0.0, 0.0, 1.0), None, None, None)
+    for y, said in ((1.1, ["the task puts 'cargo' on the root, where the cube 'tail' is"]), (2.2, [])):
+        body = Body((*block().cubes, replace(hat, position=(0.5, y, 0.5))), (), ())
+        assert Task({**PLAIN, "objective": about, "props": props}).check(body) == said
+
+
+def test_an_episode_ends_at_the_first_row_of_a_look_at_which_a_condition_holds_or_the_energy_is_spent() -> None:
+    ends = [
+        {"name": "high", "when": "height > 2"},
+        {"name": "higher", "when": "height > 1.5"},
+        {"name": "odd", "when": "height > 2"},
+    ]
+    task = Task({**PLAIN, "ends": ends, "limits": {"energy": 6}})
+    assert Quantity("energy") in task.needs
+    trace = Trajectory(ObservedBodies(("root",), 1, np.ones((1, 3)), np.ones(1), 60), 100, 1, contacts=True)
+    trace.states[:, 0, 1] = np.arange(101) * 0.05
+    trace.rows = 101
+    assert task.ended(trace, 0, 101) == (36, "higher")
+    assert task.ended(trace, 37, 101) == (42, "high")
+    trace.meter(0, np.ones((101, 1)), np.full((101, 1), 12.5))
+    assert task.ended(trace, 0, 101) == (30, "energy")
+    assert task.ended(trace, 0, 30) is None
+    # A touch may be over before the next look.
+    trace.touches[33] = True
+    ends = [{"name": "touched", "when": "contacts > 0"}]
+    assert Task({**PLAIN, "ends": ends}).ended(trace, 0, 101) == (33, "touched")
+
+
+# -- what they are worth ----------------------------------------------------------------------------------------------
+
+
+def creature(cubes: list[dict[str, Any]], joint: dict[str, Any] | None = None, **oscillator: float) -> Genome:
+    document: dict[str, Any] = {"format": "nmes-genome/1", "name": "it", "body": {"cubes": cubes}}
+    if joint is not None:
+        document["body"]["joints"] = [{"id": "j", "cube1": cubes[0]["id"], "cube2": cubes[1]["id"], **joint}]
+        document["brain"] = {"kind": "sine", "oscillators": [{"motor": "j", **oscillator}]}
+    return Genome(document)
+
+
+def cube(part: str, size: list[float], y: float, mass: float) -> dict[str, Any]:
+    return {"id": part, "size": size, "mass": mass, "position": [0, y, 0]}
+
+
+BLOCK = creature([cube("root", [0.6, 0.3, 0.4], 0.15, 10)])
+
+
+def tower(effort: float) -> Genome:
+    """A tower that throws itself over at the start."""
+    motor = {"mode": "position", "range": [-1.6, 1.6], "max_effort": effort}
+    return creature(
+        [cube("root", [0.6, 0.1, 0.3], 0.05, 10), cube("mast", [0.1, 1.8, 0.1], 1.0, 20)],
+        {"type": "hinge", "anchor": [0, 0.1, 0], "motor": motor},
+        amplitude=0,
+        offset=-1,
+    )
+
+
+HOPPER = creature(
+    [cube("root", [0.5, 0.2, 0.5], 0.3, 8), cube("foot", [0.5, 0.1, 0.5], 0.05, 2)],
+    {
+        "type": "slide", "anchor": [0, 0.15, 0], "axis": [0, -1, 0],
+        "motor": {"mode": "position", "range": [0, 0.4], "max_effort": 600},
+    },
+    amplitude=10,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", TEN)
+def test_who_does_nothing_is_worth_nothing(name: str) -> None:
+    evaluation = evaluate(BLOCK, Task.load(name))
+    assert evaluation.error is None
+    assert [result.score for result in evaluation.results] == [0.0] * len(evaluation.results)
+    assert {result.ended for result in evaluation.results} == ({"fallen"} if name == "pole" else {None})
+
+
+LUNGER = creature(
+    [
+        {"id": "root", "size": [0.4, 0.2, 0.4], "mass": 480, "position": [-1.6, 0.21, 0]},
+        {"id": "rail", "size": [3.8, 0.1, 0.4], "mass": 5, "position": [0, 0.05, 0]},
+    ],
+    {
+        "type": "slide", "anchor": [0, 0.1, 0], "axis": [-1, 0, 0],
+        "motor": {"mode": "position", "range": [-3, 3], "max_effort": 2000},
+    },
+    amplitude=0,
+    offset=1,
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "most"), [("walk", 0.0), ("rough", 0.0), ("reach", 0.0), ("carry", 0.1)])
+def test_to_hurl_a_weight_along_a_rail_is_worth_nothing(name: str, most: float) -> None:
+    evaluation = evaluate(LUNGER, Task.load(name))
+    assert evaluation.error is None
+    assert min(result.distance for result in evaluation.results) > 1.5  # it did
+    assert max(result.score or 0.0 for result in evaluation.results) <= most
+
+
+@pytest.mark.parametrize("name", ["walk", "gaps", "reach", "stairs"])
+def test_to_fall_over_is_worth_nothing(name: str) -> None:
+    evaluation = evaluate(tower(3000), Task.load(name))
+    assert min(result.energy for result in evaluation.results) > 10  # it did
+    assert min(result.distance for result in evaluation.results) > 0.3
+    assert evaluation.score is not None and evaluation.score < 0.001
+
+
+def test_to_jump_is_worth_its_height_and_to_topple_next_to_nothing() -> None:
+    jumped, reared = (evaluate(genome, Task.load("jump-high")).score for genome in (HOPPER, tower(40)))
+    assert jumped is not None and reared is not None
+    assert jumped > 0.5 > 0.1 > reared
+    far = [evaluate(genome, Task.load("jump-far")) for genome in (HOPPER, tower(40))]
+    assert [evaluation.score for evaluation in far] == [0.0, 0.0]  # up is not far
+    assert {result.ended for result in far[0].results} == {"landed"}
+
+
+def blind(genome: Genome) -> Genome:
+    """The same creature without its sense of a target: what there was of it reads 0."""
+    document = genome.document
+    for sensor in document["sensors"]:
+        if sensor["type"].startswith("target_"):
+            sensor["id"] = f"{sensor['cube']}.{sensor['type']}.{sensor['axis']}"
+            sensor["type"], sensor["axis"] = "spin", "y"
+    return Genome(document)
+
+
+@pytest.mark.parametrize(
+    ("name", "task", "least", "most"),
+    [("seeker", "reach", 1.5, 0.5), ("centipede", "reach", 1.4, 0.5), ("juggler", "pole", 18.5, 1)],
+)
+def test_targets_are_come_to_and_balanced_by_who_feels_them(
+    name: str, task: str, least: float, most: float, tmp_path: Path
+) -> None:
+    genome, asked = Genome.load(name), Task.load(task)
+    seeds = [*asked.seeds, *range(100, 106)]
+    found = evaluate(genome, asked, seeds=seeds)
+    assert min(result.score or 0.0 for result in found.results) >= least
+    # Whoever does the same without the sense of a target comes to next to nothing.
+    unseen = evaluate(blind(genome), asked, seeds=seeds)
+    assert unseen.score is not None and unseen.score < most
+    # The recording holds the target, and the brain does the same with what it felt.
+    (path,) = evaluate(genome, asked, seeds=[3], record=tmp_path).recordings
+    assert prove(path, brain=True).result == found.results[2]
+
+
+def test_the_distance_to_a_prop_is_to_where_it_is_now() -> None:
+    """A block does nothing, and a stick that is hinged to it falls on its side."""
+    stick = {**PROP, "size": [0.1, 0.6, 0.1], "hinge": True, "lean": [0.3, 0.3]}
+    task = Task({**PLAIN, "duration": 2, "props": [stick], "objective": "start.distance - distance"})
+    score = evaluate(BLOCK, task).score
+    assert score is not None and score > 0.1
+
+
+def test_the_command_lists_and_shows_tasks(tmp_path: Path) -> None:
+    def run(*arguments: str) -> Any:
+        return CliRunner().invoke(main, ["tasks", *arguments], env={"COLUMNS": "200"})
+
+    assert [line.split()[0] for line in run().output.splitlines()[1:]] == TEN
+    assert [document["name"] for document in json.loads(run("--json").output)] == TEN
+    shown = run("pole").output
+    pole = Task.load("pole")
+    for told in (pole.objective.text, *(condition.text for _, condition in pole.ends), "drop 0 to 0.02", pole.hash):
+        assert told in shown
+    path = tmp_path / "mine.json"
+    path.write_text(run("walk", "--json").output)
+    assert Task.load(path).document == Task.load("walk").document
+    assert json.loads(run(str(path), "--json").output)["name"] == "walk"
+    path.write_text(json.dumps({**PLAIN, "objective": "heigth", "duration": 0}))
+    refused = run(str(path))
+    assert refused.exit_code == 2 and "duration: expected" in refused.output

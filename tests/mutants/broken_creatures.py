@@ -1,0 +1,108 @@
+"""Servers that are wrong about rewards or creatures. See `broken`."""
+
+from __future__ import annotations
+
+from pytest import MonkeyPatch
+
+from broken import Answer, JsonObject, around, defect
+from nmes.errors import NmesError
+from nmes.world import World
+from nmes.world.clients import Client
+
+
+@defect("19.13:height")
+def heights_above_the_start(patch: MonkeyPatch) -> None:
+    """It measures height from where a cube was spawned."""
+
+    def lower(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        reply = answer(world, client, c)
+        if reply.get("metric") == "height":
+            reply["value"] -= world._entities.cube(reply["cube_name"]).origin[1]
+        return reply
+
+    around(patch, "compute_reward", lower)
+
+
+@defect("19.13:displacement-along-an-axis")
+def displacements_without_sign(patch: MonkeyPatch) -> None:
+    """It tells how far a cube is along an axis, forwards or backwards."""
+
+    def size(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        reply = answer(world, client, c)
+        return {**reply, "value": abs(reply["value"])}
+
+    around(patch, "compute_reward", size)
+
+
+@defect("19.4")
+def objectives_of_all(patch: MonkeyPatch) -> None:
+    """It shares the objectives of one connection with all."""
+
+    def share(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        reply = answer(world, client, c)
+        for other in world._clients.values():
+            other.objectives = client.objectives
+        return reply
+
+    around(patch, "set_objective", share)
+
+
+@defect("19.2:cut-off", "19.2:unknown-quantity")
+def any_expression(patch: MonkeyPatch) -> None:
+    """It takes expressions that cannot be used, and says nothing."""
+
+    def take(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        try:
+            return answer(world, client, c)
+        except NmesError:
+            return answer(world, client, {**c, "expression": "height"})
+
+    around(patch, "set_objective", take)
+
+
+@defect("18.1", backend="mujoco")
+def creatures_that_are_not_there(patch: MonkeyPatch) -> None:
+    """It tells names of a creature's cubes that no cube has."""
+
+    def rename(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        reply = answer(world, client, c)
+        return {**reply, "cubes": {part: f"{name}_0" for part, name in reply["cubes"].items()}}
+
+    around(patch, "spawn_creature", rename)
+
+
+@defect("18.4:an-unknown-cube", backend="mujoco")
+def half_creatures(patch: MonkeyPatch) -> None:
+    """It leaves the first cube of a creature that it cannot make."""
+
+    def leave(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        try:
+            return answer(world, client, c)
+        except NmesError:
+            part = c["genome"]["body"]["cubes"][0]["id"]
+            if world._entities.find(f"{c['name']}.{part}") is None:
+                world._entities.spawn({"type": "spawn_cube", "cube_name": f"{c['name']}.{part}"})
+            raise
+
+    around(patch, "spawn_creature", leave)
+
+
+@defect("18.8:high", "18.8:low", "18.9", backend="mujoco")
+def creatures_driven_backwards(patch: MonkeyPatch) -> None:
+    """It takes a creature's controls with the wrong sign."""
+
+    def mirror(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        return answer(world, client, {**c, "controls": [-control for control in c["controls"]]})
+
+    around(patch, "drive", mirror)
+
+
+@defect("18.7", backend="mujoco")
+def senses_too_many(patch: MonkeyPatch) -> None:
+    """It tells one value more than a creature has sensors."""
+
+    def more(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        reply = answer(world, client, c)
+        return {**reply, "values": [*reply["values"], 0.0]}
+
+    around(patch, "sense", more)

@@ -1,0 +1,677 @@
+"""Servers that are wrong about time, subscriptions, physics or determinism. See `broken`."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pymunk
+from pytest import MonkeyPatch
+
+from broken import Answer, JsonObject, around, defect
+from nmes.backend import BodySpec, BodyState, JointParams, SceneSpec
+from nmes.server.hosted_world import HostedWorld, _Rendezvous
+from nmes.world import World, scenery
+from nmes.world import entities as entities
+from nmes.world import joint_params as jointparams
+from nmes.world.clients import Client, Clients
+from nmes.world.entities import Cube, Entities, Joint
+from nmes.world.subscription import Subscription
+
+# -- time -------------------------------------------------------------------------------------------------------------
+
+
+@defect("10.12", "10.14", mode="realtime")
+def a_pause_that_is_none(patch: MonkeyPatch) -> None:
+    """It lets the time run while it says that it is paused."""
+    patch.setattr(World, "running", property(lambda world: world.mode != "lockstep" and world.fault is None))
+
+
+@defect("10.8", "10.3")
+def lockstep_that_runs(patch: MonkeyPatch) -> None:
+    """It ticks by itself in lockstep."""
+    patch.setattr(World, "running", property(lambda world: not world.paused and world.fault is None))
+
+
+@defect("10.4")
+def answers_before_it_steps(patch: MonkeyPatch) -> None:
+    """It tells the frame and the time from before a step."""
+
+    def early(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        frame, time = world.frame, world.time
+        return {**answer(world, client, c), "frame": frame, "t": time}
+
+    around(patch, "step", early)
+
+
+@defect("10.7", mode="realtime")
+def steps_in_realtime(patch: MonkeyPatch) -> None:
+    """It steps a world that ticks by itself."""
+
+    def force(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        paused, world.paused = world.paused, True
+        try:
+            return answer(world, client, c)
+        finally:
+            world.paused = paused
+
+    around(patch, "step", force)
+
+
+@defect("10.2", "10.1:1")
+def two_ticks_a_step(patch: MonkeyPatch) -> None:
+    """It ticks once more than it is told to."""
+    around(patch, "step", lambda answer, world, client, c: answer(world, client, {**c, "ticks": c.get("ticks", 1) + 1}))
+
+
+@defect("10.10", mode="realtime")
+def the_rate_ignored(patch: MonkeyPatch) -> None:
+    """It tells the rate that it was given, and goes as before."""
+    patch.setattr(HostedWorld, "_speed", property(lambda hosted: float(hosted.world.config["tick_rate"])))
+
+
+@defect("10.1:60")
+def time_in_milliseconds(patch: MonkeyPatch) -> None:
+    """It tells the time in milliseconds."""
+    patch.setattr(World, "time", property(lambda world: 1000.0 * world.frame / world._tick_rate))
+
+
+@defect("10.16", "10.17")
+def a_barrier_that_does_not_wait(patch: MonkeyPatch) -> None:
+    """It ticks at a barrier as soon as anybody says step."""
+    patch.setattr(_Rendezvous, "complete", lambda meeting, barrier: barrier is not None and bool(meeting.waiting))
+
+
+@defect("10.20")
+def a_barrier_waits_for_the_gone(patch: MonkeyPatch) -> None:
+    """It goes on waiting at a barrier for a connection that has left."""
+
+    def remember(meeting: _Rendezvous, client: int) -> None:
+        meeting._released.discard(client)
+        meeting.waiting.pop(client, None)
+
+    patch.setattr(_Rendezvous, "forget", remember)
+
+
+@defect("10.18")
+def a_barrier_waits_for_ever(patch: MonkeyPatch) -> None:
+    """It goes on waiting at a barrier for those who do not come."""
+    patch.setattr(HostedWorld, "_go_without", lambda hosted: None)
+
+
+@defect("10.11", only_strict=True)
+def fast_is_realtime(patch: MonkeyPatch) -> None:
+    """It goes no faster than the clock in mode fast."""
+    turn = HostedWorld._turn
+
+    def slow(hosted: HostedWorld) -> None:
+        mode = hosted.world.mode
+        hosted.world.mode = "realtime" if mode == "fast" else mode
+        try:
+            turn(hosted)
+        finally:
+            hosted.world.mode = mode
+
+    patch.setattr(HostedWorld, "_turn", slow)
+
+
+@defect("10.9", mode="realtime")
+def twice_as_fast_as_the_clock(patch: MonkeyPatch) -> None:
+    """It ticks twice as often in realtime as it should."""
+    patch.setattr(HostedWorld, "_speed", property(lambda hosted: 2.0 * hosted.world.rate * hosted.world._tick_rate))
+
+
+@defect("10.21")
+def steps_in_batches_at_a_barrier(patch: MonkeyPatch) -> None:
+    """It takes a step in a batch at a barrier for done."""
+
+    def let_in(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        world._in_batch = False
+        return answer(world, client, c)
+
+    around(patch, "step", let_in)
+
+
+@defect("10.13", mode="realtime")
+def no_steps_in_a_pause(patch: MonkeyPatch) -> None:
+    """It ticks no further in a pause, though told to step."""
+
+    def stay(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        if world.paused:
+            return {"type": "stepped", "frame": world.frame, "t": world.time}
+        return answer(world, client, c)
+
+    around(patch, "step", stay)
+
+
+# -- subscriptions ----------------------------------------------------------------------------------------------------
+
+
+def _events(patch: MonkeyPatch, change: Callable[[Client, Clients], None]) -> None:
+    """Has a world's clients changed before each tick's events."""
+    tick = Clients.tick
+
+    def changed(clients: Clients, *given: Any) -> None:
+        for client in clients.values():
+            change(client, clients)
+        tick(clients, *given)
+
+    patch.setattr(Clients, "tick", changed)
+
+
+@defect("11.3")
+def subscriptions_leak(patch: MonkeyPatch) -> None:
+    """It tells events to all as soon as one has subscribed."""
+
+    def leak(client: Client, clients: Clients) -> None:
+        if client.subscription is None:
+            client.subscription = next((c.subscription for c in clients.values() if c.subscription is not None), None)
+
+    _events(patch, leak)
+
+
+@defect("11.10")
+def nothing_is_removed(patch: MonkeyPatch) -> None:
+    """It does not tell subscribers that a cube is gone."""
+    changes = Subscription.changes
+    patch.setattr(Subscription, "changes", lambda told, *given: (changes(told, *given)[0], []))
+
+
+@defect("11.2:2", "11.2:10")
+def every_tick_told(patch: MonkeyPatch) -> None:
+    """It tells every tick, though asked for every so many."""
+
+    def each(client: Client, clients: Clients) -> None:
+        if client.subscription is not None:
+            client.subscription.every = 1
+
+    _events(patch, each)
+
+
+@defect("11.4")
+def no_way_out_of_a_subscription(patch: MonkeyPatch) -> None:
+    """It goes on telling those who unsubscribed."""
+    around(patch, "unsubscribe", lambda answer, world, client, c: {"type": "unsubscribed"})
+
+
+@defect("11.8", "11.9")
+def moved_since_the_last_tick(patch: MonkeyPatch) -> None:
+    """It compares a cube with where it was a tick ago, not with what it told last, and so never tells a slow one."""
+    changes = Subscription.changes
+
+    def forgetful(told: Subscription, version: int, names: list[str], states: Any) -> Any:
+        result = changes(told, version, names, states)
+        told._sent[:] = states[:, :7]
+        return result
+
+    patch.setattr(Subscription, "changes", forgetful)
+
+
+@defect("11.7")
+def all_cubes_in_every_state(patch: MonkeyPatch) -> None:
+    """It tells of all cubes every time, also of those that do not move."""
+
+    def forget(client: Client, clients: Clients) -> None:
+        if client.subscription is not None:
+            client.subscription._sent[:] = np.nan
+
+    _events(patch, forget)
+
+
+@defect("11.5")
+def subscribed_twice_told_twice(patch: MonkeyPatch) -> None:
+    """It tells those twice who subscribed twice."""
+    times: dict[int, int] = {}
+    tick = Clients.tick
+
+    def count(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        times[client.number] = times.get(client.number, 0) + 1
+        return answer(world, client, c)
+
+    def repeat(clients: Clients, emit: Any, *given: Any) -> None:
+        def again(client: int, event: bytes) -> None:
+            for _ in range(times.get(client, 1)):
+                emit(client, event)
+
+        tick(clients, again, *given)
+
+    around(patch, "subscribe", count)
+    patch.setattr(Clients, "tick", repeat)
+
+
+@defect("11.1")
+def a_tick_lost(patch: MonkeyPatch) -> None:
+    """It tells all ticks but each third."""
+    tick = Clients.tick
+
+    def lose(clients: Clients, emit: Any, frame: int, *given: Any) -> None:
+        if frame % 3:
+            tick(clients, emit, frame, *given)
+
+    patch.setattr(Clients, "tick", lose)
+
+
+# -- physics ----------------------------------------------------------------------------------------------------------
+
+
+@defect("13.9:apply_physics", "13.9:apply_force")
+def forces_that_last_two_ticks(patch: MonkeyPatch) -> None:
+    """It applies a force during two ticks."""
+    apply, tick = Entities.apply, World.tick
+    held: list[tuple[Entities, Cube, JsonObject]] = []
+
+    def remember(world: Entities, cube: Cube, c: JsonObject) -> None:
+        apply(world, cube, c)
+        held.append((world, cube, c))
+
+    def again(world: World) -> None:
+        tick(world)
+        for where, cube, c in held:
+            if where is world._entities and where.find(cube.name) is cube and "force" in c:
+                apply(where, cube, {"force": c["force"]})
+        held.clear()
+
+    patch.setattr(Entities, "apply", remember)
+    patch.setattr(World, "tick", again)
+
+
+def _pushes(patch: MonkeyPatch, change: Callable[[Entities, Cube, JsonObject], JsonObject]) -> None:
+    """Has what acts on cubes changed."""
+    apply = Entities.apply
+    patch.setattr(Entities, "apply", lambda held, cube, c: apply(held, cube, change(held, cube, c)))
+
+
+@defect("13.8")
+def impulses_twice(patch: MonkeyPatch) -> None:
+    """It applies an impulse twice."""
+    _pushes(patch, lambda held, cube, c: {**c, "impulse": [2 * x for x in c["impulse"]]} if "impulse" in c else c)
+
+
+@defect("13.8")
+def impulses_are_velocities(patch: MonkeyPatch) -> None:
+    """It changes a velocity by the impulse, whatever the mass."""
+    _pushes(
+        patch,
+        lambda held, cube, c: {**c, "impulse": [cube.mass * x for x in c["impulse"]]} if "impulse" in c else c,
+    )
+
+
+@defect("13.10")
+def the_last_force_only(patch: MonkeyPatch) -> None:
+    """It forgets a force when another one comes before the tick."""
+    apply = Entities.apply
+    last: dict[str, JsonObject] = {}
+    tick = World.tick
+
+    def remember(held: Entities, cube: Cube, c: JsonObject) -> None:
+        last[cube.name] = c
+
+    def act(world: World) -> None:
+        for name, c in last.items():
+            cube = world._entities.find(name)
+            if cube is not None:
+                apply(world._entities, cube, c)
+        last.clear()
+        tick(world)
+
+    patch.setattr(Entities, "apply", remember)
+    patch.setattr(World, "tick", act)
+
+
+@defect("13.11")
+def impulses_before_the_tick(patch: MonkeyPatch) -> None:
+    """It changes a velocity as soon as it is told of an impulse."""
+    apply = Entities.apply
+
+    def at_once(held: Entities, cube: Cube, c: JsonObject) -> None:
+        if "impulse" in c and not cube.frozen:
+            state = held.simulation.body_state(cube.body)
+            x, y, z = (v + p / cube.mass for v, p in zip(state.linear_velocity, c["impulse"], strict=True))
+            held.simulation.set_body_state(cube.body, replace(state, linear_velocity=(x, y, z)))
+            c = {key: value for key, value in c.items() if key != "impulse"}
+        apply(held, cube, c)
+
+    patch.setattr(Entities, "apply", at_once)
+
+
+@defect("13.12", "13.14:x", backend="mujoco")
+def turned_about_another_axis(patch: MonkeyPatch) -> None:
+    """It turns a cube about y where it should about x, and so on."""
+
+    def turn(held: Entities, cube: Cube, c: JsonObject) -> JsonObject:
+        return {key: [v[2], v[0], v[1]] if key == "angular_impulse" else v for key, v in c.items()}
+
+    _pushes(patch, turn)
+
+
+@defect("13.15", backend="mujoco")
+def pushed_on_the_other_side(patch: MonkeyPatch) -> None:
+    """It takes the arm of a push from the point to the centre."""
+
+    def mirror(held: Entities, cube: Cube, c: JsonObject) -> JsonObject:
+        if "at" not in c:
+            return c
+        centre = held.simulation.body_state(cube.body).position
+        return {**c, "at": [2 * a - b for a, b in zip(centre, c["at"], strict=True)]}
+
+    _pushes(patch, mirror)
+
+
+def _scene(patch: MonkeyPatch, **changes: Any) -> None:
+    spec = scenery.scene_spec
+
+    def changed(config: Mapping[str, Any], seed: int) -> SceneSpec:
+        return replace(spec(config, seed), **changes)
+
+    patch.setattr(scenery, "scene_spec", changed)
+
+
+@defect("13.1:1-kg", "13.2", "13.4")
+def gravity_upwards(patch: MonkeyPatch) -> None:
+    """It lets cubes fall upwards."""
+    _scene(patch, gravity=(0.0, 9.81, 0.0))
+
+
+@defect("13.1:1-kg", "13.1:1-g", "13.2")
+def gravity_of_the_moon(patch: MonkeyPatch) -> None:
+    """It lets cubes fall with a sixth of the acceleration."""
+    _scene(patch, gravity=(0.0, -1.62, 0.0))
+
+
+@defect("13.3", "13.1:1-kg")
+def gravity_along_z(patch: MonkeyPatch) -> None:
+    """It takes z for the direction that points up."""
+    _scene(patch, gravity=(0.0, 0.0, -9.81))
+
+
+@defect("13.6:1-m", "13.5:cube", backend="mujoco")
+def no_ground(patch: MonkeyPatch) -> None:
+    """It has no ground."""
+    _scene(patch, ground=False)
+
+
+@defect("13.7", backend="mujoco")
+def ice(patch: MonkeyPatch) -> None:
+    """It knows no friction."""
+
+    patch.setattr(entities, "BodySpec", lambda **given: BodySpec(**{**given, "friction": 0.0}))
+
+
+@defect("13.17")
+def frozen_cubes_move(patch: MonkeyPatch) -> None:
+    """It moves a frozen cube that something pushes."""
+    apply = Entities.apply
+
+    def shift(held: Entities, cube: Cube, c: JsonObject) -> None:
+        apply(held, cube, c)
+        if cube.frozen:
+            state = held.simulation.body_state(cube.body)
+            x, y, z = state.position
+            held.simulation.set_body_state(cube.body, replace(state, position=(x + 0.01, y, z)))
+
+    patch.setattr(Entities, "apply", shift)
+
+
+@defect("13.18")
+def frozen_cubes_keep_their_velocity(patch: MonkeyPatch) -> None:
+    """It lets a cube go with the velocity that it had when it was frozen."""
+    freeze = Entities.freeze
+    velocities: dict[int, BodyState] = {}
+
+    def keep(held: Entities, cube: Cube, frozen: bool) -> None:
+        state = held.simulation.body_state(cube.body)
+        if frozen and not cube.frozen:
+            velocities[cube.body] = state
+        freeze(held, cube, frozen)
+        if not frozen and cube.body in velocities:
+            held.simulation.set_body_state(
+                cube.body, replace(state, linear_velocity=velocities.pop(cube.body).linear_velocity)
+            )
+
+    patch.setattr(Entities, "freeze", keep)
+
+
+def _motors(patch: MonkeyPatch, change: Callable[[JointParams], JointParams]) -> None:
+    """Has an engine drive joints otherwise than the parameters say."""
+    engine_params = jointparams.engine_params
+    patch.setattr(jointparams, "engine_params", lambda params: change(engine_params(params)))
+
+
+@defect("13.34:about-z", "13.35", backend="mujoco")
+def motors_backwards(patch: MonkeyPatch) -> None:
+    """It turns motors the other way."""
+    _motors(patch, lambda params: replace(params, target_velocity=-params.target_velocity))
+
+
+@defect("13.34:about-z", backend="mujoco")
+def motors_in_degrees(patch: MonkeyPatch) -> None:
+    """It takes a motor's velocity for one in degrees a second."""
+    _motors(patch, lambda params: replace(params, target_velocity=np.deg2rad(params.target_velocity)))
+
+
+@defect("13.37", backend="mujoco")
+def motors_without_limit(patch: MonkeyPatch) -> None:
+    """It gives a motor all the force that it wants."""
+    _motors(patch, lambda params: replace(params, max_effort=max(params.max_effort, 1e4)))
+
+
+@defect("13.38:upwards", "13.38:downwards", backend="mujoco")
+def joints_without_limits(patch: MonkeyPatch) -> None:
+    """It moves joints over their limits."""
+    _motors(patch, lambda params: replace(params, limits=None))
+
+
+@defect("13.39", backend="mujoco")
+def servos_that_wander(patch: MonkeyPatch) -> None:
+    """It takes a servo to the opposite of where it should."""
+    _motors(patch, lambda params: replace(params, target_position=-params.target_position))
+
+
+@defect("13.33", backend="pymunk")
+def joined_cubes_push_each_other(patch: MonkeyPatch) -> None:
+    """It lets cubes collide that are joined."""
+    patch.setattr(pymunk.Constraint, "collide_bodies", True)
+
+
+@defect("13.26", backend="mujoco")
+def removed_joints_hold(patch: MonkeyPatch) -> None:
+    """It tells of a removed joint no more, and lets it hold."""
+
+    def keep(held: Entities, joint: Joint) -> None:
+        with MonkeyPatch.context() as inner:
+            inner.setattr(held.simulation, "remove_joint", lambda number: None)
+            cut(held, joint)
+
+    cut = Entities.cut
+    patch.setattr(Entities, "cut", keep)
+
+
+@defect("13.42", backend="pymunk")
+def planes_with_depth(patch: MonkeyPatch) -> None:
+    """It tells a depth in a plane."""
+    for name in ("cube_state", "cube_info"):
+        tell = getattr(Entities, name)
+
+        def deep(held: Entities, cube: Cube, tell: Any = tell) -> JsonObject:
+            told: JsonObject = tell(held, cube)
+            x, y, _ = told["position"]
+            return {**told, "position": (x, y, 0.25)}
+
+        patch.setattr(Entities, name, deep)
+
+
+@defect("13.43")
+def quaternions_that_grow(patch: MonkeyPatch) -> None:
+    """It tells quaternions that are not of unit length."""
+    state = Entities.cube_state
+
+    def long(held: Entities, cube: Cube) -> JsonObject:
+        told = state(held, cube)
+        return {**told, "quaternion": tuple(1.1 * x for x in told["quaternion"])}
+
+    patch.setattr(Entities, "cube_state", long)
+
+
+@defect("13.44")
+def nothing_jumps(patch: MonkeyPatch) -> None:
+    """It knows no restitution."""
+
+    patch.setattr(entities, "BodySpec", lambda **given: BodySpec(**{**given, "restitution": 0.0}))
+
+
+@defect("13.44")
+def everything_jumps(patch: MonkeyPatch) -> None:
+    """It lets all cubes jump off the ground, whatever they are told to be."""
+
+    patch.setattr(entities, "BodySpec", lambda **given: BodySpec(**{**given, "restitution": 0.8}))
+
+
+@defect("13.36", backend="mujoco")
+def motors_that_never_stop(patch: MonkeyPatch) -> None:
+    """It drives joints whose motors are switched off."""
+
+    def drive(params: JointParams) -> JointParams:
+        return replace(params, motor="velocity", max_effort=max(params.max_effort, 100.0))
+
+    _motors(patch, drive)
+
+
+@defect("13.40", backend="mujoco")
+def joints_read_backwards(patch: MonkeyPatch) -> None:
+    """It tells a joint's position with the wrong sign."""
+    info = Entities.joint_info
+
+    def mirror(held: Entities, joint: Joint) -> JsonObject:
+        told = info(held, joint)
+        return {**told, "position": -told["position"]}
+
+    patch.setattr(Entities, "joint_info", mirror)
+
+
+@defect("13.24", "13.25", "13.28", backend="mujoco")
+def joints_that_do_not_hold(patch: MonkeyPatch) -> None:
+    """It tells of joints, and lets the cubes fly apart."""
+    connect = Entities.connect
+
+    def pretend(held: Entities, *given: Any) -> str:
+        name = connect(held, *given)
+        held.simulation.remove_joint(held.joint(name).number)
+        return name
+
+    patch.setattr(Entities, "connect", pretend)
+
+
+@defect("13.22", backend="mujoco")
+def nothing_touches(patch: MonkeyPatch) -> None:
+    """It tells no contacts."""
+    patch.setattr(entities, "contact_list", lambda *given: [])
+
+
+# -- determinism ------------------------------------------------------------------------------------------------------
+
+_chance = itertools.count(1)
+
+
+@defect("14.3", "14.1:0")
+def names_by_chance(patch: MonkeyPatch) -> None:
+    """It makes names up that the seed does not determine."""
+    patch.setattr(
+        Entities, "draw", lambda held, prefix, count: f"{prefix}_{count}_{next(_chance) * 2654435761 % 2**32:08x}"
+    )
+
+
+@defect("14.3")
+def names_without_the_seed(patch: MonkeyPatch) -> None:
+    """It makes the same names up whatever the seed."""
+    draw = Entities.draw
+
+    def constant(held: Entities, prefix: str, count: int) -> str:
+        seed, held._seed = held._seed, 7
+        try:
+            return draw(held, prefix, count)
+        finally:
+            held._seed = seed
+
+    patch.setattr(Entities, "draw", constant)
+
+
+@defect("14.1:0", "14.1:1")
+def a_little_noise(patch: MonkeyPatch) -> None:
+    """It pushes cubes a little, each time otherwise."""
+    _pushes(
+        patch,
+        lambda held, cube, c: {
+            key: [x * (1 + 1e-12 * next(_chance)) for x in value] if key in ("force", "impulse") else value
+            for key, value in c.items()
+        },
+    )
+
+
+@defect("14.4")
+def a_reset_keeps_the_frame(patch: MonkeyPatch) -> None:
+    """It goes on counting frames after a reset."""
+
+    def keep(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        frame = world.frame
+        reply = answer(world, client, c)
+        world.frame = frame
+        return reply
+
+    around(patch, "reset", keep)
+
+
+@defect("14.3", "14.1:0")
+def a_reset_keeps_the_names(patch: MonkeyPatch) -> None:
+    """It goes on counting names after a reset."""
+
+    def keep(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        spawned = world._entities._spawned
+        reply = answer(world, client, c)
+        world._entities._spawned = spawned
+        return reply
+
+    around(patch, "reset", keep)
+
+
+@defect("14.6")
+def a_reset_ends_subscriptions(patch: MonkeyPatch) -> None:
+    """It forgets subscriptions in a reset."""
+
+    def forget(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        for other in world._clients.values():
+            other.subscription = None
+        return answer(world, client, c)
+
+    around(patch, "reset", forget)
+
+
+@defect("14.5")
+def owners_after_a_reset(patch: MonkeyPatch) -> None:
+    """It lets a connection own a cube of before the reset, when there is one of that name again."""
+
+    def keep(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        owned = {other.number: other.owned for other in world._clients.values()}
+        reply = answer(world, client, c)
+        for number, name in owned.items():
+            world._clients[number].owned = name
+        return reply
+
+    around(patch, "reset", keep)
+
+
+@defect("14.7")
+def looking_changes_it(patch: MonkeyPatch) -> None:
+    """It moves a cube a little whenever somebody looks at it."""
+    info = Entities.cube_info
+
+    def nudge(held: Entities, cube: Cube) -> JsonObject:
+        told = info(held, cube)
+        state = held.simulation.body_state(cube.body)
+        x, y, z = state.position
+        held.simulation.set_body_state(cube.body, replace(state, position=(x + 1e-9, y, z)))
+        return told
+
+    patch.setattr(Entities, "cube_info", nudge)

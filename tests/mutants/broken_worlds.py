@@ -1,0 +1,645 @@
+"""Servers that are wrong about commands, names, ownership, errors, several clients or capabilities. See `broken`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+from pytest import MonkeyPatch
+
+from broken import Answer, JsonObject, around, defect
+from nmes import protocol
+from nmes.backend import JointSpec
+from nmes.backend.rotation import multiply, quaternion_from_euler
+from nmes.errors import RejectedMessage, WorldError
+from nmes.protocol import messages
+from nmes.world import World
+from nmes.world import entities as entities
+from nmes.world import joint_params as jointparams
+from nmes.world.clients import Client
+from nmes.world.entities import Cube, Entities, Joint
+
+Quaternion = tuple[float, float, float, float]
+
+
+def _rotations(patch: MonkeyPatch, read: Callable[[list[float]], list[float] | Quaternion]) -> None:
+    """Has rotations in commands read as `read` says."""
+    rotation = Entities._rotation
+    patch.setattr(Entities, "_rotation", lambda held, value: rotation(held, list(read(value))))
+
+
+# -- commands ---------------------------------------------------------------------------------------------------------
+
+
+@defect("5.8:z", "5.8:all", backend="mujoco")
+def quaternions_with_w_first(patch: MonkeyPatch) -> None:
+    """It takes the first of a quaternion's four numbers for w."""
+    _rotations(patch, lambda value: value if len(value) == 3 else [*value[1:], value[0]])
+
+
+@defect("5.7:all", "5.7:large")
+def euler_angles_in_another_order(patch: MonkeyPatch) -> None:
+    """It applies Euler angles in the order X, Y, Z."""
+
+    def read(value: list[float]) -> list[float] | Quaternion:
+        if len(value) == 4:
+            return value
+        x, y, z = (quaternion_from_euler(*(v if i == k else 0.0 for k, v in enumerate(value))) for i in range(3))
+        return multiply(multiply(x, y), z)
+
+    _rotations(patch, read)
+
+
+@defect("5.4:edges", "13.5:flat")
+def half_edges(patch: MonkeyPatch) -> None:
+    """It takes the edges of a cube for the halves of them."""
+
+    def double(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        if isinstance(c.get("size"), list):
+            c = {**c, "size": [2 * edge for edge in c["size"]]}
+        return answer(world, client, c)
+
+    around(patch, "spawn_cube", double)
+
+
+@defect("5.5")
+def another_default(patch: MonkeyPatch) -> None:
+    """It makes cubes of 2 kg where no mass is given."""
+    around(patch, "spawn_cube", lambda answer, world, client, c: answer(world, client, {"mass": 2.0, **c}))
+
+
+@defect("5.3")
+def the_list_always(patch: MonkeyPatch) -> None:
+    """It lists all cubes after a spawn, though told not to."""
+    around(patch, "spawn_cube", lambda answer, world, client, c: answer(world, client, {**c, "list": True}))
+
+
+@defect("5.11")
+def despawn_leaves_joints(patch: MonkeyPatch) -> None:
+    """It goes on telling the joints of a despawned cube in its neighbour's info."""
+    cut = Entities.cut
+
+    def keep(held: Entities, joint: Joint) -> None:
+        cut(held, joint)
+        joint.cube1.joints[joint.name] = joint.cube2.joints[joint.name] = None
+
+    def despawn(held: Entities, cube: Cube) -> list[str]:
+        gone = [name for name in cube.joints if name in held._joints]
+        for name in gone:
+            keep(held, held._joints[name])
+        cube.joints.clear()
+        return whole(held, cube) or gone
+
+    whole = Entities.despawn
+    patch.setattr(Entities, "despawn", despawn)
+
+
+@defect("5.16")
+def removed_joints_listed(patch: MonkeyPatch) -> None:
+    """It goes on listing joints that are gone."""
+    told: dict[str, JsonObject] = {}
+
+    def keep(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        reply = answer(world, client, c)
+        told.update((joint["joint_name"], joint) for joint in reply["joints"])
+        return {**reply, "joints": list(told.values())}
+
+    around(patch, "get_joint_list", keep)
+
+
+@defect("5.11")
+def despawn_tells_no_joints(patch: MonkeyPatch) -> None:
+    """It does not say which joints went with a cube."""
+    around(patch, "despawn_cube", lambda answer, world, client, c: {**answer(world, client, c), "joints": []})
+
+
+@defect("5.13:fixed", "5.13:hinge", backend="mujoco")
+def anchors_in_the_first_cube(patch: MonkeyPatch) -> None:
+    """It puts a joint into its first cube where no position is given."""
+
+    def put(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        cube = world._entities.find(c["cube1"])
+        if cube is not None and "position" not in c:
+            c = {**c, "position": list(world.simulation.body_state(cube.body).position)}
+        return answer(world, client, c)
+
+    around(patch, "create_joint", put)
+
+
+@defect("5.15:hinge-x", "13.29", "13.30", backend="mujoco")
+def joints_with_the_wrong_axis(patch: MonkeyPatch) -> None:
+    """It gives every joint the axis z."""
+    patch.setattr(Entities, "_axis", lambda held, kind, value: (0.0, 0.0, 1.0))
+    patch.setattr(entities, "JointSpec", lambda *given: replace(JointSpec(*given), axis=(0.0, 0.0, 1.0)))
+
+
+@defect("5.18:damping", "5.18:limit_upper", backend="mujoco")
+def parameters_forgotten(patch: MonkeyPatch) -> None:
+    """It repeats a parameter of a joint, and does not set it."""
+
+    def forget(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        joint = world._entities.joint(c["joint_name"])
+        before = joint.params
+        reply = answer(world, client, c)
+        joint.params = before
+        return reply
+
+    around(patch, "set_joint_param", forget)
+
+
+@defect("5.19", backend="mujoco")
+def motors_stay_off(patch: MonkeyPatch) -> None:
+    """It does not switch a motor on that gets a velocity."""
+    adjust = jointparams.adjust
+
+    def off(kind: str, params: Any, given: Any, engine_step: float, path: str | None) -> jointparams.Params:
+        adjusted = adjust(kind, params, given, engine_step, path)
+        if "motor_enabled" not in given:
+            adjusted["motor_enabled"] = params["motor_enabled"]
+        return adjusted
+
+    patch.setattr(jointparams, "adjust", off)
+
+
+@defect("5.17")
+def removed_joints_stay_in_cubes(patch: MonkeyPatch) -> None:
+    """It goes on naming a removed joint in its cubes' info."""
+    cut = Entities.cut
+
+    def keep(held: Entities, joint: Joint) -> None:
+        cut(held, joint)
+        joint.cube1.joints[joint.name] = joint.cube2.joints[joint.name] = None
+
+    def remove(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        with MonkeyPatch.context() as inner:
+            inner.setattr(Entities, "cut", keep)
+            return answer(world, client, c)
+
+    around(patch, "remove_joint", remove)
+
+
+@defect("5.47")
+def a_state_forgets_the_rest(patch: MonkeyPatch) -> None:
+    """It stops a cube that is only put somewhere else."""
+    around(
+        patch,
+        "set_cube_state",
+        lambda answer, world, client, c: answer(
+            world, client, {"linear_velocity": [0, 0, 0], "angular_velocity": [0, 0, 0], **c}
+        ),
+    )
+
+
+@defect("5.24", "13.18", "13.19")
+def frozen_for_ever(patch: MonkeyPatch) -> None:
+    """It freezes cubes and never lets them go."""
+    freeze = Entities.freeze
+    patch.setattr(Entities, "freeze", lambda held, cube, frozen: freeze(held, cube, frozen or cube.frozen))
+
+
+@defect("5.26")
+def a_world_without_velocities(patch: MonkeyPatch) -> None:
+    """It leaves the velocities out of world_state."""
+
+    def leave_out(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        reply = answer(world, client, c)
+        return {**reply, "cubes": [{k: v for k, v in cube.items() if "velocity" not in k} for cube in reply["cubes"]]}
+
+    around(patch, "get_world_state", leave_out)
+
+
+@defect("5.34")
+def a_batch_stops_at_an_error(patch: MonkeyPatch) -> None:
+    """It leaves the rest of a batch undone when one of its commands fails."""
+
+    def stop(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        results: list[JsonObject] = []
+        for command in c["commands"]:
+            results += answer(world, client, {**c, "commands": [command]})["results"]
+            if results[-1]["type"] == "error":
+                break
+        return {"type": "batch_result", "results": results}
+
+    around(patch, "batch", stop)
+
+
+@defect("5.34")
+def a_batch_is_undone(patch: MonkeyPatch) -> None:
+    """It undoes a batch of which a command fails."""
+
+    def undo(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        before = world.snapshot()
+        reply = answer(world, client, c)
+        if any(result["type"] == "error" for result in reply["results"]):
+            world.restore(before)
+        return reply
+
+    around(patch, "batch", undo)
+
+
+@defect("5.32")
+def a_batch_without_ids(patch: MonkeyPatch) -> None:
+    """It loses the ids of a batch's commands."""
+
+    def lose(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        results = answer(world, client, c)["results"]
+        return {"type": "batch_result", "results": [{k: v for k, v in r.items() if k != "id"} for r in results]}
+
+    around(patch, "batch", lose)
+
+
+# -- fields and errors ------------------------------------------------------------------------------------------------
+
+
+def _before_checks(patch: MonkeyPatch, mend: Callable[[JsonObject], JsonObject]) -> None:
+    """Has commands changed before they are looked at."""
+    check = messages._check
+
+    def lenient(command: JsonObject, path: str = "") -> RejectedMessage | None:
+        mended = dict(mend(command))
+        command.clear()
+        command.update(mended)
+        return check(command, path)
+
+    patch.setattr(messages, "_check", lenient)
+
+
+@defect("4.9", "2.18")
+def unknown_fields_refused(patch: MonkeyPatch) -> None:
+    """It refuses commands, auth too, with fields that it does not know."""
+    find = messages._find_error
+
+    def refuse(schemas: Any, message: Any, path: str, kind: str | None = None) -> RejectedMessage | None:
+        error = find(schemas, message, path, kind)
+        found = schemas.get("auth") or schemas.get(message.get("type"))
+        if error is None and found is not None:
+            unknown = sorted(set(message) - set(found.schema["properties"]) - {"id"})
+            if unknown:
+                return RejectedMessage("invalid", f"{unknown[0]}: there is no such field", unknown[0])
+        return error
+
+    def check(command: JsonObject, path: str = "") -> RejectedMessage | None:
+        return refuse(protocol.COMMANDS, command, path) or checked(command, path)
+
+    # Only what the server reads: the suite reads replies in this process too.
+    checked = messages._check
+    patch.setattr(messages, "_check", check)
+    read = protocol.Session._read_auth
+
+    def read_auth(session: protocol.Session, frame: bytes) -> protocol.Auth:
+        with MonkeyPatch.context() as inner:
+            inner.setattr(messages, "_find_error", refuse)
+            return read(session, frame)
+
+    patch.setattr(protocol.Session, "_read_auth", read_auth)
+
+
+@defect("4.11")
+def types_in_any_case(patch: MonkeyPatch) -> None:
+    """It takes PING for ping."""
+    _before_checks(patch, lambda c: {**c, "type": c["type"].lower()} if isinstance(c.get("type"), str) else c)
+
+
+@defect("6.1:spawn_cube.mass", "4.10:text")
+def text_for_numbers(patch: MonkeyPatch) -> None:
+    """It takes anything but a number for a mass of 1 kg."""
+
+    def mend(c: JsonObject) -> JsonObject:
+        mass = c.get("mass", 1.0)
+        return c if type(mass) in (int, float) else {**c, "mass": 1.0}
+
+    _before_checks(patch, mend)
+
+
+@defect("6.1:set_joint_param.param_name", backend="mujoco")
+def any_parameter(patch: MonkeyPatch) -> None:
+    """It says that it sets parameters that there are not."""
+
+    def mend(c: JsonObject) -> JsonObject:
+        known = c.get("param_name") in jointparams.CAPABILITY
+        return c if c.get("type") != "set_joint_param" or known else {"type": "ping", "id": c.get("id")}
+
+    _before_checks(patch, mend)
+
+
+def _errors(patch: MonkeyPatch, change: Callable[[JsonObject], JsonObject]) -> None:
+    """Has errors told otherwise."""
+    error_reply = protocol.error_reply
+    for module in (protocol, messages):
+        patch.setattr(module, "error_reply", lambda error, kind=None: change(error_reply(error, kind)))
+
+
+@defect("7.1:despawn_cube", "7.3:set_joint_param", only_strict=True, backend="mujoco")
+def errors_without_command(patch: MonkeyPatch) -> None:
+    """It does not say in an error which command it is about."""
+    _errors(patch, lambda reply: {k: v for k, v in reply.items() if k != "command"})
+
+
+@defect("7.1:despawn_cube", "7.1:get_cube_info", "7.4:cube2")
+def one_code_for_all(patch: MonkeyPatch) -> None:
+    """It says `invalid` where a cube is not found."""
+    _errors(patch, lambda reply: {**reply, "code": "invalid"} if reply["code"] == "cube_not_found" else reply)
+
+
+@defect("7.1:get_cube_info")
+def codes_of_its_own(patch: MonkeyPatch) -> None:
+    """It tells errors by codes that the protocol does not have."""
+    _errors(patch, lambda reply: {**reply, "code": "E404"} if reply["code"] == "cube_not_found" else reply)
+
+
+@defect("7.7:other-order")
+def joined_twice(patch: MonkeyPatch) -> None:
+    """It joins a pair a second time when the other cube is named first."""
+
+    def twice(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        reply = None
+        try:
+            return answer(world, client, c)
+        except WorldError as error:
+            if error.code != "joint_exists":
+                raise
+            for joint in world._entities.joints():
+                if (joint.cube1.name, joint.cube2.name) == (c["cube1"], c["cube2"]):
+                    raise
+                if (joint.cube2.name, joint.cube1.name) == (c["cube1"], c["cube2"]):
+                    reply = {"type": "joint_created", "joint_name": f"{joint.name}x"}
+        assert reply is not None
+        return reply
+
+    around(patch, "create_joint", twice)
+
+
+@defect("7.17", backend="mujoco")
+def limits_upside_down(patch: MonkeyPatch) -> None:
+    """It takes limits of which the lower is above the upper."""
+    adjust = jointparams.adjust
+
+    def sort(kind: str, params: Any, given: Any, engine_step: float, path: str | None) -> jointparams.Params:
+        if given.get("limit_lower", 0) > given.get("limit_upper", float("inf")):
+            given = {**given, "limit_lower": given["limit_upper"], "limit_upper": given["limit_lower"]}
+        return adjust(kind, params, given, engine_step, path)
+
+    patch.setattr(jointparams, "adjust", sort)
+
+
+@defect("7.14")
+def a_refused_spawn_disowns(patch: MonkeyPatch) -> None:
+    """It forgets what a connection owns when it refuses to spawn."""
+
+    def disown(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        client.owned = None
+        return answer(world, client, c)
+
+    around(patch, "spawn_cube", disown)
+
+
+@defect("7.5")
+def a_cube_of_that_name_again(patch: MonkeyPatch) -> None:
+    """It replaces a cube by another one of the same name."""
+
+    def replace_it(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        cube = world._entities.find(c.get("cube_name", "") + ("_BASE" if c.get("is_base") else ""))
+        if cube is not None:
+            world._entities.despawn(cube)
+        return answer(world, client, c)
+
+    around(patch, "spawn_cube", replace_it)
+
+
+@defect("7.6")
+def a_cube_joined_to_itself(patch: MonkeyPatch) -> None:
+    """It says `invalid` where a cube is to be joined to itself."""
+    _errors(patch, lambda reply: {**reply, "code": "invalid"} if reply["code"] == "self_joint" else reply)
+
+
+@defect("7.9:apply_physics")
+def nothing_owned_is_not_found(patch: MonkeyPatch) -> None:
+    """It says `cube_not_found` where a connection owns nothing."""
+    _errors(patch, lambda reply: {**reply, "code": "cube_not_found"} if reply["code"] == "nothing_owned" else reply)
+
+
+@defect("6.6", only_strict=True)
+def fields_without_their_place(patch: MonkeyPatch) -> None:
+    """It names the field of an error, and not the number in it."""
+    _errors(patch, lambda reply: {**reply, "field": reply["field"].split("/")[0]} if "field" in reply else reply)
+
+
+# -- names and ownership ----------------------------------------------------------------------------------------------
+
+
+@defect("8.2")
+def names_used_again(patch: MonkeyPatch) -> None:
+    """It gives the name of a despawned cube to the next one without a name."""
+    patch.setattr(Entities, "draw", lambda held, prefix, count: f"{prefix}_{_lowest(held, prefix)}_00000000")
+
+
+def _lowest(held: Entities, prefix: str) -> int:
+    taken = {*held._cubes, *held._joints}
+    return next(n for n in range(1, 1 << 20) if f"{prefix}_{n}_00000000" not in taken)
+
+
+@defect("8.7", "3.17")
+def the_first_cube_owned(patch: MonkeyPatch) -> None:
+    """It lets a connection own the first cube that it spawned, not the last."""
+
+    def first(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        owned = client.owned
+        reply = answer(world, client, c)
+        client.owned = owned or client.owned
+        return reply
+
+    around(patch, "spawn_cube", first)
+
+
+@defect("8.8", "8.13")
+def the_last_cube_of_all_owned(patch: MonkeyPatch) -> None:
+    """It lets all own the cube that was spawned last, whoever did it."""
+
+    def last(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        names = world.cubes()
+        client.owned = names[-1] if names else None
+        return answer(world, client, c)
+
+    for kind in ("apply_physics", "apply_force", "get_cube_state"):
+        around(patch, kind, last)
+
+
+@defect("8.9")
+def an_older_cube_owned_again(patch: MonkeyPatch) -> None:
+    """It lets a connection whose cube is gone own the one that it spawned before."""
+    spawned: dict[int, list[str]] = {}
+
+    def remember(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        reply = answer(world, client, c)
+        spawned.setdefault(client.number, []).append(reply["spawned"])
+        return reply
+
+    def older(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        there = [name for name in spawned.get(client.number, []) if world._entities.find(name) is not None]
+        client.owned = there[-1] if there else None
+        return answer(world, client, c)
+
+    around(patch, "spawn_cube", remember)
+    around(patch, "apply_physics", older)
+
+
+@defect("8.12")
+def cubes_go_with_their_connection(patch: MonkeyPatch) -> None:
+    """It despawns the cube of a connection that goes."""
+    leave = World.leave
+
+    def take_along(world: World, client: int) -> None:
+        owned = world._clients[client].owned
+        cube = None if owned is None else world._entities.find(owned)
+        if cube is not None:
+            world._entities.despawn(cube)
+        leave(world, client)
+
+    patch.setattr(World, "leave", take_along)
+
+
+@defect("8.4", "8.6")
+def bases_without_suffix(patch: MonkeyPatch) -> None:
+    """It calls a base as it was told, without _BASE."""
+
+    def plain(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        if not c.get("is_base"):
+            return answer(world, client, c)
+        reply = answer(world, client, {**c, "is_base": False})
+        world._entities.freeze(world._entities.cube(reply["spawned"]), True)
+        return reply
+
+    around(patch, "spawn_cube", plain)
+
+
+@defect("8.5", "13.17")
+def bases_that_move(patch: MonkeyPatch) -> None:
+    """It does not freeze a base."""
+
+    def let_go(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        reply = answer(world, client, c)
+        if c.get("is_base"):
+            world._entities.freeze(world._entities.cube(reply["spawned"]), False)
+        return reply
+
+    around(patch, "spawn_cube", let_go)
+
+
+@defect("8.19")
+def names_without_case(patch: MonkeyPatch) -> None:
+    """It takes names that differ only by case for one."""
+    _before_checks(
+        patch, lambda c: {k: v.lower() if k == "cube_name" and isinstance(v, str) else v for k, v in c.items()}
+    )
+
+
+@defect("8.17:space", "8.17:tab")
+def names_with_white_space(patch: MonkeyPatch) -> None:
+    """It replaces white space in names."""
+    _before_checks(
+        patch,
+        lambda c: {k: "_".join(v.split()) if k == "cube_name" and isinstance(v, str) else v for k, v in c.items()},
+    )
+
+
+@defect("8.14")
+def cubes_in_order_of_names(patch: MonkeyPatch) -> None:
+    """It lists cubes in the order of their names."""
+    around(
+        patch,
+        "get_cube_list",
+        lambda answer, world, client, c: {"type": "cube_list", "cubes": sorted(world.cubes())},
+    )
+
+
+@defect("8.20")
+def one_name_for_all_joints(patch: MonkeyPatch) -> None:
+    """It gives joints the name of their first cube."""
+
+    def name(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        return {**answer(world, client, c), "joint_name": f"joint_of_{c['cube1']}"}
+
+    around(patch, "create_joint", name)
+
+
+@defect("9.1")
+def a_world_for_each(patch: MonkeyPatch) -> None:
+    """It shows each client only the cubes that it spawned itself."""
+    spawned: dict[int, list[str]] = {}
+
+    def remember(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        reply = answer(world, client, c)
+        spawned.setdefault(client.number, []).append(reply["spawned"])
+        return reply
+
+    def own(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        mine = spawned.get(client.number, [])
+        return {"type": "cube_list", "cubes": [name for name in world.cubes() if name in mine]}
+
+    around(patch, "spawn_cube", remember)
+    around(patch, "get_cube_list", own)
+
+
+# -- capabilities -----------------------------------------------------------------------------------------------------
+
+
+def _refuse(code: str) -> Callable[[Answer, World, Client, JsonObject], JsonObject]:
+    def refuse(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        raise WorldError(code, "this server has no such thing")
+
+    return refuse
+
+
+@defect("16.1:batch")
+def claimed_and_lacking(patch: MonkeyPatch) -> None:
+    """It claims batch, and does not have it."""
+    around(patch, "batch", _refuse("unsupported"))
+
+
+@defect("16.2:set_joint_param")
+def required_and_lacking(patch: MonkeyPatch) -> None:
+    """It does not have set_joint_param, which all must have."""
+    _before_checks(patch, lambda c: {**c, "type": "?"} if c.get("type") == "set_joint_param" else c)
+
+
+@defect("16.3:hinge", only_strict=True)
+def joints_that_it_does_not_claim(patch: MonkeyPatch) -> None:
+    """It makes a fixed joint where it has none of the kind that was asked for."""
+    around(patch, "create_joint", lambda answer, world, client, c: answer(world, client, {**c, "joint_type": "fixed"}))
+
+
+@defect("16.4", only_strict=True)
+def claims_that_are_none(patch: MonkeyPatch) -> None:
+    """It claims to have a ping, which all must have, as something special."""
+    capabilities = World.capabilities
+    patch.setattr(World, "capabilities", lambda world: [*capabilities(world), "ping"])
+
+
+@defect("16.5:stiffness")
+def parameters_of_joints_that_have_none(patch: MonkeyPatch) -> None:
+    """It says that it sets the stiffness of a fixed joint."""
+
+    def pretend(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        return {"type": "joint_param_set", **{key: c[key] for key in ("joint_name", "param_name", "value")}}
+
+    around(patch, "set_joint_param", pretend)
+
+
+@defect("12.8", config={"limits": {"cubes": 200}})
+def more_cubes_than_the_limit(patch: MonkeyPatch) -> None:
+    """It tells a limit of cubes and does not hold to it."""
+    patch.setattr(Entities, "require_room", lambda held, cubes=0, joints=0: None)
+
+
+@defect("17.1:0")
+def what_is_spawned_owned_by_all(patch: MonkeyPatch) -> None:
+    """It lets everybody own what anybody spawns."""
+
+    def share(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+        reply = answer(world, client, c)
+        for other in world._clients.values():
+            other.owned = reply["spawned"]
+        return reply
+
+    around(patch, "spawn_cube", share)

@@ -1,0 +1,217 @@
+"""Branches: worlds that go on from a frame of a recording, in scripts and on a server, in a recording of their own."""
+
+from __future__ import annotations
+
+import json
+import signal
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+from test_cli import process, ready
+
+import programs
+from nmes import Client
+from nmes.cli import main
+from nmes.errors import RecordingError
+from nmes.playback import world_at
+from nmes.playback.compare import replay
+from nmes.playback.diff import compare
+from nmes.playback.fork import fork
+from nmes.recording import Kind, Recorder, Recording
+from nmes.world import World
+from recordings import record, send
+
+BACKENDS = pytest.mark.parametrize("backend", ["mujoco", "ballistic", "pymunk"])
+
+
+def play(world: World, client: int) -> None:
+    for step in programs.draw(77, 100):
+        for command in programs.commands(world, step):
+            world.execute(client, command)
+
+
+def parent(tmp_path: Path, backend: str = "ballistic") -> Recording:
+    return Recording(record(tmp_path / "parent.mcap", play, {"backend": backend, "keyframes": 1.0}))
+
+
+def digests(recording: Recording) -> list[str]:
+    return [d for r in recording if r.kind is Kind.TICKS and r.about is not None for d in r.about["digests"]]
+
+
+@BACKENDS
+def test_a_branch_goes_on_and_replays_without_its_parent(tmp_path: Path, backend: str) -> None:
+    recording = parent(tmp_path, backend)
+    total = recording.last_frame
+    for frame in (0, total // 3, total):
+        path = tmp_path / f"{frame}.mcap"
+        world = World(recording.config)
+        recorder = fork(recording, world, path, frame)
+        assert world.ticks == frame and world.clients() == [1] and world.journal is recorder
+        send(world, 1, type="spawn_cube", position=[0, 30, 0])
+        send(world, world.join(), type="step", ticks=20)
+        send(world, 1, type="get_world_state")
+        recorder.close()
+        child = Recording(path)
+        pointer = child.metadata["nmes.parent"]
+        assert (pointer["frame"], pointer["file"]) == (str(frame), "parent.mcap")
+        report = replay(child)
+        assert report.verdict == "reproduced", report.divergence
+        assert report.frames == (0 if backend == "pymunk" else frame, frame + 20)
+        assert child.last_frame == frame + 20
+        # A branch of a branch.
+        assert world_at(child, frame + 7).ticks == frame + 7
+
+
+def test_the_pointer_is_to_the_parent_as_it_was(tmp_path: Path) -> None:
+    recording, other = parent(tmp_path), tmp_path / "other"
+    other.mkdir()
+    total = recording.last_frame
+    pointer, again = recording.lineage(total), parent(other).lineage(total)
+    assert recording.complete and pointer["head"] == recording.end["head"]
+    assert pointer["recording"] != again["recording"]
+    assert recording.lineage(1)["head"] != pointer["head"]
+    assert recording.lineage(1)["recording"] == pointer["recording"]
+
+
+@BACKENDS
+def test_a_branch_that_does_the_same_is_the_same(tmp_path: Path, backend: str) -> None:
+    recording = parent(tmp_path, backend)
+    program = programs.draw(5, 40)
+
+    def go_on(world: World) -> tuple[Any, bytes]:
+        replies = [world.execute(1, command) for step in program for command in programs.commands(world, step)]
+        return replies, world.digest()
+
+    for frame in (20, recording.last_frame):
+        worlds = [World(recording.config), World(recording.config)]
+        recorders = [fork(recording, world, tmp_path / f"{frame}-{i}.mcap", frame) for i, world in enumerate(worlds)]
+        first, second = (go_on(world) for world in worlds)
+        assert first == second
+        for recorder in recorders:
+            recorder.close()
+        assert compare(*(Recording(recorder.path) for recorder in recorders)).same
+
+
+@BACKENDS
+def test_a_branch_that_cannot_be_leaves_nothing_behind(tmp_path: Path, backend: str) -> None:
+    recording = parent(tmp_path, backend)
+    with pytest.raises(RecordingError, match="no frame"):
+        fork(recording, World(recording.config), tmp_path / "x.mcap", 10**6)
+    assert list(tmp_path.iterdir()) == [recording.path]
+    with pytest.raises(RecordingError, match="exists already"):
+        fork(recording, World(recording.config), recording.path, 3)
+    assert recording.complete and replay(recording).verdict == "reproduced"
+
+
+def test_a_world_that_stopped_goes_on_from_before_that(tmp_path: Path) -> None:
+    def fail(world: World, client: int) -> None:
+        send(world, client, type="spawn_cube", cube_name="far")
+        send(world, client, type="step", ticks=9)
+        send(world, client, type="apply_physics", cube_name="far", impulse=[1e15, 0, 0])
+        send(world, client, type="step", ticks=99)
+        assert world.fault is not None
+
+    recording = Recording(record(tmp_path / "x.mcap", fail))
+    world = world_at(recording)
+    assert world.fault is None and world.ticks == recording.last_frame < 108
+    world.tick()
+    assert world.fault is not None
+
+
+def test_a_parent_and_its_branch_are_compared_from_where_they_part(tmp_path: Path) -> None:
+    recording = parent(tmp_path, "mujoco")
+    frame, path = recording.last_frame // 2, tmp_path / "x.mcap"
+    world = World(recording.config)
+    recorder = fork(recording, world, path, frame)
+    for _ in range(10):
+        world.tick()
+    recorder.close()
+    for pair in ((recording, Recording(path)), (Recording(path), recording)):
+        comparison = compare(*pair)
+        assert comparison.inputs is not None and comparison.inputs.ticks >= frame
+        assert comparison.states is not None and comparison.states.tick > frame
+
+
+# -- the command line ------------------------------------------------------------------------------------------------
+
+
+def run(*options: str | Path) -> Result:
+    return CliRunner().invoke(main, list(map(str, options)))
+
+
+def test_forking_on_the_command_line(tmp_path: Path) -> None:
+    recording, path = parent(tmp_path, "mujoco"), tmp_path / "fork.mcap"
+    frame = recording.last_frame // 2
+    told = run("fork", recording.path, "--at", str(frame), "-o", path)
+    assert told.exit_code == 0 and f"frame {frame:,} of" in told.stdout
+    assert Recording(path).last_frame == frame and world_at(Recording(path)).clients() == [1]
+    about = json.loads(run("info", path, "--json").stdout)
+    assert (about["first_frame"], about["keyframes"], about["ticks"]) == (frame, 1, 0)
+    assert about["parent"]["file"] == "parent.mcap" and about["complete"]
+    assert f"parent.mcap, frame {frame}" in run("info", path).stdout
+    assert run("verify", path).exit_code == 0
+    assert run("replay", path).exit_code == 0
+    told = run("export", path, "--to", "jsonl", "--output", tmp_path / "log.jsonl")
+    assert told.exit_code == 0 and run("replay", tmp_path / "log.jsonl").stdout.startswith("reproduced: ")
+    again = run("fork", path, "-o", tmp_path / "again.mcap", "--json")
+    assert json.loads(again.stdout)["frame"] == frame
+    for options, why in (
+        ((path, "--at", "3", "-o", tmp_path / "y"), f"begins at frame {frame}"),
+        ((recording.path, "--at", "99999999", "-o", tmp_path / "y"), "no frame"),
+        ((recording.path, "-o", path), "exists already"),
+    ):
+        told = run("fork", *options)
+        assert told.exit_code == 1 and why in told.stderr, told.stderr
+    told = run("replay", path, "--backend", "ballistic")
+    assert told.exit_code == 1 and "a running world of mujoco" in told.stderr
+    assert run("replay", path, "--backend", "mujoco").exit_code == 0
+    told = run("replay", path, "--against", "127.0.0.1:1", "--password", "password")
+    assert told.exit_code == 2 and "a running world of mujoco" in told.stderr
+
+
+def test_a_served_world_is_resumed(tmp_path: Path) -> None:
+    recording = parent(tmp_path, "mujoco")
+    frame = recording.last_frame // 2
+    before = world_at(recording, frame).cubes()
+    options = ["--json", "--port", "0", "--record", str(tmp_path / "on"), "--resume", str(recording.path)]
+    for at in ([], ["--at", str(frame)]):
+        expected = frame if at else recording.last_frame
+        with process("serve", *options, *at, NMES_PASSWORD="password") as server:
+            said = ready(server)
+            assert said["resumed"] == {"file": str(recording.path), "frame": expected}
+            with Client(port=said["port"], password="password") as client:
+                info = client.get_world_info()
+                assert info["counts"]["clients"] == 1 and info["mode"] == "lockstep"
+                if at:
+                    assert client.get_cube_list()["cubes"] == before
+                client.spawn_cube()
+                client.step(30)
+            server.send_signal(signal.SIGTERM)
+            assert server.wait(60) == 0
+        child = Recording(said["recording"])
+        assert child.complete and child.start().frame == expected and child.last_frame == expected + 30
+        assert next(r.client for r in child if r.kind is Kind.LEFT) == 1
+        assert [r.client for r in child if r.kind is Kind.JOINED] == [2]
+        assert replay(child).verdict == "reproduced"
+
+
+def test_resuming_that_makes_no_sense_is_wrong_usage(tmp_path: Path) -> None:
+    recording = parent(tmp_path)
+    for options, why in (
+        (["--resume", recording.path, "--seed", "3"], "--seed does not go with"),
+        (["--resume", recording.path, "--worlds", "3"], "--worlds does not go with"),
+        (["--at", "3"], "--resume"),
+        (["--resume", tmp_path / "nothing.mcap"], "No such file"),
+    ):
+        told = run("serve", "--port", "0", "--no-record", *options)
+        assert told.exit_code == 2 and why in told.stderr, told.stderr
+    told = run("serve", "--port", "0", "--no-record", "--resume", recording.path, "--at", "9999999")
+    assert told.exit_code == 1 and "no frame" in told.stderr
+
+
+def test_a_recorder_of_a_world_at_its_beginning_writes_no_keyframe(tmp_path: Path) -> None:
+    recorder = Recorder(tmp_path / "x.mcap", World({"backend": "ballistic"}))
+    recorder.close()
+    assert list(Recording(tmp_path / "x.mcap")) == []

@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import pytest
+
+from goldens import CORPUS, REPLAYS, Golden, make, positions, reproduces
+from nmes.playback.compare import replay
+from nmes.playback.drift import measure_drift
+from nmes.recording import Recording
+
+goldens = pytest.mark.parametrize("golden", CORPUS, ids=lambda golden: golden.name)
+
+
+def twin(golden: Golden) -> dict[str, Any]:
+    told = json.loads(golden.twin.read_text())
+    assert isinstance(told, dict)
+    return told
+
+
+def drift(golden: Golden) -> float:
+    """Returns how far (m) the cubes come from where they were recorded."""
+    report = measure_drift(golden.recording, golden.config["backend"])
+    assert report.ended is None or twin(golden)["faults"]
+    assert report.refused == {}
+    return max(each.distance for drifts in report.cubes.values() for each in drifts)
+
+
+@goldens
+def test_it_replays(golden: Golden) -> None:
+    report = replay(golden.recording)
+    assert report.damage is None
+    if report.verdict == "not_comparable":  # made on another class of machine
+        assert report.differences
+        assert drift(golden) <= golden.tolerance
+    else:
+        assert report.verdict == "reproduced", report.divergence
+        assert report.ticks == twin(golden)["ticks"]
+
+
+def test_every_part_of_one_with_keyframes_replays() -> None:
+    (golden,) = [golden for golden in CORPUS if "keyframes" in golden.config]
+    recording = Recording(golden.recording)
+    kept, ticks = recording.summary().keyframes, twin(golden)["ticks"]
+    starts = set()
+    for first in (*range(0, ticks, 11), ticks):
+        report = replay(recording, first=first, anyway=True)
+        assert report.frames[1] == ticks
+        starts.add(report.frames[0])
+        assert report.differences or report.verdict == "reproduced", report.divergence
+    assert len(starts) == kept + 1 > 6
+
+
+@goldens
+def test_the_twin_says_what_it_holds(golden: Golden) -> None:
+    told = twin(golden)
+    assert told == {
+        "shows": golden.shows,
+        **reproduces(golden),
+        "positions_at_the_end": told["positions_at_the_end"],
+    }
+    assert Recording(golden.recording).config == golden.world().config
+
+
+@goldens
+def test_it_holds_what_is_played(golden: Golden) -> None:
+    world = golden.world()
+    golden.play(world, world.join())
+    expected = twin(golden)["positions_at_the_end"]
+    assert list(positions(world)) == list(expected)
+    for name, place in positions(world).items():
+        assert place == pytest.approx(expected[name], abs=golden.tolerance)
+
+
+@pytest.mark.parametrize("name", ["mujoco-edits", "mujoco-planets", "pymunk-edits", "pymunk-fault"])
+def test_elsewhere_it_stays_within_its_tolerance(name: str) -> None:
+    (golden,) = [golden for golden in CORPUS if golden.name == name]
+    assert drift(golden) <= golden.tolerance  # as far as that can be tested here
+
+
+def test_the_corpus_is_whole() -> None:
+    assert len(CORPUS) >= 12
+    assert {golden.config["backend"] for golden in CORPUS} == {"mujoco", "pymunk"}
+    files = {path for golden in CORPUS for path in (golden.recording, golden.twin)} | {REPLAYS / "README.md"}
+    assert set(REPLAYS.iterdir()) == files
+    assert all(golden.recording.stat().st_size < 128 << 10 for golden in CORPUS)
+
+
+def test_it_is_made_anew(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("goldens.REPLAYS", tmp_path_factory.mktemp("replays"))
+    golden = next(golden for golden in CORPUS if golden.name == "pymunk-refused")
+    before = json.loads((REPLAYS / golden.twin.name).read_text())
+    for _ in range(2):
+        make(golden)
+        told = twin(golden)
+        assert {**told, "last_digest": ""} == {**before, "last_digest": ""}
+        assert replay(golden.recording).verdict == "reproduced"

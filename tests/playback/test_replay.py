@@ -1,0 +1,597 @@
+from __future__ import annotations
+
+import json
+import random
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import orjson
+import pytest
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import programs
+from nmes.backend.fingerprint import fingerprint
+from nmes.cli import main
+from nmes.playback import states, world_at
+from nmes.playback.compare import Divergence, replay
+from nmes.playback.drift import measure_drift
+from nmes.playback.export import messages
+from nmes.playback.log import Log, replay_log
+from nmes.playback.watch import watch
+from nmes.protocol import Request, parse
+from nmes.recording import REFUSED_LIMIT, Recorder, Recording
+from nmes.world import World
+from recordings import Edit, Line, busy, commands_of, record, rewrite, send
+
+
+@pytest.fixture(scope="module")
+def busy_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(tmp_path_factory.mktemp("replay") / "busy.mcap", busy)
+
+
+# -- what is recorded is reproduced ----------------------------------------------------------------------------------
+
+
+def test_a_recording_is_reproduced(busy_file: Path) -> None:
+    report = replay(busy_file)
+    assert (report.verdict, report.ticks, report.commands) == ("reproduced", 40, 47)
+    assert report.sim_seconds == pytest.approx(40 / 60)
+    assert report.speed > 0
+    assert report.divergence is None and report.damage is None and report.differences == {}
+
+
+frames = st.sampled_from(
+    [
+        b'{"type":"spawn_cube","position":[1,2,3]}',
+        b'{"type":"spawn_cube","cube_name":"named","is_base":true}',
+        b'{"type":"despawn_cube","cube_name":"named_BASE"}',
+        b'{"type":"apply_physics","force":[1.1,2.2,3.3],"impulse":[0.1,0,0]}',
+        b'{"type":"apply_force","force":[0,30,0]}',
+        b'{"type":"set_cube_state","cube_name":"named_BASE","position":[0,9,0]}',
+        b'{"type":"freeze_cube","cube_name":"named_BASE","freeze":false}',
+        b'{"type":"create_joint","cube1":"named_BASE","cube2":"named_BASE","joint_type":"fixed"}',
+        b'{"type":"get_world_state"}',
+        b'{"type":"get_world_info","id":[1,null]}',
+        b'{"type":"step","ticks":3}',
+        b'{"type":"pause"}',
+        b'{"type":"resume"}',
+        b'{"type":"set_mode","mode":"lockstep"}',
+        b'{"type":"set_mode","mode":"fast"}',
+        b'{"type":"reset","seed":5}',
+        b'{"type":"subscribe","every":2}',
+        b'{"type":"batch","commands":[{"type":"spawn_cube"},{"type":"nonsense"},{"type":"step"}]}',
+        b'{"type":"apply_physics","impulse":[1e15,0,0]}',
+        b'{"type":"spawn_cube","mass":-1}',
+        b'{"type":"nonsense","id":"x"}',
+        b"[1,2]",
+        b"\xff",
+        b"not json " * 10_000,
+    ]
+)
+recorded_inputs = st.lists(
+    st.one_of(
+        st.tuples(st.just("frame"), st.integers(0, 2), frames),
+        st.tuples(st.just("tick"), st.integers(1, 8), st.none()),
+        st.tuples(st.sampled_from(["join", "leave", "flush"]), st.integers(0, 2), st.none()),
+    ),
+    max_size=40,
+)
+
+
+@settings(max_examples=80, deadline=None)
+@given(recorded_inputs, st.sampled_from(["ballistic", "pymunk"]), st.sampled_from([0.0, 10.0, 60.0]))
+def test_whatever_happens_is_reproduced(
+    tmp_path_factory: pytest.TempPathFactory, program: list[Any], backend: str, pose_rate: float
+) -> None:
+    def play(world: World, client: int) -> None:
+        clients = [client]
+        for what, number, frame in program:
+            match what:
+                case "tick":
+                    for _ in range(number):
+                        world.tick()
+                case "join":
+                    clients.append(world.join())
+                case "leave" if len(clients) > 1:
+                    world.leave(clients.pop(number % len(clients)))
+                case "frame":
+                    world.handle(clients[number % len(clients)], parse(frame))
+                case "flush":
+                    assert isinstance(world.journal, Recorder)
+                    world.journal.flush()
+
+    path = record(tmp_path_factory.mktemp("any") / "x.mcap", play, {"backend": backend}, pose_rate=pose_rate)
+    recording = Recording(path)
+    assert recording.complete
+    report = replay(recording)
+    assert report.verdict == "reproduced", report.divergence
+    summary = recording.summary()
+    assert (report.ticks, report.commands) == (summary.ticks, summary.commands.total() + summary.refused)
+
+
+@pytest.mark.parametrize("backend", ["mujoco", "pymunk", "ballistic"])
+@pytest.mark.parametrize("number", range(3))
+def test_structures_are_reproduced(tmp_path: Path, backend: str, number: int) -> None:
+    def play(world: World, client: int) -> None:
+        for step in programs.draw(number, 120):
+            for command in programs.commands(world, step):
+                world.execute(client, command)
+
+    path = record(tmp_path / "x.mcap", play, {"backend": backend})
+    report = replay(path)
+    assert report.verdict == "reproduced", report.divergence
+    assert report.ticks > 50
+
+
+def test_faults_are_reproduced_in_commands_and_by_the_clock(tmp_path: Path) -> None:
+    def play(world: World, client: int) -> None:
+        for by_clock in (False, True):
+            send(world, client, type="spawn_cube", cube_name="far")
+            while world.fault is None:
+                send(world, client, type="apply_physics", cube_name="far", impulse=[1e15, 0, 0])
+                world.tick() if by_clock else send(world, client, type="step")
+            send(world, client, type="spawn_cube")
+            world.tick()
+            send(world, client, type="reset")
+
+    path = record(tmp_path / "x.mcap", play)
+    assert Recording(path).summary().faults == 2
+    assert replay(path).verdict == "reproduced"
+
+    def edit(lines: list[Line]) -> list[Line]:
+        at = first(lines, "faults")
+        return changed(lines, at, lines[at].data.replace(b"diverged", b"exploded"))
+
+    found = divergence(path, tmp_path, edit)
+    assert found.kind == "fault" and "exploded" in found.message
+
+
+def test_refused_frames_that_were_not_kept_whole_are_reproduced(tmp_path: Path) -> None:
+    def play(world: World, client: int) -> None:
+        world.handle(client, parse(b'{"type":"spawn_cube","mass":-1,"id":3,"x":"%s"}' % (b"y" * REFUSED_LIMIT)))
+        world.execute(client, {"type": "spawn_cube", "mass": object()})
+
+    path = record(tmp_path / "x.mcap", play)
+    report = replay(path)
+    assert (report.verdict, report.commands) == ("reproduced", 2)
+
+
+BATCH: list[dict[str, Any]] = [
+    {"type": "spawn_cube", "cube_name": "a", "position": [0, 9, 0]},
+    {"type": "step", "ticks": 3},
+    {"type": "spawn_cube", "cube_name": "b"},
+    {"type": "step", "ticks": 100},
+    {"type": "spawn_cube", "cube_name": "c"},
+]
+
+
+@pytest.mark.parametrize("backend", ["ballistic", "pymunk"])
+@pytest.mark.parametrize("command", [{"type": "step", "ticks": 100}, {"type": "batch", "commands": BATCH}])
+def test_nobody_goes_on_where_a_recording_ends_in_a_command(
+    tmp_path: Path, backend: str, command: dict[str, Any]
+) -> None:
+    class Told(BaseException):
+        pass
+
+    def stop() -> None:
+        if world.frame == 7:
+            raise Told
+
+    # As a host does that is told to stop.
+    path = tmp_path / "x.mcap"
+    world = World({"backend": backend, "mode": "lockstep"})
+    recorder = world.journal = Recorder(path, world)
+    world.between = stop
+    client = world.join()
+    with pytest.raises(Told):
+        send(world, client, **command)
+    recorder.close()
+    cubes, poses = world.poses()
+
+    report = replay(path)
+    assert (report.verdict, report.ticks, report.commands, report.frames) == ("reproduced", 7, 0, (0, 7))
+    assert report.damage is None
+    recording = Recording(path)
+    assert [state.frame for state in states(recording)] == [1, 2, 3, 4, 5, 6, 7]
+    for frame in (None, 2):
+        there = world_at(recording, frame)
+        assert there.frame == (7 if frame is None else 2)
+        if frame is None:
+            assert there.cubes() == cubes
+            np.testing.assert_array_equal(there.poses()[1], poses)
+        there.close()
+    seen = []
+    for _ in watch(recording, lambda world: seen.append(world.frame)):
+        pass
+    assert seen == [1, 2, 3, 4, 5, 6, 7]
+    for engine in ("ballistic", backend):
+        drift = measure_drift(recording, engine)
+        assert (drift.ticks, drift.commands, drift.ended) == (7, 1, None)
+    rows = b"".join(orjson.dumps(row) + b"\n" for row in messages(recording))
+    (tmp_path / "x.jsonl").write_bytes(rows)
+    log = replay_log(Log(tmp_path / "x.jsonl"))
+    assert (log.verdict, log.digests, log.passed_over) == ("reproduced", 7, {"commands without their answer": 1})
+
+
+def test_a_recording_that_a_crash_cut_in_a_command_is_reproduced_up_to_there(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    world = World({"backend": "ballistic", "mode": "lockstep"})
+    recorder = world.journal = Recorder(path, world)
+    world.between = lambda: recorder.flush() if world.frame == 7 else None
+    send(world, world.join(), type="step", ticks=100)
+    recorder.close()
+    path.write_bytes(path.read_bytes()[: next(Recording(path).chunks())[0]])
+    report = replay(path)
+    assert (report.verdict, report.ticks, report.commands, report.frames) == ("reproduced", 7, 0, (0, 7))
+    assert report.cut and report.damage is not None
+    assert Recording(path).last_frame == 7
+    there = world_at(Recording(path))
+    assert there.frame == 7
+    there.close()
+
+
+def test_a_mistake_of_the_replay_s_own_is_no_divergence(busy_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*args: object) -> None:
+        raise ZeroDivisionError("a mistake")
+
+    monkeypatch.setattr("nmes.playback.compare._Run._look", fail)
+    with pytest.raises(ZeroDivisionError):
+        replay(busy_file)
+
+
+def test_progress_goes_up_to_the_size(busy_file: Path) -> None:
+    told: list[tuple[int, int]] = []
+    replay(busy_file, progress=lambda done, total: told.append((done, total)))
+    size = busy_file.stat().st_size
+    assert told and all(0 < done <= total == size for done, total in told)
+    assert told == sorted(told)
+
+
+# -- what was tampered with is found ---------------------------------------------------------------------------------
+
+
+def divergence(source: Path, tmp_path: Path, edit: Edit) -> Divergence:
+    """Replays a recording that was edited, its chain made anew, and returns where it diverges."""
+    path = tmp_path / "edited.mcap"
+    path.unlink(missing_ok=True)
+    report = replay(rewrite(source, path, edit))
+    assert report.verdict == "diverged"
+    assert report.damage is None
+    assert report.divergence is not None
+    return report.divergence
+
+
+def changed(lines: list[Line], at: int, data: bytes) -> list[Line]:
+    return [*lines[:at], lines[at]._replace(data=data), *lines[at + 1 :]]
+
+
+def first(lines: list[Line], topic: str, after: int = 0) -> int:
+    return next(i for i, line in enumerate(lines) if i >= after and line.topic == topic)
+
+
+def test_a_changed_digest_is_found_at_its_tick(busy_file: Path, tmp_path: Path) -> None:
+    def edit(lines: list[Line]) -> list[Line]:
+        at = [i for i, line in enumerate(lines) if line.topic == "ticks"][3]
+        ticks = orjson.loads(lines[at].data)
+        ticks["digests"][0] = "0" * 32
+        frame.append(ticks["frame"])
+        return changed(lines, at, orjson.dumps(ticks))
+
+    frame: list[int] = []
+    found = divergence(busy_file, tmp_path, edit)
+    assert (found.kind, found.frame) == ("digest", frame[0])
+    assert found.value is None  # nothing else is different
+
+
+def test_a_changed_input_is_found_at_its_tick_and_shown(busy_file: Path, tmp_path: Path) -> None:
+    def edit(lines: list[Line]) -> list[Line]:
+        at = next(i for i in commands_of(lines) if b"apply_physics" in lines[i].data)
+        command = orjson.loads(lines[at].data)
+        command["force"][0] = float(np.nextafter(command["force"][0], 2))
+        tick = orjson.loads(lines[first(lines, "ticks", at)].data)
+        frame.append(tick["frame"])
+        return changed(lines, at, orjson.dumps(command))
+
+    frame: list[int] = []
+    found = divergence(busy_file, tmp_path, edit)
+    assert (found.kind, found.frame) == ("digest", frame[0])
+    assert found.value is not None and found.seen is not None and found.seen >= found.frame
+    assert found.value.cube == "one"
+    assert found.value.field in ("position/0", "linear_velocity/0")
+    assert found.value.amount is not None and 0 < found.value.amount < 1e-15
+
+
+def test_a_changed_reply_is_found_with_both_values(busy_file: Path, tmp_path: Path) -> None:
+    def edit(lines: list[Line]) -> list[Line]:
+        at = next(i for i, line in enumerate(lines) if b'"cube_info"' in line.data)
+        info = orjson.loads(lines[at].data)
+        values.extend([info["position"][1], info["position"][1] + 0.5])
+        info["position"][1] += 0.5
+        return changed(lines, at, orjson.dumps(info))
+
+    values: list[float] = []
+    found = divergence(busy_file, tmp_path, edit)
+    assert (found.kind, found.client, found.command) == ("reply", 1, "get_cube_info")
+    assert found.value is not None
+    assert (found.value.cube, found.value.field) == ("one", "position/1")
+    assert [found.value.actual, found.value.expected] == values
+    assert found.value.amount == pytest.approx(0.5)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "field", "expected", "actual"),
+    [
+        (b'"spawned":"two"', b'"spawned":"owt"', "spawned", "owt", "two"),
+        (b'"cubes":["one","two"]', b'"cubes":["one"]', "cubes", "1 items", "2 items"),
+        (b'"frozen":false', b'"frozen":true', "frozen", True, False),
+        (b'"sleeping":false,', b"", "sleeping", None, False),
+        (
+            b'{"type":"paused"',
+            b'{ "type":"paused"',
+            "",
+            '{ "type":"paused","frame":15}',
+            '{"type":"paused","frame":15}',
+        ),
+        (b'{"type":"pong"', b'{{"type":"pong"', "", None, {"type": "pong"}),
+    ],
+)
+def test_whatever_is_changed_in_a_reply_is_shown(
+    busy_file: Path, tmp_path: Path, before: bytes, after: bytes, field: str, expected: object, actual: object
+) -> None:
+    def edit(lines: list[Line]) -> list[Line]:
+        at = next(i for i in commands_of(lines, "replies") if before in lines[i].data)
+        return changed(lines, at, lines[at].data.replace(before, after))
+
+    found = divergence(busy_file, tmp_path, edit)
+    assert found.kind == "reply" and found.value is not None
+    assert (found.value.field, found.value.expected, found.value.actual) == (field, expected, actual)
+    assert found.value.amount is None
+
+
+def test_a_missing_reply_is_told_by_what_comes_in_its_place(busy_file: Path, tmp_path: Path) -> None:
+    def edit(lines: list[Line]) -> list[Line]:
+        at = commands_of(lines, "replies")[0]
+        return [*lines[:at], *lines[at + 1 :]]
+
+    found = divergence(busy_file, tmp_path, edit)
+    assert (found.kind, found.value) == ("order", None)
+    assert "the recording has client 1's command" in found.message and "now comes: reply" in found.message
+
+
+def test_a_client_with_another_number_is_found(busy_file: Path, tmp_path: Path) -> None:
+    def edit(lines: list[Line]) -> list[Line]:
+        return changed(lines, first(lines, "clients"), b'{"client":7,"event":"joined"}')
+
+    found = divergence(busy_file, tmp_path, edit)
+    assert found.kind == "client" and "client 7 joined; now it has number 1" in found.message
+
+
+def test_a_changed_picture_is_found(busy_file: Path, tmp_path: Path) -> None:
+    for topic in ("/tf", "/scene", "/boxes/two"):
+
+        def edit(lines: list[Line], topic: str = topic) -> list[Line]:
+            at = first(lines, topic)
+            return changed(lines, at, lines[at].data.replace(b"two", b"owt"))
+
+        assert divergence(busy_file, tmp_path, edit).kind == "poses"
+
+
+def test_dropped_repeated_and_swapped_records_are_found(busy_file: Path, tmp_path: Path) -> None:
+    # What clients and the clock did. What viewers are shown, or that somebody left, may be dropped without effect.
+    def history(line: Line) -> bool:
+        return line.topic == "ticks" or line.topic.startswith("client/")
+
+    def drop(lines: list[Line], i: int) -> list[Line]:
+        return [*lines[:i], *lines[i + 1 :]]
+
+    def repeat(lines: list[Line], i: int) -> list[Line]:
+        return [*lines[: i + 1], *lines[i:]]
+
+    def swap(lines: list[Line], i: int) -> list[Line]:
+        return [*lines[:i], lines[i + 1], lines[i], *lines[i + 2 :]]
+
+    def edit(change: Callable[[list[Line], int], list[Line]], lines: list[Line]) -> list[Line]:
+        places = [i for i in range(len(lines) - 1) if history(lines[i]) and history(lines[i + 1])]
+        return change(lines, rng.choice(places))
+
+    rng = random.Random(3)
+    for change in (drop, repeat, swap):
+        for _ in range(30):
+            divergence(busy_file, tmp_path, partial(edit, change))
+
+
+def test_dropped_repeated_and_swapped_commands_are_found(busy_file: Path, tmp_path: Path) -> None:
+    # With their replies, so that the order of things is right and only what they do is different.
+    def pushes(lines: list[Line]) -> list[int]:
+        return [i for i in commands_of(lines) if b"apply_physics" in lines[i].data]
+
+    def drop(number: int, lines: list[Line]) -> list[Line]:
+        i = pushes(lines)[number]
+        return [*lines[:i], *lines[i + 2 :]]
+
+    def repeat(number: int, lines: list[Line]) -> list[Line]:
+        i = pushes(lines)[number]
+        return [*lines[:i], *lines[i : i + 2], *lines[i:]]
+
+    def swap(number: int, lines: list[Line]) -> list[Line]:  # two pushes of one client
+        one, two = pushes(lines)[number], pushes(lines)[(number + 2) % 16]
+        lines = list(lines)
+        lines[one], lines[two] = lines[two], lines[one]
+        return lines
+
+    for number in range(16):
+        for edit in (drop, repeat, swap):
+            found = divergence(busy_file, tmp_path, partial(edit, number))
+            assert found.kind in ("digest", "reply")
+
+
+def test_what_makes_no_sense_is_told(busy_file: Path, tmp_path: Path) -> None:
+    def stranger(lines: list[Line]) -> list[Line]:
+        at = first(lines, "clients")
+        return [*lines[:at], *lines[at + 1 :]]
+
+    found = divergence(busy_file, tmp_path, stranger)
+    assert found.kind == "order" and "client 1" in found.message
+
+    def fault(lines: list[Line]) -> list[Line]:
+        at = first(lines, "ticks")
+        return changed(lines, at, orjson.dumps({"frame": 1, "digests": []}))
+
+    report = replay(rewrite(busy_file, tmp_path / "shape.mcap", fault))
+    assert report.damage is not None and "does not have the shape of ticks" in report.damage
+    assert not report.cut
+
+
+def test_another_engine_is_not_comparable(busy_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "nmes.playback.compare.fingerprint", lambda backend: {**fingerprint(backend), "libc": "musl 1.2"}
+    )
+    report = replay(busy_file)
+    assert (report.verdict, report.ticks) == ("not_comparable", 0)
+    assert report.differences == {"libc": (Recording(busy_file).fingerprint["libc"], "musl 1.2")}
+    report = replay(busy_file, anyway=True)
+    assert (report.verdict, report.ticks, report.divergence) == ("not_comparable", 40, None)
+
+
+def test_an_engine_that_is_not_installed_is_not_comparable(busy_file: Path) -> None:
+    recording = Recording(busy_file)
+    recording.config["backend"] = "no-such-engine"
+    assert replay(recording).differences == {"backend": ("no-such-engine", "not installed")}
+
+
+def test_an_engine_that_forgets_is_found(busy_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # A world that behaves otherwise than when it was recorded, not a recording that was changed.
+    perform = World.handle
+
+    def handle(world: World, client: int, request: Request) -> bytes:
+        if request.type == "apply_physics" and world.frame > 10:
+            request = parse(request.raw.replace(b"1.5", b"1.6"))
+        return perform(world, client, request)
+
+    monkeypatch.setattr(World, "handle", handle)
+    report = replay(busy_file)
+    assert report.verdict == "diverged"
+    assert report.divergence is not None and report.divergence.kind == "digest"
+    assert report.ticks == report.divergence.frame - 1 >= 10
+
+
+# -- the commands ----------------------------------------------------------------------------------------------------
+
+
+def run(*arguments: str | Path) -> tuple[int, str]:
+    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result.exit_code, result.output
+
+
+def test_nmes_replay_prints_the_verdict(busy_file: Path, tmp_path: Path) -> None:
+    code, output = run("replay", busy_file)
+    assert code == 0
+    assert output.startswith("reproduced: 40 ticks, 47 commands, ")
+    assert output.endswith(" times faster than real time\n")
+
+    def edit(lines: list[Line]) -> list[Line]:
+        at = next(i for i, line in enumerate(lines) if b'"cube_info"' in line.data)
+        return changed(lines, at, lines[at].data.replace(b'"mass":1', b'"mass":3'))
+
+    edited = rewrite(busy_file, tmp_path / "edited.mcap", edit)
+    code, output = run("replay", edited)
+    assert code == 1
+    assert "diverged at frame 1" in output
+    assert "cube one: mass: recorded 3" in output and "now 1" in output and "differs by 2" in output
+
+
+def test_nmes_replay_prints_json(busy_file: Path, tmp_path: Path) -> None:
+    code, output = run("replay", busy_file, "--json")
+    report = json.loads(output)
+    assert code == 0
+    assert (report["verdict"], report["ticks"], report["commands"]) == ("reproduced", 40, 47)
+    path = rewrite(busy_file, tmp_path / "x.mcap", lambda lines: [*lines[:3], *lines[5:]])
+    code, output = run("replay", path, "--json")
+    report = json.loads(output)
+    assert (code, report["verdict"]) == (1, "diverged")
+    assert {"frame", "kind", "cube", "field", "expected", "actual", "difference", "seen"} <= set(report["divergence"])
+
+
+def test_nmes_replay_and_info_tell_of_damage(busy_file: Path, tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(busy_file.read_bytes()[:-100])
+    code, output = run("replay", path)
+    assert code == 0
+    assert "reproduced: 40 ticks" in output and "incomplete: the file ends in its summary" in output
+    path.write_bytes(busy_file.read_bytes().replace(b"application/octet-stream", b"application/octet-strean", 1))
+    code, output = run("replay", path)
+    assert code == 2
+    assert "DAMAGED: the checksum of the summary does not match" in output
+    code, output = run("info", path)
+    assert code == 0
+    assert "no: the checksum of the summary does not match" in output
+    for command in ("replay", "info"):
+        code, output = run(command, tmp_path)
+        assert code == 2
+        assert "is not a regular file" in output
+
+
+def test_nmes_replay_says_why_it_is_not_comparable(busy_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        "nmes.playback.compare.fingerprint", lambda backend: {**fingerprint(backend), "simd": "x86-64-v0"}
+    )
+    code, output = run("replay", busy_file)
+    assert code == 1
+    assert "not comparable" in output and "(here: x86-64-v0)" in output
+    code, output = run("replay", busy_file, "--anyway")
+    assert code == 1
+    assert "run anyway, it agrees all the same: 40 ticks, 47 commands" in output
+    assert json.loads(run("replay", busy_file, "--anyway", "--json")[1])["drift"] is None
+
+
+def test_elsewhere_the_drift_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # As if the engine pushed harder here: 2 N more for a tick.
+    def strengthen(lines: list[Line]) -> list[Line]:
+        at = next(i for i, line in enumerate(lines) if b'"force":[1.5' in line.data)
+        lines[at] = lines[at]._replace(data=lines[at].data.replace(b"[1.5", b"[3.5"))
+        return lines
+
+    path = rewrite(record(tmp_path / "x.mcap", busy, pose_rate=60), tmp_path / "y.mcap", strengthen)
+    monkeypatch.setattr(
+        "nmes.playback.compare.fingerprint", lambda backend: {**fingerprint(backend), "simd": "x86-64-v0"}
+    )
+    code, output = run("replay", path, "--anyway")
+    assert code == 1 and "run anyway, it agrees as far as 0 ticks" in output
+    assert "metres from where each cube was recorded" in output
+    drift = json.loads(run("replay", path, "--anyway", "--json")[1])["drift"]
+    ends = {name: samples[-1]["distance"] for name, samples in drift["cubes"].items()}
+    assert ends["one"] == pytest.approx(2 / 60 * 39.5 / 60, rel=0.02)  # on 1 kg, for the 40 ticks
+    assert ends["two"] < 1e-6
+
+
+def test_nmes_info_counts_faults(tmp_path: Path) -> None:
+    def play(world: World, client: int) -> None:
+        send(world, client, type="spawn_cube", cube_name="far")
+        send(world, client, type="apply_physics", cube_name="far", impulse=[1e15, 0, 0])
+        send(world, client, type="step")
+
+    code, output = run("info", record(tmp_path / "x.mcap", play))
+    assert code == 0
+    assert "\nfaults" in output
+
+
+def test_nmes_info_shows_what_a_recording_is(busy_file: Path) -> None:
+    code, output = run("info", busy_file)
+    assert code == 0
+    rows = {line.split("  ", 1)[0]: line.split("  ", 1)[1].strip() for line in output.splitlines() if line[0] != " "}
+    assert rows["world"] == "main, seed 0"
+    assert rows["engine"].startswith("ballistic")
+    assert rows["ticks"] == "40"
+    assert rows["clients"] == "2"
+    assert rows["complete"] == "yes"
+    assert "  apply_physics" in output
+    code, output = run("info", busy_file, "--json")
+    about = json.loads(output)
+    assert code == 0
+    assert (about["ticks"], about["commands"]["step"], about["complete"]) == (40, 9, True)

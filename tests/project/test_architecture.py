@@ -1,0 +1,93 @@
+"""The import rules are checked by import-linter (`make lint`); here, that the rules themselves catch what they must."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from layout import PROJECT, ROOT, lay_out
+
+# Module, a line that it must not hold, and the contract that says so.
+VIOLATIONS = [
+    ("protocol/messages.py", "from nmes.world import World", "Layers"),
+    ("protocol/messages.py", "from nmes import brain", "Layers"),
+    ("backend/specs.py", "import nmes.protocol", "Layers"),
+    ("errors.py", "from nmes import schemas", "Layers"),
+    ("client/client.py", "from nmes.world import World", "Layers"),
+    ("recording/reader.py", "from nmes.server import Host", "Layers"),
+    ("recording/reader.py", "import nmes.playback.compare", "Layers"),
+    ("world/world.py", "from nmes.recording import Recorder", "Layers"),
+    ("world/entities.py", "def late():\n    import nmes.cli", "Layers"),
+    ("newcomer.py", "", "Layers"),
+    ("world/world.py", "from nmes.backends.mujoco3d import MujocoBackend", "Backends are looked up"),
+    ("cli/serve.py", "from nmes.backends import mujoco3d", "Backends are looked up"),
+    ("backends/ballistic.py", "from nmes.world import World", "Layers"),
+    ("backends/ballistic.py", "from nmes.protocol import parse", "Backends import only"),
+    ("backends/ballistic.py", "from nmes.backends import mujoco3d", "Backends do not import each other"),
+    ("server/host.py", "from nmes.client import Client", "Only the command line"),
+    ("conformance/wire.py", "from nmes.client import Client", "The conformance suite knows"),
+    ("conformance/runner.py", "from nmes.world import World", "Layers"),
+    ("server/host.py", "from nmes import World", "Modules import each other"),
+]
+
+
+@pytest.fixture(scope="module")
+def layout(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of the tree as it is once installed."""
+    root = tmp_path_factory.mktemp("layout")
+    lay_out(root, shutil.copyfile)
+    shutil.copy(ROOT / "pyproject.toml", root)
+    return root
+
+
+def check(layout: Path) -> subprocess.CompletedProcess[str]:
+    command = [str(Path(sys.executable).parent / "lint-imports"), "--no-cache", "--no-logo"]
+    environment = {**os.environ, "PYTHONPATH": str(layout)}
+    return subprocess.run(command, cwd=layout, env=environment, capture_output=True, text=True, check=False)
+
+
+def test_the_tree_keeps_the_rules(layout: Path) -> None:
+    result = check(layout)
+    assert result.returncode == 0, result.stdout
+
+
+@pytest.mark.parametrize(("module", "line", "contract"), VIOLATIONS)
+def test_a_planted_violation_is_caught(layout: Path, module: str, line: str, contract: str) -> None:
+    path = layout / "nmes" / module
+    before = path.read_bytes() if path.exists() else None
+    path.write_bytes((before or b"") + f"\n{line}\n".encode())
+    try:
+        result = check(layout)
+    finally:
+        if before is None:
+            path.unlink()
+        else:
+            path.write_bytes(before)
+    assert result.returncode == 1
+    broken = [text for text in result.stdout.splitlines() if text.endswith("BROKEN")]
+    assert any(text.startswith(contract) for text in broken), result.stdout
+
+
+def test_every_package_is_listed_in_pyproject() -> None:
+    # Automatic discovery does not work with package-dir: a package that is not listed is missing from the wheel.
+    mapping = PROJECT["tool"]["setuptools"]["package-dir"]
+    found = set()
+    for package, folder in mapping.items():
+        for init in (ROOT / folder).rglob("__init__.py"):
+            found.add(".".join((package, *init.parent.relative_to(ROOT / folder).parts)))
+    assert found == set(PROJECT["tool"]["setuptools"]["packages"])
+
+
+def test_bare_imports_of_the_mapped_folders_are_banned(tmp_path: Path) -> None:
+    shutil.copy(ROOT / "pyproject.toml", tmp_path)
+    (tmp_path / "sample.py").write_text(
+        '"""A sample."""\n\nimport backends.mujoco3d\nfrom cli import main\nfrom schemas import x\n'
+    )
+    command = [str(Path(sys.executable).parent / "ruff"), "check", "--no-cache", "--output-format=concise", "."]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert result.stdout.count("TID251") == 3

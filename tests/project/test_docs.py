@@ -1,0 +1,158 @@
+"""What the documents say exists, and what exists is documented."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import re
+import shlex
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from typing import Any
+
+import click
+import pytest
+
+import demo
+from layout import ROOT
+from nmes import objective
+from nmes.cli import SUBCOMMANDS
+from nmes.evaluation.task import Task
+from nmes.protocol import COMMANDS, DELIMITER
+
+DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+README = (ROOT / "README.md").read_text()
+CONSOLE = [
+    line.removeprefix("$ ").split("#")[0].strip()
+    for document in DOCUMENTS
+    for block in re.findall(r"^```console\n(.*?)^```", document.read_text(), flags=re.DOTALL | re.MULTILINE)
+    for line in block.splitlines()
+    if line.startswith("$ ")
+]
+
+
+def subcommand(name: str) -> click.Command:
+    command = importlib.import_module(f"nmes.cli.{name}").command
+    assert isinstance(command, click.Command)
+    return command
+
+
+def test_every_file_of_the_command_line_is_a_listed_subcommand() -> None:
+    assert {path.stem for path in (ROOT / "cli").glob("[!_]*.py")} == set(SUBCOMMANDS)
+
+
+@pytest.mark.parametrize("name", SUBCOMMANDS)
+def test_every_subcommand_is_in_the_readme(name: str) -> None:
+    assert f"`nmes {name}" in README or f"$ nmes {name}" in README
+    assert subcommand(name).get_short_help_str(100) == SUBCOMMANDS[name]
+
+
+def leaves(name: str) -> list[tuple[str, click.Command]]:
+    """Returns a subcommand or, of a group, its commands, each with how it is called."""
+    command = subcommand(name)
+    if isinstance(command, click.Group):
+        return [(f"nmes {name} {inner}", each) for inner, each in command.commands.items()]
+    return [(f"nmes {name}", command)]
+
+
+@pytest.mark.parametrize("name", SUBCOMMANDS)
+def test_every_help_ends_with_examples_on_lines_of_their_own(name: str) -> None:
+    for called, command in leaves(name):
+        help_text = command.get_help(click.Context(command, info_name=called))
+        _, examples = help_text.partition("Options:")[0].split("For example:")
+        lines = examples.split("\n\n")[1].splitlines()
+        assert lines and all(line.strip().startswith(called) for line in lines), help_text
+        for line in lines:
+            words = shlex.split(line)[len(called.split()) :]
+            command.make_parser(click.Context(command)).parse_args(words)  # raises where an option is unknown
+
+
+@pytest.mark.parametrize("line", [line for line in CONSOLE if line.startswith("nmes ")])
+def test_commands_shown_exist(line: str) -> None:
+    _, name, *arguments = shlex.split(line)
+    assert name in SUBCOMMANDS
+    command = subcommand(name)
+    if isinstance(command, click.Group):
+        command = command.commands[arguments.pop(0)]
+    known = {option for parameter in command.params for option in parameter.opts} | {"--help"}
+    used = {argument.split("=")[0] for argument in arguments if argument.startswith("-")}
+    assert used <= known
+
+
+def test_make_targets_shown_exist_and_are_listed() -> None:
+    makefile = (ROOT / "Makefile").read_text()
+    targets = set(re.findall(r"^([a-z-]+):", makefile, flags=re.MULTILINE))
+    phony = set(re.search(r"^\.PHONY: (.*)$", makefile, flags=re.MULTILINE)[1].split())  # type: ignore[index]
+    shown = {target for line in CONSOLE if line.startswith("make ") for target in line.split()[1:]}
+    helped = set(re.findall(r'@echo "make ([a-z-]+)', makefile))
+    assert shown and shown <= targets
+    assert helped <= targets
+    assert targets == phony
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_links_lead_somewhere(document: str) -> None:
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", (ROOT / document).read_text()):
+        if "://" not in target:
+            assert ((ROOT / document).parent / target).exists(), f"{document} links to {target}"
+
+
+def rows(document: str) -> set[tuple[str, ...]]:
+    """Returns the rows of all tables of a document whose first cell is code."""
+    lines = (ROOT / "docs" / document).read_text().splitlines()
+    cells = (tuple(cell.strip() for cell in line.strip("|").split("|")) for line in lines if line.startswith("| `"))
+    return {(first.strip("`"), *others) for first, *others in cells}
+
+
+def test_the_page_of_objectives_says_of_everything_what_it_is() -> None:
+    told = rows("objectives.md")
+    known: set[tuple[str, ...]] = {(name, unit, meaning) for name, (meaning, unit) in objective.QUANTITIES.items()}
+    known |= {(name, meaning) for table in (objective.FUNCTIONS, objective.FOLDS) for name, meaning in table.items()}
+    assert told >= known
+    metrics = COMMANDS["compute_reward"].schema["properties"]["metric"]["enum"]
+    assert sorted(row[0] for row in told - known) == sorted(metrics)
+
+
+def test_the_page_of_tasks_lists_those_that_come_with_the_package() -> None:
+    assert rows("tasks.md") == {
+        (name, f"{(task := Task.load(name)).duration:g} s", task.description) for name in Task.names()
+    }
+    (example,) = re.findall(r"^```json\n(.*?)^```", (ROOT / "docs" / "tasks.md").read_text(), re.DOTALL | re.MULTILINE)
+    assert Task(json.loads(example)).seeds == (1, 2, 3)
+
+
+def test_the_architecture_names_every_module() -> None:
+    text = (ROOT / "ARCHITECTURE.md").read_text()
+    for path in (ROOT / "nmes").glob("[!_]*.py"):
+        assert f"`nmes.{path.stem}`" in text, f"ARCHITECTURE.md does not name nmes.{path.stem}"
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]:
+    with demo.served(tmp_path_factory.mktemp("recordings"), "--mode", "lockstep") as server:
+        yield server
+
+
+def test_the_python_of_the_readme_works(served: dict[str, Any]) -> None:
+    (code,) = re.findall(r"^```python\n(.*?)^```", README, flags=re.DOTALL | re.MULTILINE)
+    given = re.sub(r"password=\"[^\"]*\"", f"port={served['port']}, password={served['password']!r}", code)
+    done = subprocess.run([sys.executable, "-c", given], capture_output=True, text=True, check=True)
+    assert json.loads(done.stdout)[0] > 1.0
+
+
+def test_the_conversation_of_the_readme_takes_place(served: dict[str, Any]) -> None:
+    (talk,) = re.findall(r"^\$ nc .*?\n(.*?)^```", README, flags=re.DOTALL | re.MULTILINE)
+    with socket.create_connection(("127.0.0.1", served["port"]), timeout=10) as connection:
+        for line in talk.splitlines():
+            if line.startswith("{"):
+                connection.sendall(re.sub(r"(?<=password\":\")[^\"]*", served["password"], line).encode() + b"\n")
+            else:
+                reply = b""
+                while not reply.endswith(DELIMITER):
+                    reply += connection.recv(1)
+                shown, got = line.strip().encode(), json.loads(reply.removesuffix(DELIMITER))
+                fields = re.findall(rb'"([a-z_]+)":', shown)
+                assert [name.decode() for name in fields] == list(got)[: len(fields)]
+                assert f'"type":"{got["type"]}"'.encode() in shown

@@ -1,0 +1,681 @@
+from __future__ import annotations
+
+import hashlib
+import os
+import random
+import resource
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import jsonschema_rs
+import orjson
+import pytest
+import zstandard
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.data_stream import ReadDataStream
+from mcap.reader import NonSeekingReader, make_reader
+from mcap.records import Chunk, MessageIndex
+from mcap.writer import Writer as McapWriter
+from mcap_protobuf.decoder import DecoderFactory
+
+from nmes import protocol
+from nmes.backend.fingerprint import DECISIVE, differences
+from nmes.errors import RecordingError
+from nmes.recording import REFUSED_LIMIT, Kind, Record, Recorder, Recording
+from nmes.recording.mcapfile import MAGIC, DamagedFile, Message, Reader, Writer, skim_chunk, split_chunk
+from nmes.recording.viewer_messages import ROOT, decode_poses
+from nmes.world import World
+from recordings import Script, busy, record, rewrite, send
+
+
+@pytest.fixture(scope="module")
+def busy_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(tmp_path_factory.mktemp("recording") / "busy.mcap", busy)
+
+
+def told_by(recording: Recording) -> list[tuple[Any, ...]]:
+    told: list[tuple[Any, ...]] = []
+    for item in recording:
+        about = item.about or {}
+        match item.kind:
+            case Kind.TICKS:
+                told += [("tick", about["frame"] + i, digest) for i, digest in enumerate(about["digests"])]
+            case Kind.FAULT:
+                told.append(("fault", about["frame"], about["code"], about["message"]))
+            case Kind.JOINED | Kind.LEFT:
+                told.append((str(item.kind), item.client))
+            case Kind.COMMAND | Kind.REFUSED | Kind.REPLY:
+                told.append((str(item.kind), item.client, item.data))
+    return told
+
+
+# -- what is kept ----------------------------------------------------------------------------------------------------
+
+
+def test_a_recording_is_what_the_journal_was_told_in_that_order(busy_file: Path) -> None:
+    world = World({"backend": "ballistic", "mode": "lockstep"}, journal=(script := Script()))
+    busy(world, world.join())
+    recording = Recording(busy_file)
+    assert told_by(recording) == script.told
+    assert recording.complete
+    assert [item.sequence for item in recording] == sorted({item.sequence for item in recording})
+
+
+def test_what_a_client_sent_is_kept_byte_for_byte(tmp_path: Path) -> None:
+    raw = b'{ "id" : [1.50, null],\t"unknown":1e2 , "type":"ping" }'
+    path = record(tmp_path / "x.mcap", lambda world, client: world.handle(client, protocol.parse(raw)))
+    assert [item.data for item in Recording(path) if item.kind is Kind.COMMAND] == [raw]
+
+
+def test_long_refused_frames_are_cut_with_a_note(tmp_path: Path) -> None:
+    raw = b"x" * (REFUSED_LIMIT + 5)
+    path = record(tmp_path / "x.mcap", lambda world, client: world.handle(client, protocol.parse(raw)))
+    (kept,) = [item.data for item in Recording(path) if item.kind is Kind.REFUSED]
+    assert kept == b"x" * REFUSED_LIMIT + b"... (65541 bytes in all)"
+
+
+def test_times_are_simulation_time_and_wall_clock(busy_file: Path) -> None:
+    frame = 0
+    for item in Recording(busy_file):
+        if item.kind is Kind.TICKS and item.about is not None:
+            frame = item.about["frame"] + len(item.about["digests"]) - 1
+        assert item.time == round(frame * 1_000_000_000 / 60)
+    walls = [item.wall for item in Recording(busy_file)]
+    assert walls == sorted(walls)
+    assert walls[0] > 1_700_000_000 * 10**9
+
+
+def test_metadata_say_how_to_run_it_again(busy_file: Path) -> None:
+    recording = Recording(busy_file)
+    protocol.validate_metadata(recording.metadata)
+    assert recording.config == World({"backend": "ballistic", "mode": "lockstep"}).config
+    assert set(DECISIVE) <= set(recording.fingerprint)
+    assert any(name.startswith("engine.") for name in recording.fingerprint)
+    assert recording.metadata["nmes.recording"]["schemas"] == protocol.schema_hash()
+
+
+def test_only_what_decides_makes_fingerprints_differ(busy_file: Path) -> None:
+    here = Recording(busy_file).fingerprint
+    assert differences(here, {**here, "cpu": "another", "python": "another", "os": "another"}) == {}
+    assert differences(here, {**here, "libc": "musl"}) == {"libc": (here["libc"], "musl")}
+    assert differences(here, {**here, "engine.new": "1"}) == {"engine.new": ("", "1")}
+
+
+def test_the_summary_counts(busy_file: Path) -> None:
+    summary = Recording(busy_file).summary()
+    assert (summary.clients, summary.refused, summary.errors, summary.ticks, summary.faults) == (2, 9, 9, 40, 0)
+    assert summary.commands == {
+        "apply_physics": 16,
+        "step": 9,
+        "get_cube_info": 8,
+        "spawn_cube": 2,
+        "pause": 1,
+        "ping": 1,
+        "get_world_state": 1,
+    }
+
+
+def test_a_file_is_never_overwritten(busy_file: Path) -> None:
+    with pytest.raises(RecordingError, match="exists already"):
+        Recorder(busy_file, World({"backend": "ballistic"}))
+    assert Recording(busy_file).complete
+
+
+def test_after_close_nothing_goes_on_unrecorded(tmp_path: Path) -> None:
+    world = World({"backend": "ballistic", "mode": "lockstep"})
+    recorder = world.journal = Recorder(tmp_path / "x.mcap", world)
+    client = world.join()
+    recorder.close()
+    recorder.close()
+    assert send(world, client, type="ping")["type"] == "pong"
+    assert world.fault is not None
+    assert send(world, client, type="spawn_cube")["code"] == "world_faulted"
+
+
+# -- for other readers -----------------------------------------------------------------------------------------------
+
+
+def test_mcap_readers_read_it(busy_file: Path) -> None:
+    with busy_file.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        assert reader.get_header().profile == "nmes"
+        summary = reader.get_summary()
+        assert summary is not None and summary.statistics is not None
+        messages = list(reader.iter_messages(log_time_order=False))
+        assert len(messages) == summary.statistics.message_count
+        assert [message.sequence for _, _, message in messages] == list(range(len(messages)))
+        by_topic: dict[str, int] = {}
+        for schema, channel, message in messages:
+            by_topic[channel.topic] = by_topic.get(channel.topic, 0) + 1
+            if schema is not None and schema.encoding == "jsonschema":
+                jsonschema_rs.Draft202012Validator(orjson.loads(schema.data)).validate(orjson.loads(message.data))
+            else:
+                assert channel.message_encoding == ("protobuf" if schema else "application/octet-stream")
+        assert {"client/1/commands", "client/1/replies", "client/2/refused", "ticks", "clients"} <= set(by_topic)
+        for topic, count in by_topic.items():
+            assert len(list(reader.iter_messages(topics=[topic]))) == count
+        assert {item.name for item in reader.iter_metadata()} == {
+            *Recording(busy_file).metadata,
+            "nmes.end",
+        }
+        for chunk in summary.chunk_indexes:
+            for channel_id, offset in chunk.message_index_offsets.items():
+                file.seek(offset + 9)
+                index = MessageIndex.read(ReadDataStream(file))
+                assert index.channel_id == channel_id
+                expected = by_topic[summary.channels[channel_id].topic]
+                assert len(index.records) == expected  # there is one chunk
+                file.seek(chunk.chunk_start_offset + 9)
+                content = zstandard.decompress(Chunk.read(ReadDataStream(file)).data)
+                for time, at in index.records:
+                    assert struct.unpack_from("<BQHIQ", content, at)[::2] == (5, channel_id, time)
+    with busy_file.open("rb") as file:
+        assert len(list(NonSeekingReader(file, validate_crcs=True).iter_messages())) == len(messages)
+
+
+def test_viewers_get_poses_and_shapes(tmp_path: Path) -> None:
+    seen: dict[int, dict[str, list[float]]] = {}
+
+    def play(world: World, client: int) -> None:
+        send(world, client, type="spawn_cube", cube_name="a", size=[1, 2, 3], color=[1, 0, 0.5, 1])
+        send(world, client, type="spawn_cube", cube_name="b", position=[2, 9, 0])
+        for i in range(30):
+            if i == 10:
+                send(world, client, type="despawn_cube", cube_name="a")
+                send(world, client, type="spawn_cube", cube_name="c")
+            send(world, client, type="step")
+            names, states = world.poses()
+            seen[world.frame] = {name: list(state[:3]) for name, state in zip(names, states, strict=True)}
+
+    path = record(tmp_path / "x.mcap", play, pose_rate=20)
+    scenes: list[Any] = []
+    transforms: dict[int, dict[str, list[float]]] = {}
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, channel, message, decoded in reader.iter_decoded_messages(topics=["/tf", "/scene"]):
+            if channel.topic == "/scene":
+                scenes.append(decoded)
+                continue
+            frame = round(message.log_time * 60 / 1e9)
+            transforms[frame] = {
+                t.child_frame_id: [t.translation.x, t.translation.y, t.translation.z] for t in decoded.transforms
+            }
+            assert {t.parent_frame_id for t in decoded.transforms} == {ROOT}
+            stamp = decoded.transforms[0].timestamp
+            assert stamp.seconds * 10**9 + stamp.nanos == pytest.approx(message.log_time, abs=1)
+    assert sorted(transforms) == list(range(3, 31, 3))
+    for frame, poses in transforms.items():
+        assert list(poses) == list(seen[frame])
+        for name, position in poses.items():
+            assert position == pytest.approx(seen[frame][name], rel=1e-6, abs=1e-6)
+    first, second = scenes
+    assert [entity.id for entity in first.entities] == ["a", "b"]
+    box = first.entities[0].cubes[0]
+    assert [box.size.x, box.size.y, box.size.z] == [1, 2, 3]
+    assert [box.color.r, box.color.g, box.color.b, box.color.a] == [1, 0, 0.5, 1]
+    assert first.entities[0].frame_id == "a"
+    assert [gone.id for gone in second.deletions] == ["a"]
+    assert [entity.id for entity in second.entities] == ["c"]
+
+
+def test_poses_can_be_left_out(tmp_path: Path) -> None:
+    path = record(tmp_path / "x.mcap", busy, pose_rate=0)
+    kinds = {item.kind for item in Recording(path)}
+    assert Kind.TICKS in kinds
+    assert not kinds & {Kind.POSES, Kind.SCENE, Kind.BOX}
+
+
+def test_an_hour_of_ticks_takes_at_most_10_mb(tmp_path: Path) -> None:
+    # A minute of it, flushed each second as a server does; digests do not compress, so no other world is smaller.
+    world = World({"backend": "ballistic"})
+    recorder = Recorder(tmp_path / "x.mcap", world, pose_rate=0)
+    recorder.flush()
+    empty = os.path.getsize(tmp_path / "x.mcap")
+    for frame in range(1, 3601):
+        recorder.ticked(frame, hashlib.blake2b(frame.to_bytes(4, "big"), digest_size=16).digest())
+        if frame % 60 == 0:
+            recorder.flush()
+    recorder.close()
+    assert (os.path.getsize(tmp_path / "x.mcap") - empty) * 60 < 10e6
+
+
+# -- crashes and damage ----------------------------------------------------------------------------------------------
+
+
+def chunked(path: Path) -> list[Record]:
+    """Records with a flush here and there; returns the records."""
+    world = World({"backend": "ballistic", "mode": "lockstep"})
+    recorder = world.journal = Recorder(path, world)
+    client = world.join()
+    send(world, client, type="spawn_cube", position=[0, 50, 0])
+    for i in range(12):
+        send(world, client, type="step", ticks=1 + i % 4)
+        if i % 3 == 0:
+            recorder.flush()
+    recorder.close()
+    return list(Recording(path))
+
+
+def test_what_was_flushed_survives_a_crash(tmp_path: Path) -> None:
+    world = World({"backend": "ballistic", "mode": "lockstep"})
+    recorder = world.journal = Recorder(tmp_path / "x.mcap", world)
+    client = world.join()
+    for ticks in range(1, 5):
+        send(world, client, type="step", ticks=ticks)
+        recorder.flush()
+        recording = Recording(tmp_path / "x.mcap")  # as a kill -9 leaves it
+        assert not recording.complete
+        assert recording.damage is not None and recording.damage.cut
+        assert "after its last whole record; read up to record" in recording.damage.message
+        assert [item for item in told_by(recording) if item[0] == "tick"][-1][1] == world.frame
+    recorder.close()
+
+
+def test_nothing_waits_longer_than_a_second_while_records_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = 1_800_000_000 * 10**9
+    monkeypatch.setattr("nmes.recording.recorder.time_ns", lambda: now)
+    path = tmp_path / "x.mcap"
+    world = World({"backend": "ballistic"})
+    world.journal = Recorder(path, world, pose_rate=0)
+    client = world.join()
+    inputs: list[Callable[[], object]] = [world.tick, lambda: send(world, client, type="ping")]
+    for happen in inputs:
+        for later in (1_000_000_000, -5):  # clocks are set back, too
+            size = path.stat().st_size
+            happen()
+            now += 999_999_999
+            happen()
+            assert path.stat().st_size == size
+            now += later - 999_999_999
+            happen()
+            assert path.stat().st_size > size
+    assert list(Recording(path))[-1].kind is Kind.REPLY
+    world.journal.close()
+
+
+@pytest.mark.parametrize("count", [300, pytest.param(1 << 20, marks=pytest.mark.long)])
+def test_a_file_cut_anywhere_is_read_up_to_the_cut(tmp_path: Path, count: int) -> None:
+    whole = chunked(tmp_path / "x.mcap")
+    data = (tmp_path / "x.mcap").read_bytes()
+    chunks = {block.offset + block.size for block in Reader(tmp_path / "x.mcap").blocks() if block.metadata is None}
+    cut = tmp_path / "cut.mcap"
+    before = 0
+    rng = random.Random(1)
+    around = {end + by for end in chunks for by in (-1, 0, 1)}
+    drawn = rng.sample(range(len(data)), min(count, len(data)))
+    for length in sorted({*range(0, 200), *around, *drawn, len(data) - 1}):
+        cut.write_bytes(data[:length])
+        try:
+            recording = Recording(cut)
+        except RecordingError as error:
+            assert before == 0
+            assert str(cut) in error.message
+            continue
+        records = list(recording)
+        assert records == whole[: len(records)]
+        assert len(records) >= before
+        before = len(records)
+        assert recording.damage is not None and recording.damage.cut
+        assert 0 < recording.damage.offset <= length
+    assert before == len(whole)
+
+
+@pytest.mark.parametrize("count", [800, pytest.param(10_000, marks=pytest.mark.long)])
+def test_no_flipped_bit_goes_unnoticed(tmp_path: Path, count: int) -> None:
+    whole = chunked(tmp_path / "x.mcap")
+    data = bytearray((tmp_path / "x.mcap").read_bytes())
+    rng = random.Random(2)
+    flipped = tmp_path / "flipped.mcap"
+    for _ in range(count):
+        bit = rng.randrange(8 * len(data))
+        data[bit // 8] ^= 1 << bit % 8
+        flipped.write_bytes(data)
+        try:
+            recording = Recording(flipped)
+            records = list(recording)
+            assert recording.damage is not None, f"bit {bit}"
+            assert records == whole[: len(records)], f"bit {bit}"
+        except RecordingError as error:
+            assert error.code in ("not_a_recording", "unknown_format"), f"bit {bit}"
+        data[bit // 8] ^= 1 << bit % 8
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.binary(max_size=300), st.booleans())
+def test_no_bytes_make_the_reader_fail_otherwise(
+    tmp_path_factory: pytest.TempPathFactory, data: bytes, mcap: bool
+) -> None:
+    path = tmp_path_factory.mktemp("any") / "x.mcap"
+    path.write_bytes(MAGIC + data if mcap else data)
+    with pytest.raises(RecordingError):
+        Recording(path)
+
+
+@given(st.binary(max_size=200))
+def test_no_bytes_make_a_chunk_fail_otherwise(content: bytes) -> None:
+    try:
+        list(split_chunk(content))
+    except (ValueError, DamagedFile):
+        pass
+
+
+def message(channel: int, sequence: int, data: bytes) -> bytes:
+    return struct.pack("<BQHIQQ", 5, 22 + len(data), channel, sequence, 1, 2) + data
+
+
+record_bytes = st.one_of(
+    st.builds(message, st.integers(0, 3), st.integers(0, 9), st.binary(max_size=20)),
+    st.builds(lambda kind, body: struct.pack("<BQ", kind, len(body)) + body, st.integers(3, 9), st.binary(max_size=20)),
+)
+
+
+@given(st.lists(record_bytes, max_size=8).map(b"".join), st.data())
+def test_a_chunk_that_is_skimmed_is_the_one_that_is_read(content: bytes, data: st.DataObject) -> None:
+    if content and data.draw(st.booleans()):
+        at, byte = data.draw(st.tuples(st.integers(0, len(content) - 1), st.integers(0, 255)))
+        content = content[:at] + bytes([byte]) + content[at + 1 :]
+    try:
+        skim = skim_chunk(content)
+    except (ValueError, DamagedFile):
+        return
+    read = [item for item in split_chunk(content) if isinstance(item, Message)]
+    assert [(item.channel, item.sequence) for item in read] == list(zip(skim.channels, skim.sequences, strict=True))
+    assert [item.data for item in read] == [skim.data(content, number) for number in range(len(read))]
+
+
+def test_lengths_are_not_believed(busy_file: Path, tmp_path: Path) -> None:
+    header = MAGIC + struct.pack("<BQ", 1, 12) + struct.pack("<I4sI", 4, b"nmes", 0)
+    lie = tmp_path / "lie.mcap"
+    for length in (2**62, 2**31, 2**63 + 5):
+        lie.write_bytes(header + struct.pack("<BQ", 6, length) + b"x" * 100)
+        with pytest.raises(RecordingError, match="the file ends at byte"):
+            Recording(lie)
+    # A chunk whose unpacked size is a lie, in its record and in the packed data, or in the latter alone.
+    bomb = b"\x28\xb5\x2f\xfd\xe0" + struct.pack("<Q", 2**40) + b"\x00" * 50
+    good = busy_file.read_bytes()
+    first = next(block for block in Reader(busy_file).blocks() if block.metadata is None)
+    for size, reason in ((2**40, "says that it holds 1099511627776 bytes"), (100, "does not match its checksum")):
+        chunk = struct.pack("<QQQII4sQ", 0, 0, size, 0, 4, b"zstd", len(bomb)) + bomb
+        lie.write_bytes(good[: first.offset] + struct.pack("<BQ", 6, len(chunk)) + chunk)
+        damage = Recording(lie).damage
+        assert damage is not None and reason in damage.message
+
+
+def test_a_file_that_shrinks_or_goes_while_it_is_read_is_damaged(busy_file: Path, tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(busy_file.read_bytes())
+    shrunk, gone = Recording(path), Recording(path)
+    os.truncate(path, 5000)
+    assert shrunk.damage is not None and shrunk.damage.cut
+    path.unlink()
+    assert gone.damage is not None and "can no longer be read: No such file" in gone.damage.message
+
+
+def test_what_is_no_recording_is_refused_with_a_reason(tmp_path: Path) -> None:
+    def reason(path: Path) -> str:
+        with pytest.raises(RecordingError) as info:
+            Recording(path)
+        assert str(path) in info.value.message
+        return info.value.message
+
+    path = tmp_path / "x"
+    assert "No such file" in reason(path)
+    path.write_bytes(b"")
+    assert reason(path).endswith("it is empty")
+    path.write_bytes(MAGIC[:5])
+    assert reason(path).endswith("it is cut short")
+    path.write_text("a text, long enough\n")
+    assert reason(path).endswith("it is no MCAP file")
+    assert reason(tmp_path).endswith("is not a regular file")
+    os.mkfifo(tmp_path / "pipe")
+    assert reason(tmp_path / "pipe").endswith("is not a regular file")
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        writer.start(profile="ros2")
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert "profile 'ros2'" in reason(path)
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        writer.start(profile="nmes")
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert "how its world began" in reason(path)
+    with path.open("wb") as file:
+        writer = McapWriter(file)
+        writer.start(profile="nmes")
+        writer.add_metadata("nmes.recording", {"format": "99"})
+        writer.finish()  # type: ignore[no-untyped-call]
+    assert "of format 99; this nmes reads formats 1 and 2" in reason(path)
+
+
+def test_a_changed_record_breaks_the_chain(busy_file: Path, tmp_path: Path) -> None:
+    assert Recording(rewrite(busy_file, tmp_path / "same.mcap", lambda lines: lines)).complete
+    path = rewrite(busy_file, tmp_path / "x.mcap", lambda lines: [*lines[:5], *lines[6:]], chained=False)
+    damage = Recording(path).damage
+    assert damage is not None and "does not continue the hash chain" in damage.message
+
+
+def test_what_is_missing_at_the_end_is_told(busy_file: Path, tmp_path: Path) -> None:
+    recording = Recording(rewrite(busy_file, tmp_path / "x.mcap", lambda lines: lines[:-4], missing=4))
+    damage = recording.damage
+    assert damage is not None and "closing metadata do not belong to its records" in damage.message
+    assert list(recording)
+
+
+def test_records_out_of_their_place_are_found(busy_file: Path, tmp_path: Path) -> None:
+    damage = Recording(rewrite(busy_file, tmp_path / "x.mcap", lambda lines: lines, skip=1)).damage
+    assert damage is not None and "is out of its place" in damage.message
+
+
+def test_changed_metadata_break_the_chain(busy_file: Path, tmp_path: Path) -> None:
+    # The fingerprint stands in plain bytes in front of the first chunk. Set the checksum of the data section right.
+    data = bytearray(busy_file.read_bytes())
+    at = data.index(b"x86-64") if b"x86-64" in data else data.index(b"libc") + 8
+    data[at] ^= 1
+    end = data.rindex(struct.pack("<BQ", 15, 4))
+    data[end + 9 : end + 13] = struct.pack("<I", zlib.crc32(data[:end]))
+    path = tmp_path / "x.mcap"
+    path.write_bytes(data)
+    damage = Recording(path).damage
+    assert damage is not None and "does not continue the hash chain" in damage.message
+
+
+def test_records_in_the_wrong_place_are_damage(busy_file: Path, tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    data = busy_file.read_bytes()
+    first = next(block for block in Reader(busy_file).blocks() if block.metadata is None)
+    message = struct.pack("<BQHIQQ", 5, 22, 1, 0, 0, 0)
+    path.write_bytes(data[: first.offset] + message + data[first.offset :])
+    damage = Recording(path).damage
+    assert damage is not None
+    assert damage.message == f"a record of type 5 at byte {first.offset} does not belong there; no record can be read"
+    path.write_bytes(MAGIC + message)
+    with pytest.raises(RecordingError, match="does not begin with a header"):
+        Recording(path)
+    # A footer that speaks of another place, its checksum in order.
+    footer = data[-8 - 29 : -8]
+    opcode, length, start, offsets, _ = struct.unpack("<BQQQI", footer)
+    end = data.rindex(struct.pack("<BQ", 15, 4)) + 13
+    wrong = struct.pack("<BQQQ", opcode, length, start - 1, offsets)
+    path.write_bytes(data[: -8 - 29] + wrong + struct.pack("<I", zlib.crc32(data[end : -8 - 29] + wrong)) + MAGIC)
+    damage = Recording(path).damage
+    assert damage is not None and "the footer is damaged" in damage.message
+
+
+def test_records_longer_than_a_reader_takes_are_neither_written_nor_read(
+    busy_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nmes.recording.mcapfile.MAX_RECORD", 2000)
+    damage = Recording(busy_file).damage
+    assert damage is not None and "says that it is" in damage.message
+    writer = Writer(tmp_path / "x.mcap", profile="test", library="")
+    writer.add(writer.channel("topic", ""), 0, 0, 0, bytes(3000))
+    with pytest.raises(RecordingError, match="is more than a reader takes"):
+        writer.flush()
+    writer.close()
+
+
+# -- faults and failures ---------------------------------------------------------------------------------------------
+
+
+def fault(world: World, client: int) -> None:
+    send(world, client, type="spawn_cube", cube_name="far")
+    for _ in range(200):
+        send(world, client, type="apply_physics", cube_name="far", impulse=[1e15, 0, 0])
+        send(world, client, type="step")
+        if world.fault is not None:
+            return
+    raise AssertionError("the engine bears everything")
+
+
+def test_a_fault_seals_the_file_and_a_reset_goes_on_in_it(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    world = World({"backend": "ballistic", "mode": "lockstep"})
+    recorder = world.journal = Recorder(path, world)
+    client = world.join()
+    fault(world, client)
+    assert Recording(path).complete
+    send(world, client, type="get_world_info")
+    recorder.flush()  # still faulted, still sealed
+    recording = Recording(path)
+    assert recording.complete
+    assert [item[0] for item in told_by(recording)][-2:] == ["command", "reply"]
+    with path.open("rb") as file:
+        assert make_reader(file, validate_crcs=True).get_summary() is not None
+    send(world, client, type="reset")
+    send(world, client, type="step", ticks=20)
+    recorder.flush()
+    assert not Recording(path).complete
+    fault(world, client)
+    assert Recording(path).complete
+    recorder.close()
+    summary = Recording(path).summary()
+    assert (summary.faults, summary.commands["reset"]) == (2, 1)
+
+
+@contextmanager
+def files_no_longer_than(size: int) -> Iterator[None]:
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+
+
+def test_a_failing_write_faults_the_world_and_leaves_what_was_written(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    world = World({"backend": "ballistic", "mode": "lockstep"})
+    recorder = world.journal = Recorder(path, world, pose_rate=0)
+    client = world.join()
+    send(world, client, type="step", ticks=5)
+    recorder.flush()
+    frame = world.frame
+    with files_no_longer_than(path.stat().st_size + 100):
+        reply = send(world, client, type="step", ticks=10_000)  # enough to flush by itself
+    assert reply["code"] == "world_faulted"
+    assert world.fault is not None and world.fault.code == "recording_failed"
+    assert send(world, client, type="reset")["code"] == "world_faulted"
+    for call in (recorder.flush, recorder.close):
+        try:
+            call()
+        except RecordingError as error:
+            assert error.code == "recording_failed"
+    recording = Recording(path)
+    assert recording.damage is not None and recording.damage.cut
+    assert [item for item in told_by(recording) if item[0] == "tick"][-1][1] == frame
+
+
+def test_a_failing_flush_stops_the_world_at_its_next_input(tmp_path: Path) -> None:
+    path = tmp_path / "x.mcap"
+    world = World({"backend": "ballistic", "mode": "lockstep"})
+    recorder = world.journal = Recorder(path, world)
+    client = world.join()
+    with files_no_longer_than(path.stat().st_size + 10), pytest.raises(RecordingError, match="File too large"):
+        recorder.flush()
+    world.tick()
+    assert world.fault is not None and world.fault.code == "recording_failed"
+    assert send(world, client, type="spawn_cube")["code"] == "world_faulted"
+
+
+def test_a_file_that_cannot_be_begun_is_told(tmp_path: Path) -> None:
+    world = World({"backend": "ballistic"})
+    with pytest.raises(RecordingError, match="cannot create"):
+        Recorder(tmp_path / "no such folder" / "x.mcap", world)
+    with files_no_longer_than(100), pytest.raises(RecordingError, match="cannot write"):
+        Recorder(tmp_path / "x.mcap", world)
+
+
+def test_more_clients_than_a_file_can_hold_fault_the_world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nmes.recording.mcapfile.MAX_CHANNELS", 20)
+    world = World({"backend": "ballistic", "mode": "lockstep"})
+    recorder = world.journal = Recorder(tmp_path / "x.mcap", world)
+    for _ in range(12):
+        client = world.join()
+        send(world, client, type="ping")
+        world.leave(client)
+    recorder.close()
+    assert world.fault is not None and world.fault.code == "recording_failed"
+    assert "begin a new one" in world.fault.message
+    assert Recording(tmp_path / "x.mcap").damage is not None
+
+
+def test_an_end_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+    world = World({"backend": "ballistic", "mode": "lockstep"})
+    recorder = world.journal = Recorder(tmp_path / "x.mcap", world)
+    world.join()
+    with files_no_longer_than((tmp_path / "x.mcap").stat().st_size + 10), pytest.raises(RecordingError):
+        recorder.close()
+    recorder.close()
+
+
+# -- the container ---------------------------------------------------------------------------------------------------
+
+messages = st.lists(
+    st.tuples(st.integers(0, 3), st.integers(0, 2**63), st.integers(0, 2**63), st.binary(max_size=40)), max_size=20
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(st.tuples(messages, st.sampled_from(["flush", "seal", "go on"])), max_size=6))
+def test_what_is_written_is_read(tmp_path_factory: pytest.TempPathFactory, program: list[Any]) -> None:
+    path = tmp_path_factory.mktemp("mcap") / "x.mcap"
+    writer = Writer(path, profile="test", library="")
+    writer.metadata("first", {"a": "b"})
+    schema = writer.schema("s", "jsonschema", b"{}")
+    channels = [writer.channel(f"topic {i}", "json", schema) for i in range(4)]
+    expected: list[tuple[str, int, int, int, bytes]] = []
+    for batch, then in program:
+        for i, log_time, publish_time, data in batch:
+            expected.append((f"topic {i}", len(expected), log_time, publish_time, data))
+            writer.add(channels[i], *expected[-1][1:])
+        if then == "flush":
+            writer.flush()
+            assert not batch or path.stat().st_size == writer.size  # an end that was there is gone
+        elif then == "seal":
+            writer.seal("last", {"n": str(len(expected))})
+    writer.seal("last", {"n": str(len(expected))})
+    writer.close()
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        found = [
+            (channel.topic, m.sequence, m.log_time, m.publish_time, m.data)
+            for _, channel, m in reader.iter_messages(log_time_order=False)
+        ]
+        assert found == expected
+        assert [(item.name, item.metadata) for item in reader.iter_metadata()] == [
+            ("first", {"a": "b"}),
+            ("last", {"n": str(len(expected))}),
+        ]
+    blocks = list(Reader(path).blocks())  # whole: no DamagedFile
+    read = [item for block in blocks if block.metadata is None for item in split_chunk(block.content)]
+    assert [tuple(item)[1:] for item in read if isinstance(item, tuple)] == [item[1:] for item in expected]
+
+
+def test_poses_that_are_none_are_refused() -> None:
+    with pytest.raises(ValueError, match="not a transforms message"):
+        decode_poses(b"\xff\xff\xff")

@@ -1,0 +1,159 @@
+"""What a host logs for programs, and counts for Prometheus."""
+
+from __future__ import annotations
+
+import json
+import logging
+import socket
+import urllib.request
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+from prometheus_client.parser import text_string_to_metric_families
+from test_cli import process, ready
+
+from nmes import Client
+from nmes.cli import _logs, main
+from nmes.errors import CommandFailed
+from nmes.recording import Recording
+from nmes.server import Host
+from nmes.server.metrics import Metrics
+from recordings import busy, record
+from serving import PASSWORD, PATIENCE, served, until
+
+Series = dict[tuple[str, tuple[tuple[str, str], ...]], float]
+
+
+def scrape(port: int) -> Series:
+    with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=PATIENCE) as page:
+        text = page.read().decode()
+    return {
+        (sample.name, tuple(sorted(sample.labels.items()))): sample.value
+        for family in text_string_to_metric_families(text)
+        for sample in family.samples
+    }
+
+
+def value(series: Series, name: str, **labels: str) -> float | None:
+    return series.get((name, tuple(sorted(labels.items()))))
+
+
+def test_what_is_counted(tmp_path: Path) -> None:
+    options = ["--backend", "ballistic", "--mode", "lockstep", "--worlds", "red,green", "--record", str(tmp_path)]
+    with process("serve", "--json", "--port", "0", "--metrics-port", "0", *options, NMES_PASSWORD=PASSWORD) as server:
+        said = ready(server)
+        port = said["metrics_port"]
+        assert value(scrape(port), "nmes_worlds") == 0
+        with Client(port=said["port"], password=PASSWORD, timeout=PATIENCE) as client:
+            client.spawn_cube("a")
+            for _ in range(2):
+                with pytest.raises(CommandFailed):
+                    client.get_cube_info("b")
+            with pytest.raises(CommandFailed):
+                client.request({"type": "of a stranger"})
+            client.step(5)
+            client.batch([{"type": "step", "ticks": 2}])
+            series = scrape(port)
+            assert value(series, "nmes_worlds") == 1
+            assert value(series, "nmes_connections") == value(series, "nmes_clients", world="red") == 1
+            assert value(series, "nmes_tick_seconds_count", world="red") == 7
+            assert value(series, "nmes_faulted", world="red") == 0
+
+            def commands(kind: str, outcome: str) -> float | None:
+                return value(series, "nmes_commands_total", world="red", type=kind, outcome=outcome)
+
+            assert commands("spawn_cube", "ok") == 1
+            assert commands("get_cube_info", "cube_not_found") == 2
+            assert commands("none", "unknown_type") == 1
+            assert commands("step", "ok") == commands("batch", "ok") == 1
+            received = value(series, "nmes_received_bytes_total")
+            client.ping()
+            more = scrape(port)
+            assert received is not None and (value(more, "nmes_received_bytes_total") or 0) > received > 100
+            assert (value(more, "nmes_sent_bytes_total") or 0) > 100
+            lag = value(more, "nmes_recording_lag_seconds", world="red")
+            assert lag is not None and 0 <= lag < PATIENCE
+            client.spawn_cube("b", mass=1e-6)
+            client.apply_force("b", force=[1e15, 0, 0])
+            with pytest.raises(CommandFailed):
+                client.step(100)
+            assert value(scrape(port), "nmes_faulted", world="red") == 1
+        assert "green" not in str(more)
+        server.terminate()
+        assert server.wait(PATIENCE) == 0
+    (path,) = tmp_path.iterdir()
+    assert Recording(path).complete
+
+
+def test_an_unrecorded_world_has_no_lag_and_a_clock_s_ticks_count() -> None:
+    metrics = Metrics()
+    with served({"mode": "realtime", "rate": 50}, metrics=metrics) as server:
+        port = server.run(server.host.tell_metrics("127.0.0.1", 0))
+        until(lambda: (value(scrape(port), "nmes_tick_seconds_count", world="main") or 0) > 100)
+        assert value(scrape(port), "nmes_recording_lag_seconds", world="main") is None
+    with pytest.raises(OSError):
+        scrape(port)
+
+
+@pytest.mark.parametrize("backend", ["ballistic", "pymunk"])
+def test_the_way_to_where_a_world_is_resumed_is_not_counted(tmp_path: Path, backend: str) -> None:
+    path = record(tmp_path / "parent.mcap", busy, {"backend": backend})
+    options = ["--json", "--port", "0", "--metrics-port", "0", "--record", str(tmp_path / "on"), "--resume", str(path)]
+    with process("serve", *options, NMES_PASSWORD=PASSWORD) as server:
+        said = ready(server)
+        with Client(port=said["port"], password=PASSWORD, timeout=PATIENCE) as client:
+            client.step(3)
+            series = scrape(said["metrics_port"])
+            assert value(series, "nmes_tick_seconds_count", world="main") == 3
+            assert sum(series[key] for key in series if key[0] == "nmes_commands_total") == 1
+
+
+async def test_nothing_is_counted_unless_asked_for() -> None:
+    async with Host(PASSWORD) as host:
+        world = host.add({"backend": "ballistic"}).world
+        assert type(world).__module__ == "nmes.world.world"
+
+
+def test_a_port_that_is_taken() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        result = CliRunner().invoke(main, ["serve", "--no-record", "--metrics-port", port])
+    assert result.exit_code == 1
+    assert f"cannot listen on 127.0.0.1:{port}" in result.output
+
+
+def test_logs_for_programs(tmp_path: Path) -> None:
+    options = ["--backend", "ballistic", "--mode", "lockstep", "--no-record", "--log-format", "json"]
+    with process("serve", "--json", "--port", "0", *options, NMES_PASSWORD=PASSWORD) as server:
+        said = ready(server)
+        with pytest.raises(CommandFailed):
+            Client(port=said["port"], password="a guess", timeout=PATIENCE).connect()
+        with Client(port=said["port"], password=PASSWORD, timeout=PATIENCE) as client:
+            client.spawn_cube("a", mass=1e-6)
+            client.apply_force("a", force=[1e15, 0, 0])
+            with pytest.raises(CommandFailed):
+                client.step(100)
+        server.terminate()
+        _, log = server.communicate(timeout=PATIENCE)
+    entries: list[dict[str, Any]] = [json.loads(line) for line in log.splitlines()]
+    assert [entry["level"] for entry in entries] == ["warning", "error"]
+    assert [entry["logger"] for entry in entries] == ["nmes.server.connection", "nmes.server.hosted_world"]
+    assert "failed to authenticate" in entries[0]["message"]
+    assert "world 'main' stopped" in entries[1]["message"]
+    assert all(entry["time"].endswith("+00:00") for entry in entries)
+    assert "a guess" not in log and PASSWORD not in log
+
+
+def test_a_traceback_stays_on_its_line() -> None:
+    try:
+        raise ValueError("two\nlines")
+    except ValueError as error:
+        record = logging.LogRecord(
+            "x", logging.ERROR, "", 0, "said %s", ("so",), (ValueError, error, error.__traceback__)
+        )
+    line = _logs._Json().format(record)
+    assert "\n" not in line
+    assert json.loads(line)["message"] == "said so"
+    assert "ValueError: two\nlines" in json.loads(line)["exception"]

@@ -1,0 +1,583 @@
+from __future__ import annotations
+
+import asyncio
+import json
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import nmes.server.connection
+from nmes import protocol
+from nmes.errors import Disconnected, NmesError, RecordingError, WorldError
+from nmes.playback.compare import replay
+from nmes.protocol import DELIMITER, Limits
+from nmes.recording import Kind, Recorder, Recording
+from nmes.server import Host
+from serving import PASSWORD, PATIENCE, Peer, Served, served, types, until
+
+PING = json.dumps({"type": "ping"}).encode() + DELIMITER
+
+
+@pytest.fixture
+def server() -> Iterator[Served]:
+    with served() as running:
+        yield running
+
+
+# -- authentication ---------------------------------------------------------------------------------------------------
+
+
+def test_json_auth(server: Served) -> None:
+    with server.peer(None) as peer:
+        welcome = peer.ask({"type": "auth", "password": PASSWORD, "id": [1, None]})
+        protocol.validate_reply(welcome)
+        assert welcome["world"] == "main"
+        assert welcome["backend"] == "ballistic"
+        assert welcome["id"] == [1, None]
+        assert peer.ask({"type": "ping", "id": 7}) == {"type": "pong", "id": 7}
+
+
+def test_raw_dialect_is_silent_after_most_commands(server: Served) -> None:
+    with server.peer("raw") as peer:
+        peer.say(
+            {"type": "spawn_cube", "cube_name": "a"},
+            {"type": "spawn_cube", "cube_name": "a"},  # fails, as do the next
+            {"type": "despawn_cube", "cube_name": "nobody"},
+            {"type": "apply_force", "force": [1, 0, 0]},
+            {"type": "apply_physics", "cube_name": "nobody"},
+            {"type": "freeze_cube", "cube_name": "a"},
+            {"type": "get_cube_list"},
+            {"type": "no_such_command"},
+        )
+        assert peer.hear() == {"type": "cube_list", "cubes": ["a"]}
+        assert peer.hear()["code"] == "unknown_type"
+
+
+@pytest.mark.parametrize("dialect", ["json", "raw"])
+def test_a_wrong_password_is_answered_late_and_closed(dialect: str) -> None:
+    with served(auth_delay=0.3) as server, server.peer(None) as peer:
+        began = time.monotonic()
+        if dialect == "json":
+            peer.say({"type": "auth", "password": "guess", "id": 1})
+            (answer,) = peer.rest()
+            assert json.loads(answer)["code"] == "auth_failed"
+            assert json.loads(answer)["id"] == 1
+        else:
+            peer.send(b"guess" + DELIMITER)
+            assert peer.rest() == [b"auth_failed"]
+        assert time.monotonic() - began >= 0.3
+
+
+def test_the_default_delay_is_a_second() -> None:
+    assert Host("x").auth_delay == 1.0
+    assert Host("x").limits == Limits()
+
+
+@pytest.mark.parametrize(
+    ("first", "code"),
+    [
+        (b'{"type":"spawn_cube"}', "auth_failed"),
+        (b'{"type":"auth"}', "invalid"),
+        (b'{"type":"auth","password":"x",}', "bad_json"),
+    ],
+)
+def test_a_first_frame_that_is_no_auth_is_refused(server: Served, first: bytes, code: str) -> None:
+    with server.peer(None) as peer:
+        peer.send(first + DELIMITER + b'{"type":"spawn_cube"}' + DELIMITER)
+        (answer,) = peer.rest()
+        assert json.loads(answer)["code"] == code
+    assert server.call(server.hosted.world.cubes) == []
+
+
+def test_a_half_closed_guess_is_answered() -> None:
+    with served(auth_delay=0.2) as server, server.peer(None) as peer:
+        peer.send(b"guess" + DELIMITER)
+        peer.hang_up()
+        assert peer.rest() == [b"auth_failed"]
+
+
+@pytest.mark.parametrize("beginning", [b"", b'{"type":"auth"', PASSWORD.encode()])
+def test_auth_must_come_in_time(beginning: bytes) -> None:
+    with served(limits=Limits(auth_timeout=0.2)) as server, server.peer(None) as peer:
+        peer.send(beginning)
+        (answer,) = peer.rest()
+        assert json.loads(answer)["code"] == "auth_timeout"
+
+
+def test_a_client_may_name_its_world() -> None:
+    with served({"name": "one"}, {"name": "two"}) as server:
+        with server.client() as one, server.client(world="two") as two:
+            assert one.welcome["world"] == "one"
+            assert two.welcome["world"] == "two"
+            one.spawn_cube("a")
+            assert two.get_cube_list()["cubes"] == []
+        with server.peer(None) as peer:
+            peer.say({"type": "auth", "password": PASSWORD, "world": "three"})
+            (answer,) = peer.rest()
+            assert json.loads(answer)["code"] == "world_not_found"
+
+
+def test_commands_right_behind_the_password_are_executed(server: Served) -> None:
+    with server.peer(None) as peer:
+        auth = json.dumps({"type": "auth", "password": PASSWORD}).encode()
+        peer.send(auth + DELIMITER + PING * 3)
+        assert [peer.hear()["type"] for _ in range(4)] == ["auth_success", "pong", "pong", "pong"]
+
+
+# -- framing ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_thousand_messages_in_one_write(server: Served) -> None:
+    with server.peer() as peer:
+        peer.say(*({"type": "ping", "id": n} for n in range(1000)))
+        assert [peer.hear()["id"] for _ in range(1000)] == list(range(1000))
+
+
+def test_byte_by_byte_and_a_delimiter_in_two_pieces(server: Served) -> None:
+    with server.peer(None) as peer:
+        for byte in PASSWORD.encode() + DELIMITER:
+            peer.send(bytes([byte]))
+        assert peer.frame() == b"auth_success"
+        for cut in range(1, len(DELIMITER)):
+            whole = json.dumps({"type": "ping", "id": cut}).encode() + DELIMITER
+            peer.send(whole[: cut - len(DELIMITER)])
+            peer.send(whole[cut - len(DELIMITER) :])
+            assert peer.hear()["id"] == cut
+
+
+def test_what_is_no_command_is_answered_and_changes_nothing(server: Served) -> None:
+    with server.peer() as peer:
+        for frame, code in [
+            (b"[1]", "bad_frame"),
+            (b'"\xff"', "bad_frame"),
+            (b'{"type":"ping","x":NaN}', "bad_json"),
+            (b'{"type":"spawn_cube","mass":1e400}', "bad_json"),
+            (b'{"type":"ping","type":"ping"}', "bad_json"),
+            (b'{"type":"fly"}', "unknown_type"),
+            (b'{"type":"spawn_cube","mass":"heavy"}', "invalid"),
+        ]:
+            peer.send(frame + DELIMITER)
+            reply = peer.hear()
+            protocol.validate_reply(reply)
+            assert reply["code"] == code, frame
+        assert peer.ask({"type": "get_cube_list"})["cubes"] == []
+
+
+def test_an_oversize_frame_ends_the_connection_after_the_frames_before_it(server: Served) -> None:
+    with server.peer() as peer:
+        peer.send(PING + b"x" * (32 << 20))  # goes on long after the server has given up, and is not reset
+        first, last = peer.rest()
+        assert json.loads(first)["type"] == "pong"
+        assert json.loads(last)["code"] == "frame_too_large"
+    with server.peer(None) as peer:
+        peer.send(b"x" * (17 << 10))
+        (answer,) = peer.rest()
+        assert json.loads(answer)["code"] == "frame_too_large"
+
+
+# -- the end of a connection ------------------------------------------------------------------------------------------
+
+
+def test_a_half_closed_socket_gets_its_last_replies(server: Served) -> None:
+    with server.peer() as peer:
+        peer.say(*[{"type": "step", "ticks": 10}] * 1000)
+        peer.hang_up()
+        assert types(peer.rest()) == ["stepped"] * 1000
+
+
+def test_a_client_that_leaves_at_once_is_obeyed(server: Served) -> None:
+    with server.peer("raw") as peer:
+        peer.say(*({"type": "spawn_cube"} for _ in range(1000)))
+    until(lambda: len(server.call(server.hosted.world.cubes)) == 1000)
+
+
+def test_a_client_that_is_gone_before_its_replies_is_obeyed(server: Served) -> None:
+    with server.peer() as peer:
+        peer.say(*[{"type": "step", "ticks": 1000}] * 300)
+        until(lambda: server.call(lambda: server.hosted.world.frame) > 0)
+    until(lambda: server.call(lambda: server.hosted.world.frame) == 300 * 1000)
+    until(lambda: _clients(server) == 0)
+
+
+def test_an_idle_client_is_closed_and_a_ping_keeps_one_open() -> None:
+    with (
+        served(limits=Limits(idle_timeout=1.0)) as server,
+        server.peer() as idle,
+        server.peer() as lively,
+        server.peer("raw") as quiet,
+    ):
+        began = time.monotonic()
+        while time.monotonic() < began + 1.5:
+            quiet.say({"type": "apply_force", "force": [0, 0, 0]})  # unanswered, but a sign of life
+            assert lively.ask({"type": "ping"})["type"] == "pong"
+        assert quiet.ask({"type": "ping"})["type"] == "pong"
+        assert idle.rest() == []
+        assert time.monotonic() - began >= 1.0
+
+
+def test_a_client_that_does_not_hang_up_when_told_to_go_is_hung_up_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(nmes.server.connection, "LINGER", 0.1)
+    with served() as server, server.peer(None) as peer:
+        peer.send(b"guess" + DELIMITER)
+        assert peer.frame() == b"auth_failed"
+        until(lambda: server.call(lambda: server.host.connections) == 0)
+
+
+def test_too_many_connections() -> None:
+    with served(limits=Limits(connections=2)) as server:
+        with server.peer(), server.peer(None) as second, server.peer(None) as third:
+            third.say({"type": "auth", "password": PASSWORD})
+            (answer,) = third.rest()
+            assert json.loads(answer)["code"] == "too_many_connections"
+            second.send(PASSWORD.encode() + DELIMITER)
+            assert second.frame() == b"auth_success"
+        until(lambda: _can_connect(server))
+
+
+def _can_connect(server: Served) -> bool:
+    with server.peer(None) as peer:
+        peer.say({"type": "auth", "password": PASSWORD})
+        return bool(peer.hear()["type"] == "auth_success")
+
+
+def test_a_crowd_is_dropped_without_a_word(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(nmes.server.connection, "SPARE", 0)
+    with served(limits=Limits(connections=1)) as server, server.peer(), server.peer(None) as second:
+        assert second.rest() == []
+
+
+def _never_reads(server: Served, *messages: dict[str, Any]) -> Peer:
+    peer = server.peer(receive_buffer=256 << 10)
+    peer.say(*messages)
+    return peer
+
+
+def _clients(server: Served) -> int:
+    with server.client() as client:
+        return client.get_world_info()["counts"]["clients"] - 1
+
+
+def test_a_subscriber_that_never_reads_is_cut_and_its_world_ticks_on() -> None:
+    with (
+        served({"mode": "fast"}, limits=Limits(pending=64 << 10, stall_timeout=1000)) as server,
+        server.client() as good,
+    ):
+        with good.pipeline() as many:
+            for n in range(50):
+                many.spawn_cube(position=[0, 1000 + n, 0], linear_velocity=[1, 0, 0], list=False)
+        with _never_reads(server, {"type": "subscribe"}) as peer:
+            until(lambda: _clients(server) == 1)
+            frame = good.get_world_info()["frame"]
+            until(lambda: good.get_world_info()["frame"] > frame)
+            # When it reads at last, what was kept for it comes, and then the reason, unless it took too long.
+            frames = peer.rest()
+            assert set(types(frames[:-1])) <= {"tick", "state", "subscribed"}
+            assert json.loads(frames[-1])["code"] == "slow_consumer"
+
+
+def test_a_client_that_never_reads_its_replies_is_cut() -> None:
+    with served(limits=Limits(pending=64 << 10, stall_timeout=0.3)) as server, server.client() as good:
+        with good.pipeline() as many:
+            for _ in range(100):
+                many.spawn_cube(list=False)
+        flood = [{"type": "get_world_state"}] * 4000  # a hundred megabytes of replies
+        with _never_reads(server, *flood):
+            until(lambda: _clients(server) == 1)
+            assert good.ping()["type"] == "pong"
+
+
+def test_commands_of_a_client_that_does_not_read_wait_until_it_does() -> None:
+    with served(limits=Limits(pending=64 << 10, stall_timeout=1000)) as server, server.client() as good:
+        with good.pipeline() as many:
+            for _ in range(100):
+                many.spawn_cube(list=False)
+        with _never_reads(server, *[{"type": "step"}, {"type": "get_world_state"}] * 500) as peer:
+            seen = [-2, -1]
+            while seen[-2] != seen[-1]:
+                time.sleep(0.2)
+                seen.append(good.get_world_info()["frame"])
+            assert seen[-1] < 500
+            assert [peer.hear()["frame"] for _ in range(1000)][-1] == 500
+
+
+def test_a_client_that_reads_gets_all_replies_however_much_they_are() -> None:
+    with served(limits=Limits(pending=64 << 10)) as server, server.client() as client:
+        with client.pipeline() as many:
+            for _ in range(50):
+                many.spawn_cube(list=False)
+        with client.pipeline() as many:
+            for _ in range(1000):
+                many.get_world_state()
+        assert {len(call.result()["cubes"]) for call in many.calls} == {50}
+
+
+def test_a_mistake_of_ours_ends_one_connection_only(server: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    with server.peer() as peer, server.client() as good:
+        good.ping()
+        with monkeypatch.context() as broken:
+            broken.setattr(protocol.Session, "reply", lambda *_: 1 / 0)
+            peer.say({"type": "ping"})
+            (answer,) = peer.rest()
+        assert json.loads(answer)["code"] == "internal"
+        assert b"ZeroDivision" not in answer
+        assert good.ping()["type"] == "pong"
+
+
+# -- worlds -----------------------------------------------------------------------------------------------------------
+
+
+def test_clients_share_a_world_and_their_cubes_outlive_them(server: Served) -> None:
+    with server.client() as one, server.client() as two:
+        one.spawn_cube("a")
+        two.spawn_cube("b")
+        assert one.get_cube_list()["cubes"] == two.get_cube_list()["cubes"] == ["a", "b"]
+        one.apply_force(force=[1, 0, 0])  # each acts on its own
+        two.step()
+        assert two.get_cube_state("a")["linear_velocity"][0] > 0.0
+        assert two.get_cube_state()["linear_velocity"][0] == 0.0
+        one.close()
+        until(lambda: two.get_world_info()["counts"]["clients"] == 1)
+        assert two.get_cube_list()["cubes"] == ["a", "b"]
+
+
+def test_events_come_after_subscribe_only_and_before_the_reply_to_what_caused_them(server: Served) -> None:
+    with server.peer() as peer, server.peer() as other:
+        assert peer.ask({"type": "step"})["type"] == "stepped"
+        assert peer.ask({"type": "subscribe", "events": ["tick"]})["type"] == "subscribed"
+        peer.say({"type": "step", "ticks": 2})
+        assert [peer.hear()["type"] for _ in range(3)] == ["tick", "tick", "stepped"]
+        assert other.ask({"type": "step"})["frame"] == 4
+        assert peer.hear() == {"type": "tick", "t": 4 / 60, "frame": 4}
+        assert peer.ask({"type": "unsubscribe"})["type"] == "unsubscribed"
+        assert other.ask({"type": "step"})["frame"] == 5
+        assert peer.ask({"type": "ping"})["type"] == "pong"
+
+
+def test_the_raw_dialect_may_subscribe_too(server: Served) -> None:
+    with server.peer("raw") as peer:
+        assert peer.ask({"type": "subscribe", "events": ["tick"]})["type"] == "subscribed"
+        peer.say({"type": "step"})
+        assert [peer.hear()["type"] for _ in range(2)] == ["tick", "stepped"]
+
+
+def test_modes() -> None:
+    with served() as server, server.client() as client:
+
+        def frame() -> int:
+            return client.get_world_info()["frame"]
+
+        assert frame() == frame() == 0
+        client.set_mode("realtime", rate=50)
+        until(lambda: frame() > 300)
+        at = client.pause()["frame"]
+        assert frame() == at
+        assert client.step(3)["frame"] == at + 3
+        client.resume()
+        until(lambda: frame() > at + 100)
+        assert client.reset()["frame"] == 0
+        until(lambda: frame() > 10)
+        client.set_mode("fast")
+        until(lambda: frame() > 10_000)
+        client.set_mode("lockstep")
+        assert frame() == frame()
+
+
+def test_realtime_keeps_to_the_clock() -> None:
+    with served({"mode": "realtime", "tick_rate": 1000}) as server, server.client() as client:
+        began, first = time.monotonic(), client.get_world_info()["frame"]
+        until(lambda: client.get_world_info()["frame"] > first + 500)
+        last = client.get_world_info()["frame"]
+        # At most what the clock allows, and what the world may have been behind before.
+        assert last - first <= (time.monotonic() - began + 0.25) * 1000 + 1
+
+
+def test_a_world_that_was_reset_has_nothing_to_catch_up_with() -> None:
+    with served({"mode": "realtime", "tick_rate": 1000}) as server, server.client() as client:
+        until(lambda: client.get_world_info()["frame"] > 300)
+        began = time.monotonic()
+        client.reset()
+        until(lambda: client.get_world_info()["frame"] > 10)
+        last = client.get_world_info()["frame"]
+        assert last <= (time.monotonic() - began) * 1000 + 1
+
+
+def test_a_world_that_fell_behind_lets_the_time_go() -> None:
+    with served({"mode": "realtime", "tick_rate": 1000}) as server, server.client() as client:
+        until(lambda: client.get_world_info()["frame"] > 10)
+        began, first = time.monotonic(), client.get_world_info()["frame"]
+        server.call(lambda: time.sleep(1.5))
+        until(lambda: client.get_world_info()["frame"] > first + 100)
+        last = client.get_world_info()["frame"]
+        assert last - first <= (time.monotonic() - began - 1.5 + 2 * 0.25) * 1000 + 1
+
+
+def test_a_flood_does_not_keep_others_waiting(server: Served) -> None:
+    ticks = 300 * 200
+    with server.peer() as flood, server.client() as good:
+        flood.say(*[{"type": "step", "ticks": 200}] * 300)
+        until(lambda: good.get_world_info()["frame"] > 0)
+        assert good.get_world_info()["frame"] < ticks
+        good.set_mode("fast")  # a clock's turn comes as well
+        while types([flood.frame()]) != ["error"]:
+            pass
+
+
+def test_a_fault_is_told_and_logged_and_reset_lifts_it(server: Served, caplog: pytest.LogCaptureFixture) -> None:
+    with server.client() as client, server.client() as watcher:
+        watcher.subscribe(events=["tick"], every=1000)
+        client.spawn_cube("a", mass=1e-6)
+        client.apply_force("a", force=[1e15, 0, 0])
+        with pytest.raises(NmesError):
+            client.step(100)
+        fault = next(watcher.events(timeout=PATIENCE))
+        assert fault["type"] == "world_fault"
+        assert "world 'main' stopped" in caplog.text
+        assert client.reset()["frame"] == 0
+        assert client.step()["frame"] == 1
+
+
+# -- recordings -------------------------------------------------------------------------------------------------------
+
+
+def test_all_is_recorded_but_the_password(tmp_path: Path) -> None:
+    with served(record_to=tmp_path / "deep" / "down") as server:
+        with server.peer() as peer:
+            peer.ask({"type": "spawn_cube", "cube_name": "a"})
+            peer.ask({"type": "step", "ticks": 3})
+            peer.send(b'{"type":' + DELIMITER)
+            peer.hear()
+        until(lambda: _clients(server) == 0)
+        assert PASSWORD not in repr(vars(server.host)) + repr(server.hosted)
+    (path,) = (tmp_path / "deep" / "down").iterdir()
+    assert path.name.startswith("main-")
+    recording = Recording(path)
+    assert recording.complete
+    kinds = [record.kind for record in recording if record.client in (None, 1)]
+    expected = [Kind.JOINED, Kind.COMMAND, Kind.REPLY, Kind.COMMAND, Kind.TICKS, Kind.REPLY, Kind.REFUSED, Kind.REPLY]
+    assert kinds[: len(expected)] == expected
+    assert Kind.LEFT in kinds
+    assert b"correct horse" not in b"".join(record.data for record in recording) + path.read_bytes()
+
+
+def test_an_oversize_frame_is_recorded_as_refused_and_does_not_spoil_the_replay(tmp_path: Path) -> None:
+    with served(limits=Limits(frame=100), record_to=tmp_path) as server, server.peer() as peer:
+        peer.send(PING + b"x" * 200)
+        assert len(peer.rest()) == 2
+    (path,) = tmp_path.iterdir()
+    refused, answer = [record for record in Recording(path) if record.client == 1][3:5]
+    assert (refused.kind, refused.data) == (Kind.REFUSED, b"")
+    assert json.loads(answer.data)["code"] == "frame_too_large"
+    report = replay(path)
+    assert (report.verdict, report.commands) == ("reproduced", 2)
+
+
+def test_recordings_never_overwrite_each_other(tmp_path: Path) -> None:
+    for _ in range(3):
+        with served({"name": "a/b"}, record_to=tmp_path):
+            pass
+    paths = list(tmp_path.iterdir())
+    assert len(paths) == 3
+    assert all(path.name.startswith("a_b-") for path in paths)
+
+
+def test_a_recording_is_flushed_by_itself(tmp_path: Path) -> None:
+    with served(record_to=tmp_path) as server, server.client() as client:
+        client.spawn_cube("a")
+        (path,) = tmp_path.iterdir()
+        until(lambda: any(record.kind is Kind.COMMAND for record in Recording(path)))
+
+
+def test_a_recording_that_cannot_be_written_stops_its_world(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def full(self: Recorder) -> None:
+        raise RecordingError("recording_failed", "the disk is full")
+
+    with served(record_to=tmp_path) as server, server.client() as client:
+        client.subscribe(events=["tick"])
+        monkeypatch.setattr(Recorder, "flush", full)
+        fault = next(client.events(timeout=PATIENCE))
+        assert fault["type"] == "world_fault"
+        assert fault["code"] == "recording_failed"
+        with pytest.raises(NmesError) as failed:
+            client.spawn_cube()
+        assert failed.value.code == "world_faulted"
+        assert "the disk is full" in caplog.text
+
+
+def test_a_directory_that_cannot_be_made(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(RecordingError, match="cannot make"):
+        Host("x", record_to=tmp_path / "file" / "below").add({"backend": "ballistic"})
+
+
+# -- the end ----------------------------------------------------------------------------------------------------------
+
+
+def test_closing_tells_subscribers_and_completes_the_recording(tmp_path: Path) -> None:
+    with served(record_to=tmp_path) as server:
+        subscriber, client, idle = server.peer(), server.client().connect(), server.peer(None)
+        subscriber.ask({"type": "subscribe"})
+        server.close()
+        assert types(subscriber.rest()) == ["world_closed"]
+        with pytest.raises(Disconnected):
+            client.ping()
+        assert idle.rest() == []
+        for closing in (subscriber.socket, client, idle.socket):
+            closing.close()
+        with pytest.raises(ConnectionRefusedError):
+            Peer(server.port)
+    (path,) = tmp_path.iterdir()
+    assert Recording(path).complete
+
+
+def test_closing_in_the_middle_of_what_a_client_that_left_had_asked_for(tmp_path: Path) -> None:
+    with served(record_to=tmp_path) as server:
+        with server.peer("raw") as peer:
+            peer.say(*[{"type": "step", "ticks": 200}] * 300)
+        until(lambda: server.call(lambda: server.hosted.world.frame) > 0)
+    (path,) = tmp_path.iterdir()
+    assert Recording(path).complete
+
+
+def test_a_recording_that_cannot_be_completed_is_logged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    close = Recorder.close
+
+    def full(self: Recorder) -> None:
+        close(self)
+        raise RecordingError("recording_failed", "the disk is full")
+
+    monkeypatch.setattr(Recorder, "close", full)
+    with served(record_to=tmp_path):
+        pass
+    assert "could not be completed: the disk is full" in caplog.text
+
+
+async def test_an_address_that_is_taken(server: Served) -> None:
+    async with Host("x") as host:
+        host.add({"backend": "ballistic"})
+        with pytest.raises(NmesError, match=f"cannot listen on 127.0.0.1:{server.port}: .*in use") as failed:
+            await host.listen("127.0.0.1", server.port)
+        assert failed.value.code == "cannot_listen"
+        with pytest.raises(NmesError, match="cannot listen"):
+            await host.listen("no.such.host.invalid", 0)
+
+
+async def test_two_worlds_of_one_name() -> None:
+    async with Host("x") as host:
+        host.add({"backend": "ballistic"})
+        with pytest.raises(WorldError, match="two worlds are called 'main'"):
+            host.add({"backend": "ballistic"})
+
+
+async def test_a_world_added_late_ticks() -> None:
+    async with Host("x") as host:
+        await host.listen("127.0.0.1", 0)
+        late = host.add({"backend": "ballistic", "mode": "fast"})
+        while late.world.frame == 0:
+            await asyncio.sleep(0)

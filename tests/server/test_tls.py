@@ -1,0 +1,131 @@
+"""TLS, from both sides."""
+
+from __future__ import annotations
+
+import json
+import socket
+import ssl
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, cast
+
+import pytest
+import trustme
+from click.testing import CliRunner
+from test_cli import process, ready
+
+from nmes import AsyncClient, Client
+from nmes.cli import main
+from nmes.errors import Disconnected
+from nmes.protocol import DELIMITER, Limits
+from serving import PASSWORD, PATIENCE, Served, served, until
+
+
+@pytest.fixture(scope="module")
+def authority() -> trustme.CA:
+    return trustme.CA()
+
+
+@pytest.fixture(scope="module")
+def trust(authority: trustme.CA) -> ssl.SSLContext:
+    context = ssl.create_default_context()
+    authority.configure_trust(context)
+    return context
+
+
+@pytest.fixture(scope="module")
+def identity(authority: trustme.CA) -> ssl.SSLContext:
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    authority.issue_cert("127.0.0.1").configure_cert(context)
+    return context
+
+
+@pytest.fixture
+def server(identity: ssl.SSLContext) -> Iterator[Served]:
+    with served(tls=identity) as running:
+        yield running
+
+
+def test_a_blocking_client_and_replies_of_megabytes(server: Served, trust: ssl.SSLContext) -> None:
+    with server.client(tls=trust) as client:
+        with client.pipeline() as many:
+            for _ in range(1000):
+                many.spawn_cube(list=False)
+            for _ in range(20):
+                many.get_world_state()
+        assert {len(call.result()["cubes"]) for call in many.calls[1000:]} == {1000}
+        assert client.worlds()[0]["world"] == "main"
+        client.subscribe(events=["tick"])
+        client.step(3)
+        assert [cast(Any, event)["frame"] for _, event in zip(range(3), client.events(PATIENCE), strict=False)] == [
+            1,
+            2,
+            3,
+        ]
+
+
+async def test_an_awaiting_client(server: Served, trust: ssl.SSLContext) -> None:
+    async with AsyncClient(port=server.port, password=PASSWORD, timeout=PATIENCE, tls=trust) as client:
+        assert (await client.step(3))["frame"] == 3
+
+
+async def test_who_is_not_trusted_gets_no_password(server: Served) -> None:
+    with pytest.raises(Disconnected, match="certificate"):
+        server.client(tls=True).connect()
+    with pytest.raises(Disconnected, match="certificate"):
+        await AsyncClient(port=server.port, password=PASSWORD, timeout=PATIENCE, tls=True).connect()
+    assert server.call(lambda: server.host.connections) == 0
+
+
+def test_who_does_not_speak_tls_gets_nothing(server: Served, trust: ssl.SSLContext) -> None:
+    with server.peer(None) as peer:
+        peer.send(PASSWORD.encode() + DELIMITER)
+        assert DELIMITER not in peer.socket.recv(1000)
+    with server.client(tls=trust) as client:
+        assert client.ping()
+
+
+def test_a_handshake_that_stalls_is_ended(identity: ssl.SSLContext) -> None:
+    with served(tls=identity, limits=Limits(auth_timeout=0.3)) as server, server.peer(None) as peer:
+        assert peer.rest() == []
+
+
+def test_a_refused_peer_learns_why_and_one_that_leaves_is_obeyed(server: Served, trust: ssl.SSLContext) -> None:
+    with socket.create_connection(("127.0.0.1", server.port), PATIENCE) as plain:
+        with trust.wrap_socket(plain, server_hostname="127.0.0.1") as peer:
+            peer.sendall(b"guess" + DELIMITER)
+            assert peer.recv(1000) == b"auth_failed" + DELIMITER
+            assert peer.recv(1000) == b""
+    with socket.create_connection(("127.0.0.1", server.port), PATIENCE) as plain:
+        with trust.wrap_socket(plain, server_hostname="127.0.0.1") as peer:
+            spawn = json.dumps({"type": "spawn_cube"}).encode() + DELIMITER
+            peer.sendall(PASSWORD.encode() + DELIMITER + spawn * 100)
+    until(lambda: len(server.call(server.hosted.world.cubes)) == 100)
+    until(lambda: server.call(lambda: server.host.connections) == 0)
+
+
+def test_the_command_line(authority: trustme.CA, tmp_path: Path) -> None:
+    issued = authority.issue_cert("127.0.0.1")
+    issued.private_key_pem.write_to_path(tmp_path / "key.pem")
+    for blob in issued.cert_chain_pems:
+        blob.write_to_path(tmp_path / "cert.pem", append=True)
+    authority.cert_pem.write_to_path(tmp_path / "ca.pem")
+    cert, key, ca = (str(tmp_path / name) for name in ("cert.pem", "key.pem", "ca.pem"))
+    options = ["--json", "--port", "0", "--backend", "ballistic", "--no-record", "--tls-cert", cert, "--tls-key", key]
+    with process("serve", *options, NMES_PASSWORD=PASSWORD) as server:
+        port = ready(server)["port"]
+        with Client(
+            port=port, password=PASSWORD, timeout=PATIENCE, tls=ssl.create_default_context(cafile=ca)
+        ) as client:
+            assert client.ping()
+
+        def run(*arguments: str) -> str:
+            return CliRunner().invoke(main, arguments, env={"NMES_PASSWORD": PASSWORD}).output
+
+        assert "ballistic" in run("worlds", f"127.0.0.1:{port}", "--tls-ca", ca)
+        assert "certificate" in run("worlds", f"127.0.0.1:{port}", "--tls")
+        assert "key.pem: " in run("worlds", f"127.0.0.1:{port}", "--tls-ca", key)
+        server.terminate()
+        assert server.wait(PATIENCE) == 0
+    assert "go together" in run("serve", "--tls-cert", cert)
+    assert "cannot use" in run("serve", "--tls-cert", key, "--tls-key", cert)

@@ -1,0 +1,348 @@
+"""Many worlds in one process: created when first used, listed, and without effect on each other."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import socket
+import threading
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+from test_cli import process, ready
+
+from nmes import AsyncClient, Client
+from nmes.cli import main
+from nmes.errors import CommandFailed, Disconnected, RecordingError, RejectedMessage, WorldError
+from nmes.playback.compare import replay
+from nmes.protocol import validate_reply
+from nmes.recording import Kind, Recording
+from nmes.server import Host
+from nmes.server.hosted_world import HostedWorld
+from serving import PASSWORD, PATIENCE, Served, served, types, until
+
+
+@pytest.fixture
+def server(tmp_path: Path) -> Iterator[Served]:
+    with served({"name": "red"}, {"name": "green"}, {"name": "blue"}, record_to=tmp_path, lazy=True) as running:
+        yield running
+
+
+def run(*arguments: str, **environment: str | None) -> Result:
+    return CliRunner().invoke(main, arguments, env={"NMES_PASSWORD": PASSWORD, **environment})
+
+
+# -- created when first used -----------------------------------------------------------------------------------------
+
+
+def test_a_world_and_its_recording_begin_when_it_is_first_used(server: Served, tmp_path: Path) -> None:
+    assert list(tmp_path.iterdir()) == []
+    with server.client(world="green") as client:
+        assert client.step(3)["frame"] == 3
+    assert [path.name.split("-")[0] for path in tmp_path.iterdir()] == ["green"]
+    with server.client() as client:  # who names none gets the first
+        assert client.welcome["world"] == "red"
+    with server.client(world="green") as client:  # it is still the same
+        assert client.step()["frame"] == 4
+    assert sorted(path.name.split("-")[0] for path in tmp_path.iterdir()) == ["green", "red"]
+
+
+def test_a_world_that_ticks_by_itself_does_so_once_it_is_used() -> None:
+    with served({"name": "red", "mode": "fast"}, lazy=True) as server, server.client() as client:
+        until(lambda: client.get_world_info()["frame"] > 100)
+
+
+def test_a_world_that_cannot_be_created_is_told_and_does_not_hurt_the_others(
+    server: Served, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    create = HostedWorld.__init__
+
+    def no_room(self: HostedWorld, config: Any, *more: Any) -> None:
+        if config["name"] == "green":
+            raise RecordingError("recording_failed", "the disk of /secret/place is full")
+        create(self, config, *more)
+
+    monkeypatch.setattr(HostedWorld, "__init__", no_room)
+    with server.peer(None) as peer:
+        peer.say({"type": "auth", "password": PASSWORD, "world": "green"})
+        (answer,) = peer.rest()
+    validate_reply(json.loads(answer))
+    assert json.loads(answer)["code"] == "world_unavailable"
+    assert b"secret" not in answer
+    assert "the disk of /secret/place is full" in caplog.text
+    with server.client() as client:
+        assert client.step()["frame"] == 1
+
+
+async def test_names_are_had_once_and_shapes_are_checked_at_once() -> None:
+    async with Host("x") as host:
+        assert host.offer({"name": "red"}) == "red"
+        with pytest.raises(WorldError, match="two worlds are called 'red'"):
+            host.offer({"name": "red", "backend": "ballistic"})
+        with pytest.raises(RejectedMessage, match="substeps"):
+            host.offer({"name": "green", "substeps": 0})
+        assert host.worlds == {}
+
+
+async def test_a_name_whose_world_could_not_be_added_is_free_again() -> None:
+    async with Host("x") as host:
+        with pytest.raises(RejectedMessage, match="no scenery"):
+            host.add({"backend": "ballistic", "scene": {"type": "heightfield"}})
+        assert host.add({"backend": "ballistic"}).name == "main"
+
+
+# -- one port each ---------------------------------------------------------------------------------------------------
+
+
+async def test_each_port_has_its_world_and_all_are_found_by_name_on_each() -> None:
+    async with Host(PASSWORD) as host:
+        ports = []
+        for name in ("red", "green"):
+            host.offer({"name": name, "backend": "ballistic", "mode": "lockstep"})
+            ports.append((await host.listen("127.0.0.1", 0, name))[1])
+
+        def look() -> list[str]:
+            seen = []
+            for port in ports:
+                for world in (None, "red"):
+                    with Client(port=port, password=PASSWORD, world=world, timeout=PATIENCE) as client:
+                        seen.append(client.welcome["world"])
+            return seen
+
+        assert await asyncio.to_thread(look) == ["red", "red", "green", "red"]
+        assert [entry["port"] for entry in host.list_worlds(1)["worlds"]] == ports
+
+
+# -- they are listed -------------------------------------------------------------------------------------------------
+
+
+def test_a_list_creates_and_enters_none(server: Served, tmp_path: Path) -> None:
+    unused = {
+        "port": server.port,
+        "backend": "ballistic",
+        "mode": "lockstep",
+        "frame": None,
+        "clients": 0,
+        "fault": None,
+    }
+    asker = server.client()
+    assert asker.worlds() == [{"world": name, **unused} for name in ("red", "green", "blue")]
+    assert list(tmp_path.iterdir()) == []
+    with server.client(world="green") as client:
+        client.set_mode("realtime")
+        client.pause()
+        client.step(2)
+        used = {"mode": "realtime", "frame": 2, "clients": 1}
+        assert asker.worlds()[1].items() >= used.items()
+        client.spawn_cube("a", mass=1e-6)
+        client.apply_force("a", force=[1e15, 0, 0])
+        with pytest.raises(CommandFailed):
+            client.step(100)
+        assert asker.worlds()[1]["fault"] is not None
+
+
+def test_a_list_is_one_valid_message_and_then_the_end(server: Served) -> None:
+    with server.peer(None) as peer:
+        peer.say({"type": "auth", "password": PASSWORD, "list": True, "id": 5}, {"type": "ping"})
+        (answer,) = peer.rest()
+        message = json.loads(answer)
+        validate_reply(message)
+        assert (message["type"], message["id"]) == ("world_list", 5)
+    with server.peer(None) as peer:
+        peer.say({"type": "auth", "password": "guess", "list": True})
+        assert types(peer.rest()) == ["error"]
+    assert server.call(lambda: server.host.worlds) == {}
+
+
+async def test_an_awaiting_client_lists_too(server: Served) -> None:
+    asker = AsyncClient(port=server.port, password=PASSWORD, timeout=PATIENCE)
+    assert await asker.worlds() == server.client().worlds()
+    async with asker:
+        assert [world["clients"] for world in await asker.worlds()] == [1, 0, 0]
+        assert (await asker.ping())["type"] == "pong"  # it is in its world as before
+    with pytest.raises(CommandFailed) as refused:
+        await AsyncClient(port=server.port, password="guess", timeout=PATIENCE).worlds()
+    assert refused.value.code == "auth_failed"
+
+
+async def test_a_server_that_lists_nothing_is_told_apart(server: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Host, "list_worlds", lambda self, port: self.find(None).world.welcome(1))
+    with pytest.raises(CommandFailed) as failed:
+        server.client().worlds()
+    assert failed.value.code == "unsupported"
+    with pytest.raises(CommandFailed) as failed:
+        await AsyncClient(port=server.port, password=PASSWORD, timeout=PATIENCE).worlds()
+    assert failed.value.code == "unsupported"
+
+
+def test_nmes_worlds(server: Served) -> None:
+    with server.client(world="green") as client:
+        client.step(7)
+        address = f"127.0.0.1:{server.port}"
+        shown = run("worlds", address)
+        assert shown.exit_code == 0
+        assert [line.split() for line in shown.output.splitlines()] == [
+            ["WORLD", "PORT", "ENGINE", "MODE", "FRAME", "CLIENTS"],
+            ["red", str(server.port), "ballistic", "lockstep", "not", "used", "yet", "0"],
+            ["green", str(server.port), "ballistic", "lockstep", "7", "1"],
+            ["blue", str(server.port), "ballistic", "lockstep", "not", "used", "yet", "0"],
+        ]
+        printed = run("worlds", address, "--json")
+        assert json.loads(printed.output) == server.client().worlds()
+    assert run("worlds", address, NMES_PASSWORD="guess").exit_code == 1
+    assert run("worlds", address, NMES_PASSWORD=None).exit_code == 2
+    for wrong in ("127.0.0.1", ":14000", "127.0.0.1:0", "127.0.0.1:70000", "127.0.0.1:x"):
+        assert run("worlds", wrong).exit_code == 2
+    with socket.create_server(("127.0.0.1", 0)) as mute:
+        free = mute.getsockname()[1]
+    assert "cannot connect" in run("worlds", f"127.0.0.1:{free}").output
+    with pytest.raises(Disconnected):
+        Client(port=free, password=PASSWORD).worlds()
+
+
+# -- nmes serve ------------------------------------------------------------------------------------------------------
+
+
+def test_serve_many_worlds_on_a_port_each(tmp_path: Path) -> None:
+    options = ["--json", "--port", "0", "--backend", "ballistic", "--mode", "lockstep", "--record", str(tmp_path)]
+    with process("serve", "--worlds", "3", *options, NMES_PASSWORD=PASSWORD) as server:
+        said = ready(server)
+        assert [entry["world"] for entry in said["worlds"]] == ["main-1", "main-2", "main-3"]
+        assert said["recordings"] == str(tmp_path)
+        assert len({entry["port"] for entry in said["worlds"]}) == 3
+        for number, entry in enumerate(said["worlds"][:2]):
+            with Client(port=entry["port"], password=PASSWORD, timeout=PATIENCE) as client:
+                assert client.welcome["world"] == entry["world"]
+                client.step(number + 1)
+        with Client(port=said["port"], password=PASSWORD, timeout=PATIENCE) as client:
+            listed = [(entry["port"], entry["frame"]) for entry in client.worlds()]
+        assert listed == list(zip((entry["port"] for entry in said["worlds"]), (1, 2, None), strict=True))
+        server.terminate()
+        assert server.wait(PATIENCE) == 0
+    reports = [replay(path) for path in sorted(tmp_path.iterdir())]
+    assert [(report.verdict, report.ticks) for report in reports] == [("reproduced", 1), ("reproduced", 2)]
+
+
+def test_serve_named_worlds_and_say_so_for_people() -> None:
+    options = ["--port", "0", "--backend", "ballistic", "--mode", "lockstep", "--no-record"]
+    with process("serve", "--worlds", "red,green", *options, NMES_PASSWORD=PASSWORD) as server:
+        assert server.stdout is not None
+        lines = [server.stdout.readline() for _ in range(5)]
+        assert lines[0].startswith("World 'red' on 127.0.0.1:")
+        port = int(lines[1].split(":")[1])
+        with Client(port=port, password=PASSWORD, world="green", timeout=PATIENCE) as client:
+            client.step(5)
+        server.terminate()
+        out, _ = server.communicate(timeout=PATIENCE)
+    assert out == "World 'green' stopped at frame 5\n"
+
+
+def test_ports_a_step_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[tuple[int, str | None]] = []
+
+    async def listen(self: Host, host: str, port: int, world: str | None = None) -> tuple[str, int]:
+        asked.append((port, world))
+        if len(asked) == 3:
+            raise RejectedMessage("enough", "seen enough")
+        return host, port
+
+    monkeypatch.setattr(Host, "listen", listen)
+    run("serve", "--worlds", "4", "--port", "10002", "--port-step", "3", "--backend", "ballistic", "--no-record")
+    assert asked == [(10002, "main-1"), (10005, "main-2"), (10008, "main-3")]
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        (["--worlds", "0"], "from 1 to"),
+        (["--worlds", "100000"], "from 1 to"),
+        (["--worlds", "a,,b"], "name: "),
+        (["--worlds", "a,b,a"], "two worlds are called 'a'"),
+        (["--worlds", "3", "--port", "65530", "--port-step", "3"], "beyond port 65535"),
+        (["--worlds", "a,b", "--port-step", "3"], "--port-step goes with a number"),
+        (["--port-step", "3"], "--port-step goes with a number"),
+    ],
+)
+def test_wrong_usage(options: list[str], says: str) -> None:
+    result = run("serve", "--no-record", "--backend", "ballistic", *options)
+    assert result.exit_code == 2
+    assert says in result.output
+
+
+# -- without effect on each other ------------------------------------------------------------------------------------
+
+
+def _experiment(client: Client) -> None:
+    for n in range(20):
+        client.spawn_cube(position=[n, 1 + n, 0], linear_velocity=[1, 0, 0])
+        client.apply_force(force=[0, n, 0])
+        client.step(5)
+
+
+def _digests(directory: Path) -> list[str]:
+    (path,) = directory.glob("third-*")
+    return [
+        digest
+        for record in Recording(path)
+        if record.kind is Kind.TICKS and record.about
+        for digest in record.about["digests"]
+    ]
+
+
+def test_a_faulted_and_a_flooded_world_do_not_change_a_third(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # All that two worlds do at a time is done in threads.
+    monkeypatch.setattr("nmes.server.hosted_world.BRIEF", 0.0)
+    away: Counter[str] = Counter()
+    go = HostedWorld._go
+
+    def count(hosted: HostedWorld, work: Any, then: Any) -> None:
+        away[hosted.name] += 1
+        go(hosted, work, then)
+
+    monkeypatch.setattr(HostedWorld, "_go", count)
+    with served({"name": "third"}, record_to=tmp_path / "alone") as server, server.client() as client:
+        _experiment(client)
+    away.clear()
+
+    over = threading.Event()
+    faults = []
+    flooded = {"name": "flooded", "mode": "fast", "limits": {"cubes": 50}}
+    with served({"name": "faulted"}, flooded, {"name": "third"}, record_to=tmp_path / "together") as server:
+
+        def fault() -> None:
+            with server.client(world="faulted") as client:
+                while not over.is_set():
+                    client.spawn_cube("a", mass=1e-6)
+                    client.apply_force("a", force=[1e15, 0, 0])
+                    with pytest.raises(CommandFailed) as failed:
+                        client.step(100)
+                    faults.append(failed.value.code)
+                    client.reset()
+
+        def flood() -> None:
+            with server.peer(None) as peer:
+                peer.ask({"type": "auth", "password": PASSWORD, "world": "flooded"})
+                while not over.is_set():
+                    peer.say(*[{"type": "spawn_cube", "position": [0, n, 0]} for n in range(100)])
+                    for _ in range(100):
+                        peer.hear()
+
+        others = [threading.Thread(target=each) for each in (fault, flood)]
+        for other in others:
+            other.start()
+        with server.client(world="third") as client:
+            _experiment(client)
+        over.set()
+        for other in others:
+            other.join(PATIENCE)
+            assert not other.is_alive()
+        states = server.call(lambda: {name: hosted.world.fault for name, hosted in server.host.worlds.items()})
+        assert states == {"faulted": None, "flooded": None, "third": None}
+    assert len(faults) > 1 and set(faults) == {"world_faulted"}
+    assert away["third"] > 10 and away["flooded"] > 10
+    assert len(_digests(tmp_path / "together")) == 100
+    assert _digests(tmp_path / "together") == _digests(tmp_path / "alone")
