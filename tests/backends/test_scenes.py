@@ -632,7 +632,7 @@ for scene in test_scenes.SCENES.values():
 
 
 def test_fresh_processes_agree() -> None:
-    path = os.pathsep.join([str(SUPPORT), str(Path(__file__).parent)])
+    path = os.pathsep.join(map(str, (SUPPORT, ROOT / "tools", Path(__file__).parent)))
 
     def run(seed: str, hashes: str) -> list[str]:
         environment = {"PYTHONHASHSEED": hashes, "PYTHONPATH": path}
