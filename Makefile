@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-long conform-selftest lint format types imports layout bench docs goldens constraints clean
+.PHONY: help setup demo test test-long conform-selftest lint format types imports layout bench docs figures goldens constraints clean
 
 help:
 	@echo "make demo              serve, drive, record and reproduce the example worlds"
@@ -14,6 +14,7 @@ help:
 	@echo "make conform-selftest  show that the conformance suite finds what is wrong with broken servers"
 	@echo "make bench             print the benchmark table"
 	@echo "make docs              build the documentation as a site in build/site"
+	@echo "make figures           draw the figures in docs/pictures anew (with Graphviz)"
 	@echo "make goldens           record the corpus in replays/ anew"
 	@echo "make format            mend what the linter can mend"
 	@echo "make clean             remove what was built, the environment too"
@@ -66,6 +67,11 @@ bench: $(READY)
 
 docs: $(READY)
 	$(BIN)/mkdocs build --strict
+
+figures: docs/pictures/architecture.svg
+
+%.svg: %.dot
+	dot -Tsvg $< -o $@
 
 goldens: $(READY)
 	@$(BIN)/python tools/goldens.py
