@@ -230,11 +230,16 @@ def test_broken_images_are_refused_or_read(data: bytes, place: int) -> None:
         assert error.path == "scene/heightfield/image"
 
 
-def test_big_cubes_on_a_fine_landscape_find_room() -> None:
-    drive = Driver({"type": "heightfield", "heightfield": {"size": [40, 40], "samples": [401, 401], "hill": 2}})
-    for i in range(8):
-        drive.drop(f"c{i}", 5 * (i % 4 - 1.5), 4.5, 5 * (i // 4 - 0.5), size=5)
-    drive("step", ticks=60)
+def test_big_cubes_lie_on_a_fine_landscape() -> None:
+    landscape = {"type": "heightfield", "heightfield": {"size": [40, 40], "samples": [401, 401], "hill": 2}}
+    drive, field = Driver(landscape), spec_of(landscape).heightfield
+    assert field is not None
+    names = [drive.drop(f"c{i}", 5 * (i % 4 - 1.5), 4.5, 5 * (i // 4 - 0.5), size=5) for i in range(8)]
+    drive("step", ticks=240)
+    for name in names:
+        x, y, z = drive.where(name)
+        assert surface(field, x, z) + 2.48 < y < 4.5  # not in the ground, and fallen from where it was dropped
+        assert drive("get_cube_info", cube_name=name)["linear_velocity"] == pytest.approx([0, 0, 0], abs=0.3)
 
 
 # -- obstacles -------------------------------------------------------------------------------------------------------
@@ -389,12 +394,14 @@ def test_the_section_of_a_box_is_what_lies_in_the_plane(size: Any, position: Any
         assert own.max() == pytest.approx(1, abs=1e-6)
 
 
-def test_cubes_amid_a_thousand_obstacles_find_room() -> None:
+def test_cubes_dropped_into_a_thousand_steps_are_pushed_out_of_them() -> None:
     stairs = {"type": "stairs", "position": [-0.5, 0, 0], "length": 1, "width": 2, "height": 1, "steps": 1000}
     drive = Driver({"obstacles": [stairs]})
-    for i in range(3):
-        drive.drop(f"c{i}", 0.3 * i, 0.5, 0)
-    drive("step", ticks=60)
+    names = [drive.drop(f"c{i}", 0.3 * i, 0.5, 0) for i in range(3)]
+    drive("step", ticks=120)
+    for name in names:
+        x, y, z = drive.where(name)
+        assert abs(x) > 0.99 and (y, z) == pytest.approx((0.5, 0), abs=0.01)  # on the ground beside the stairs
 
 
 # -- planets ---------------------------------------------------------------------------------------------------------

@@ -71,9 +71,20 @@ def test_a_wrong_password_is_answered_late_and_closed(dialect: str) -> None:
         assert time.monotonic() - began >= 0.3
 
 
-def test_the_default_delay_is_a_second() -> None:
-    assert Host("x").auth_delay == 1.0
-    assert Host("x").limits == Limits()
+async def test_by_default_a_wrong_password_is_answered_after_a_second() -> None:
+    async with Host("x") as host:
+        host.add({"backend": "ballistic"})
+        address = await host.listen("127.0.0.1", 0)
+        waits = {}
+        for password in ("guess", "x"):
+            reader, writer = await asyncio.open_connection(*address)
+            began = time.monotonic()
+            writer.write(json.dumps({"type": "auth", "password": password}).encode() + DELIMITER)
+            answer = await asyncio.wait_for(reader.readuntil(DELIMITER), PATIENCE)
+            waits[json.loads(answer.removesuffix(DELIMITER))["type"]] = time.monotonic() - began
+            writer.close()
+            await writer.wait_closed()
+    assert waits["error"] >= 1.0 > waits["auth_success"]
 
 
 @pytest.mark.parametrize(
@@ -575,9 +586,13 @@ async def test_two_worlds_of_one_name() -> None:
             host.add({"backend": "ballistic"})
 
 
-async def test_a_world_added_late_ticks() -> None:
+async def test_a_fast_world_added_to_a_listening_host_ticks() -> None:
     async with Host("x") as host:
         await host.listen("127.0.0.1", 0)
-        late = host.add({"backend": "ballistic", "mode": "fast"})
-        while late.world.frame == 0:
-            await asyncio.sleep(0)
+        stepped = host.add({"backend": "ballistic", "mode": "lockstep", "name": "stepped"}).world
+        fast = host.add({"backend": "ballistic", "mode": "fast", "name": "fast"}).world
+        deadline = time.monotonic() + PATIENCE
+        while fast.frame < 10 and time.monotonic() < deadline:
+            await asyncio.sleep(0.001)
+        assert fast.frame >= 10
+        assert stepped.frame == 0
