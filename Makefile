@@ -37,7 +37,7 @@ test: lint
 	$(BIN)/pytest -n auto -m 'not long'
 
 test-long: lint
-	$(BIN)/pytest -n auto
+	$(BIN)/pytest -n auto --hypothesis-profile=search
 
 conform-selftest: $(READY)
 	@$(BIN)/python tools/selftest.py
@@ -83,5 +83,5 @@ constraints: $(READY)
 		--no-emit-find-links -q pyproject.toml -o constraints.txt
 
 clean:
-	rm -rf $(VENV) build dist recordings *.egg-info .*_cache .hypothesis .coverage*
+	rm -rf $(VENV) build dist recordings *.egg-info .*_cache .coverage*
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
