@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -28,7 +29,7 @@ from recordings import Line, record, rewrite, send
 from serving import PASSWORD, PATIENCE, Served, served, until
 
 NMES = str(Path(sys.executable).parent / "nmes")
-CHROMIUM = ("/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome")
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")  # as .ci/run looks for them
 Rows = dict[str, list[dict[str, Any]]]
 
 
@@ -458,7 +459,7 @@ def test_rerun_listens_on_this_machine_alone_and_ends_with_the_command(
 
 def test_a_browser_shows_coloured_cubes(browsable: tuple[subprocess.Popen[str], str], tmp_path: Path) -> None:
     playwright = pytest.importorskip("playwright.sync_api", reason="no browser to look with: Playwright is missing")
-    chromium = next((path for path in CHROMIUM if Path(path).exists()), None)
+    chromium = next(filter(None, map(shutil.which, BROWSERS)), None)
     if chromium is None:
         pytest.skip("no browser to look with: Chromium is missing")
     options = ["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-sandbox"]
