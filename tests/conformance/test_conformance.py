@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+import secrets
 import socket
 import subprocess
 import sys
@@ -120,6 +121,18 @@ def test_rubbish_is_the_servers_fault_not_ours(reply: bytes) -> None:
 
 
 # -- the search -------------------------------------------------------------------------------------------------------
+
+# None is a new seed each time. One that has found a mistake of our server is added here, and stays.
+SEEDS = [pytest.param(None, marks=pytest.mark.long, id="new")]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_the_search_finds_no_mistake_of_our_server(seed: int | None) -> None:
+    seed = secrets.randbits(32) if seed is None else seed
+    with served() as server:
+        report = judge(server, "17.*", seed=seed)
+        assert (seed, bad(report)) == (seed, [])
+        assert report.counts[Verdict.OK] == 4
 
 
 def own_the_base_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
