@@ -244,7 +244,7 @@ async def _serve(
             address, port = await server.listen(host, port, worlds[index] if len(ports) > 1 else None)
             listening.append(port)
         if metrics_port is not None:
-            metrics_port = await server.tell_metrics("127.0.0.1", metrics_port)
+            metrics_port = await server.serve_metrics("127.0.0.1", metrics_port)
         about = {"backend": sample.backend.name, "mode": sample.mode, "rate": sample.rate, "seed": sample.seed}
         if worlds:
             # One port each, or all on one.

@@ -6,6 +6,7 @@ Invariants:
   nothing more is read from that socket meanwhile.
 - All replies to what one read brought leave in one write, in the order of the requests; events keep their place.
 - Nobody waits for long: commands run in slices of `SLICE` s, then others have their turn.
+- What waits for the disk is on it before it is handed to the socket: `flush` is the only way out.
 - What a peer does not read is bounded: over half the limit its commands wait, over the limit it is cut.
 """
 
@@ -15,12 +16,14 @@ import asyncio
 import contextlib
 import logging
 from collections import deque
+from collections.abc import Iterable
 from time import monotonic
 from typing import TYPE_CHECKING, cast
 
 from nmes.errors import NmesError, RejectedMessage, WorldError
 from nmes.protocol import Auth, Request, Session
-from nmes.server.hosted_world import SLICE, HostedWorld
+from nmes.server.hosted_world import HostedWorld
+from nmes.server.threads import SLICE
 
 if TYPE_CHECKING:
     from nmes.server.host import Host
@@ -95,8 +98,7 @@ class Connection(asyncio.BufferedProtocol):
             if self._world is None:
                 self._authenticate(messages)
             else:
-                self._take(messages)
-                self._work()
+                self._work(messages)
         except Exception:
             self._failed()
 
@@ -127,7 +129,7 @@ class Connection(asyncio.BufferedProtocol):
         """Goes on with the commands that waited."""
         self._full = False
         if self._backlog:
-            asyncio.get_running_loop().call_soon(self._work)
+            asyncio.get_running_loop().call_soon(self.resume)
 
     # -- authentication --------------------------------------------------------------------------------------------
 
@@ -158,15 +160,14 @@ class Connection(asyncio.BufferedProtocol):
     def _join(self) -> None:
         """Joins the world as soon as it can be joined, and executes what came behind the password."""
         world = self._wanted
-        if world is not None and world.admits(self):
+        if world is not None and (joined := world.join(self)) is not None:
             self._wanted, self._world = None, world
-            self._client, welcome = world.join(self)
-            self._put(self._session.accept(welcome))
-            self._take(self._session.receive(b""))
-            self._work()
+            self._client, welcome = joined
+            self._queue_output(self._session.accept(welcome))
+            self._work(self._session.receive(b""))
 
     def _refuse(self, error: NmesError) -> None:
-        """Says no after a while, so that guessing passwords is slow; what comes meanwhile is not even read."""
+        """Refuses after a while, so that guessing passwords is slow; what comes meanwhile is not even read."""
         logger.warning("%s failed to authenticate: %s", self._peer, error.code)
         self._transport.pause_reading()
         self._timer = asyncio.get_running_loop().call_later(self._host.auth_delay, self._end, error)
@@ -176,17 +177,8 @@ class Connection(asyncio.BufferedProtocol):
 
     # -- commands --------------------------------------------------------------------------------------------------
 
-    def _take(self, messages: list[Auth | Request]) -> None:
-        """Queues what came."""
-        if messages:
-            self._active_at = monotonic()
-            self._backlog.extend(cast(list[Request], messages))
-        if self._session.violation is not None:
-            # It goes through the world, so that the recording tells of it; of the frame itself nothing is kept.
-            self._backlog.append(Request(b"", None, self._session.violation))
-
-    def go_on(self) -> None:
-        """Goes on with what had to wait for others."""
+    def resume(self) -> None:
+        """Goes on with what had to wait."""
         try:
             self._join()
             if self._backlog:
@@ -194,65 +186,76 @@ class Connection(asyncio.BufferedProtocol):
         except Exception:
             self._failed()
 
-    def _work(self) -> None:
-        """Executes what is in the backlog for one slice."""
+    def _work(self, messages: Iterable[Auth | Request] = ()) -> None:
+        """Queues what came, and executes what is queued for one slice."""
         world, session, backlog = self._world, self._session, self._backlog
         if world is None:
             return
-        until = monotonic() + SLICE
-        held = False
+        now = monotonic()
+        until = now + SLICE
+        if messages:
+            self._active_at = now
+            backlog.extend(cast(Iterable[Request], messages))
+        if session.violation is not None:
+            self._queue_violation(session.violation)
+        waits = False
         while backlog and not self._full:
-            held = world.holds(self._client, backlog[0])
-            if held:
+            request = backlog[0]
+            encoded = world.submit(self._client, request)
+            waits = encoded is None
+            if encoded is None or not backlog:  # it was hung up on
                 break
-            request = backlog.popleft()
-            reply = session.reply(request, world.handle(self._client, request))
+            backlog.popleft()
+            reply = session.reply(request, encoded)
             if reply:
-                self._put(reply)
+                self._output.append(reply)
+                self._output_size += len(reply)
                 if self._output_size > CHUNK:
                     self.flush()
             if request.error is not None and request.error is session.violation:
                 self._end(None)
             if monotonic() >= until:
                 break
-        world.settle()
+        self.flush()
         if backlog:
             self._transport.pause_reading()
-            if not self._full and not held:
-                asyncio.get_running_loop().call_soon(self._work)
+            if not self._full and not waits:
+                asyncio.get_running_loop().call_soon(self.resume)
         elif self._lost:
             self._leave()
         else:
             self._transport.resume_reading()
 
+    def _queue_violation(self, violation: RejectedMessage) -> None:
+        """Queues a frame that ends the session, once.
+
+        It goes through the world, so that the recording tells of it; of the frame itself nothing is kept.
+        """
+        if not self._backlog or self._backlog[-1].error is not violation:
+            self._backlog.append(Request(b"", None, violation))
+
     # -- output ----------------------------------------------------------------------------------------------------
 
     def send_event(self, event: bytes) -> None:
-        """Adds an event to what goes out when the slice ends, unless the peer is too far behind."""
+        """Queues an event, unless the peer is too far behind: then `flush` ends the connection."""
         if self._closing or self._overflowed:
             return
         if self._output_size + self._transport.get_write_buffer_size() > self._limits.pending:
-            # The world is in the middle of telling its clients, so this one goes when the slice ends.
-            self._overflowed = True
-            assert self._world is not None
-            self._world.speak(self)
+            self._overflowed = True  # `flush` ends it: the world is in the middle of telling its clients
         else:
-            self._put(self._session.event(event))
+            self._queue_output(self._session.event(event))
 
-    def unsay(self) -> None:
-        """Takes back what was not yet handed to the socket."""
+    def discard_output(self) -> None:
+        """Drops what was not yet handed to the socket."""
         self._output.clear()
         self._output_size = 0
 
-    def _put(self, data: bytes) -> None:
-        if not self._output:
-            assert self._world is not None
-            self._world.speak(self)
+    def _queue_output(self, data: bytes) -> None:
         self._output.append(data)
         self._output_size += len(data)
 
     def flush(self) -> None:
-        """Hands what there is to the socket, in one write."""
+        """Hands what is queued to the socket, in one write, when it is on disk."""
         if self._output and self._world is not None:
             self._world.commit()
         if self._output:
@@ -331,7 +334,6 @@ class Connection(asyncio.BufferedProtocol):
         world, self._world = self._world, None
         if world is not None:
             world.leave(self._client)
-            world.settle()
 
     def _cancel_timer(self) -> None:
         if self._timer is not None:

@@ -24,8 +24,9 @@ from nmes.errors import NmesError, WorldError
 from nmes.protocol import Limits, complete_config
 from nmes.recording import Recording
 from nmes.server.connection import LINGER, READ, Connection
-from nmes.server.hosted_world import HostedWorld, WorkerPool
+from nmes.server.hosted_world import HostedWorld
 from nmes.server.metrics import CONTENT_TYPE, Figures, Metrics
+from nmes.server.threads import WorkerPool
 
 __all__ = ["Host"]
 
@@ -68,7 +69,7 @@ class Host:
         self.limits = limits or Limits()
         self.auth_delay = auth_delay
         self._flush_interval = flush_interval
-        self._crew = WorkerPool()
+        self._pool = WorkerPool()
         self.worlds: dict[str, HostedWorld] = {}  # those that there are
         self._offered: dict[str, dict[str, Any]] = {}  # the configs of all that there may be
         self._ports: dict[str, int] = {}  # where a client that names no world gets which
@@ -82,9 +83,9 @@ class Host:
         self.received = 0  # bytes
         self.sent = 0
         self._servers: list[asyncio.Server] = []
-        self._tellers: list[asyncio.Server] = []  # of metrics
+        self._metrics_servers: list[asyncio.Server] = []
         self._connections: set[Connection] = set()
-        self._chores: list[asyncio.Task[None]] = []
+        self._tasks: list[asyncio.Task[None]] = []
 
     async def __aenter__(self) -> Self:
         return self
@@ -148,7 +149,7 @@ class Host:
 
     def _create(self, name: str, resume: tuple[Recording, int | None] | None = None) -> HostedWorld:
         hosted = self.worlds[name] = HostedWorld(
-            self._offered[name], self._crew, self.record_to, self._flush_interval, self._metrics, resume
+            self._offered[name], self._pool, self.record_to, self._flush_interval, self._metrics, resume
         )
         if self._servers:
             hosted.start()
@@ -240,7 +241,7 @@ class Host:
             reason = getattr(error, "strerror", None) or error
             raise NmesError("cannot_listen", f"cannot listen on {host}:{port}: {reason}") from error
         if not self._servers:
-            self._chores = [loop.create_task(self._inspect()), loop.create_task(self._flush())]
+            self._tasks = [loop.create_task(self._inspect()), loop.create_task(self._flush())]
             for hosted in self.worlds.values():
                 hosted.start()
         self._servers.append(server)
@@ -250,7 +251,7 @@ class Host:
             self._ports.setdefault(default, address[1])
         return address[0], address[1]
 
-    async def tell_metrics(self, host: str, port: int) -> int:
+    async def serve_metrics(self, host: str, port: int) -> int:
         """Serves the page of metrics over HTTP, without a password; returns the port.
 
         Raises:
@@ -274,7 +275,7 @@ class Host:
             server = await asyncio.start_server(answer, host, port)
         except OSError as error:
             raise NmesError("cannot_listen", f"cannot listen on {host}:{port}: {error.strerror}") from error
-        self._tellers.append(server)
+        self._metrics_servers.append(server)
         return int(server.sockets[0].getsockname()[1])
 
     async def _inspect(self) -> None:
@@ -295,12 +296,12 @@ class Host:
 
     async def close(self) -> None:
         """Stops listening, closes the worlds and their recordings, tells the clients, and hangs up."""
-        for server in (*self._servers, *self._tellers):
+        for server in (*self._servers, *self._metrics_servers):
             server.close()
-        for chore in self._chores:
-            chore.cancel()
-        await asyncio.gather(*self._chores, return_exceptions=True)
-        self._chores.clear()
+        for task in self._tasks:
+            task.cancel()
+        await asyncio.gather(*self._tasks, return_exceptions=True)
+        self._tasks.clear()
         await asyncio.gather(*(hosted.close() for hosted in self.worlds.values()))
         for connection in list(self._connections):
             connection.hang_up()
@@ -319,7 +320,7 @@ class Host:
                 for server in self._servers:
                     await server.wait_closed()
         self._servers.clear()
-        self._crew.close()
+        self._pool.close()
 
 
 def _digest(password: str) -> bytes:

@@ -28,7 +28,7 @@ _ERROR = b'{"type":"error"'  # how the world's encoder begins an error
 
 
 class WorldFigures(NamedTuple):
-    """What is read off a world: `lag` is how old (s) the oldest of its recording may be that is not written yet."""
+    """The state of a world; `lag` is how old (s) the oldest record may be that is not written yet."""
 
     name: str
     clients: int
@@ -37,7 +37,7 @@ class WorldFigures(NamedTuple):
 
 
 class Figures(NamedTuple):
-    """What is read off a host: bytes are those of the protocol, before any TLS."""
+    """The state of a host; bytes are those of the protocol, before any TLS."""
 
     connections: int
     received: int
@@ -46,7 +46,7 @@ class Figures(NamedTuple):
 
 
 class Metrics:
-    """What one host is measured by: give it to the `Host`, which tells it."""
+    """The counters of one host, to be given to the `Host`, which counts and serves them."""
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
@@ -57,27 +57,27 @@ class Metrics:
             "nmes_commands", "Commands by type and outcome", ["world", "type", "outcome"], registry=self.registry
         )
 
-    def world(self, config: Any, emit: Callable[[int, bytes], None]) -> World:
-        """Makes a world that is measured."""
-        measured = _MeasuredWorld(config, emit=emit)
+    def world(self, config: Any) -> World:
+        """Makes a world that is measured from when its `emit` is set."""
+        measured = _MeasuredWorld(config)
         name = measured.config["name"]
         measured.ticked = self._ticks.labels(name).observe
         measured.answered = lambda kind, outcome: self._commands.labels(name, kind, outcome).inc()
         return measured
 
     def watch(self, figures: Callable[[], Figures]) -> None:
-        """Takes what can be read off a host into the page."""
+        """Adds the state of a host to the page; `figures` is called whenever the page is made."""
         self.registry.register(_Reading(figures))
 
     def page(self) -> bytes:
-        """Returns all of it in Prometheus' format, whose name is `CONTENT_TYPE`."""
+        """Returns the page in Prometheus' format, whose media type is `CONTENT_TYPE`."""
         return generate_latest(self.registry)
 
 
 class _MeasuredWorld(World):
     """A world whose ticks and commands are counted, but for those that bring it to a frame of a recording.
 
-    Nobody is told of those either: `emit` is None meanwhile.
+    Their events go to nobody either: `emit` is None meanwhile.
     """
 
     ticked: Callable[[float], None]

@@ -13,7 +13,9 @@ from pytest import MonkeyPatch
 
 from broken import Answer, JsonObject, around, defect
 from nmes.backend import BodySpec, BodyState, JointParams, SceneSpec
-from nmes.server.hosted_world import HostedWorld, _Rendezvous
+from nmes.server.barrier import StepBarrier
+from nmes.server.clock import Clock
+from nmes.server.hosted_world import HostedWorld
 from nmes.world import World, scenery
 from nmes.world import entities as entities
 from nmes.world import joint_params as jointparams
@@ -70,7 +72,7 @@ def two_ticks_a_step(patch: MonkeyPatch) -> None:
 @defect("10.10", mode="realtime")
 def the_rate_ignored(patch: MonkeyPatch) -> None:
     """It tells the rate that it was given, and goes as before."""
-    patch.setattr(HostedWorld, "_speed", property(lambda hosted: float(hosted.world.config["tick_rate"])))
+    patch.setattr(Clock, "speed", property(lambda clock: float(clock._world.config["tick_rate"])))
 
 
 @defect("10.1:60")
@@ -82,24 +84,24 @@ def time_in_milliseconds(patch: MonkeyPatch) -> None:
 @defect("10.16", "10.17")
 def a_barrier_that_does_not_wait(patch: MonkeyPatch) -> None:
     """It ticks at a barrier as soon as anybody says step."""
-    patch.setattr(_Rendezvous, "complete", lambda meeting, barrier: barrier is not None and bool(meeting.waiting))
+    patch.setattr(StepBarrier, "complete", lambda barrier: barrier._world.barrier is not None and bool(barrier.waiting))
 
 
 @defect("10.20")
 def a_barrier_waits_for_the_gone(patch: MonkeyPatch) -> None:
     """It goes on waiting at a barrier for a connection that has left."""
 
-    def remember(meeting: _Rendezvous, client: int) -> None:
-        meeting._released.discard(client)
-        meeting.waiting.pop(client, None)
+    def remember(barrier: StepBarrier, client: int) -> None:
+        barrier._released.discard(client)
+        barrier.waiting.pop(client, None)
 
-    patch.setattr(_Rendezvous, "forget", remember)
+    patch.setattr(StepBarrier, "forget", remember)
 
 
 @defect("10.18")
 def a_barrier_waits_for_ever(patch: MonkeyPatch) -> None:
     """It goes on waiting at a barrier for those who do not come."""
-    patch.setattr(HostedWorld, "_go_without", lambda hosted: None)
+    patch.setattr(HostedWorld, "_pass_over_late", lambda hosted: None)
 
 
 @defect("10.11", only_strict=True)
@@ -121,7 +123,7 @@ def fast_is_realtime(patch: MonkeyPatch) -> None:
 @defect("10.9", mode="realtime")
 def twice_as_fast_as_the_clock(patch: MonkeyPatch) -> None:
     """It ticks twice as often in realtime as it should."""
-    patch.setattr(HostedWorld, "_speed", property(lambda hosted: 2.0 * hosted.world.rate * hosted.world._tick_rate))
+    patch.setattr(Clock, "speed", property(lambda clock: 2.0 * clock._world.rate * clock._world._tick_rate))
 
 
 @defect("10.21")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from typing import Any, cast
 
@@ -18,6 +18,7 @@ from nmes.errors import NmesError, RejectedMessage
 from nmes.protocol import DELIMITER, NO_ID, Auth, FrameSplitter, Limits, Request, Session, messages
 from nmes.server import Host
 from nmes.server.connection import Connection
+from nmes.server.hosted_world import HostedWorld
 from serving import PASSWORD
 
 # -- framing ----------------------------------------------------------------------------------------------------------
@@ -101,8 +102,8 @@ def deaf_once_half_closed(patch: MonkeyPatch) -> None:
     """It drops a connection, and what it still has to do for it, as soon as the peer says no more."""
     work = Connection._work
 
-    def late(connection: Connection) -> None:
-        asyncio.get_running_loop().call_later(0.02, work, connection)
+    def late(connection: Connection, messages: Iterable[Auth | Request] = ()) -> None:
+        asyncio.get_running_loop().call_later(0.02, work, connection, messages)
 
     patch.setattr(Connection, "_work", late)
 
@@ -114,8 +115,7 @@ def the_unfinished_executed(patch: MonkeyPatch) -> None:
 
     def finished(connection: Connection) -> bool:
         if connection._world is not None:
-            connection._take(connection._session.receive(DELIMITER))
-            connection._work()
+            connection._work(connection._session.receive(DELIMITER))
         return ended(connection)
 
     patch.setattr(Connection, "eof_received", finished)
@@ -136,12 +136,12 @@ def nothing_behind_auth(patch: MonkeyPatch) -> None:
 @defect("5.42", "7.12")
 def errors_overtake(patch: MonkeyPatch) -> None:
     """It answers what it refuses before the commands that came earlier."""
-    take = Connection._take
+    work = Connection._work
 
-    def sort(connection: Connection, messages: list[Auth | Request]) -> None:
-        take(connection, sorted(messages, key=lambda message: message.error is None))
+    def sort(connection: Connection, messages: Iterable[Auth | Request] = ()) -> None:
+        work(connection, sorted(messages, key=lambda message: message.error is None))
 
-    patch.setattr(Connection, "_take", sort)
+    patch.setattr(Connection, "_work", sort)
 
 
 # -- auth -------------------------------------------------------------------------------------------------------------
@@ -514,9 +514,9 @@ def hangs_up_on_errors(patch: MonkeyPatch) -> None:
     """It closes a connection that sent something invalid, when it has said why."""
     work = Connection._work
 
-    def last(connection: Connection) -> None:
-        bad = any(request.error is not None for request in connection._backlog)
-        work(connection)
+    def last(connection: Connection, messages: Iterable[Auth | Request] = ()) -> None:
+        bad = any(message.error is not None for message in (*connection._backlog, *messages))
+        work(connection, messages)
         if bad:
             connection._end(None)
 
@@ -537,17 +537,17 @@ def errors_swallowed(patch: MonkeyPatch) -> None:
 @defect("15.3:0", "4.1:plain-text")
 def dies_of_a_bad_frame(patch: MonkeyPatch) -> None:
     """It stops for all when a frame is no JSON."""
-    take = Connection._take
+    work = Connection._work
 
-    def die(connection: Connection, messages: list[Auth | Request]) -> None:
-        take(connection, messages)
+    def die(connection: Connection, messages: Iterable[Auth | Request] = ()) -> None:
+        work(connection, messages)
         if any(message.error is not None and message.error.code == "bad_json" for message in messages):
             for other in list(connection._host._connections):
                 other.abort()
             for server in connection._host._servers:
                 server.close()
 
-    patch.setattr(Connection, "_take", die)
+    patch.setattr(Connection, "_work", die)
 
 
 @defect("15.1:half-a-command")
@@ -577,31 +577,29 @@ def hangs(patch: MonkeyPatch) -> None:
     patch.setattr(Session, "reply", hang)
 
 
+def _told_to_all(patch: MonkeyPatch, mark: bytes) -> None:
+    """Has replies with a mark sent to all clients of a world."""
+    submit = HostedWorld.submit
+
+    def tell(hosted: HostedWorld, client: int, request: Request) -> bytes | None:
+        reply = submit(hosted, client, request)
+        if reply is not None and mark in reply:
+            for other in hosted._connections:
+                if other != client:
+                    hosted._send(other, reply)
+            hosted._settle_soon()
+        return reply
+
+    patch.setattr(HostedWorld, "submit", tell)
+
+
 @defect("9.3")
 def errors_told_to_all(patch: MonkeyPatch) -> None:
     """It tells everybody of an error."""
-    put = Connection._put
-
-    def tell(connection: Connection, data: bytes) -> None:
-        put(connection, data)
-        if b'"type":"error"' in data:
-            for other in connection._host._connections:
-                if other is not connection and other._world is not None:
-                    put(other, data)
-
-    patch.setattr(Connection, "_put", tell)
+    _told_to_all(patch, b'"type":"error"')
 
 
 @defect("9.4", "3.16")
 def spawns_told_to_all(patch: MonkeyPatch) -> None:
     """It tells everybody of a spawned cube, also those who did not subscribe."""
-    put = Connection._put
-
-    def tell(connection: Connection, data: bytes) -> None:
-        put(connection, data)
-        if b'"spawned"' in data:
-            for other in connection._host._connections:
-                if other is not connection and other._world is not None:
-                    put(other, data)
-
-    patch.setattr(Connection, "_put", tell)
+    _told_to_all(patch, b'"spawned"')

@@ -37,7 +37,7 @@ def frame(server: Served) -> int:
 
 
 def waiting(server: Served) -> int:
-    return server.call(lambda: len(server.hosted._rendezvous.waiting))
+    return server.call(lambda: len(server.hosted._barrier.waiting))
 
 
 def test_the_world_ticks_when_all_have_said_step(server: Served, tmp_path: Path) -> None:

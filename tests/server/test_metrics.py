@@ -90,7 +90,7 @@ def test_what_is_counted(tmp_path: Path) -> None:
 def test_an_unrecorded_world_has_no_lag_and_a_clock_s_ticks_count() -> None:
     metrics = Metrics()
     with served({"mode": "realtime", "rate": 50}, metrics=metrics) as server:
-        port = server.run(server.host.tell_metrics("127.0.0.1", 0))
+        port = server.run(server.host.serve_metrics("127.0.0.1", 0))
         until(lambda: (value(scrape(port), "nmes_tick_seconds_count", world="main") or 0) > 100)
         assert value(scrape(port), "nmes_recording_lag_seconds", world="main") is None
     with pytest.raises(OSError):

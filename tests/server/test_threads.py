@@ -12,12 +12,13 @@ from typing import Any
 
 import pytest
 
-import nmes.server.hosted_world
+import nmes.server.threads
 from nmes.errors import RecordingError
 from nmes.playback.compare import replay
 from nmes.protocol import Limits
 from nmes.recording import Kind, Recorder, Recording
 from nmes.server.hosted_world import HostedWorld
+from nmes.server.threads import Worker
 from serving import PASSWORD, PATIENCE, Peer, Served, served, until
 
 LONG = {"type": "step", "ticks": 10_000}
@@ -61,7 +62,7 @@ def enter(server: Served, world: str) -> Peer:
 
 
 def cores(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
-    monkeypatch.setattr("nmes.server.hosted_world.os.sched_getaffinity", lambda _: set(range(count)), raising=False)
+    monkeypatch.setattr("nmes.server.threads.os.sched_getaffinity", lambda _: set(range(count)), raising=False)
 
 
 @contextmanager
@@ -155,8 +156,8 @@ def test_who_leaves_while_it_is_away_has_left_when_it_is_back(tmp_path: Path) ->
 
 
 def test_events_come_while_it_is_away_and_before_the_reply(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(nmes.server.hosted_world, "SLICE", 0.0)
-    monkeypatch.setattr(nmes.server.hosted_world, "BRIEF", 0.0)
+    monkeypatch.setattr(nmes.server.threads, "SLICE", 0.0)
+    monkeypatch.setattr(nmes.server.threads, "BRIEF", 0.0)
     with gated() as (server, gate), server.peer() as peer, server.peer() as watcher:
         for each in (peer, watcher):
             each.ask({"type": "subscribe", "events": ["tick"]})
@@ -349,8 +350,8 @@ def test_closing_ends_a_long_step_and_completes_the_recording(tmp_path: Path) ->
 
 
 def test_what_is_told_while_it_is_away_is_on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(nmes.server.hosted_world, "SLICE", 0.0)
-    monkeypatch.setattr(nmes.server.hosted_world, "BRIEF", 0.0)
+    monkeypatch.setattr(nmes.server.threads, "SLICE", 0.0)
+    monkeypatch.setattr(nmes.server.threads, "BRIEF", 0.0)
     synced: list[tuple[int, threading.Thread]] = []
 
     def fsync(number: int) -> None:
@@ -375,8 +376,8 @@ def test_what_is_told_while_it_is_away_is_on_disk(tmp_path: Path, monkeypatch: p
 def test_what_the_disk_does_not_take_while_it_is_away_is_not_told(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(nmes.server.hosted_world, "SLICE", 0.0)
-    monkeypatch.setattr(nmes.server.hosted_world, "BRIEF", 0.0)
+    monkeypatch.setattr(nmes.server.threads, "SLICE", 0.0)
+    monkeypatch.setattr(nmes.server.threads, "BRIEF", 0.0)
     with gated(record_to=tmp_path, flush_interval=0) as (server, gate), server.peer() as peer, server.peer() as watcher:
         watcher.ask({"type": "subscribe", "events": ["tick"]})
         peer.say({"type": "step", "ticks": 100})
@@ -406,8 +407,8 @@ def test_a_flush_that_fails_while_it_is_away_stops_it(tmp_path: Path, monkeypatc
         gate.wait()
         monkeypatch.setattr(Recorder, "flush", full)
         server.call(server.hosted.flush)  # as the host does now and then
-        monkeypatch.setattr(nmes.server.hosted_world, "SLICE", 0.0)
-        server.hosted._until = 0.0
+        monkeypatch.setattr(nmes.server.threads, "SLICE", 0.0)
+        server.hosted._worker._until = 0.0
         gate.open()
         answer = peer.hear()
         assert (answer["code"], "the disk is full" in answer["message"]) == ("world_faulted", True)
@@ -421,7 +422,7 @@ def test_a_mistake_of_ours_while_it_is_away_ends_one_connection_only(
     with gated() as (server, gate), server.peer() as peer, server.peer() as good:
         peer.say(LONG)
         gate.wait()
-        monkeypatch.setattr(HostedWorld, "_measure", lambda *_: 1 / 0)
+        monkeypatch.setattr(Worker, "_measure", lambda *_: 1 / 0)
         gate.open()
         (answer,) = peer.rest()
         assert json.loads(answer)["code"] == "internal"

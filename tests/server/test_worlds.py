@@ -23,6 +23,7 @@ from nmes.protocol import validate_reply
 from nmes.recording import Kind, Recording
 from nmes.server import Host
 from nmes.server.hosted_world import HostedWorld
+from nmes.server.threads import Worker
 from serving import PASSWORD, PATIENCE, Served, served, types, until
 
 
@@ -295,15 +296,15 @@ def _digests(directory: Path) -> list[str]:
 
 def test_a_faulted_and_a_flooded_world_do_not_change_a_third(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # All that two worlds do at a time is done in threads.
-    monkeypatch.setattr("nmes.server.hosted_world.BRIEF", 0.0)
+    monkeypatch.setattr("nmes.server.threads.BRIEF", 0.0)
     away: Counter[str] = Counter()
-    go = HostedWorld._go
+    run = Worker.run
 
-    def count(hosted: HostedWorld, work: Any, then: Any) -> None:
-        away[hosted.name] += 1
-        go(hosted, work, then)
+    def count(worker: Worker, work: Any, then: Any) -> bool:
+        away[worker._world.config["name"]] += 1
+        return run(worker, work, then)
 
-    monkeypatch.setattr(HostedWorld, "_go", count)
+    monkeypatch.setattr(Worker, "run", count)
     with served({"name": "third"}, record_to=tmp_path / "alone") as server, server.client() as client:
         _experiment(client)
     away.clear()

@@ -1,0 +1,233 @@
+"""Where a world's work is done: short work in the event loop, long work in a thread of the host's pool.
+
+It hides how long work will take, which is guessed from what it took before. So the clock decides where work is done,
+and never what comes of it.
+
+Invariants:
+
+- A world is touched by one thread at a time.
+- Nobody waits for long: ticks run in slices of `SLICE` s, then others have their turn, in the loop and in the pool.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import threading
+from collections import deque
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
+from functools import partial
+from time import monotonic
+from typing import Any, Protocol, TypeVar
+
+from nmes.protocol import Request
+from nmes.world import World
+
+__all__ = ["LONG_COMMANDS", "SLICE", "Worker", "WorkerPool"]
+
+SLICE = 0.005  # s: how long one connection's commands or one world's ticks may keep the others waiting
+BRIEF = 0.0005  # s: what is not worth the way to another thread and back
+THREADS = 1000  # worlds that can be in a thread; no more of them run at once than there are cores
+
+_TICK = 1e-4  # s: what a tick is taken to cost before one was measured
+_COMMAND = 2e-5  # s: about what a command of a batch costs
+_PICTURE = 0.01  # s: about what a picture costs
+
+LONG_COMMANDS = frozenset({"step", "batch", "get_camera"})  # those that may take long
+
+T = TypeVar("T")
+
+
+class WorkerPool:
+    """The threads for worlds with long work: as many run at once as there are cores, each in its turn.
+
+    Attributes:
+        last: Whose world ticked last: another one that comes now is not alone in having work.
+    """
+
+    def __init__(self) -> None:
+        self.last: object = None
+        self._pool = ThreadPoolExecutor(THREADS, "nmes-world")  # makes them when they are needed
+        self._lock = threading.Lock()
+        self._free = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+        self._queue: deque[threading.Lock] = deque()  # of those that wait for their turn
+
+    def run(self, work: Callable[[], T]) -> Future[T]:
+        """Runs a function in a thread."""
+        return self._pool.submit(self._in_turn, work)
+
+    def _in_turn(self, work: Callable[[], T]) -> T:
+        self._begin()
+        try:
+            return work()
+        finally:
+            self._end()
+
+    def give_way(self) -> None:
+        """Lets those that wait go first: called by what is running, now and then."""
+        if self._queue:
+            self._end()
+            self._begin()
+
+    def _begin(self) -> None:
+        with self._lock:
+            if self._free:
+                self._free -= 1
+                return
+            turn = threading.Lock()
+            turn.acquire()
+            self._queue.append(turn)
+        turn.acquire()
+
+    def _end(self) -> None:
+        with self._lock:
+            if self._queue:
+                self._queue.popleft().release()
+            else:
+                self._free += 1
+
+    def close(self) -> None:
+        """Ends the threads, when their work is done."""
+        self._pool.shutdown()
+
+
+class Owner(Protocol):
+    """The hosted world of a worker, which is told where its world is."""
+
+    def leaving(self) -> bool:
+        """Prepares for the world to go to a thread; returns whether it may."""
+
+    def slice_ended(self) -> None:
+        """Sends events and flushes the recording, after a slice of ticks; called in the world's thread."""
+
+    def returned(self, finish: Callable[[], None]) -> None:
+        """Goes on with a world that is back in the event loop; `finish` hands over the result of its work."""
+
+
+class _Stopped(BaseException):
+    """The host closes: what a world is doing ends in the middle, after a tick."""
+
+
+class Worker:
+    """Does the work of one world, in the event loop or in a thread of the pool.
+
+    Attributes:
+        away: Whether the world is in a thread. Then nobody else may touch it.
+    """
+
+    def __init__(self, world: World, pool: WorkerPool, owner: Owner) -> None:
+        """Does all work in the event loop at first."""
+        self.away = False
+        self._world = world
+        self._pool = pool
+        self._owner = owner
+        self._cost = _TICK  # s: what a tick has cost of late
+        self._until = 0.0  # when the slice ends that runs in the thread
+        self._idle = 0.0  # s: for how long the work in the thread had to wait for others
+        self._stopping = False
+        self._returned = asyncio.Event()
+
+    # -- how long it takes -----------------------------------------------------------------------------------------
+
+    def takes_long(self, command: Mapping[str, Any]) -> bool:
+        """Whether a command is to be executed in a thread."""
+        return not self._is_short(self._expected(command))
+
+    def _is_short(self, expected: float) -> bool:
+        """Whether work that takes as long (s) as expected is done in the loop."""
+        return expected <= (SLICE if self._pool.last is self else BRIEF)
+
+    def _expected(self, command: Mapping[str, Any]) -> float:
+        """Returns how long (s) a command will take, as far as one can tell."""
+        kind = command["type"]
+        if kind == "step":
+            return float(command.get("ticks", 1) * self._cost)
+        if kind == "batch":
+            inner = command["commands"]
+            return len(inner) * _COMMAND + sum(map(self._expected, inner))
+        return _PICTURE if kind == "get_camera" else 0.0
+
+    def _measure(self, ticks: int, duration: float) -> None:
+        self._pool.last = self
+        if ticks > 0:
+            self._cost += (duration / ticks - self._cost) / 4
+
+    # -- the work --------------------------------------------------------------------------------------------------
+
+    def execute(self, client: int, request: Request) -> bytes:
+        """Executes a request and measures its ticks, in the thread in which the world is; returns the reply."""
+        if request.type != "step":
+            return self._world.handle(client, request)
+        start, frame, self._idle = monotonic(), self._world.frame, 0.0
+        reply = self._world.handle(client, request)
+        self._measure(self._world.frame - frame, monotonic() - start - self._idle)
+        return reply
+
+    def advance(self, most: float, then: Callable[[int], None]) -> None:
+        """Ticks for one slice, in the loop or in a thread.
+
+        Args:
+            most: The most ticks that are wanted; may be infinite.
+            then: Called in the loop with the number of ticks, at once or when the world is back.
+        """
+        if self._is_short(most * self._cost):
+            then(self._tick(most))
+        else:
+            self.run(partial(self._tick, most), lambda ticks: then(ticks.result()))
+
+    def _tick(self, most: float) -> int:
+        """Ticks for one slice, in the thread in which the world is; returns the number of ticks."""
+        world, start, ticks, duration = self._world, monotonic(), 0, 0.0
+        while ticks < most and world.fault is None:
+            world.tick()
+            ticks += 1
+            if (duration := monotonic() - start) >= SLICE:
+                break
+        if ticks:
+            self._measure(ticks, duration)
+        return ticks
+
+    # -- in a thread -----------------------------------------------------------------------------------------------
+
+    def run(self, work: Callable[[], T], then: Callable[[Future[T]], None]) -> bool:
+        """Takes the world to a thread and does some work there; returns whether the owner let it go.
+
+        Args:
+            work: Called in the thread.
+            then: Called in the loop with the result, when the world is back, unless its host closes.
+        """
+        if not self._owner.leaving():
+            return False
+        self.away = True
+        self._world.between = self._between
+        self._until = monotonic() + SLICE
+        self._returned.clear()
+        loop = asyncio.get_running_loop()
+        result = self._pool.run(work)
+        result.add_done_callback(lambda result: loop.call_soon_threadsafe(self._return, then, result))
+        return True
+
+    def _between(self) -> None:
+        """Lets others have their turn after a slice of ticks; called by the world after each tick, in its thread."""
+        if self._stopping:
+            raise _Stopped
+        if monotonic() < self._until:
+            return
+        self._owner.slice_ended()
+        pause = monotonic()
+        self._pool.give_way()
+        now = monotonic()
+        self._idle += now - pause
+        self._until = now + SLICE
+
+    def _return(self, then: Callable[[Future[T]], None], result: Future[T]) -> None:
+        self.away, self._world.between = False, None
+        self._returned.set()
+        self._owner.returned(partial(then, result))
+
+    async def stop(self) -> None:
+        """Ends what is done in a thread, after the tick it is at; returns when the world is back."""
+        self._stopping = True
+        if self.away:
+            await self._returned.wait()

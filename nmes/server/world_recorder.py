@@ -1,0 +1,96 @@
+"""The recording of one hosted world: where it lies, and when it was last brought to disk."""
+
+from __future__ import annotations
+
+import re
+from datetime import UTC, datetime
+from pathlib import Path
+from time import monotonic
+
+from nmes.errors import RecordingError
+from nmes.playback.fork import fork
+from nmes.recording import Recorder, Recording
+from nmes.world import World
+
+__all__ = ["WorldRecorder"]
+
+
+class WorldRecorder:
+    """Writes a world's recording until the world is closed, or has lost it because it cannot be written.
+
+    Attributes:
+        path: The recording, a new file that is named after the world and the time.
+        durable: Whether `commit` waits for the disk; if not, it does nothing.
+    """
+
+    def __init__(
+        self, world: World, directory: Path, flush_interval: float, parent: tuple[Recording, int | None] | None
+    ) -> None:
+        """Begins a recording in the directory, which is made if need be.
+
+        Args:
+            world: A new world; the recorder becomes its journal.
+            directory: Where the file is to be.
+            flush_interval: How much (s) of the recording a crash may lose; 0: nothing that was committed.
+            parent: A recording and its frame (None: its last) that the world is brought to first.
+
+        Raises:
+            RecordingError: The file cannot be written, or the world cannot be brought to that frame.
+        """
+        try:
+            directory.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RecordingError("recording_failed", f"cannot make {directory}: {error.strerror}") from error
+        self.path = _new_path(directory, world.config["name"])
+        self.durable = flush_interval == 0
+        self._world = world
+        if parent is None:
+            self._recorder = Recorder(self.path, world, flush_interval=flush_interval)
+            world.journal = self._recorder
+        else:
+            recording, frame = parent
+            self._recorder = fork(recording, world, self.path, frame, flush_interval=flush_interval)
+        self._flushed = monotonic()
+
+    @property
+    def lag(self) -> float:
+        """How old (s) the oldest record may be that is not written yet."""
+        return monotonic() - self._flushed
+
+    def flush(self) -> None:
+        """Brings the recording to disk, as far as the world has gone.
+
+        Raises:
+            RecordingError: It cannot be written.
+        """
+        if self._world.journal is not None:
+            self._recorder.flush()
+            self._flushed = monotonic()
+
+    def commit(self) -> None:
+        """Waits for the disk if the recording is durable: to be called before anything is told to anybody.
+
+        Raises:
+            RecordingError: It cannot be written, so what is about to be told may be of what is lost.
+        """
+        if self.durable and self._world.journal is not None:
+            self._recorder.commit()
+
+    def close(self) -> None:
+        """Completes the recording.
+
+        Raises:
+            RecordingError: It cannot be written; the file is closed all the same.
+        """
+        self._recorder.close()
+
+
+def _new_path(directory: Path, world: str) -> Path:
+    """Returns a path that names the world and the time, and that does not exist."""
+    name = re.sub(r"[^\w.-]", "_", world)
+    stem = f"{name}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
+    path, count = directory / f"{stem}.mcap", 1
+    while path.exists():
+        count += 1
+        path = directory / f"{stem}-{count}.mcap"
+    return path
