@@ -32,7 +32,7 @@ __all__ = ["LINGER", "READ", "Connection"]
 
 logger = logging.getLogger(__name__)
 
-LINGER = 2.0  # s: how long a connection that we end may take to read our last words and hang up
+LINGER = 2.0  # s: how long a connection that we end may take to read the rest and hang up
 SPARE = 64  # connections over the limit that are told so; any more are dropped without a word
 READ = 256 << 10  # bytes that are read at once; fresh memory for each read would cost more than all of asyncio
 CHUNK = 256 << 10  # bytes of replies that are handed to the socket before the rest of a read is executed
@@ -49,30 +49,30 @@ class Connection(asyncio.BufferedProtocol):
         self._limits = host.limits
         self._default_world = default_world
         self._session = Session(host.limits)
-        self._wanted: HostedWorld | None = None  # the world to join
+        self._destination: HostedWorld | None = None  # the world to join
         self._world: HostedWorld | None = None  # the world joined
         self._client = 0
         self._timer: asyncio.TimerHandle | None = None  # the deadline that applies: auth, its answer, hanging up
         self._backlog: deque[Request] = deque()  # what is yet to be executed; reading pauses meanwhile
         self._full = False  # the peer does not read: its commands wait
         self._overflowed = False  # it did not read for so long that events were dropped: it must go
-        self._ended = False  # the peer has said its last word
-        self._closing = False  # we have said ours
+        self._ended = False  # the peer sends nothing more
+        self._closing = False  # we send nothing more
         self._lost = False
         self._output: list[bytes] = []
         self._output_size = 0
         self._written = 0
-        self._taken = 0  # how much of that the peer had taken at the last look, and when it last took some
-        self._taken_at = 0.0
+        self._progress = 0  # how much of that the peer had read at the last look, and when it last read some
+        self._progress_at = 0.0
         self._active_at = 0.0
 
     # -- what the event loop calls ---------------------------------------------------------------------------------
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Waits for authentication; or says that the host is full."""
+        """Waits for authentication; or refuses, where the host is full."""
         self._transport = cast(asyncio.Transport, transport)
         self._transport.set_write_buffer_limits(high=self._limits.pending // 2)
-        self._active_at = self._taken_at = monotonic()
+        self._active_at = self._progress_at = monotonic()
         over = self._host.admit(self) - self._limits.connections
         if over <= 0:
             loop = asyncio.get_running_loop()
@@ -114,7 +114,7 @@ class Connection(asyncio.BufferedProtocol):
         return False
 
     def connection_lost(self, error: Exception | None) -> None:
-        """Leaves the world, when the rest of what the peer had asked for is done."""
+        """Leaves the world when the rest of the requests are done."""
         self._lost = self._closing = True
         self._full = False
         self._cancel_timer()
@@ -150,7 +150,7 @@ class Connection(asyncio.BufferedProtocol):
             self._end(None)
         else:
             try:
-                self._wanted = self._host.find(auth.world or self._default_world)
+                self._destination = self._host.find(auth.world or self._default_world)
             except WorldError as error:
                 self._end(error)
                 return
@@ -159,9 +159,9 @@ class Connection(asyncio.BufferedProtocol):
 
     def _join(self) -> None:
         """Joins the world as soon as it can be joined, and executes what came behind the password."""
-        world = self._wanted
+        world = self._destination
         if world is not None and (joined := world.join(self)) is not None:
-            self._wanted, self._world = None, world
+            self._destination, self._world = None, world
             self._client, welcome = joined
             self._queue_output(self._session.accept(welcome))
             self._work(self._session.receive(b""))
@@ -271,15 +271,15 @@ class Connection(asyncio.BufferedProtocol):
             self._cut()
 
     def inspect(self, now: float) -> None:
-        """Looks after a connection now and then: ends it when nothing moves any more."""
+        """Ends the connection where nothing has moved for too long; called now and then."""
         buffered = self._transport.get_write_buffer_size()
-        taken = self._written - buffered
-        if taken != self._taken or not (buffered or self._closing):
-            self._taken, self._taken_at = taken, now
+        progress = self._written - buffered
+        if progress != self._progress or not (buffered or self._closing):
+            self._progress, self._progress_at = progress, now
         if self._closing:
-            if now - self._taken_at >= LINGER:
+            if now - self._progress_at >= LINGER:
                 self._transport.abort()
-        elif now - self._taken_at >= self._limits.stall_timeout:
+        elif now - self._progress_at >= self._limits.stall_timeout:
             self._cut()
         elif self._backlog:
             self._active_at = now  # it waits for us
@@ -294,12 +294,12 @@ class Connection(asyncio.BufferedProtocol):
     # -- the end ---------------------------------------------------------------------------------------------------
 
     def hang_up(self, error: NmesError | None = None) -> None:
-        """Ends the connection from our side, and says why."""
+        """Ends the connection from our side, with an error or none."""
         self._end(error)
 
     @property
     def draining(self) -> bool:
-        """Whether there is output that the peer has not yet taken."""
+        """Whether there is output that the peer has not read yet."""
         return self._transport.get_write_buffer_size() > 0
 
     def abort(self) -> None:
@@ -307,24 +307,24 @@ class Connection(asyncio.BufferedProtocol):
         self._transport.abort()
 
     def _end(self, error: NmesError | None) -> None:
-        """Says the last word and leaves the world; the socket is closed when the peer has hung up too, or soon."""
+        """Sends an error, if any, and leaves the world; the socket is closed when the peer has hung up too, or soon."""
         if self._closing:
             return
         self._closing = True
         self._overflowed = False
-        self._wanted = None
+        self._destination = None
         self._backlog.clear()
         self._cancel_timer()
         if error is not None:
             self._output.append(self._session.refuse(error))
         self.flush()
         self._leave()
-        self._taken_at = monotonic()
+        self._progress_at = monotonic()
         self._timer = asyncio.get_running_loop().call_later(self._limits.idle_timeout, self._transport.abort)
         if self._ended or not self._transport.can_write_eof():
             self._transport.close()
         else:
-            # Closing a socket while the peer still sends resets it, and may take our last word away from the peer. So
+            # Closing a socket while the peer still sends resets it, and may take our last output away from the peer. So
             # this side is closed only, and what still comes is read and thrown away.
             with contextlib.suppress(OSError):  # the peer is gone already
                 self._transport.write_eof()

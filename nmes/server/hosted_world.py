@@ -1,17 +1,17 @@
-"""One world being served: who is in it, in which order it does what is asked of it, and who is told of it.
+"""One world being served: the only door to the world, for the connections of its clients and for its host.
 
-A `HostedWorld` is the only door to its world; it knows no sockets, only `Peer`s. A peer puts requests in with `submit`,
-which answers at once or lets the peer wait; a peer that waits is called back with `resume`, and submits again.
+A connection submits the requests of its client one by one. Each is answered at once, or has to wait; then `resume` of
+the connection is called when it may be submitted again. The world knows no sockets, only `Peer`s.
 
-What goes on by itself is done by the parts: the `Clock` of `realtime` and `fast`, the `StepBarrier` of agents that wait
-for each other, the `Worker` that takes long work to a thread, and the `WorldRecorder`. Whatever happens to the world,
-`_settle` sees to all of them soon after.
+The rest is done by parts: the `Clock` ticks in `realtime` and `fast`, the `StepBarrier` lets agents wait for each
+other, the `Worker` takes long work to a thread, the `WorldRecorder` flushes, and `Peers` send events. Whatever happens
+to the world, `_settle` sees to all of them soon after.
 
 Invariants:
 
 - A world is touched by one thread at a time, in one order: requests are executed as they are submitted, ticks come
   between. While it is in a thread, requests wait in the order in which they came.
-- Nothing is told to anybody that a recording which waits for the disk does not hold.
+- A recording that waits for the disk holds whatever leaves for a socket.
 """
 
 from __future__ import annotations
@@ -22,44 +22,26 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
-from nmes.errors import NmesError, RecordingError
+from nmes.errors import RecordingError
 from nmes.playback.restore import restore_into
 from nmes.protocol import Request
 from nmes.recording import Recording
 from nmes.server.barrier import StepBarrier
 from nmes.server.clock import Clock
 from nmes.server.metrics import Metrics, WorldFigures
+from nmes.server.peers import Peer, Peers
 from nmes.server.threads import LONG_COMMANDS, Worker, WorkerPool
 from nmes.server.world_recorder import WorldRecorder
 from nmes.world import Fault, World
 
-__all__ = ["HostedWorld", "Peer", "Status"]
+__all__ = ["HostedWorld", "Status"]
 
 logger = logging.getLogger(__name__)
 
 # The commands after which a world may tick by itself, or wait for others, where it did not before.
 _STEERING = frozenset({"set_mode", "pause", "resume", "reset", "batch"})
-
-
-class Peer(Protocol):
-    """The connection of one client, as a hosted world sees it."""
-
-    def resume(self) -> None:
-        """Goes on with what had to wait: to join, or to submit a request."""
-
-    def send_event(self, event: bytes) -> None:
-        """Queues an event, without delimiter; `flush` follows soon."""
-
-    def flush(self) -> None:
-        """Hands what is queued to the socket."""
-
-    def discard_output(self) -> None:
-        """Drops what is queued."""
-
-    def hang_up(self, error: NmesError) -> None:
-        """Tells the error and closes."""
 
 
 class Status(NamedTuple):
@@ -94,36 +76,28 @@ class HostedWorld:
         """
         self.world = World(config) if metrics is None else metrics.world(config)
         self.name: str = self.world.config["name"]
-        self._recorder: WorldRecorder | None = None
-        if record_to is not None:
-            self._recorder = WorldRecorder(self.world, record_to, flush_interval, parent)
-        elif parent is not None:
-            recording, frame = parent
-            restore_into(self.world, recording, recording.last_frame if frame is None else frame)
-        for client in self.world.clients():  # their connections are gone
-            self.world.leave(client)
-        self.world.emit = self._send
-        self._connections: dict[int, Peer] = {}
-        self._unsent: dict[Peer, None] = {}  # those that were sent events since the last `flush`
+        self._recorder = _begin(self.world, record_to, flush_interval, parent)
+        self._peers = Peers()
+        self.world.emit = self._peers.send
         self._settling: asyncio.Handle | None = None  # where `_settle` is to be called
         self._closing = False
         self._fault: Fault | None = None  # the one that was logged
         self._clock = Clock(self.world, self._turn)
         self._worker = Worker(self.world, pool, self)
         self._barrier = StepBarrier(
-            self.world, self._worker.advance, self._resume, self._settle_soon, self._pass_over_late
+            self.world, self._worker.advance, self._peers.resume, self._settle_soon, self._pass_over_late
         )
-        # While the world is in a thread:
-        self._status = self._look()  # before it went
-        self._events: list[tuple[int, bytes]] = []  # that it had to tell there
-        self._waiting: dict[Peer, None] = {}  # those that found it away
-        self._left: list[int] = []  # clients that went meanwhile
+        # For while the world is in a thread:
+        self._status = self.status  # before it went
+        self._events: list[tuple[int, bytes]] = []  # of clients
+        self._waiting: dict[Peer, None] = {}  # those that are to `resume` when it is back
+        self._leavers: list[int] = []  # clients that are to leave then
         self._results: dict[int, Future[bytes]] = {}  # replies to requests that were executed there
-        self._lost: RecordingError | None = None  # why what it had to tell may be of what is lost
+        self._loss: RecordingError | None = None  # why events were lost
         self._turn_due = self._flush_due = False
 
     def __repr__(self) -> str:
-        return f"HostedWorld({self.name!r}, frame {self.status.frame}, {len(self._connections)} clients)"
+        return f"HostedWorld({self.name!r}, frame {self.status.frame}, {len(self._peers)} clients)"
 
     @property
     def recording(self) -> Path | None:
@@ -133,14 +107,13 @@ class HostedWorld:
     @property
     def clients(self) -> int:
         """The number of connections that are in this world."""
-        return len(self._connections)
+        return len(self._peers)
 
     @property
     def status(self) -> Status:
         """How the world is doing; while it is in a thread, how it was when it went."""
-        return self._status if self._worker.away else self._look()
-
-    def _look(self) -> Status:
+        if self._worker.away:
+            return self._status
         return Status(self.world.mode, self.world.frame, self.world.fault)
 
     @property
@@ -162,18 +135,18 @@ class HostedWorld:
             self._waiting[connection] = None
             return None
         client = self.world.join()
-        self._connections[client] = connection
+        self._peers[client] = connection
         self._settle_soon()
         return client, self.world.welcome(client)
 
     def leave(self, client: int) -> None:
         """Lets a client go; its cubes stay."""
-        connection = self._connections.pop(client)
+        connection = self._peers.pop(client)
         self._barrier.forget(client)
         self._results.pop(client, None)
         self._waiting.pop(connection, None)
         if self._worker.away:
-            self._left.append(client)
+            self._leavers.append(client)
         elif not self._closing:
             self.world.leave(client)
             self._settle_soon()
@@ -188,19 +161,18 @@ class HostedWorld:
             control the world.
         """
         if self._worker.away or self._closing:
-            self._waiting[self._connections[client]] = None
+            self._waiting[self._peers[client]] = None
             return None
-        world = self.world
-        if request.type not in LONG_COMMANDS:
-            reply = world.handle(client, request)
-        elif (result := self._submit_long(client, request)) is not None:
-            reply = result
+        if request.type in LONG_COMMANDS:
+            reply = self._submit_long(client, request)
+            if reply is None:
+                return None
         else:
-            return None
+            reply = self.world.handle(client, request)
         if request.type in _STEERING:
             self._clock.adjust()  # at once: its next turn may come before all else
             self._settle_soon()
-        elif self._unsent or world.fault is not self._fault:
+        elif self._peers.unsent or self.world.fault is not self._fault:
             self._settle_soon()
         return reply
 
@@ -221,14 +193,11 @@ class HostedWorld:
 
     def _executed(self, client: int, reply: Future[bytes]) -> None:
         """Keeps a reply from a thread until the client submits its request again."""
-        if client in self._connections:
+        if client in self._peers:
             self._results[client] = reply
-            self._resume(client)
+            self._peers.resume(client)
         else:
             reply.result()  # nobody hears it, but a mistake of ours must be logged
-
-    def _resume(self, client: int) -> None:
-        asyncio.get_running_loop().call_soon(self._connections[client].resume)
 
     # -- after a request, a tick or a client's end -----------------------------------------------------------------
 
@@ -248,13 +217,13 @@ class HostedWorld:
             self._settling = None
         if not self._worker.away and not self._closing:
             self._barrier.update()
-        self._flush_connections()
+        self._peers.flush()
         if not self._worker.away and not self._closing:
             self._log_fault()
             self._clock.adjust()
 
     def _log_fault(self) -> None:
-        """Tells whoever runs the host of a new fault, as the world's clients were told."""
+        """Logs a new fault for whoever runs the host; the world's clients have an event of it."""
         fault = self.world.fault
         if fault is not None and fault is not self._fault:
             logger.error("world %r stopped at frame %d: %s: %s", self.name, fault.frame, fault.code, fault.message)
@@ -278,34 +247,14 @@ class HostedWorld:
         self.world.announce({"type": "barrier_timeout", "frame": self.world.frame, "clients": late})
         self._settle()
 
-    # -- events ----------------------------------------------------------------------------------------------------
-
-    def _send(self, client: int, event: bytes) -> None:
-        """Queues an event for a client, unless it has left."""
-        if (connection := self._connections.get(client)) is not None:
-            connection.send_event(event)
-            self._unsent[connection] = None
-
-    def _flush_connections(self) -> None:
-        while self._unsent:
-            connections, self._unsent = self._unsent, {}
-            for connection in connections:
-                connection.flush()
-
-    def _deliver(self, events: list[tuple[int, bytes]]) -> None:
-        """Sends the events of a world in a thread, which has committed them."""
-        for client, event in events:
-            self._send(client, event)
-        self._flush_connections()
-
     # -- in a thread -----------------------------------------------------------------------------------------------
 
     def leaving(self) -> bool:
-        """Commits what is told of the world before it goes to a thread; returns whether it may go."""
+        """Commits before the world goes to a thread; returns whether it may go."""
         self.commit()
         if self.world.fault is not None:
             return False
-        self._status = self._look()
+        self._status = self.status
         self._loop = asyncio.get_running_loop()
         self.world.emit = lambda client, event: self._events.append((client, event))
         return True
@@ -314,7 +263,7 @@ class HostedWorld:
         """Flushes the recording where that is due, and sends events; called in the world's thread.
 
         Raises:
-            RecordingError: The recording cannot be written, so the events may be of what is lost.
+            RecordingError: The recording cannot be written, so nobody may hear of these events.
         """
         if self._flush_due and self._recorder is not None:
             self._flush_due = False
@@ -326,22 +275,22 @@ class HostedWorld:
             try:
                 self._recorder.commit()
             except RecordingError as error:
-                self._lost = error
+                self._loss = error
                 raise
-        self._loop.call_soon_threadsafe(self._deliver, events)
+        self._loop.call_soon_threadsafe(self._peers.deliver, events)
 
     def returned(self, finish: Callable[[], None]) -> None:
         """Goes on with a world that is back from a thread: first those who waited, then it itself."""
-        self.world.emit = self._send
+        self.world.emit = self._peers.send
         events, self._events = self._events, []
         if self._closing:
-            self._deliver(events)
+            self._peers.deliver(events)
             return
         self._end_waiting()
-        self._deliver(events)
-        if self._lost is not None:
-            self._hang_up(self._lost)
-            self._lost = None
+        self._peers.deliver(events)
+        if self._loss is not None:
+            self._peers.hang_up(self._loss)
+            self._loss = None
         if self._flush_due:
             self.flush()
         if self._turn_due:
@@ -353,12 +302,12 @@ class HostedWorld:
             self._settle()
 
     def _end_waiting(self) -> None:
-        """Lets those in who found the world away, and those go who left it."""
+        """Resumes the connections that waited, and lets those clients go that left meanwhile."""
         waiting, self._waiting = self._waiting, {}
         for connection in waiting:
             asyncio.get_running_loop().call_soon(connection.resume)
-        left, self._left = self._left, []
-        for client in left:
+        leavers, self._leavers = self._leavers, []
+        for client in leavers:
             self.world.leave(client)
 
     # -- the recording ---------------------------------------------------------------------------------------------
@@ -374,25 +323,20 @@ class HostedWorld:
                 self._settle_soon()
 
     def commit(self) -> None:
-        """Waits for the disk, if that was asked for: called before anything is told to anybody.
+        """Waits for the disk, if that was asked for: to be called before anything is handed to a socket.
 
-        Where it fails, what is about to be told may be of what is lost: nobody hears it, and the world stops. Of what a
-        world tells while it is in a thread, it waits for the disk itself; what it told before is on disk since it went.
+        Where it fails, nobody may hear of what is lost: all output is dropped, the world stops, and its clients are
+        hung up on. While the world is in a thread, it commits its own events; earlier ones are on disk since it went.
         """
         if self._recorder is None or not self._recorder.durable or self._worker.away:
             return
         try:
             self._recorder.commit()
         except RecordingError as error:
-            for connection in self._connections.values():
-                connection.discard_output()
+            self._peers.discard_output()
             self.world.stop_recording(error)
-            self._hang_up(error)
+            self._peers.hang_up(error)
             self._settle_soon()
-
-    def _hang_up(self, error: NmesError) -> None:
-        for connection in list(self._connections.values()):
-            connection.hang_up(error)
 
     # -- the end ---------------------------------------------------------------------------------------------------
 
@@ -406,9 +350,24 @@ class HostedWorld:
         self._barrier.stop()
         self._log_fault()
         self.world.close()
-        self._flush_connections()
+        self._peers.flush()
         if self._recorder is not None:
             try:
                 self._recorder.close()
             except RecordingError as error:
                 logger.error("the recording %s could not be completed: %s", self.recording, error.message)
+
+
+def _begin(
+    world: World, record_to: Path | None, flush_interval: float, parent: tuple[Recording, int | None] | None
+) -> WorldRecorder | None:
+    """Brings a new world to where it begins; returns the recorder of what follows, if it is to be recorded."""
+    recorder = None
+    if record_to is not None:
+        recorder = WorldRecorder(world, record_to, flush_interval, parent)
+    elif parent is not None:
+        recording, frame = parent
+        restore_into(world, recording, recording.last_frame if frame is None else frame)
+    for client in world.clients():  # their connections are gone
+        world.leave(client)
+    return recorder

@@ -77,11 +77,12 @@ class WorldRecorder:
             self._recorder.commit()
 
     def close(self) -> None:
-        """Completes the recording.
+        """Completes the recording; what the world does after that is not recorded.
 
         Raises:
             RecordingError: It cannot be written; the file is closed all the same.
         """
+        self._world.journal = None
         self._recorder.close()
 
 

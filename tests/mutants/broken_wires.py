@@ -584,9 +584,9 @@ def _told_to_all(patch: MonkeyPatch, mark: bytes) -> None:
     def tell(hosted: HostedWorld, client: int, request: Request) -> bytes | None:
         reply = submit(hosted, client, request)
         if reply is not None and mark in reply:
-            for other in hosted._connections:
+            for other in hosted._peers:
                 if other != client:
-                    hosted._send(other, reply)
+                    hosted._peers.send(other, reply)
             hosted._settle_soon()
         return reply
 

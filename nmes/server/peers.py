@@ -1,0 +1,76 @@
+"""The connections of one world, and the events on their way to them."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable
+from typing import Protocol
+
+from nmes.errors import NmesError
+
+__all__ = ["Peer", "Peers"]
+
+
+class Peer(Protocol):
+    """The connection of one client, as a hosted world sees it."""
+
+    def resume(self) -> None:
+        """Goes on with what had to wait: to join, or to submit a request."""
+
+    def send_event(self, event: bytes) -> None:
+        """Queues an event, without delimiter; `flush` follows soon."""
+
+    def flush(self) -> None:
+        """Hands what is queued to the socket."""
+
+    def discard_output(self) -> None:
+        """Drops what is queued."""
+
+    def hang_up(self, error: NmesError) -> None:
+        """Sends the error and closes."""
+
+
+class Peers(dict[int, Peer]):
+    """The connections of one world by client number.
+
+    Attributes:
+        unsent: Those with events that `flush` is to hand to their sockets.
+    """
+
+    def __init__(self) -> None:
+        """Begins with none."""
+        super().__init__()
+        self.unsent: dict[Peer, None] = {}
+
+    def send(self, client: int, event: bytes) -> None:
+        """Queues an event for a client, unless it has left."""
+        if (peer := self.get(client)) is not None:
+            peer.send_event(event)
+            self.unsent[peer] = None
+
+    def deliver(self, events: Iterable[tuple[int, bytes]]) -> None:
+        """Sends events, each to its client."""
+        for client, event in events:
+            self.send(client, event)
+        self.flush()
+
+    def flush(self) -> None:
+        """Hands all queued events to the sockets."""
+        while self.unsent:  # a recording that fails meanwhile brings more
+            peers, self.unsent = self.unsent, {}
+            for peer in peers:
+                peer.flush()
+
+    def resume(self, client: int) -> None:
+        """Lets a client go on soon."""
+        asyncio.get_running_loop().call_soon(self[client].resume)
+
+    def discard_output(self) -> None:
+        """Drops what is queued for all."""
+        for peer in self.values():
+            peer.discard_output()
+
+    def hang_up(self, error: NmesError) -> None:
+        """Sends an error to all and closes their connections."""
+        for peer in list(self.values()):
+            peer.hang_up(error)
