@@ -1,4 +1,4 @@
-"""Programs that drive a served world: `Client` blocks, `AsyncClient` awaits; `nmes.commands` has what both can say.
+"""Programs that drive a served world: `Client` blocks, `AsyncClient` awaits; what both can say is in `commands`.
 
 Hides the json dialect: framing, authentication, numbering of commands and matching of replies.
 
@@ -23,7 +23,8 @@ from typing import Any, Self, cast
 
 import orjson
 
-from nmes.client.commands import AsyncCommands, BlockingCommands, Pending, Pipeline
+from nmes.client.commands import AsyncCommands, BlockingCommands, Pipeline
+from nmes.client.declaration import Pending
 from nmes.client.replies import AuthSuccess, Event, WorldSummary
 from nmes.errors import CommandFailed, Disconnected, RejectedMessage
 from nmes.protocol import DELIMITER, FrameSplitter, encode

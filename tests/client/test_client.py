@@ -15,7 +15,7 @@ import pytest
 
 import nmes
 from nmes import protocol
-from nmes.client import AsyncClient, Client, commands, replies
+from nmes.client import AsyncClient, Client, declaration, replies
 from nmes.client.client import EVENT_BACKLOG
 from nmes.client.commands import BlockingCommands, Commands
 from nmes.client.replies import Event
@@ -96,7 +96,11 @@ def scripted(script: Callable[[Scripted], None]) -> Iterator[int]:
 
 
 def declared() -> dict[str, Any]:
-    return {name: value.__wrapped__ for name, value in vars(Commands).items() if isinstance(value, commands.command)}
+    return {name: value.__wrapped__ for name, value in inspect.getmembers_static(Commands, is_command)}
+
+
+def is_command(member: object) -> bool:
+    return isinstance(member, declaration.command)
 
 
 def check_shape(typed: Any, schema: Any) -> None:
@@ -118,13 +122,12 @@ def check_shape(typed: Any, schema: Any) -> None:
 @pytest.mark.parametrize("name", sorted(set(protocol.COMMANDS) | set(declared())))
 def test_every_command_is_declared_as_its_schema_says(name: str) -> None:
     schema = protocol.COMMANDS[name]
-    declaration = declared()[name]
-    parameters = list(inspect.signature(declaration).parameters.values())[1:]
+    method = declared()[name]
+    parameters = list(inspect.signature(method).parameters.values())[1:]
     required = set(schema.schema["required"]) - {"type"}
     assert {parameter.name for parameter in parameters} == set(schema.schema["properties"]) - {"type", "id"}
     assert {parameter.name for parameter in parameters if parameter.default is parameter.empty} == required
-    assert declaration.__doc__
-    (reply,) = typing.get_args(typing.get_type_hints(declaration, vars(commands))["return"])
+    (reply,) = typing.get_args(typing.get_type_hints(method)["return"])
     check_shape(reply, protocol.REPLIES[schema.reply].schema)
 
 

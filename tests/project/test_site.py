@@ -67,6 +67,7 @@ def test_the_references_are_made_from_the_program(site: Path) -> None:
     python = (site / "reference-python.html").read_text()
     for name in (
         "nmes.client.Client.connect",
+        "nmes.client.cube_commands.CubeCommands.spawn_cube",
         "nmes.world.World.tick",
         "nmes.evaluation.evaluate",
         "nmes.errors.WorldError",

@@ -1,0 +1,166 @@
+"""Commands about creatures, and about objectives: what they are to do, and how well they do it.
+
+The docstrings of the methods are written by `make format` from the schemas (tools/client_docs.py).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal
+
+from nmes.client.declaration import Vector, command
+from nmes.client.replies import (
+    CreatureSpawned,
+    Driven,
+    ObjectiveSet,
+    Reward,
+    Senses,
+)
+
+__all__ = ["CreatureCommands"]
+
+
+class CreatureCommands:
+    """Commands about creatures and objectives."""
+
+    @command
+    def spawn_creature(
+        self,
+        genome: Mapping[str, Any],
+        *,
+        position: Vector | None = None,
+        name: str | None = None,
+        target: Vector | str | None = None,
+    ) -> type[CreatureSpawned]:
+        """Makes the body of a genome live: its cubes and joints, all of them or none.
+
+        The brain stays outside: whoever runs it senses and drives.
+
+        Args:
+            genome: The genome, as schemas/genome.json says.
+            position: Where the origin of the genome's body comes to be, in m, each number within 1,000,000 m of the
+                origin. A body stands on its own y = 0. Default: [0, 0, 0].
+            name: Its name; a cube or joint of it is called NAME.id. Drawn from the seed if left out.
+            target: What its sensors of a target are about: a point in m, each number within 1,000,000 m of the origin,
+                or the name of a cube. The cube need not be there yet; as long as it is not, they read 0, as without a
+                target.
+
+        Returns:
+            CreatureSpawned: The creature is there.
+
+        Raises:
+            CommandFailed: The server refused it: `creature_exists`, `cube_exists`, `invalid`, `limit_reached`,
+                `unsupported` or `world_faulted`.
+            Disconnected: The connection was lost.
+            TimeoutError: No reply came in time.
+        """
+        return CreatureSpawned
+
+    @command
+    def drive(self, creature: str, controls: Vector) -> type[Driven]:
+        """Sets what the motors of a creature aim at, until it is driven again.
+
+        What set_joint_param of each motor's target does, in one.
+
+        Args:
+            creature: The creature.
+            controls: One number a motor, in their order, each from -1 to 1: the lower and the upper end of the motor's
+                range.
+
+        Returns:
+            Driven: The motors have their targets.
+
+        Raises:
+            CommandFailed: The server refused it: `creature_not_found`, `invalid`, `unsupported` or `world_faulted`.
+            Disconnected: The connection was lost.
+            TimeoutError: No reply came in time.
+        """
+        return Driven
+
+    @command
+    def sense(self, creature: str) -> type[Senses]:
+        """Reads the sensors of a creature.
+
+        Args:
+            creature: The creature.
+
+        Returns:
+            Senses: What the sensors of a creature read.
+
+        Raises:
+            CommandFailed: The server refused it: `creature_not_found`, `invalid`, `unsupported` or `world_faulted`.
+            Disconnected: The connection was lost.
+            TimeoutError: No reply came in time.
+        """
+        return Senses
+
+    @command
+    def set_objective(
+        self,
+        expression: str,
+        *,
+        name: str | None = None,
+        cubes: Sequence[str] | None = None,
+        creature: str | None = None,
+        target: Vector | None = None,
+    ) -> type[ObjectiveSet]:
+        """Sets an objective of this connection: an expression over what cubes do from now on.
+
+        docs/objectives.md tells what it may name. A reset of the world forgets it.
+
+        Args:
+            expression: The expression, at most 2,000 characters. What is wrong with one is refused as bad_expression,
+                with its place.
+            name: What it is called; an objective of that name is replaced. A connection may have 16. Default:
+                'objective'.
+            cubes: The body that it is about, 1 to 256 cubes; without these and a creature, the one cube that this
+                connection spawned last.
+            creature: The creature that it is about; the expression then knows its cubes by their ids. Not together with
+                cubes.
+            target: Where distance is measured from, in m, each number from -1,000,000 to 1,000,000; where the body is
+                now if left out.
+
+        Returns:
+            ObjectiveSet: The objective counts from now on.
+
+        Raises:
+            CommandFailed: The server refused it: `bad_expression`, `creature_not_found`, `cube_not_found`, `invalid`,
+                `limit_reached`, `nothing_owned`, `unsupported` or `world_faulted`.
+            Disconnected: The connection was lost.
+            TimeoutError: No reply came in time.
+        """
+        return ObjectiveSet
+
+    @command
+    def compute_reward(
+        self,
+        *,
+        objective: str | None = None,
+        metric: Literal["distance", "displacement", "height", "speed", "uprightness", "energy"] | None = None,
+        cube: str | None = None,
+        target: Vector | None = None,
+        axis: Vector | None = None,
+    ) -> type[Reward]:
+        """Asks what an objective of this connection is worth now, or a metric of a cube.
+
+        Args:
+            objective: Name of the objective; objective, as set_objective calls one that has no other name, if left out.
+                Not together with a metric.
+            metric: The metric: distance (m) from the target, or from where the cube was spawned; displacement (m) from
+                there along the axis; height (m) above y = 0; speed (m/s); uprightness, the cosine of the angle between
+                its own y axis and up; energy (J), what the motors of its joints have worked so far.
+            cube: The cube of a metric; the one that this connection spawned last if left out.
+            target: For the metric distance: where it is measured from, in m, each number from -1,000,000 to 1,000,000.
+            axis: For the metric displacement: the direction in which it counts; its length does not matter, but each
+                number is from -1,000 to 1,000 and one at least 0.000001 in size. Default: [1, 0, 0].
+
+        Returns:
+            Reward: What an objective or a metric is worth now.
+
+        Raises:
+            CommandFailed: The server refused it: `bad_expression`, `cube_not_found`, `invalid`, `nothing_owned`,
+                `unsupported` or `world_faulted`.
+            Disconnected: The connection was lost.
+            TimeoutError: No reply came in time.
+        """
+        return Reward
