@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-long conform-selftest lint format types imports layout bench docs figures goldens constraints clean
+.PHONY: help setup demo test test-long conform-selftest lint format types editor imports layout bench docs figures goldens constraints clean
 
 help:
 	@echo "make demo              serve, drive, record and reproduce the example worlds"
@@ -16,10 +16,10 @@ help:
 	@echo "make docs              build the documentation as a site in build/site"
 	@echo "make figures           draw the figures in docs/pictures anew (with Graphviz)"
 	@echo "make goldens           record the corpus in replays/ anew"
-	@echo "make format            mend what the linter can mend"
+	@echo "make format            write the docstrings of commands anew, mend what the linter can mend"
 	@echo "make clean             remove what was built, the environment too"
 
-setup: $(READY)
+setup: layout
 
 # pip and setuptools first, pinned, so that the package is built by the setuptools that constraints.txt names.
 $(READY): pyproject.toml constraints.txt
@@ -42,7 +42,7 @@ test-long: lint
 conform-selftest: $(READY)
 	@$(BIN)/python tools/selftest.py
 
-lint: $(READY) types imports
+lint: $(READY) types imports editor
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 
@@ -51,14 +51,19 @@ types: layout
 	$(BIN)/mypy --cache-dir build/mypy tests tools benchmarks
 	$(BIN)/mypy --cache-dir build/mypy examples
 
+# What an editor resolves: pyproject.toml tells it, in [tool.pyright], of the layout.
+editor: layout
+	$(BIN)/basedpyright tests/project/editor_example.py
+
 imports: layout
 	cd build/layout && PYTHONPATH=. ../../$(BIN)/lint-imports --config ../../pyproject.toml --no-logo
 
-# The package as it is once installed, for tools that do not follow setuptools' package-dir.
+# The package as it is once installed, for tools and editors that do not follow setuptools' package-dir.
 layout: $(READY)
 	@$(BIN)/python tools/layout.py build/layout
 
 format: $(READY)
+	$(BIN)/python tools/client_docs.py
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 

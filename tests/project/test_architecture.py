@@ -55,7 +55,7 @@ VIOLATIONS = [
 def layout(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the tree as it is once installed."""
     root = tmp_path_factory.mktemp("layout")
-    lay_out(root, shutil.copyfile)
+    lay_out(root, copy=True)
     shutil.copy(ROOT / "pyproject.toml", root)
     return root
 
