@@ -13,7 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-import nmes
 from nmes import protocol
 from nmes.client import AsyncClient, Client, declaration, replies
 from nmes.client.client import EVENT_BACKLOG
@@ -523,11 +522,3 @@ async def test_a_late_reply_is_dropped_by_the_awaiting_client_too() -> None:
             client.timeout = PATIENCE
             ready.set()
             assert await client.request({"type": "ping"}) == {"type": "pong", "n": 2}
-
-
-def test_the_package_s_front_is_light_and_complete() -> None:
-    assert nmes.Client is Client
-    assert nmes.AsyncClient is AsyncClient
-    assert nmes.World.__module__ == "nmes.world.world"
-    with pytest.raises(AttributeError, match="no attribute 'Clint'"):
-        _ = nmes.Clint

@@ -1,0 +1,69 @@
+"""What `import nmes` gives: checked in fresh processes, where nothing else has been imported."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+NAMES = [
+    *("AsyncClient", "Client", "Episode", "Evaluation", "Genome", "Recorder", "Recording", "Task", "World"),
+    *("evaluate", "load_backend", "replay"),
+]
+IMPORT_ALL = """
+import importlib, pkgutil
+import nmes
+for module in list(pkgutil.walk_packages(nmes.__path__, "nmes.")):
+    if not module.name.endswith(("__main__", "test_conformance")):
+        importlib.import_module(module.name)
+"""
+ARE_WHAT_THEY_ARE_CALLED = """
+assert [value.__name__ for value in front] == names, front
+assert all(callable(value) for value in front), front
+"""
+
+
+def run(code: str) -> str:
+    code = f"names = {NAMES}\n{code}"
+    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+    return result.stdout.strip()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_name_is_there_in_a_process_that_asks_for_nothing_else(name: str) -> None:
+    assert run(f"import nmes; print(nmes.{name}.__name__)") == name
+
+
+def test_a_star_import_gives_all_names_and_no_other() -> None:
+    given = run("before = set(globals())\nfrom nmes import *\nprint(*sorted(set(globals()) - before - {'before'}))")
+    assert given.split() == NAMES
+
+
+def test_dir_shows_all_names() -> None:
+    shown = run("import nmes; print(*dir(nmes))").split()
+    assert set(NAMES) <= set(shown)
+    assert len(shown) == len(set(shown))
+
+
+def test_importing_the_front_imports_nothing_else() -> None:
+    assert run("import nmes, sys; print(*(m for m in sys.modules if m.split('.')[0] in ('nmes', 'numpy')))") == "nmes"
+
+
+def test_no_submodule_hides_a_name_that_was_not_asked_for_before() -> None:
+    run(f"{IMPORT_ALL}\nfront = [getattr(nmes, name) for name in names]\n{ARE_WHAT_THEY_ARE_CALLED}")
+
+
+def test_no_submodule_replaces_a_name_that_was_imported_before() -> None:
+    run(
+        f"import nmes\nfor name in names: getattr(nmes, name)\n{IMPORT_ALL}"
+        f"front = [getattr(nmes, name) for name in names]\n{ARE_WHAT_THEY_ARE_CALLED}"
+    )
+
+
+def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
+    assert (
+        run("import nmes\ntry: nmes.Clint\nexcept AttributeError as error: print(error)")
+        == "module 'nmes' has no attribute 'Clint'"
+    )
