@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
-from nmes.client.client import AsyncClient, Client
+from nmes.client.async_client import AsyncClient
+from nmes.client.client import Client
 
 __all__ = ["AsyncClient", "Client"]

@@ -1,7 +1,7 @@
-"""How a command is declared: once, as a method whose signature lists the command's fields and whose type is its reply.
+"""The declaration of a command: a method whose parameters are the command's fields and whose return type is its reply.
 
-It hides how a call becomes a message. Whoever can send messages (`request`) gets a declared command as a method that
-returns what `request` returns: the reply, an awaitable of it, or a `Pending`.
+It hides how a call becomes a message. A class that can send messages (`request`) gets each declared command as a method
+that returns what `request` returns: the reply, an awaitable of it, or a `Pending`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ R = TypeVar("R")
 
 
 class Array(Protocol):
-    """What numpy's arrays and scalars have in common."""
+    """An array or a scalar of numpy, by the one method that is used of it."""
 
     def tolist(self) -> Any:
         """Returns the plain numbers."""
@@ -38,7 +38,7 @@ class Pending(Generic[R]):
         self.message = message
         self._reply: dict[str, Any] | None = None
         self._error: Exception | None = None
-        self._tell: Callable[[], None] | None = None
+        self._callback: Callable[[], None] | None = None
 
     @property
     def done(self) -> bool:
@@ -51,6 +51,7 @@ class Pending(Generic[R]):
         Raises:
             CommandFailed: The server refused the command.
             Disconnected: The connection was lost before the reply came.
+            RuntimeError: The reply has not come yet.
         """
         if self._error is not None:
             raise self._error
@@ -58,26 +59,26 @@ class Pending(Generic[R]):
             raise RuntimeError(f"the reply to {self.message.get('type')!r} has not come yet")
         return cast(R, self._reply)
 
-    def settle(self, reply: dict[str, Any]) -> None:
-        """Takes the server's reply."""
+    def resolve(self, reply: dict[str, Any]) -> None:
+        """Takes the server's reply, which may be an error."""
         if reply.get("type") == "error":
             self.fail(CommandFailed(str(reply.get("code")), str(reply.get("message")), reply.get("field")))
         else:
             self._reply = reply
-            if self._tell is not None:
-                self._tell()
+            if self._callback is not None:
+                self._callback()
 
     def fail(self, error: Exception) -> None:
-        """Gives up the reply."""
+        """Ends the wait for a reply with an error, for `result` to raise."""
         self._error = error
-        if self._tell is not None:
-            self._tell()
+        if self._callback is not None:
+            self._callback()
 
-    def when_done(self, tell: Callable[[], None]) -> None:
-        """Has `tell` called once the reply has come, or can come no more."""
-        self._tell = tell
+    def when_done(self, callback: Callable[[], None]) -> None:
+        """Calls `callback` once the reply has come, or can come no more."""
+        self._callback = callback
         if self.done:
-            tell()
+            callback()
 
 
 class command(Generic[P, R]):

@@ -1,7 +1,7 @@
-"""What replies and events hold, as dicts of known keys.
+"""Replies and events, as dicts of known keys.
 
-It hides nothing: the schemas say all of it in full, with units and bounds; a test compares the names here with those
-there.
+It hides nothing: the schemas describe every key, with units and bounds, and docs/messages.md shows them; a test
+compares the names here with those there.
 """
 
 from __future__ import annotations

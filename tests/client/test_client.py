@@ -15,8 +15,8 @@ import pytest
 
 from nmes import protocol
 from nmes.client import AsyncClient, Client, declaration, replies
-from nmes.client.client import EVENT_BACKLOG
 from nmes.client.commands import BlockingCommands, Commands
+from nmes.client.conversation import EVENT_BACKLOG
 from nmes.client.replies import Event
 from nmes.errors import CommandFailed, Disconnected
 from nmes.protocol import DELIMITER

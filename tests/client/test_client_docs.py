@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Any
 import pytest
 
 from client_docs import MODULES, docstring, error_codes, rewrite
-from nmes.client import Client
+from nmes.client import AsyncClient, Client
 from nmes.errors import CommandFailed
 from nmes.protocol import COMMANDS
 from serving import served
@@ -105,6 +106,17 @@ def test_a_docstring_tells_units_bounds_defaults_and_errors() -> None:
     assert "ticks: How many ticks, from 1 to 10,000. Default: 1." in text
     assert "Stepped: The world has ticked." in text
     assert "refused it: `invalid`, `unsupported`, `world_faulted` or `wrong_mode`." in text
+
+
+@pytest.mark.parametrize("kind", [Client, AsyncClient])
+def test_every_method_of_a_client_explains_its_parameters_and_errors(kind: type) -> None:
+    methods = {name: getattr(kind, name) for name in dir(kind) if not name.startswith("_")}
+    for name, method in methods.items():
+        if callable(method) and name not in ("close", "deliver"):  # which take and raise nothing
+            text = inspect.getdoc(method) or ""
+            parameters = list(inspect.signature(getattr(method, "__wrapped__", method)).parameters)[1:]
+            assert "Raises:\n    " in text, f"{kind.__name__}.{name}"
+            assert all(f"\n    {parameter}: " in text for parameter in parameters), f"{kind.__name__}.{name}"
 
 
 @pytest.mark.parametrize("code", REFUSED)

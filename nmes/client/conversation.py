@@ -1,0 +1,185 @@
+"""What the blocking and the awaiting client share: one connection's conversation without I/O, settings, and errors.
+
+Hides the json dialect: framing, authentication, numbering of commands and matching of replies.
+
+Invariants: every command carries an `id`, so an error without one speaks of the connection, never of a command; replies
+come in the order of the commands, so a reply that comes too late for a caller that gave up is dropped, not mistaken for
+another's; a failed command raises `CommandFailed` with the server's code, a lost connection raises `Disconnected`.
+"""
+
+from __future__ import annotations
+
+import ssl
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any, cast
+
+import orjson
+
+from nmes.client.declaration import Pending
+from nmes.client.replies import AuthSuccess, Event, WorldSummary
+from nmes.errors import CommandFailed, Disconnected, RejectedMessage
+from nmes.protocol import DELIMITER, FrameSplitter, encode
+
+__all__ = ["EVENT_BACKLOG", "READ", "ClientBase", "Conversation", "world_list"]
+
+# Bytes. A world of 10,000 cubes is a reply of some megabytes; a server is trusted more than its clients are.
+REPLY_LIMIT = 256 << 20
+# Bytes of one read. More is slower: for more than 128 KiB the memory is asked of the system, each time.
+READ = 64 << 10
+# Events that nobody reads are dropped, the oldest first, so that a client which subscribes and never reads stays small.
+EVENT_BACKLOG = 10_000
+
+
+class Conversation:
+    """One connection as its client sees it: bytes out for commands, bytes in for replies and events."""
+
+    def __init__(self, events: deque[Event]) -> None:
+        self._splitter = FrameSplitter(REPLY_LIMIT)
+        self._events = events
+        self._waiting: deque[tuple[int | None, Pending[Any]]] = deque()
+        self._sent = 0
+        self.lost: Disconnected | None = None
+        self.world_closed = False
+
+    def authenticate(self, password: str, **options: Any) -> tuple[bytes, Pending[Any]]:
+        """Returns the bytes of an `auth` message with the options that are not None, and its reply to come."""
+        fields = {name: value for name, value in options.items() if value is not None}
+        message = {"type": "auth", "password": password, **fields}
+        pending: Pending[Any] = Pending({"type": "auth"})
+        self._waiting.append((None, pending))
+        return encode(message) + DELIMITER, pending
+
+    def request(self, calls: Sequence[Pending[Any]]) -> bytes:
+        """Numbers commands and returns their bytes; raises Disconnected once the connection is lost."""
+        if self.lost is not None:
+            raise self.lost
+        # All are encoded before any is counted as sent, so that one that cannot be does not put the rest out of step.
+        frames = [encode({**call.message, "id": self._sent + n}) for n, call in enumerate(calls)]
+        for call in calls:
+            self._waiting.append((self._sent, call))
+            self._sent += 1
+        return b"".join([frame + DELIMITER for frame in frames])
+
+    def receive(self, data: bytes) -> None:
+        """Takes bytes that came: replies go to the calls that wait for them, events to the queue."""
+        try:
+            for frame in self._splitter.feed(data):
+                self._take(orjson.loads(frame))
+            if self._splitter.exceeded:
+                raise RejectedMessage("frame_too_large", f"longer than {REPLY_LIMIT} bytes")
+        except (orjson.JSONDecodeError, RejectedMessage) as error:
+            self.lose(Disconnected("bad_reply", f"the server sent what is not a message: {error}"))
+
+    def _take(self, message: Any) -> None:
+        if not isinstance(message, dict):
+            raise RejectedMessage("bad_frame", f"not an object: {message!r}")
+        number = message.pop("id", None)
+        if self._waiting and self._waiting[0][0] == number:
+            self._waiting.popleft()[1].resolve(message)
+        elif number is not None:
+            self.lose(Disconnected("bad_reply", f"the server answered a command that was not next in line: {number!r}"))
+        elif message.get("type") == "error":
+            self.lose(Disconnected(str(message.get("code")), str(message.get("message"))))
+        else:
+            self.world_closed |= message.get("type") == "world_closed"
+            self._events.append(cast(Event, message))
+
+    def lose(self, error: Disconnected) -> None:
+        """Fails every call that still waits; the first error is the one that counts."""
+        self.lost = self.lost or error
+        while self._waiting:
+            self._waiting.popleft()[1].fail(self.lost)
+
+    def end(self) -> None:
+        """Notes that the server closed the connection."""
+        if self.world_closed:
+            self.lose(Disconnected("world_closed", "the server closed the world"))
+        else:
+            self.lose(Disconnected("disconnected", "the server closed the connection"))
+
+
+class ClientBase:
+    """What the blocking and the awaiting client share: settings, the event queue, and errors."""
+
+    def __init__(
+        self,
+        host: str = "127.0.0.1",
+        port: int = 14000,
+        *,
+        password: str,
+        world: str | None = None,
+        timeout: float | None = 10.0,
+        tls: bool | ssl.SSLContext = False,
+        on_event: Callable[[Event], None] | None = None,
+    ) -> None:
+        """Remembers where to connect to; `connect` (or a `with` block) does it.
+
+        Args:
+            host: Name or address of the server. Default: this machine.
+            port: Its TCP port. Default: 14000.
+            password: The server's password.
+            world: The name of one of the server's worlds. Default: its first.
+            timeout: How long a reply may take, in s, before `TimeoutError` is raised; None waits for ever. May be
+                changed later. Default: 10.
+            tls: True speaks TLS with a server whose certificate the system trusts; an SSL context says which
+                certificates are trusted: `ssl.create_default_context(cafile="cert.pem")`. Default: plain TCP.
+            on_event: Called with each event when it is received, in place of the queue that `events` reads. Default:
+                the queue, which keeps the last 10,000 events.
+        """
+        self.host = host
+        self.port = port
+        self.world = world
+        self.timeout = timeout
+        self.on_event = on_event
+        self._tls = ssl.create_default_context() if tls is True else tls or None
+        self._password = password
+        self._queue: deque[Event] = deque(maxlen=EVENT_BACKLOG)
+        self._conversation = self._new_conversation()
+        self._conversation.lose(Disconnected("not_connected", "the client is not connected"))
+        self._welcome: AuthSuccess | None = None
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.host!r}, {self.port}, world={self.world!r})"
+
+    @property
+    def welcome(self) -> AuthSuccess:
+        """The server's reply to this client's authentication: world, engine, tick rate (1/s), this client's number.
+
+        Raises:
+            Disconnected: `not_connected`: the client has not connected yet.
+        """
+        if self._welcome is None:
+            raise Disconnected("not_connected", "the client has not connected yet")
+        return self._welcome
+
+    def _new_conversation(self) -> Conversation:
+        self._queue.clear()
+        return Conversation(self._queue)
+
+    def deliver(self) -> None:
+        """Hands the events received so far to `on_event`, which may raise: the read that brought them is complete."""
+        while self.on_event is not None and self._queue:
+            self.on_event(self._queue.popleft())
+
+    def _unreachable(self, error: OSError) -> Disconnected:
+        return Disconnected("unreachable", f"cannot connect to {self.host}:{self.port}: {error}")
+
+    def _late(self) -> TimeoutError:
+        return TimeoutError(f"{self.host}:{self.port} did not answer within {self.timeout} s")
+
+    def _no_more_events(self) -> None:
+        """Ends an iteration over events quietly when the world was closed, else with the reason of the loss."""
+        if self._conversation.lost is not None and not self._conversation.world_closed:
+            raise self._conversation.lost
+
+
+def world_list(answer: Any) -> list[WorldSummary]:
+    """Returns the worlds of a server's answer to an `auth` that asks for their list.
+
+    Raises:
+        CommandFailed: `unsupported`: the server accepted the `auth`, but lists no worlds.
+    """
+    if answer["type"] != "world_list":
+        raise CommandFailed("unsupported", "this server does not list its worlds")
+    return cast(list[WorldSummary], answer["worlds"])
