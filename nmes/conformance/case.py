@@ -107,12 +107,20 @@ class Case:
 
 
 class Category:
-    """The cases of one file."""
+    """The cases about one subject, in order; those of a large one come from several files.
 
-    def __init__(self, number: int, name: str) -> None:
+    Args:
+        number: The first part of the cases' numbers.
+        name: The subject.
+        parts: Categories of the same number and name, whose cases come before those that are added to this one.
+    """
+
+    def __init__(self, number: int, name: str, parts: Iterable[Category] = ()) -> None:
         self.number = number
         self.name = name
         self._cases: dict[str, Case] = {}
+        for case in (case for part in parts for case in part):
+            self._keep(case)
 
     def __iter__(self) -> Iterator[Case]:
         return iter(self._cases.values())
@@ -182,11 +190,13 @@ class Category:
         wait: float,
         run: Callable[[Trial], None],
     ) -> None:
-        number = f"{self.number}.{number}"
-        if number in self._cases:
-            raise ValueError(f"there are two cases {number}")
         level = level or (Level.MAY if needs else Level.MUST)
-        self._cases[number] = Case(number, self.name, title, clause, level, needs, scope, wait, run)
+        self._keep(Case(f"{self.number}.{number}", self.name, title, clause, level, needs, scope, wait, run))
+
+    def _keep(self, case: Case) -> None:
+        if case.number in self._cases:
+            raise ValueError(f"there are two cases {case.number}")
+        self._cases[case.number] = case
 
 
 def _title(function: Callable[..., None]) -> str:

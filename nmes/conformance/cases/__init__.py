@@ -1,4 +1,4 @@
-"""The cases, one file a category. `CASES` is all of them, in the order of their numbers."""
+"""The cases, one file a category, or several for a large one. `CASES` is all of them, by category."""
 
 from typing import Final
 
