@@ -66,106 +66,141 @@ JOINT = st.sampled_from(["{j0}", "{j1}", "{j2}"])
 CLIENT = st.integers(0, CLIENTS - 1)
 
 
-def machine(t: Trial, scripts: list[Script], seconds: list[Finding]) -> type[RuleBasedStateMachine]:
-    """Returns the machine's class; each failing play leaves its script and its finding in the lists."""
+class Conversation(RuleBasedStateMachine):
+    """Two clients in one world. `machine` derives from it, for one server.
+
+    Attributes:
+        trial: The case that searches.
+        scripts: Where each conversation that fails leaves its script.
+        findings: Where it leaves what was wrong.
+    """
+
+    trial: Trial
+    scripts: list[Script]
+    findings: list[Finding]
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.wires: list[Wire] = []
+        for name in "ab":
+            wire = self.trial.target.connect(Log(), name)
+            self.wires.append(wire)
+            self.trial.target.enter(wire)
+        self.player = Player(self.trial, self.wires)
+        self.script: Script = []
+
+    def say(self, client: int, command: dict[str, Any]) -> None:
+        """Sends a command and judges the reply."""
+        self.script.append({"client": client, "command": command})
+        try:
+            self.player.say(client, command)
+        except Finding as finding:
+            self.scripts.append(list(self.script))
+            self.findings.append(finding)
+            raise
+
+    @rule(
+        client=CLIENT,
+        number=st.integers(0, CUBES - 1),
+        base=st.integers(0, 4).map(lambda n: n == 4),
+        more=options("spawn_cube"),
+    )
+    def spawn(self, client: int, number: int, base: bool, more: dict[str, Any]) -> None:
+        """Spawns a cube of a name that scripts know, some as a base."""
+        where = self.trial.at(2.5 * number - 4, 1.0 + 2.0 * base)
+        extra = {"cube_name": f"{{c{number}}}", "position": where, **({"is_base": True} if base else {})}
+        self.say(client, {"type": "spawn_cube", **more, **extra})
+
+    @rule(client=CLIENT, number=st.integers(1, 5))
+    def spawn_unnamed(self, client: int, number: int) -> None:
+        """Spawns a cube that the world names."""
+        self.say(client, {"type": "spawn_cube", "position": self.trial.at(y=5 + 2 * number), "list": False})
+
+    @rule(client=CLIENT, cube=CUBE)
+    def despawn(self, client: int, cube: str) -> None:
+        """Removes a cube."""
+        self.say(client, {"type": "despawn_cube", "cube_name": cube})
+
+    @precondition(lambda self: self.trial.probe.claims("remove_joint"))
+    @rule(client=CLIENT, joint=JOINT)
+    def cut(self, client: int, joint: str) -> None:
+        """Removes a joint."""
+        self.say(client, {"type": "remove_joint", "joint_name": joint})
+
+    @rule(client=CLIENT, cube=st.none() | CUBE, more=options("apply_physics"))
+    def push(self, client: int, cube: str | None, more: dict[str, Any]) -> None:
+        """Applies forces, torques and impulses."""
+        more.pop("at", None)
+        self.say(client, {"type": "apply_physics", **({"cube_name": cube} if cube else {}), **more})
+
+    @precondition(lambda self: self.trial.probe.claims("freeze_cube"))
+    @rule(client=CLIENT, cube=CUBE, freeze=st.booleans())
+    def freeze(self, client: int, cube: str, freeze: bool) -> None:
+        """Freezes a cube, or lets it go."""
+        self.say(client, {"type": "freeze_cube", "cube_name": cube, "freeze": freeze})
+
+    @precondition(lambda self: self.trial.probe.claims("set_cube_state"))
+    @rule(client=CLIENT, cube=CUBE, more=options("set_cube_state"), height=st.none() | st.floats(1, 5))
+    def put(self, client: int, cube: str, more: dict[str, Any], height: float | None) -> None:
+        """Puts a cube somewhere."""
+        where = {} if height is None else {"position": self.trial.at(y=height)}
+        self.say(client, {"type": "set_cube_state", "cube_name": cube, **more, **where})
+
+    @rule(client=CLIENT, cube=CUBE)
+    def look(self, client: int, cube: str) -> None:
+        """Reads a cube."""
+        self.say(client, {"type": "get_cube_info", "cube_name": cube})
+
+    @rule(client=CLIENT)
+    def list_cubes(self, client: int) -> None:
+        """Lists the cubes."""
+        self.say(client, {"type": "get_cube_list"})
+
+    @precondition(lambda self: self.trial.probe.claims("get_joint_list"))
+    @rule(client=CLIENT)
+    def list_joints(self, client: int) -> None:
+        """Lists the joints."""
+        self.say(client, {"type": "get_joint_list"})
+
+    @precondition(lambda self: self.trial.probe.claims("get_world_state"))
+    @rule(client=CLIENT, cubes=st.none() | st.lists(CUBE, max_size=3))
+    def look_around(self, client: int, cubes: list[str] | None) -> None:
+        """Reads the world, or some cubes of it."""
+        self.say(client, {"type": "get_world_state", **({} if cubes is None else {"cubes": cubes})})
+
+    @precondition(lambda self: self.trial.probe.claims("get_cube_state"))
+    @rule(client=CLIENT)
+    def look_at_own(self, client: int) -> None:
+        """Reads the cube that the connection owns."""
+        self.say(client, {"type": "get_cube_state"})
+
+    @precondition(lambda self: self.trial.probe.stepping)
+    @rule(client=CLIENT, ticks=st.integers(1, 5))
+    def step(self, client: int, ticks: int) -> None:
+        """Makes the world tick."""
+        self.say(client, {"type": "step", "ticks": ticks})
+
+    def teardown(self) -> None:
+        """Closes the connections and removes the cubes."""
+        for wire in self.wires:
+            wire.close()
+        self.trial.clean_up()
+        self.trial.forget()
+
+
+def machine(t: Trial, scripts: list[Script], findings: list[Finding]) -> type[Conversation]:
+    """Returns the machine of one server, which adds the rules that depend on what the server claims."""
     probe = t.probe
     kinds = [kind for kind in ("fixed", "hinge", "slide", "pin") if probe.claims(f"joint.{kind}")]
     known = [kind for kind in COMMANDS if probe.claims(kind) and kind not in ("reset", "set_mode", "step", "batch")]
 
-    class World(RuleBasedStateMachine):
-        """Two clients in one world."""
-
-        def __init__(self) -> None:
-            super().__init__()
-            self.wires: list[Wire] = []
-            for name in "ab":
-                wire = t.target.connect(Log(), name)
-                self.wires.append(wire)
-                t.target.enter(wire)
-            self.player = Player(t, self.wires)
-            self.script: Script = []
-
-        def say(self, client: int, command: dict[str, Any]) -> None:
-            self.script.append({"client": client, "command": command})
-            try:
-                self.player.say(client, command)
-            except Finding as finding:
-                scripts.append(list(self.script))
-                seconds.append(finding)
-                raise
-
-        @rule(
-            client=CLIENT,
-            number=st.integers(0, CUBES - 1),
-            base=st.integers(0, 4).map(lambda n: n == 4),
-            more=options("spawn_cube"),
-        )
-        def spawn(self, client: int, number: int, base: bool, more: dict[str, Any]) -> None:
-            where = t.at(2.5 * number - 4, 1.0 + 2.0 * base)
-            extra = {"cube_name": f"{{c{number}}}", "position": where, **({"is_base": True} if base else {})}
-            self.say(client, {"type": "spawn_cube", **more, **extra})
-
-        @rule(client=CLIENT, number=st.integers(1, 5))
-        def spawn_unnamed(self, client: int, number: int) -> None:
-            self.say(client, {"type": "spawn_cube", "position": t.at(y=5 + 2 * number), "list": False})
-
-        @rule(client=CLIENT, cube=CUBE)
-        def despawn(self, client: int, cube: str) -> None:
-            self.say(client, {"type": "despawn_cube", "cube_name": cube})
+    class World(Conversation):
+        """Two clients in the server's world."""
 
         @precondition(lambda self: bool(kinds))
         @rule(client=CLIENT, one=CUBE, two=CUBE, kind=st.sampled_from(kinds or ["fixed"]))
         def join(self, client: int, one: str, two: str, kind: str) -> None:
             self.say(client, {"type": "create_joint", "cube1": one, "cube2": two, "joint_type": kind})
-
-        @precondition(lambda self: probe.claims("remove_joint"))
-        @rule(client=CLIENT, joint=JOINT)
-        def cut(self, client: int, joint: str) -> None:
-            self.say(client, {"type": "remove_joint", "joint_name": joint})
-
-        @rule(client=CLIENT, cube=st.none() | CUBE, more=options("apply_physics"))
-        def push(self, client: int, cube: str | None, more: dict[str, Any]) -> None:
-            more.pop("at", None)
-            self.say(client, {"type": "apply_physics", **({"cube_name": cube} if cube else {}), **more})
-
-        @precondition(lambda self: probe.claims("freeze_cube"))
-        @rule(client=CLIENT, cube=CUBE, freeze=st.booleans())
-        def freeze(self, client: int, cube: str, freeze: bool) -> None:
-            self.say(client, {"type": "freeze_cube", "cube_name": cube, "freeze": freeze})
-
-        @precondition(lambda self: probe.claims("set_cube_state"))
-        @rule(client=CLIENT, cube=CUBE, more=options("set_cube_state"), height=st.none() | st.floats(1, 5))
-        def put(self, client: int, cube: str, more: dict[str, Any], height: float | None) -> None:
-            where = {} if height is None else {"position": t.at(y=height)}
-            self.say(client, {"type": "set_cube_state", "cube_name": cube, **more, **where})
-
-        @rule(client=CLIENT, cube=CUBE)
-        def look(self, client: int, cube: str) -> None:
-            self.say(client, {"type": "get_cube_info", "cube_name": cube})
-
-        @rule(client=CLIENT)
-        def list_cubes(self, client: int) -> None:
-            self.say(client, {"type": "get_cube_list"})
-
-        @precondition(lambda self: probe.claims("get_joint_list"))
-        @rule(client=CLIENT)
-        def list_joints(self, client: int) -> None:
-            self.say(client, {"type": "get_joint_list"})
-
-        @precondition(lambda self: probe.claims("get_world_state"))
-        @rule(client=CLIENT, cubes=st.none() | st.lists(CUBE, max_size=3))
-        def look_around(self, client: int, cubes: list[str] | None) -> None:
-            self.say(client, {"type": "get_world_state", **({} if cubes is None else {"cubes": cubes})})
-
-        @precondition(lambda self: probe.claims("get_cube_state"))
-        @rule(client=CLIENT)
-        def look_at_own(self, client: int) -> None:
-            self.say(client, {"type": "get_cube_state"})
-
-        @precondition(lambda self: probe.stepping)
-        @rule(client=CLIENT, ticks=st.integers(1, 5))
-        def step(self, client: int, ticks: int) -> None:
-            self.say(client, {"type": "step", "ticks": ticks})
 
         @rule(client=CLIENT, kind=st.sampled_from(known), data=st.data())
         def mistake(self, client: int, kind: str, data: st.DataObject) -> None:
@@ -178,12 +213,7 @@ def machine(t: Trial, scripts: list[Script], seconds: list[Finding]) -> type[Rul
             name, value = data.draw(st.sampled_from(bad)) if bad else ("type", "no_such_command")
             self.say(client, {**COMMANDS[kind].schema["examples"][0], name: value})
 
-        def teardown(self) -> None:
-            for wire in self.wires:
-                wire.close()
-            t.clean_up()
-            t.forget()
-
+    World.trial, World.scripts, World.findings = t, scripts, findings
     return World
 
 
