@@ -9,7 +9,7 @@ import numpy as np
 
 from nmes.cli._plot import Bars, Curves, write_plot
 from nmes.cli._progress import progress_bars
-from nmes.errors import RecordingError
+from nmes.errors import ProofError
 from nmes.evaluation import scores_so_far
 from nmes.playback.watch import watch
 from nmes.recording import Recording
@@ -24,7 +24,7 @@ def plot_courses(recordings: Sequence[Recording], path: Path) -> None:
     """Runs recordings again and writes their curves, and the gait diagram of the first, to an SVG.
 
     Raises:
-        RecordingError: One of them does not come out as recorded.
+        RecordingError, ProofError: One of them does not come out as recorded.
         BackendNotFound: Its engine is not there.
     """
     curves: dict[str, dict[str, list[tuple[float, float]]]] = {}
@@ -39,7 +39,7 @@ def plot_courses(recordings: Sequence[Recording], path: Path) -> None:
             try:
                 scores = scores_so_far(recording)
                 curves.setdefault("score so far", {})[name] = list(map(tuple, scores[::STEP].tolist()))
-            except RecordingError as error:
+            except ProofError as error:
                 if error.code != "not_an_evaluation":
                     raise
             for title, values in course.curves().items():

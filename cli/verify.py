@@ -13,7 +13,7 @@ from rich.filesize import decimal
 
 from nmes import protocol
 from nmes.cli.info import open_recording
-from nmes.errors import RecordingError
+from nmes.errors import SigningError
 from nmes.recording import Recording
 from nmes.recording.signing import check_signature, public_key
 
@@ -69,7 +69,7 @@ def _check(recording: Recording, verify_key: Path | None, signature: Path | None
         try:
             check_signature(recording, key, signature)
             signed = True
-        except RecordingError as error:
+        except SigningError as error:
             signed, reason = False, error.message
     return {
         "verdict": "sound" if damage is None else "cut" if damage.cut else "damaged",

@@ -14,9 +14,13 @@ __all__ = [
     "CommandFailed",
     "Disconnected",
     "DocumentError",
+    "FilmError",
+    "LeaderboardError",
     "NmesError",
+    "ProofError",
     "RecordingError",
     "RejectedMessage",
+    "SigningError",
     "SimulationFault",
     "WorldError",
 ]
@@ -63,6 +67,22 @@ class SimulationFault(NmesError):
 
 class RecordingError(NmesError):
     """A recording that cannot be written, or a file that cannot be read as one."""
+
+
+class SigningError(NmesError):
+    """A key or a signature that cannot be read or written, or a signature that does not hold."""
+
+
+class ProofError(NmesError):
+    """A recording that proves no score: no recorded episode, or one that does not come out as recorded."""
+
+
+class LeaderboardError(NmesError):
+    """A leaderboard that cannot be read or written, or proofs that it does not list."""
+
+
+class FilmError(NmesError):
+    """A film or picture that cannot be made: nothing to show, an unknown format, a file that cannot be written."""
 
 
 class BackendNotFound(NmesError):

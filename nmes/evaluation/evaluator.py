@@ -36,7 +36,7 @@ from nmes import protocol
 from nmes.backend import Array, load_backend
 from nmes.backend.fingerprint import fingerprint
 from nmes.brain import Brain, load_brain
-from nmes.errors import DocumentError, NmesError, RecordingError, WorldError
+from nmes.errors import DocumentError, NmesError, ProofError, RecordingError, WorldError
 from nmes.evaluation.parallel import Lost, in_processes, on_ray
 from nmes.evaluation.task import CREATURE, Task
 from nmes.genome import Genome
@@ -533,7 +533,8 @@ def prove(recording: str | os.PathLike[str], *, brain: bool = False) -> Proof:
         brain: Compare the controls too with what the genome's brain gives; else they may come from anywhere.
 
     Raises:
-        RecordingError: It cannot be read, or proves nothing: it is no recorded episode (`not_an_evaluation`), was made
+        RecordingError: It cannot be read.
+        ProofError: It proves nothing: it is no recorded episode (`not_an_evaluation`), was made
             on another machine or with other versions (`not_comparable`), ends too early (`damaged`), or something in
             it comes out otherwise, or was done otherwise, than recorded (`diverged`); the message has the frame.
         DocumentError: Its task or its genome is not as it must be.
@@ -555,8 +556,7 @@ def scores_so_far(recording: Recording) -> Array:
         Array (n, 2) of times since the recording began, s, and of values; where there is none, NaN.
 
     Raises:
-        RecordingError: As by `prove`.
-        DocumentError: As by `prove`.
+        RecordingError, ProofError, DocumentError: As by `prove`.
     """
     checker, task, _genome = _check(recording, False)
     values = checker.scores_so_far()
@@ -571,10 +571,10 @@ def _check(held: Recording, brain: bool) -> tuple[_Checker, Task, Genome]:
     joined = begun is not None and begun.kind is Kind.JOINED
     entry = protocol.parse(first.data).command if joined and first is not None and first.kind is Kind.COMMAND else None
     if about is None or not {"task", "seed"} <= about.keys() or entry is None or entry["type"] != "spawn_creature":
-        raise RecordingError("not_an_evaluation", f"{held.path} is no recording of `nmes eval`")
+        raise ProofError("not_an_evaluation", f"{held.path} is no recording of `nmes eval`")
     task, genome, seed = Task(orjson.loads(about["task"])), Genome(entry["genome"]), int(about["seed"])
     if held.config != protocol.complete_config(task.world_config(seed)):
-        raise RecordingError("diverged", f"{held.path}, frame 0: the world is not the task's")
+        raise ProofError("diverged", f"{held.path}, frame 0: the world is not the task's")
     driver = brain_of(genome) if brain else None
     logged = not brain and "brain" in genome.document
     checker = _Checker(lambda world: Episode(world, genome, driver, task, seed, logged=logged))
@@ -582,15 +582,15 @@ def _check(held: Recording, brain: bool) -> tuple[_Checker, Task, Genome]:
         report = replay(held, watch=checker)
         if report.verdict == "not_comparable":
             unlike = ", ".join(f"{name} {was}, here {here}" for name, (was, here) in report.differences.items())
-            raise RecordingError("not_comparable", f"it was recorded with another {unlike}")
+            raise ProofError("not_comparable", f"it was recorded with another {unlike}")
         if report.divergence is not None:
             at = f"it diverges at frame {report.divergence.frame}"
-            raise RecordingError("diverged", f"{at}: {report.divergence.message}")
+            raise ProofError("diverged", f"{at}: {report.divergence.message}")
         if report.damage is not None:
-            raise RecordingError("damaged", report.damage)
+            raise ProofError("damaged", report.damage)
         checker.result()
-    except (RecordingError, WorldError) as error:
-        raise RecordingError(error.code, f"{held.path}: {error.message}") from error
+    except (ProofError, RecordingError, WorldError) as error:
+        raise ProofError(error.code, f"{held.path}: {error.message}") from error
     return checker, task, genome
 
 
@@ -625,7 +625,7 @@ class _Checker:
     def result(self) -> Result:
         """Returns what came of it."""
         if self._episode is None or not self._over:
-            raise RecordingError("damaged", "the recording ends before the episode does")
+            raise ProofError("damaged", "the recording ends before the episode does")
         return self._episode.result()
 
     def scores_so_far(self) -> Array:
@@ -645,8 +645,8 @@ def _agree(step: Step, request: Request | None) -> bool:
     return step is _Anything.CONTROLS or np.array_equal(np.array(command["controls"], float), np.asarray(step))
 
 
-def _otherwise(world: World, said: str) -> RecordingError:
-    return RecordingError("diverged", f"at frame {world.frame} it has {said}")
+def _otherwise(world: World, said: str) -> ProofError:
+    return ProofError("diverged", f"at frame {world.frame} it has {said}")
 
 
 def _said(request: Request | None) -> str:

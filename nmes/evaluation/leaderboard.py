@@ -27,7 +27,7 @@ from typing import TYPE_CHECKING, Any
 
 import orjson
 
-from nmes.errors import NmesError
+from nmes.errors import LeaderboardError, NmesError
 from nmes.evaluation.parallel import Lost, in_processes
 
 if TYPE_CHECKING:
@@ -108,15 +108,15 @@ class Leaderboard:
         create: Make it if it is not there.
 
     Raises:
-        NmesError: It is not there, or no leaderboard, or cannot be read (`no_leaderboard`). Every other method raises
-            this too when the file cannot be read or written.
+        LeaderboardError: It is not there, or no leaderboard, or cannot be read (`no_leaderboard`). Every other method
+            raises this too when the file cannot be read or written.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, create: bool = False) -> None:
         self.path = Path(path)
         self.recordings = self.path.with_suffix(".recordings")
         if not create and not self.path.is_file():
-            raise NmesError("no_leaderboard", f"there is no leaderboard {self.path}")
+            raise LeaderboardError("no_leaderboard", f"there is no leaderboard {self.path}")
         with self._trouble():
             self._db = sqlite3.connect(self.path)
             try:
@@ -137,9 +137,11 @@ class Leaderboard:
                 )
         elif kind != _KIND:
             what = "empty" if empty else "a database, but no leaderboard"
-            raise NmesError("no_leaderboard", f"{self.path} is {what}")
+            raise LeaderboardError("no_leaderboard", f"{self.path} is {what}")
         elif version != _VERSION:
-            raise NmesError("no_leaderboard", f"{self.path} is a leaderboard of format {version}, not {_VERSION}")
+            raise LeaderboardError(
+                "no_leaderboard", f"{self.path} is a leaderboard of format {version}, not {_VERSION}"
+            )
 
     def close(self) -> None:
         """Closes the file."""
@@ -153,9 +155,9 @@ class Leaderboard:
             author: Whose the genome is; where None, whom the genome names.
 
         Raises:
-            NmesError: They are of several genomes or tasks, or not one a seed (`incomplete`); an episode has no score
-                (`no_score`); the genome is listed for this task already (`already_listed`); a file is not the one
-                that was proved any more (`changed`).
+            LeaderboardError: They are of several genomes or tasks, or not one a seed (`incomplete`); an episode has
+                no score (`no_score`); the genome is listed for this task already (`already_listed`); a file is not
+                the one that was proved any more (`changed`).
         """
         task, genome = proofs[0].task, proofs[0].genome
         by_seed = {proof.result.seed: proof for proof in proofs}
@@ -163,11 +165,13 @@ class Leaderboard:
         if not same or sorted(by_seed) != sorted(task.seeds) or len(proofs) != len(by_seed):
             seeds = ", ".join(map(str, task.seeds))
             what = f"{genome.name} on {task.name}: it takes one recording for each of the seeds {seeds}"
-            raise NmesError("incomplete", what)
+            raise LeaderboardError("incomplete", what)
         ordered = [by_seed[seed] for seed in task.seeds]
         scores = [proof.result.score for proof in ordered if proof.result.score is not None]
         if len(scores) < len(ordered):
-            raise NmesError("no_score", f"{genome.name} on {task.name}: an episode faulted, so there is no score")
+            raise LeaderboardError(
+                "no_score", f"{genome.name} on {task.name}: an episode faulted, so there is no score"
+            )
         row = (
             task.name,
             task.hash,
@@ -189,7 +193,7 @@ class Leaderboard:
                 ).lastrowid
             except sqlite3.IntegrityError as error:
                 what = f"{genome.name} ({genome.hash[:12]}) is listed for the task {task.name} already"
-                raise NmesError("already_listed", what) from error
+                raise LeaderboardError("already_listed", what) from error
             # Within the transaction: an entry without its recordings is never seen.
             self.recordings.mkdir(exist_ok=True)
             for proof in ordered:
@@ -203,7 +207,7 @@ class Leaderboard:
         shutil.copyfile(proof.path, part)
         with part.open("rb") as file:
             if file_digest(file, "sha256").hexdigest() != proof.recording_hash:
-                raise NmesError("changed", f"{proof.path} was changed while it was looked at")
+                raise LeaderboardError("changed", f"{proof.path} was changed while it was looked at")
         part.replace(kept)
 
     def entries(self, *, task: str | None = None, top: int | None = None, refused: bool = False) -> list[Entry]:
@@ -267,7 +271,7 @@ class Leaderboard:
         try:
             yield
         except (sqlite3.Error, OSError) as error:
-            raise NmesError("no_leaderboard", f"{self.path}: {error}") from error
+            raise LeaderboardError("no_leaderboard", f"{self.path}: {error}") from error
 
 
 def _examine(work: tuple[Entry, list[str]]) -> str | None:

@@ -24,7 +24,7 @@ from cryptography.hazmat.primitives.serialization import (
     load_pem_public_key,
 )
 
-from nmes.errors import RecordingError
+from nmes.errors import SigningError
 from nmes.recording.reader import Recording
 
 __all__ = ["SUFFIX", "check_signature", "private_key", "public_key", "sign"]
@@ -38,14 +38,14 @@ def private_key(path: str | os.PathLike[str]) -> Ed25519PrivateKey:
     """Reads an Ed25519 private key, PEM without a passphrase, as `openssl genpkey -algorithm ed25519` makes it.
 
     Raises:
-        RecordingError: It cannot be read, or is something else (`bad_key`).
+        SigningError: It cannot be read, or is something else (`bad_key`).
     """
     try:
         key = load_pem_private_key(_read(path), password=None)
     except (ValueError, TypeError, UnsupportedAlgorithm) as error:
-        raise RecordingError("bad_key", f"{path} is no private key in PEM without a passphrase") from error
+        raise SigningError("bad_key", f"{path} is no private key in PEM without a passphrase") from error
     if not isinstance(key, Ed25519PrivateKey):
-        raise RecordingError("bad_key", f"{path} is a key, but none of Ed25519")
+        raise SigningError("bad_key", f"{path} is a key, but none of Ed25519")
     return key
 
 
@@ -53,14 +53,14 @@ def public_key(path: str | os.PathLike[str]) -> Ed25519PublicKey:
     """Reads an Ed25519 public key, PEM, as `openssl pkey -pubout` makes it.
 
     Raises:
-        RecordingError: It cannot be read, or is something else (`bad_key`).
+        SigningError: It cannot be read, or is something else (`bad_key`).
     """
     try:
         key = load_pem_public_key(_read(path))
     except (ValueError, UnsupportedAlgorithm) as error:
-        raise RecordingError("bad_key", f"{path} is no public key in PEM") from error
+        raise SigningError("bad_key", f"{path} is no public key in PEM") from error
     if not isinstance(key, Ed25519PublicKey):
-        raise RecordingError("bad_key", f"{path} is a key, but none of Ed25519")
+        raise SigningError("bad_key", f"{path} is a key, but none of Ed25519")
     return key
 
 
@@ -68,7 +68,7 @@ def sign(recording: Recording, key: Ed25519PrivateKey, path: str | os.PathLike[s
     """Writes a signature of a recording, by default beside it, and returns its path.
 
     Raises:
-        RecordingError: The recording is not sound to its end, or the file exists already or cannot be written.
+        SigningError: The recording is not sound to its end, or the file exists already or cannot be written.
     """
     statement = _statement(recording)
     target = Path(path) if path is not None else _beside(recording)
@@ -82,9 +82,9 @@ def sign(recording: Recording, key: Ed25519PrivateKey, path: str | os.PathLike[s
         with open(target, "xb") as file:
             file.write(orjson.dumps(told, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
     except FileExistsError:
-        raise RecordingError("signing_failed", f"{target} exists already") from None
+        raise SigningError("signing_failed", f"{target} exists already") from None
     except OSError as error:
-        raise RecordingError("signing_failed", f"cannot write {target}: {error.strerror}") from error
+        raise SigningError("signing_failed", f"cannot write {target}: {error.strerror}") from error
     return target
 
 
@@ -97,7 +97,7 @@ def check_signature(recording: Recording, key: Ed25519PublicKey, path: str | os.
         path: The signature, by default the file beside the recording.
 
     Raises:
-        RecordingError: It is not so, and why (`bad_signature`).
+        SigningError: It is not so, and why (`bad_signature`).
     """
     statement = _statement(recording)
     path = path if path is not None else _beside(recording)
@@ -105,11 +105,11 @@ def check_signature(recording: Recording, key: Ed25519PublicKey, path: str | os.
         told: Any = orjson.loads(_read(path))
         signature = base64.b64decode(told["signature"], validate=True)
     except (ValueError, KeyError, TypeError) as error:
-        raise RecordingError("bad_signature", f"{path} is no signature") from error
+        raise SigningError("bad_signature", f"{path} is no signature") from error
     try:
         key.verify(signature, statement)
     except InvalidSignature:
-        raise RecordingError(
+        raise SigningError(
             "bad_signature", f"{path} is not this key's signature of this recording, as it is now"
         ) from None
 
@@ -120,7 +120,7 @@ def _beside(recording: Recording) -> Path:
 
 def _statement(recording: Recording) -> bytes:
     if recording.damage is not None:
-        raise RecordingError("bad_signature", f"only a whole recording can be signed: {recording.damage.message}")
+        raise SigningError("bad_signature", f"only a whole recording can be signed: {recording.damage.message}")
     return orjson.dumps({"version": _VERSION, **recording.end}, option=orjson.OPT_SORT_KEYS)
 
 
@@ -129,4 +129,4 @@ def _read(path: str | os.PathLike[str]) -> bytes:
         with open(path, "rb") as file:
             return file.read(_MOST)
     except OSError as error:
-        raise RecordingError("signing_failed", f"cannot read {path}: {error.strerror}") from error
+        raise SigningError("signing_failed", f"cannot read {path}: {error.strerror}") from error

@@ -24,7 +24,7 @@ from nmes.backend import Array, BodySpec, BodyState, CameraSpec, Simulation, Vec
 from nmes.backend import Image as Pixels
 from nmes.backend.fingerprint import differences, fingerprint
 from nmes.backend.rotation import normalize, quaternion_from_euler
-from nmes.errors import BackendNotFound, NmesError, RecordingError
+from nmes.errors import BackendNotFound, FilmError, NmesError
 from nmes.playback.watch import watch
 from nmes.recording import Kind, Recording
 from nmes.recording.viewer_messages import Shape, decode_poses, decode_shapes
@@ -98,7 +98,8 @@ def moments(recording: Recording) -> Iterator[Moment]:
     what lies between two of them is drawn between them.
 
     Raises:
-        RecordingError: A tick does not come out as recorded (`diverged`), or there is neither the engine nor poses.
+        RecordingError: A tick does not come out as recorded (`diverged`).
+        FilmError: There is neither the engine nor poses (`nothing_to_see`).
     """
     try:
         alien = differences(recording.fingerprint, fingerprint(load_backend(recording.config["backend"])))
@@ -144,7 +145,7 @@ def _recorded(recording: Recording) -> Iterator[Moment]:
                 yield now
                 last = now
     if last is None:
-        raise RecordingError(
+        raise FilmError(
             "nothing_to_see",
             f"{recording.path} was made by another engine or machine, so it cannot be run again here exactly, and it "
             "holds no poses",
@@ -180,7 +181,7 @@ def _chosen(recording: Recording, cut: Cut, step: float, progress: Progress) -> 
             break
     if last is None or last.time < cut.begin:
         end = f"ends at {last.time:.2f} s" if last is not None else "has no ticks"
-        raise RecordingError("nothing_to_see", f"{recording.path} {end}")
+        raise FilmError("nothing_to_see", f"{recording.path} {end}")
     return [*found, last]
 
 
@@ -280,7 +281,7 @@ def _looked_at(shown: Sequence[Moment], target: str | None) -> set[str]:
         names = {name for moment in shown for name in moment.shapes if name.startswith(target)}
         if not names:
             known = ", ".join(list(shown[-1].shapes)[:8]) or "none"
-            raise NmesError("cube_not_found", f"no cube's name begins with {target!r} (there are: {known})")
+            raise FilmError("cube_not_found", f"no cube's name begins with {target!r} (there are: {known})")
         return names
     first: dict[str, Array] = {}
     moved: dict[str, None] = {}
@@ -337,15 +338,17 @@ def film(
         progress: Told what is being done, and how much of it, of how much, is done.
 
     Raises:
-        RecordingError: A recording cannot be shown.
+        RecordingError: A tick does not come out as recorded (`diverged`).
+        FilmError: There is nothing to show (`nothing_to_see`), the ending is not known (`unknown_format`), `target` is
+            nowhere (`cube_not_found`), or the file cannot be written (`cannot_write`).
         WorldError: `unsupported`: no OpenGL works here.
-        NmesError: The ending is not known, `target` is nowhere, or a package is missing.
+        NmesError: A package is missing (`missing_package`).
     """
     path = Path(path)
     if path.suffix not in (".mp4", ".gif", ".png"):
-        raise NmesError("unknown_format", f"{path}: a film ends in .mp4 or .gif, a picture in .png")
+        raise FilmError("unknown_format", f"{path}: a film ends in .mp4 or .gif, a picture in .png")
     if not path.parent.is_dir():  # said before the work, not after it
-        raise NmesError("cannot_write", f"cannot write {path}: there is no folder {path.parent}")
+        raise FilmError("cannot_write", f"cannot write {path}: there is no folder {path.parent}")
     if path.suffix == ".gif":
         fps = min(fps, _GIF_CLOCK // 2)
     columns = ceil(sqrt(len(recordings)))
@@ -397,7 +400,7 @@ def _whole(path: Path) -> Iterator[Path]:
         yield unfinished
         unfinished.replace(path)
     except OSError as error:
-        raise NmesError("cannot_write", f"cannot write {path}: {error.strerror or error}") from error
+        raise FilmError("cannot_write", f"cannot write {path}: {error.strerror or error}") from error
     finally:
         unfinished.unlink(missing_ok=True)
 

@@ -12,7 +12,7 @@ import numpy as np
 import orjson
 
 from nmes.backend import Array, load_backend
-from nmes.errors import RecordingError
+from nmes.errors import ProofError, RecordingError
 from nmes.evaluation import scores_so_far
 from nmes.playback.compare import ReplayReport, replay
 from nmes.playback.inputs import recorded_inputs
@@ -131,7 +131,7 @@ def show_recording(
     try:
         times, scores = scores_so_far(recording).T
         canvas.curve("score so far", times, scores)
-    except RecordingError as error:
+    except (ProofError, RecordingError) as error:
         if error.code != "not_an_evaluation":
             canvas.say(f"no score: {error.message}", "WARN")
     if report.divergence is not None:

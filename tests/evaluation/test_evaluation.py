@@ -10,7 +10,7 @@ import pytest
 
 from creatures import SINE, cpg, exploding, mlp, snake
 from layout import ROOT
-from nmes.errors import RecordingError
+from nmes.errors import ProofError
 from nmes.evaluation import Evaluation, evaluate, prove
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
@@ -83,5 +83,5 @@ def test_a_score_that_is_no_number_is_a_fault() -> None:
 
 def test_a_recording_of_something_else_proves_nothing(tmp_path: Path) -> None:
     path = next((ROOT / "replays").glob("*.mcap"))
-    with pytest.raises(RecordingError, match="no recording of `nmes eval`"):
+    with pytest.raises(ProofError, match="no recording of `nmes eval`"):
         prove(path)

@@ -17,7 +17,7 @@ from test_evaluation import task
 
 from creatures import SINE, cpg, snake
 from nmes.cli import main
-from nmes.errors import NmesError, RecordingError
+from nmes.errors import LeaderboardError, ProofError
 from nmes.evaluation import evaluate, prove
 from nmes.evaluation.leaderboard import Leaderboard
 from nmes.evaluation.task import CREATURE, Task
@@ -103,7 +103,7 @@ def forged(source: str, target: Path, change: Any) -> Path:
 def test_a_doctored_command_is_refused_with_the_first_frame_that_differs(proofs: list[str], tmp_path: Path) -> None:
     path = forged(proofs[0], tmp_path / "forged.mcap", lambda drive: {**drive, "controls": [1.0, 1.0, 1.0]})
     frame = task().settle_ticks + 40
-    with pytest.raises(RecordingError, match=rf"diverges at frame {frame}: tick {frame} does not come out") as caught:
+    with pytest.raises(ProofError, match=rf"diverges at frame {frame}: tick {frame} does not come out") as caught:
         prove(path)
     assert caught.value.code == "diverged"
     refused = run("add", tmp_path / "board.sqlite", path, proofs[1])
@@ -137,7 +137,7 @@ def drive(world: World, client: int, controls: list[float]) -> None:
 def test_what_the_brain_did_not_do_proves_nothing_of_the_genome(tmp_path: Path) -> None:
     path = played(tmp_path / "by-hand.mcap", 3, lambda world, client, tick: drive(world, client, [0.5, -0.5, 0.5]))
     assert prove(path).result.score is not None  # the log alone does not say who drove
-    with pytest.raises(RecordingError, match=r"at frame 30 it has the command drive where there should be what the br"):
+    with pytest.raises(ProofError, match=r"at frame 30 it has the command drive where there should be what the br"):
         prove(path, brain=True)
 
 
@@ -148,7 +148,7 @@ def test_nobody_may_push_a_creature(tmp_path: Path) -> None:
             world.handle(client, request_from(force))
         drive(world, client, [0.0, 0.0, 0.0])
 
-    with pytest.raises(RecordingError, match="at frame 37 it has the command apply_physics"):
+    with pytest.raises(ProofError, match="at frame 37 it has the command apply_physics"):
         prove(played(tmp_path / "pushed.mcap", 3, push))
 
 
@@ -234,7 +234,7 @@ def test_a_task_that_is_edited_is_another_task(board: Path, proofs: list[str], t
     assert run("add", board, *found.recordings).exit_code == 0
     shown = Leaderboard(board).entries()
     assert len(shown) == 3 and len({entry.task_hash for entry in shown}) == 2
-    with pytest.raises(NmesError, match="one recording for each"):
+    with pytest.raises(LeaderboardError, match="one recording for each"):
         Leaderboard(board).add([prove(found.recordings[0]), prove(proofs[1])])
 
 
@@ -242,5 +242,5 @@ def test_a_recording_that_goes_on_from_another_proves_nothing(proofs: list[str],
     ahead = tmp_path / "ahead.mcap"
     forked = CliRunner().invoke(main, ["fork", proofs[0], "--at", "0", "-o", str(ahead)])
     assert forked.exit_code == 0, forked.output
-    with pytest.raises(RecordingError, match="no recording of `nmes eval`"):
+    with pytest.raises(ProofError, match="no recording of `nmes eval`"):
         prove(ahead)

@@ -14,7 +14,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 
 from nmes.cli import main
-from nmes.errors import RecordingError
+from nmes.errors import RecordingError, SigningError
 from nmes.recording import Kind, Recording
 from nmes.recording.mcapfile import Message, Reader, message_checksums, split_chunk
 from nmes.recording.signing import check_signature, private_key, public_key, sign
@@ -255,11 +255,11 @@ def test_a_forged_recording_does_not_keep_its_signature(
 
     forged = rewrite(busy_file, tmp_path / "forged.mcap", forge)
     assert Recording(forged).complete
-    with pytest.raises(RecordingError, match="is not this key's signature of this recording") as info:
+    with pytest.raises(SigningError, match="is not this key's signature of this recording") as info:
         check_signature(Recording(forged), public_key(keys[1]), signature)
     assert info.value.code == "bad_signature"
     again = rewrite(busy_file, tmp_path / "again.mcap", lambda lines: lines)  # the same, closed at another time
-    with pytest.raises(RecordingError):
+    with pytest.raises(SigningError):
         check_signature(Recording(again), public_key(keys[1]), signature)
 
 
@@ -276,7 +276,7 @@ def test_only_a_whole_recording_is_signed(busy_file: Path, tmp_path: Path, keys:
 )
 def test_what_is_no_signature(busy_file: Path, tmp_path: Path, keys: tuple[Path, Path], text: bytes) -> None:
     (tmp_path / "x").write_bytes(text)
-    with pytest.raises(RecordingError) as info:
+    with pytest.raises(SigningError) as info:
         check_signature(Recording(busy_file), public_key(keys[1]), tmp_path / "x")
     assert info.value.code == "bad_signature"
 
@@ -292,8 +292,8 @@ def test_what_is_no_key(tmp_path: Path, keys: tuple[Path, Path]) -> None:
         (public_key, private),
         (public_key, tmp_path / "ec.pub"),
     ):
-        with pytest.raises(RecordingError) as info:
+        with pytest.raises(SigningError) as info:
             read(path)
         assert info.value.code == "bad_key"
-    with pytest.raises(RecordingError, match="cannot read"):
+    with pytest.raises(SigningError, match="cannot read"):
         private_key(tmp_path)

@@ -15,7 +15,7 @@ from PIL import Image, ImageSequence
 
 from nmes.backend import fingerprint as fingerprints
 from nmes.cli import main
-from nmes.errors import RecordingError, WorldError
+from nmes.errors import FilmError, WorldError
 from nmes.recording import Recording
 from nmes.view.film import Cut, film, moments
 from nmes.world import World
@@ -108,7 +108,7 @@ def test_of_another_machine_recorded_poses_are_shown(monkeypatch: pytest.MonkeyP
     for moment in seen:
         assert moment.poses[0] == pytest.approx([2 * moment.time, 5, 0, 0, 0, 0, 1], abs=1e-5)
     assert list(seen[-1].shapes) == ["red", "green_BASE", "blue_BASE"]
-    with pytest.raises(RecordingError, match="holds no poses"):
+    with pytest.raises(FilmError, match="holds no poses"):
         list(moments(alien(monkeypatch, tmp_path / "blind.mcap", pose_rate=0)))
 
 
@@ -161,7 +161,7 @@ def test_speed_and_cut(drawn: Recording, tmp_path: Path) -> None:
     assert len(frames(path)) == 21
     film([drawn], path, Cut(speed=4), fps=10, size=(32, 32))
     assert len(frames(path)) == 6
-    with pytest.raises(RecordingError, match=r"ends at 2\.00 s"):
+    with pytest.raises(FilmError, match=r"ends at 2\.00 s"):
         film([drawn], path, Cut(begin=3))
 
 
