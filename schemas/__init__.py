@@ -28,17 +28,17 @@ Schema = dict[str, Any]
 @cache
 def _texts() -> dict[str, bytes]:
     """Returns all schema files by their path in this folder, sorted."""
-    found: dict[str, bytes] = {}
+    texts: dict[str, bytes] = {}
 
     def collect(folder: Traversable, prefix: str) -> None:
         for entry in folder.iterdir():
             if entry.is_dir():
                 collect(entry, f"{prefix}{entry.name}/")
             elif entry.name.endswith(".json"):
-                found[prefix + entry.name] = entry.read_bytes()
+                texts[prefix + entry.name] = entry.read_bytes()
 
     collect(files(__name__), "")
-    return dict(sorted(found.items()))
+    return dict(sorted(texts.items()))
 
 
 @cache

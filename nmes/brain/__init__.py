@@ -18,7 +18,7 @@ from nmes.brain.models import OnnxBrain
 from nmes.brain.networks import CtrnnBrain, GraphBrain, MlpBrain
 from nmes.brain.oscillators import CpgBrain, SineBrain
 from nmes.errors import DocumentError
-from nmes.protocol import did_you_mean
+from nmes.schemas.documents import did_you_mean
 
 __all__ = ["KINDS", "Brain", "BrainBatch", "load_brain", "stack"]
 

@@ -20,12 +20,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
-import orjson
 from numpy.typing import NDArray
 
 from nmes.errors import DocumentError
-from nmes.protocol import MessageSchema, did_you_mean, document_schema, encode, problems
 from nmes.schemas import Schema
+from nmes.schemas.documents import (
+    CompiledSchema,
+    JsonObject,
+    compile_schema,
+    complete,
+    did_you_mean,
+    plain,
+    problems,
+)
 
 __all__ = [
     "LIMIT",
@@ -44,7 +51,6 @@ __all__ = [
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.intp]
-JsonObject = dict[str, Any]
 
 LIMIT = 1e6
 """What goes through a brain, sensors' values first, is kept within this, so that no sum overflows."""
@@ -125,23 +131,19 @@ def _list(names: Sequence[str], what: str) -> str:
     return f"{'is' if len(names) == 1 else 'are'} {', '.join(names[:_LISTED])}{more}"
 
 
-def _fill(schema: Schema, value: JsonObject) -> JsonObject:
-    """Returns a valid document with defaults filled in and rows of parameters as arrays."""
-    full = dict(value)
-    for name, part in schema["properties"].items():
-        if name in full or "default" in part:
-            full[name] = _filled(part, full[name] if name in full else copy.deepcopy(part["default"]))
-    return full
+def _with_arrays(schema: Schema, document: JsonObject) -> JsonObject:
+    """Returns a complete document with its parameters as floats, and its rows of parameters as arrays."""
+    return {name: _with_array(schema["properties"][name], value) for name, value in document.items()}
 
 
-def _filled(part: Schema, value: Any) -> Any:
+def _with_array(part: Schema, value: Any) -> Any:
     if part.get("type") == "object":
-        return _fill(part, value)
-    if part.get("type") == "array" and not _is_row(part):
-        return [_filled(part["items"], item) for item in value]
-    if part.get("x-parameter"):
-        return float(value)
-    return np.array(value, np.float64) if _is_row(part) else value
+        return _with_arrays(part, value)
+    if _is_row(part):
+        return np.array(value, np.float64)
+    if part.get("type") == "array":
+        return [_with_array(part["items"], item) for item in value]
+    return float(value) if part.get("x-parameter") else value
 
 
 def _is_row(part: Schema) -> bool:
@@ -151,7 +153,7 @@ def _is_row(part: Schema) -> bool:
 
 
 def _plain(value: Any) -> Any:
-    """Returns a document without arrays of numpy's."""
+    """Returns a copy of a document with lists in the place of arrays."""
     if isinstance(value, dict):
         return {key: _plain(item) for key, item in value.items()}
     if isinstance(value, list):
@@ -243,11 +245,11 @@ class Brain(ABC):
     """
 
     kind: ClassVar[str]
-    shape: ClassVar[MessageSchema]
+    shape: ClassVar[CompiledSchema]
 
     def __init_subclass__(cls, **named: Any) -> None:
         super().__init_subclass__(**named)
-        cls.shape = document_schema(f"brain-{cls.kind}.json")
+        cls.shape = compile_schema(f"brain-{cls.kind}.json")
 
     def __init__(
         self, document: Mapping[str, Any], inputs: Sequence[str], outputs: Sequence[str], where: str = ""
@@ -260,16 +262,15 @@ class Brain(ABC):
             if len(names) > most:
                 found.add("", f"the body has {len(names):,} {what}; a brain can have {most:,}")
         try:
-            # A copy of its own; what is no JSON (NaN too, which is written as null) is found by the schema.
-            plain = orjson.loads(encode(document))
-        except (TypeError, ValueError) as error:
-            raise DocumentError([(where, f"this is not JSON data: {error}")]) from None
-        for problem in problems(self.shape, plain):
-            found.add(problem.pointer, problem.said)
+            self._given: JsonObject = plain(document)
+        except DocumentError as error:
+            raise DocumentError([(where, error.message)]) from None
+        for problem in problems(self.shape, self._given):
+            found.add(problem.pointer, problem.message)
         found.check()
-        self._check_rows(found, self.shape.schema, plain, "")
+        self._check_rows(found, self.shape.schema, self._given, "")
         found.check()
-        self._document = _fill(self.shape.schema, plain)
+        self._document = _with_arrays(self.shape.schema, complete(self.shape.schema, self._given))
         self._resolve(self._document, found)
         found.check()
         self._kernel: Kernel | None = None
@@ -307,11 +308,14 @@ class Brain(ABC):
         """Whether it looks at no sensor: `step` may then be given anything, and `controls` knows it all at once."""
         return self._running().open_loop
 
+    @property
     def document(self) -> JsonObject:
-        """Returns the brain as plain JSON data, with defaults filled in; loading it gives this brain again."""
-        document = _plain(self._document)
-        assert isinstance(document, dict)
-        return document
+        """The document as it was given, nothing filled in: a new copy, plain JSON data.
+
+        That of a brain from `with_vector` is whole, since what was left out is a parameter too. Loading either gives
+        this brain again.
+        """
+        return copy.deepcopy(self._given)
 
     def reset(self, seed: int, dt: float) -> None:
         """Goes to the start.
@@ -377,6 +381,7 @@ class Brain(ABC):
             part = np.clip(vector[at : at + size], low, high)
             where[key] = part.reshape(where[key].shape) if isinstance(where[key], np.ndarray) else float(part[0])
             at += size
+        twin._given = _plain(twin._document)
         return twin
 
     def _parameters(self, document: JsonObject) -> Iterator[Parameter]:

@@ -9,32 +9,39 @@ everywhere; a task that could be loaded has only expressions that can be run.
 
 from __future__ import annotations
 
-import difflib
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from hashlib import blake2b, sha256
-from importlib.resources import files
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import orjson
 
-from nmes import protocol
 from nmes.backend import Array, Quaternion, Vector
 from nmes.backend.rotation import multiply, quaternion_from_euler, rotate
-from nmes.errors import DocumentError, NmesError, RejectedMessage
+from nmes.errors import DocumentError, NmesError
 from nmes.genome.body import Body, corners
 from nmes.objective import Condition, Objective, Quantity
 from nmes.objective.trajectory import Trajectory
+from nmes.protocol import complete_config
+from nmes.schemas.documents import (
+    JsonObject,
+    ShippedDocuments,
+    canonical_hash,
+    check,
+    compile_schema,
+    complete,
+    parse_document,
+    plain,
+)
 
-__all__ = ["Limits", "Task"]
+__all__ = ["SHIPPED", "Limits", "Task"]
 
-JsonObject = dict[str, Any]
-
-_SHAPE = protocol.document_schema("task.json")
+SHIPPED: Final = ShippedDocuments("task", "nmes.evaluation", "tasks")
+"""The tasks that ship with the package."""
+_TASK: Final = compile_schema("task.json")
 _OURS = ("name", "seed", "mode", "rate")  # of the world's config: the task, its seeds and the evaluation say these
 _LOOKS = 10  # in a second, at the conditions that end an episode
 _GAP = 0.001  # m between a prop that lies and what it lies on, so that the engine does not find them overlapping
@@ -71,7 +78,8 @@ class Task:
         limits: What a creature may be and use.
         objective: What an episode is worth.
         ends: What ends an episode early, and what it is called then.
-        hash: SHA-256 of the document, defaults filled in, hexadecimal.
+        hash: SHA-256 of the document, defaults filled in, in canonical form, 64 hexadecimal digits: equal documents
+            (up to white space, the order of keys, `10.0` for `10` and defaults) have equal hashes.
     """
 
     def __init__(self, document: Mapping[str, Any]) -> None:
@@ -83,73 +91,36 @@ class Task:
         Raises:
             DocumentError: It is not, with all that is wrong.
         """
-        found = [(problem.pointer, problem.said) for problem in protocol.problems(_SHAPE, document)]
-        if found:
-            raise DocumentError(found)
-        self.document = plain = _completed(document)
-        found += [
-            (f"world/{name}", "a task does not say this: it is the evaluation's")
-            for name in _OURS
-            if name in plain["world"]
-        ]
-        config: JsonObject = {}
-        try:
-            config = protocol.complete_config({key: value for key, value in plain["world"].items() if key not in _OURS})
-        except NmesError as error:
-            found.append((f"world/{error.path}" if error.path else "world", _without(error)))
-        found += _crossed(plain)
-        expressions: list[Objective | Condition] = []
-        for path, text in _expressions(plain):
-            try:
-                expressions.append((Objective if path == "objective" else Condition)(text, path))
-            except NmesError as error:
-                found.append((path, _without(error)))
-        if found:
-            raise DocumentError(found)
-        self._config = config
-        self.name: str = plain["name"]
-        self.description: str = plain["description"]
-        self.duration = float(plain["duration"])
-        self.seeds: tuple[int, ...] = tuple(plain["seeds"])
-        self.limits = Limits(**plain["limits"])
-        objective, *conditions = expressions
+        self.document = document = _completed(document)
+        objective, *conditions = _expressions(document)
+        self._config = complete_config(document["world"])
+        self.name: str = document["name"]
+        self.description: str = document["description"]
+        self.duration = float(document["duration"])
+        self.seeds: tuple[int, ...] = tuple(document["seeds"])
+        self.limits = Limits(**document["limits"])
         assert isinstance(objective, Objective)
         self.objective = objective
         self.ends: tuple[tuple[str, Condition], ...] = tuple(
             (end["name"], condition)
-            for end, condition in zip(plain["ends"], conditions, strict=True)
+            for end, condition in zip(document["ends"], conditions, strict=True)
             if isinstance(condition, Condition)
         )
-        self.hash = sha256(orjson.dumps(plain, option=orjson.OPT_SORT_KEYS)).hexdigest()
+        self.hash = canonical_hash(document)
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> Task:
-        """Loads a task that comes with the package, by its name, or a file.
+        """Reads a file or, where there is none and it is such a name, one of the tasks that ship with the package.
 
         Raises:
-            DocumentError: There is no such task or file, or it is not as it must be.
+            DocumentError: There is neither, it cannot be read, or it is not as it must be.
         """
-        if str(name_or_path) in cls.names():
-            raw = (files("nmes.evaluation") / "tasks" / f"{name_or_path}.json").read_bytes()
-        else:
-            try:
-                raw = Path(name_or_path).read_bytes()
-            except OSError as error:
-                near = difflib.get_close_matches(str(name_or_path), cls.names(), n=1)
-                hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(cls.names())}"
-                said = f"there is no task {str(name_or_path)!r}, nor such a file ({error.strerror}); {hint}"
-                raise DocumentError([("", said)]) from error
-        try:
-            document = protocol.parse_json(raw)
-        except RejectedMessage as error:
-            raise DocumentError([("", error.message)]) from error
-        return cls(document)
+        return cls(parse_document(SHIPPED.read(name_or_path)))
 
     @staticmethod
     def names() -> tuple[str, ...]:
-        """Returns the names of the tasks that come with the package, sorted."""
-        found = (entry.name for entry in (files("nmes.evaluation") / "tasks").iterdir())
-        return tuple(sorted(name.removesuffix(".json") for name in found if name.endswith(".json")))
+        """Returns the names of the tasks that ship with the package, sorted."""
+        return SHIPPED.names()
 
     # -- time ----------------------------------------------------------------------------------------------------
 
@@ -338,52 +309,58 @@ _UNITS: tuple[Vector, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
 def _completed(document: Mapping[str, Any]) -> JsonObject:
-    """Returns a copy with defaults filled in, but for the world's, which completes itself."""
-    plain: JsonObject = orjson.loads(orjson.dumps(dict(document)))
+    """Returns a sound copy with defaults filled in, but for the world's, which an engine may add to.
 
-    def fill(schema: Mapping[str, Any], value: JsonObject) -> None:
-        for name, part in schema["properties"].items():
-            if name == "world":
-                value.setdefault(name, {})
-                continue
-            if name not in value and "default" in part:
-                value[name] = orjson.loads(orjson.dumps(part["default"]))
-            if name in value and part.get("type") == "object":
-                fill(part, value[name])
-            for item in value.get(name, []) if part.get("items", {}).get("type") == "object" else []:
-                fill(part["items"], item)
-
-    fill(_SHAPE.schema, plain)
-    plain["seeds"] = [int(seed) for seed in plain["seeds"]]
-    if "cubes" in plain["limits"]:
-        plain["limits"]["cubes"] = int(plain["limits"]["cubes"])
-    return plain
+    Raises:
+        DocumentError: It is not as the schema says.
+    """
+    copied = plain(document)
+    check(_TASK, copied)
+    full = complete(_TASK.schema, copied)
+    full["world"] = copied.get("world", {})
+    full["seeds"] = [int(seed) for seed in full["seeds"]]
+    return full
 
 
-def _expressions(plain: JsonObject) -> Iterator[tuple[str, str]]:
-    yield "objective", plain["objective"]
-    for index, end in enumerate(plain["ends"]):
-        yield f"ends/{index}/when", end["when"]
+def _expressions(document: JsonObject) -> list[Objective | Condition]:
+    """Returns the objective and the conditions of a sound document.
+
+    Raises:
+        DocumentError: One of them cannot be read, or something else is wrong that no schema sees.
+    """
+    problems = [
+        (f"world/{name}", "a task does not say this: it is the evaluation's")
+        for name in _OURS
+        if name in document["world"]
+    ]
+    problems += _crossed(document)
+    texts = [("objective", document["objective"])]
+    texts += [(f"ends/{index}/when", end["when"]) for index, end in enumerate(document["ends"])]
+    expressions: list[Objective | Condition] = []
+    for path, text in texts:
+        try:
+            expressions.append((Objective if path == "objective" else Condition)(text, path))
+        except NmesError as error:
+            problems.append((path, error.message.removeprefix(f"{error.path}: ")))
+    if problems:
+        raise DocumentError(problems)
+    return expressions
 
 
-def _crossed(plain: JsonObject) -> Iterator[tuple[str, str]]:
-    """Yields what no schema sees: bounds the wrong way round, names that are there twice."""
-    bounds = [(f"vary/{name}", value) for name, value in plain["vary"].items()]
-    bounds += [(f"target/{name}", value) for name, value in plain.get("target", {}).items() if name != "height"]
-    bounds += [(f"props/{index}/lean", prop["lean"]) for index, prop in enumerate(plain["props"])]
+def _crossed(document: JsonObject) -> Iterator[tuple[str, str]]:
+    """Yields the problems that no schema sees: bounds the wrong way round, names that are there twice."""
+    props = document["props"]
+    bounds = [(f"vary/{name}", value) for name, value in document["vary"].items()]
+    bounds += [(f"target/{name}", value) for name, value in document.get("target", {}).items() if name != "height"]
+    bounds += [(f"props/{index}/lean", prop["lean"]) for index, prop in enumerate(props)]
     for path, (low, high) in bounds:
         if low > high:
             yield path, f"expected the lowest first, got {low:g} before {high:g}"
-    targets = [f"props/{index}/target" for index, prop in enumerate(plain["props"]) if prop["target"]]
-    for path in targets if "target" in plain else targets[1:]:
+    targets = [f"props/{index}/target" for index, prop in enumerate(props) if prop["target"]]
+    for path in targets if "target" in document else targets[1:]:
         yield path, "there is a target already"
-    for index, prop in enumerate(plain["props"]):
-        if prop["id"] in [other["id"] for other in plain["props"][:index]]:
+    for index, prop in enumerate(props):
+        if prop["id"] in [other["id"] for other in props[:index]]:
             yield f"props/{index}/id", f"there is a prop {prop['id']!r} already"
         if prop["id"].startswith(f"{CREATURE}."):
             yield f"props/{index}/id", f"names that begin with {CREATURE!r} and a point are the creature's"
-
-
-def _without(error: NmesError) -> str:
-    """Returns an error's words without the field that they begin with."""
-    return error.message.removeprefix(f"{error.path}: ")

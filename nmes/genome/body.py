@@ -21,7 +21,7 @@ import numpy.typing as npt
 from nmes.backend import Array, Quaternion, Vector
 from nmes.backend.rotation import normalize, quaternion_from_euler, rotate
 from nmes.errors import DocumentError
-from nmes.protocol import did_you_mean
+from nmes.schemas.documents import did_you_mean
 
 __all__ = ["Body", "BodyCube", "BodyJoint", "Motor", "Sensor", "corners", "read_body"]
 

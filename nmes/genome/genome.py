@@ -1,34 +1,39 @@
 """Genomes: a creature's body, sensors and brain in one JSON document, read, judged as a whole, named by its hash.
 
-Hides where the genomes that ship with the package lie, how a document is made canonical, and that a body may have to
-grow first. Invariants: a Genome that exists has a sound body; reading never changes the document; equal documents (up
-to white space, the order of keys, and `1.0` for `1`) have equal hashes.
+Hides where the genomes that ship with the package lie, and that a body may have to grow first. Invariants: a Genome
+that exists has a sound body; reading never changes the document; equal documents (up to white space, the order of
+keys, and `1.0` for `1`) have equal hashes.
 """
 
 from __future__ import annotations
 
-import difflib
-import hashlib
 from collections.abc import Mapping
 from functools import cached_property, lru_cache
-from importlib.resources import files
 from pathlib import Path
 from typing import Any, Final
 
 import orjson
 
-from nmes import protocol
 from nmes.brain import Brain, load_brain
-from nmes.errors import DocumentError, RejectedMessage
+from nmes.errors import DocumentError
 from nmes.genome import morphology
 from nmes.genome.body import Body, read_body
+from nmes.schemas.documents import (
+    JsonObject,
+    ShippedDocuments,
+    canonical_hash,
+    check,
+    compile_schema,
+    parse_document,
+    problems,
+    write_json,
+)
 
-__all__ = ["Genome"]
+__all__ = ["SHIPPED", "Genome"]
 
-JsonObject = dict[str, Any]
-
-_GENOME: Final = protocol.document_schema("genome.json")
-_WHOLE = 2.0**53  # beyond this not every whole number is a float
+SHIPPED: Final = ShippedDocuments("genome", "nmes.genome", "shipped")
+"""The genomes that ship with the package."""
+_GENOME: Final = compile_schema("genome.json")
 
 
 class Genome:
@@ -47,7 +52,7 @@ class Genome:
 
     def __init__(self, document: Mapping[str, Any]) -> None:
         try:
-            text = protocol.encode(document)
+            text = write_json(document)
         except (TypeError, ValueError, RecursionError) as error:
             raise DocumentError([("", f"this is not JSON data: {error}")]) from None
         self._document, self._grown, self.body = _read(text)
@@ -59,11 +64,7 @@ class Genome:
         Raises:
             DocumentError: It is not strict JSON, or not a good genome.
         """
-        try:
-            document = protocol.parse_json(text)
-        except RejectedMessage as error:
-            raise DocumentError([("", error.message)]) from error
-        return cls(document)
+        return cls(parse_document(text))
 
     @classmethod
     def load(cls, name: str | Path) -> Genome:
@@ -72,29 +73,16 @@ class Genome:
         Raises:
             DocumentError: There is neither, it cannot be read, or it is not a good genome.
         """
-        path = Path(name)
-        shipped = files("nmes.genome") / "shipped" / f"{name}.json"
-        if not path.exists() and str(name) in cls.names():
-            return cls.parse(shipped.read_bytes())
-        try:
-            return cls.parse(path.read_bytes())
-        except OSError as error:
-            near = difflib.get_close_matches(str(name), cls.names(), n=1)
-            hint = f"; did you mean {near[0]!r}, which ships with the package?" if near else ""
-            raise DocumentError([("", f"cannot read {name}: {error.strerror}{hint}")]) from error
+        return cls.parse(SHIPPED.read(name))
 
     @staticmethod
-    def names() -> list[str]:
+    def names() -> tuple[str, ...]:
         """Returns the names of the genomes that ship with the package, sorted."""
-        return sorted(
-            entry.name.removesuffix(".json")
-            for entry in (files("nmes.genome") / "shipped").iterdir()
-            if entry.name.endswith(".json")
-        )
+        return SHIPPED.names()
 
     @property
     def document(self) -> JsonObject:
-        """A copy of the document."""
+        """The document as it was given, nothing filled in: a new copy, plain JSON data."""
         copied: JsonObject = orjson.loads(orjson.dumps(self._document))  # several times faster than deepcopy
         return copied
 
@@ -105,12 +93,8 @@ class Genome:
 
     @cached_property
     def hash(self) -> str:
-        """SHA-256 of the document in canonical form, 64 hexadecimal digits.
-
-        Canonical is: UTF-8, no white space, keys sorted by their code points, whole numbers below 2^53 without a
-        fraction, others as the shortest decimal that is the same double.
-        """
-        return hashlib.sha256(orjson.dumps(_canonical(self._document), option=orjson.OPT_SORT_KEYS)).hexdigest()
+        """SHA-256 of the document in canonical form, 64 hexadecimal digits; see `nmes.schemas.documents`."""
+        return canonical_hash(self._document)
 
     def brain(self) -> Brain:
         """Returns the brain, for this body's sensors and motors: a new one at each call.
@@ -139,9 +123,7 @@ def _read(text: bytes) -> tuple[JsonObject, JsonObject | None, Body]:
         document: JsonObject = orjson.loads(text)
     except ValueError as error:
         raise DocumentError([("", f"this is not JSON data: {error}")]) from None
-    problems = [(problem.pointer, problem.said) for problem in protocol.problems(_GENOME, document)]
-    if problems:
-        raise DocumentError(problems)
+    check(_GENOME, document)
     body = document["body"]
     if ("cubes" in body) == ("graph" in body) or ("graph" in body and "joints" in body):
         raise DocumentError([("body", "must have either cubes (and joints between them) or a graph")])
@@ -149,25 +131,16 @@ def _read(text: bytes) -> tuple[JsonObject, JsonObject | None, Body]:
     if "graph" in body:
         grown = body = morphology.grow(body["graph"])
         # Scales may have taken a size or a mass out of its bounds.
-        for problem in protocol.problems(_GENOME, {**document, "body": body}):
-            what = _named(body, problem.pointer)
-            problems.append(("body/graph", f"grows {what} is out of range: {problem.said}"))
-        if problems:
-            raise DocumentError(problems)
+        outgrown = [
+            ("body/graph", f"grows {_quantity(body, problem.pointer)} is out of range: {problem.message}")
+            for problem in problems(_GENOME, {**document, "body": body})
+        ]
+        if outgrown:
+            raise DocumentError(outgrown)
     return document, grown, read_body(body, document.get("sensors"), None if grown is None else "body/graph")
 
 
-def _canonical(value: Any) -> Any:
-    if isinstance(value, dict):
-        return {key: _canonical(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [_canonical(item) for item in value]
-    if isinstance(value, float) and value.is_integer() and abs(value) < _WHOLE:
-        return int(value)
-    return value
-
-
-def _named(body: JsonObject, path: str) -> str:
-    """Says what of a grown body a path such as `body/cubes/3/mass` means."""
+def _quantity(body: JsonObject, path: str) -> str:
+    """Returns words for a place in a grown body, such as `body/cubes/3/mass`."""
     _, kind, index, *field = path.split("/")
     return f"{body[kind][int(index)]['id']!r}, of which the {'/'.join(field)}"

@@ -47,7 +47,7 @@ def test_its_weights_are_the_vector(way: str) -> None:
     np.testing.assert_array_equal(vector, [*W.ravel(), *B])
     changed = brain.with_vector(vector * 2 + 1)
     np.testing.assert_array_equal(changed.to_vector(), vector * 2 + 1)
-    assert changed.document()["model"] == document(layer(W * 2 + 1, B * 2 + 1, way=way))["model"]
+    assert changed.document["model"] == document(layer(W * 2 + 1, B * 2 + 1, way=way))["model"]
     changed.reset(0, DT)
     expected = onnx(layer(W * 2 + 1, B * 2 + 1)).step(np.ones(5))
     np.testing.assert_array_equal(changed.step(np.ones(5)), expected)

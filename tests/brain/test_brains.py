@@ -9,6 +9,7 @@ import sys
 from typing import Any
 
 import numpy as np
+import orjson
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -34,22 +35,29 @@ def test_a_vector_and_a_document_give_the_same_brain_again(made: Made, data: st.
     document, inputs, outputs = made
     brain = load(*made)
     vector = brain.to_vector()
-    told = brain.document()
-    assert json.loads(json.dumps(told, allow_nan=False)) == told
-    again = load_brain(told, inputs, outputs)
-    assert again.document() == told
+    again = load_brain(brain.document, inputs, outputs)
     episode = data.draw(episodes(len(inputs)))
     expected = run(brain, episode)
-    for twin in (again, brain.with_vector(vector)):
-        assert bits(twin.to_vector()) == bits(vector)
-        assert twin.document() == told
-        assert run(twin, episode) == expected
+    twin = brain.with_vector(vector)
+    assert json.loads(json.dumps(twin.document, allow_nan=False)) == twin.document
+    for other in (again, twin, load_brain(twin.document, inputs, outputs)):
+        assert bits(other.to_vector()) == bits(vector)
+        assert run(other, episode) == expected
     # What is within the bounds is kept as it is: here, the middle between two that are.
     low, high = brain.with_vector(np.full(len(vector), -1e300)), brain.with_vector(np.full(len(vector), 1e300))
     middle = 0.5 * (low.to_vector() + high.to_vector())
     assert bits(brain.with_vector(middle).to_vector()) == bits(middle)
     assert bits(brain.to_vector()) == bits(vector)
     assert document["kind"] == brain.kind
+
+
+@given(brains())
+def test_a_document_is_as_it_was_given_and_a_copy(made: Made) -> None:
+    brain = load(*made)
+    plain = orjson.loads(orjson.dumps(made[0], option=orjson.OPT_SERIALIZE_NUMPY))
+    assert brain.document == plain
+    brain.document.clear()
+    assert brain.document == plain
 
 
 @given(brains(), st.data())

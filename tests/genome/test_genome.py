@@ -476,7 +476,7 @@ def test_files_and_names_are_found(tmp_path: Path) -> None:
     path = tmp_path / "pair.json"
     path.write_text(json.dumps(pair()))
     assert Genome.load(path).hash == Genome(pair()).hash
-    with pytest.raises(DocumentError, match="did you mean 'walker'"):
+    with pytest.raises(DocumentError, match=r"no genome 'walkr'.*did you mean walker\?"):
         Genome.load("walkr")
-    with pytest.raises(DocumentError, match="cannot read"):
+    with pytest.raises(DocumentError, match="nor such a file"):
         Genome.load(tmp_path)

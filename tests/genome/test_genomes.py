@@ -58,7 +58,7 @@ def test_there_are_twelve_of_many_kinds() -> None:
     assert len(NAMES) == 12
     assert {document["brain"]["kind"] for document in documents} == {"sine", "cpg", "mlp", "ctrnn", "graph"}
     assert sum("graph" in document["body"] for document in documents) >= 2
-    assert [document["name"] for document in documents] == NAMES
+    assert [document["name"] for document in documents] == list(NAMES)
     for document in documents:
         assert document["author"] and document["license"] == "Apache-2.0" and document["description"].endswith(".")
     page = (ROOT / "docs" / "genomes.md").read_text()

@@ -15,7 +15,9 @@ from pytest import MonkeyPatch
 from broken import defect
 from nmes import protocol
 from nmes.errors import NmesError, RejectedMessage
-from nmes.protocol import DELIMITER, NO_ID, Auth, FrameSplitter, Limits, Request, Session, messages
+from nmes.protocol import DELIMITER, NO_ID, Auth, FrameSplitter, Limits, Request, Session, messages, session
+from nmes.schemas import documents
+from nmes.schemas.documents import parse_json
 from nmes.server import Host
 from nmes.server.connection import Connection
 from nmes.server.hosted_world import HostedWorld
@@ -39,50 +41,53 @@ def a_reply_too_many(patch: MonkeyPatch) -> None:
 @defect("1.6", "1.5")
 def delimiters_in_one_piece(patch: MonkeyPatch) -> None:
     """It finds a delimiter only where all of it comes in one read."""
-    push = FrameSplitter.push
+    feed = FrameSplitter.feed
 
-    def forgetful(splitter: FrameSplitter, data: bytes) -> None:
-        push(splitter, data)
-        splitter._scanned = max(splitter._scanned, len(splitter._buffer) - len(data))
+    def forgetful(splitter: FrameSplitter, data: bytes, most: int | None = None) -> list[bytes]:
+        splitter._scanned = max(splitter._scanned, len(splitter._buffer))
+        return feed(splitter, data, most)
 
-    patch.setattr(FrameSplitter, "push", forgetful)
+    patch.setattr(FrameSplitter, "feed", forgetful)
 
 
 @defect("1.7", "1.8")
 def one_frame_a_read(patch: MonkeyPatch) -> None:
     """It executes the first command of a read and forgets the others."""
-    frames = FrameSplitter.frames
+    feed = FrameSplitter.feed
 
-    def only_first(splitter: FrameSplitter) -> Iterator[bytes]:
-        for frame in frames(splitter):
-            yield frame
+    def only_first(splitter: FrameSplitter, data: bytes, most: int | None = None) -> list[bytes]:
+        frames = feed(splitter, data, most)
+        if frames and most is None:
             splitter._start = splitter._scanned = len(splitter._buffer)
+        return frames[:1]
 
-    patch.setattr(FrameSplitter, "frames", only_first)
+    patch.setattr(FrameSplitter, "feed", only_first)
 
 
 @defect("1.9:13")
 def a_delimiter_from_its_beginning(patch: MonkeyPatch) -> None:
     """It splits a frame at the first 13 of the delimiter's 14 bytes."""
-    push = FrameSplitter.push
+    feed = FrameSplitter.feed
 
-    def early(splitter: FrameSplitter, data: bytes) -> None:
-        push(splitter, data.replace(DELIMITER, DELIMITER[:-1]).replace(DELIMITER[:-1], DELIMITER))
+    def early(splitter: FrameSplitter, data: bytes, most: int | None = None) -> list[bytes]:
+        return feed(splitter, data.replace(DELIMITER, DELIMITER[:-1]).replace(DELIMITER[:-1], DELIMITER), most)
 
-    patch.setattr(FrameSplitter, "push", early)
+    patch.setattr(FrameSplitter, "feed", early)
 
 
 @defect("1.3:many", "1.3:only-white-space")
 def empty_frames_answered(patch: MonkeyPatch) -> None:
     """It answers an empty frame with an error."""
 
-    def frames(splitter: FrameSplitter) -> Iterator[bytes]:
-        while (end := splitter._buffer.find(DELIMITER, splitter._start)) >= 0:
-            frame = bytes(splitter._buffer[splitter._start : end])
+    def feed(splitter: FrameSplitter, data: bytes, most: int | None = None) -> list[bytes]:
+        splitter._buffer += data
+        frames: list[bytes] = []
+        while len(frames) != most and (end := splitter._buffer.find(DELIMITER, splitter._start)) >= 0:
+            frames.append(bytes(splitter._buffer[splitter._start : end]).strip())
             splitter._start = splitter._scanned = end + len(DELIMITER)
-            yield frame.strip()
+        return frames
 
-    patch.setattr(FrameSplitter, "frames", frames)
+    patch.setattr(FrameSplitter, "feed", feed)
 
 
 @defect("1.12", "1.14")
@@ -93,7 +98,7 @@ def delimiter_not_escaped(patch: MonkeyPatch) -> None:
     def plain(message: Any) -> bytes:
         return encode(message).replace(b"\\u003c", b"<")
 
-    for module in (protocol, messages):
+    for module in (protocol, messages, session):
         patch.setattr(module, "encode", plain)
 
 
@@ -236,7 +241,7 @@ def heard_behind_a_wrong_password(patch: MonkeyPatch) -> None:
     def listen(connection: Connection, error: NmesError) -> None:
         world = connection._host.find(None).world
         client = world.join()
-        for frame in connection._session._splitter.frames():
+        for frame in connection._session._splitter.feed(b""):
             world.handle(client, protocol.parse(frame))
         world.leave(client)
         refuse(connection, error)
@@ -311,14 +316,22 @@ def raw_auth_in_json(patch: MonkeyPatch) -> None:
 
 def _leniently(patch: MonkeyPatch, mend: Callable[[bytes], bytes | None]) -> None:
     """Has frames that are refused read again, as `mend` returns them."""
-    strict = messages._parse_json
 
     def parse(raw: bytes) -> Any:
-        value = strict(raw)
-        mended = mend(raw) if isinstance(value, RejectedMessage) else None
-        return value if mended is None else strict(mended)
+        try:
+            return parse_json(raw)
+        except RejectedMessage:
+            mended = mend(raw)
+            if mended is None:
+                raise
+            return parse_json(mended)
 
-    patch.setattr(messages, "_parse_json", parse)
+    _read_json_with(patch, parse)
+
+
+def _read_json_with(patch: MonkeyPatch, parse: Callable[[bytes], Any]) -> None:
+    for module in (messages, session):
+        patch.setattr(module, "parse_json", parse)
 
 
 @defect("4.1:nan", "4.1:nan-deep-inside", "4.10:nan")
@@ -335,18 +348,17 @@ def infinite_numbers_accepted(patch: MonkeyPatch) -> None:
 
 def _loosely(patch: MonkeyPatch, read: Callable[[bytes], Any]) -> None:
     """Has frames that are refused read by something else, which may refuse them too."""
-    strict = messages._parse_json
 
     def parse(raw: bytes) -> Any:
-        value = strict(raw)
-        if isinstance(value, RejectedMessage):
+        try:
+            return parse_json(raw)
+        except RejectedMessage as rejection:
             try:
                 return read(raw)
             except (ValueError, RecursionError):
-                return value
-        return value
+                raise rejection from None
 
-    patch.setattr(messages, "_parse_json", parse)
+    _read_json_with(patch, parse)
 
 
 @defect("4.1:duplicate-key", "4.1:duplicate-key-inside", "4.1:duplicate-key-escaped")
@@ -370,13 +382,13 @@ def broken_utf8_accepted(patch: MonkeyPatch) -> None:
 @defect("4.1:nested-201-deep")
 def depth_not_limited(patch: MonkeyPatch) -> None:
     """It reads JSON however deep it is nested."""
-    patch.setattr(messages, "_too_deep", lambda raw, value: False)
+    patch.setattr(documents, "_too_deep", lambda raw, value: False)
 
 
 @defect("4.6")
 def depth_limited_too_much(patch: MonkeyPatch) -> None:
     """It refuses JSON that is nested more than 100 deep."""
-    patch.setattr(messages, "NESTING", 100)
+    patch.setattr(documents, "NESTING", 100)
 
 
 @defect("4.1:byte-order-mark")
@@ -400,13 +412,12 @@ def the_rest_of_a_frame_ignored(patch: MonkeyPatch) -> None:
 @defect("4.2:list")
 def lists_of_commands(patch: MonkeyPatch) -> None:
     """It executes the first command of a list."""
-    strict = messages._parse_json
 
     def first(raw: bytes) -> Any:
-        value = strict(raw)
+        value = parse_json(raw)
         return value[0] if isinstance(value, list) and value else value
 
-    patch.setattr(messages, "_parse_json", first)
+    _read_json_with(patch, first)
 
 
 def _change_ids(patch: MonkeyPatch, change: Callable[[Any], Any]) -> None:
@@ -485,15 +496,15 @@ def long_frames_without_a_word(patch: MonkeyPatch) -> None:
 @defect("12.5", "15.8", limits=Limits(frame=1 << 20))
 def the_limit_of_a_frame_for_all(patch: MonkeyPatch) -> None:
     """It counts all that a connection sends, not each frame, against the limit of a frame."""
-    push = FrameSplitter.push
+    feed = FrameSplitter.feed
     sent: dict[int, int] = {}
 
-    def count(splitter: FrameSplitter, data: bytes) -> None:
-        push(splitter, data)
+    def count(splitter: FrameSplitter, data: bytes, most: int | None = None) -> list[bytes]:
         sent[id(splitter)] = sent.get(id(splitter), 0) + len(data)
         splitter.exceeded = splitter.exceeded or sent[id(splitter)] > splitter.limit // 8
+        return feed(splitter, data, most)
 
-    patch.setattr(FrameSplitter, "push", count)
+    patch.setattr(FrameSplitter, "feed", count)
 
 
 @defect("9.9", limits=Limits(connections=40))

@@ -13,7 +13,8 @@ from nmes import protocol
 from nmes.backend import JointSpec
 from nmes.backend.rotation import multiply, quaternion_from_euler
 from nmes.errors import RejectedMessage, WorldError
-from nmes.protocol import messages
+from nmes.protocol import messages, session
+from nmes.schemas.documents import CompiledSchema
 from nmes.world import World
 from nmes.world import entities as entities
 from nmes.world import joint_params as jointparams
@@ -268,31 +269,18 @@ def _before_checks(patch: MonkeyPatch, mend: Callable[[JsonObject], JsonObject])
 @defect("4.9", "2.18")
 def unknown_fields_refused(patch: MonkeyPatch) -> None:
     """It refuses commands, auth too, with fields that it does not know."""
-    find = messages._find_error
+    find, checked = messages.find_error, messages._check
 
-    def refuse(schemas: Any, message: Any, path: str, kind: str | None = None) -> RejectedMessage | None:
-        error = find(schemas, message, path, kind)
-        found = schemas.get("auth") or schemas.get(message.get("type"))
-        if error is None and found is not None:
-            unknown = sorted(set(message) - set(found.schema["properties"]) - {"id"})
-            if unknown:
-                return RejectedMessage("invalid", f"{unknown[0]}: there is no such field", unknown[0])
-        return error
+    def unknown(schema: CompiledSchema, message: JsonObject) -> RejectedMessage | None:
+        names = sorted(set(message) - set(schema.schema["properties"]) - {"id"})
+        return RejectedMessage("invalid", f"{names[0]}: there is no such field", names[0]) if names else None
 
     def check(command: JsonObject, path: str = "") -> RejectedMessage | None:
-        return refuse(protocol.COMMANDS, command, path) or checked(command, path)
+        return checked(command, path) or unknown(protocol.COMMANDS[command["type"]], command)
 
     # Only what the server reads: the suite reads replies in this process too.
-    checked = messages._check
     patch.setattr(messages, "_check", check)
-    read = protocol.Session._read_auth
-
-    def read_auth(session: protocol.Session, frame: bytes) -> protocol.Auth:
-        with MonkeyPatch.context() as inner:
-            inner.setattr(messages, "_find_error", refuse)
-            return read(session, frame)
-
-    patch.setattr(protocol.Session, "_read_auth", read_auth)
+    patch.setattr(session, "find_error", lambda schema, message: find(schema, message) or unknown(schema, message))
 
 
 @defect("4.11")
@@ -326,7 +314,7 @@ def any_parameter(patch: MonkeyPatch) -> None:
 def _errors(patch: MonkeyPatch, change: Callable[[JsonObject], JsonObject]) -> None:
     """Has errors told otherwise."""
     error_reply = protocol.error_reply
-    for module in (protocol, messages):
+    for module in (protocol, session):
         patch.setattr(module, "error_reply", lambda error, kind=None: change(error_reply(error, kind)))
 
 

@@ -1,0 +1,214 @@
+"""One connection's side of the protocol: framing, auth, and the two dialects.
+
+Invariants: how bytes are cut into pieces changes nothing; a stream that can no longer be trusted is a
+`Session.violation`, and nothing more comes out of it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final, Literal
+
+from nmes.errors import NmesError, RejectedMessage
+from nmes.protocol.messages import (
+    AUTH,
+    COMMANDS,
+    DELIMITER,
+    NO_ID,
+    Request,
+    decode,
+    encode,
+    error_reply,
+    find_error,
+    parse,
+)
+from nmes.schemas.documents import parse_json
+
+__all__ = ["Auth", "FrameSplitter", "Limits", "Session"]
+
+_WHITE: Final = b" \t\r\n"
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What a host allows one peer, and how many peers.
+
+    Attributes:
+        frame: Longest frame after auth, bytes.
+        auth_frame: Longest first frame, bytes.
+        auth_timeout: Time until the first frame must be there, s.
+        idle_timeout: Time without a frame in either direction after which a connection is closed, s.
+        pending: How much may wait to be read by a peer, or to be looked at by the host, bytes.
+        stall_timeout: Time for which a peer may leave unread what waits for it, s.
+        connections: How many connections a host holds.
+    """
+
+    frame: int = 1 << 20
+    auth_frame: int = 16 << 10
+    auth_timeout: float = 5.0
+    idle_timeout: float = 300.0
+    pending: int = 8 << 20
+    stall_timeout: float = 10.0
+    connections: int = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class Auth:
+    """The first frame of a connection; with an `error`, nothing but `dialect` and `id` means anything."""
+
+    dialect: Literal["json", "raw"]
+    password: str = field(default="", repr=False)
+    world: str | None = None
+    error: RejectedMessage | None = None
+    id: Any = NO_ID
+    list: bool = False
+
+
+class FrameSplitter:
+    """Cuts a stream of bytes into frames, in time linear in the stream however small the pieces.
+
+    Attributes:
+        limit: Longest frame, bytes; may be changed between frames.
+        exceeded: Whether a frame was longer. Nothing more comes out then.
+    """
+
+    def __init__(self, limit: int = Limits().frame) -> None:
+        self.limit = limit
+        self.exceeded = False
+        self._buffer = bytearray()
+        self._start = 0  # where the next frame begins
+        self._scanned = 0  # no delimiter begins before this
+
+    @property
+    def waiting(self) -> int:
+        """How many bytes wait to become frames."""
+        return len(self._buffer) - self._start
+
+    def feed(self, data: bytes, most: int | None = None) -> list[bytes]:
+        """Takes bytes and returns the frames that are complete, without the empty ones and white space around.
+
+        Args:
+            data: The bytes; none may be given to go on with what waits.
+            most: How many frames to return at most; the others wait.
+        """
+        if self._start:
+            del self._buffer[: self._start]
+            self._scanned -= self._start
+            self._start = 0
+        self._buffer += data
+        frames: list[bytes] = []
+        while not self.exceeded and len(frames) != most:
+            end = self._buffer.find(DELIMITER, self._scanned)
+            if end < 0:
+                self._scanned = max(self._start, len(self._buffer) - len(DELIMITER) + 1)
+                # Only what can no longer become a frame of the permitted length is too long, whatever comes next.
+                self.exceeded = self._scanned - self._start > self.limit
+                break
+            frame = bytes(self._buffer[self._start : end])
+            if len(frame) > self.limit:
+                self.exceeded = True
+                break
+            self._start = self._scanned = end + len(DELIMITER)
+            if frame := frame.strip(_WHITE):
+                frames.append(frame)
+        return frames
+
+
+class Session:
+    """The protocol's side of one connection: framing, auth, dialect.
+
+    The first frame comes out as an `Auth`; then the session waits, whatever else is received, until the host has
+    said `accept` or `refuse`. From then on Requests come out. After a `violation` nothing does.
+    """
+
+    def __init__(self, limits: Limits | None = None) -> None:
+        self.violation: RejectedMessage | None = None
+        self.dialect: Literal["json", "raw"] | None = None
+        self._limits = limits or Limits()
+        self._splitter = FrameSplitter(self._limits.auth_frame)
+        self._state: Literal["new", "waiting", "open", "closed"] = "new"
+        self._auth_id: Any = NO_ID
+
+    def receive(self, data: bytes) -> list[Auth | Request]:
+        """Takes what came in and returns what it means. Never raises; see `violation` afterwards.
+
+        What was received while waiting comes out of the next call after `accept`, which may be `receive(b"")`.
+        """
+        if self._state == "closed" or self.violation is not None:
+            return []
+        received: list[Auth | Request] = []
+        if self._state == "open":
+            received += map(parse, self._splitter.feed(data))
+        elif self._state == "new":
+            for frame in self._splitter.feed(data, 1):
+                received.append(self._read_auth(frame))
+                self._state = "waiting"
+        else:
+            self._splitter.feed(data, 0)
+        if self._splitter.exceeded:
+            self._violate(f"a frame is longer than {self._splitter.limit:,} bytes")
+        elif self._state == "waiting" and self._splitter.waiting > self._limits.pending:
+            self._violate(f"more than {self._limits.pending:,} bytes came before the answer to auth")
+        return received
+
+    def _violate(self, message: str) -> None:
+        self.violation = RejectedMessage("frame_too_large", message)
+
+    def _read_auth(self, frame: bytes) -> Auth:
+        if not frame.startswith(b"{"):
+            self.dialect = "raw"
+            try:
+                return Auth("raw", frame.decode())
+            except UnicodeDecodeError:
+                return Auth("raw", error=RejectedMessage("auth_failed", "the password is not valid UTF-8"))
+        self.dialect = "json"
+        try:
+            message = parse_json(frame)
+        except RejectedMessage as rejection:
+            # A key is repeated in quotation marks, and may be a password that got into the wrong place.
+            return Auth("json", error=RejectedMessage(rejection.code, rejection.message.split('"')[0].rstrip()))
+        self._auth_id = message.get("id", NO_ID)
+        if message.get("type") != "auth":
+            error: RejectedMessage | None = RejectedMessage("auth_failed", "the first message must be auth")
+        else:
+            error = find_error(AUTH, message)
+        if error is not None:
+            return Auth("json", error=error, id=self._auth_id)
+        return Auth("json", message["password"], message.get("world"), None, self._auth_id, message.get("list", False))
+
+    def accept(self, welcome: Mapping[str, Any]) -> bytes:
+        """Opens the session and returns the bytes that say so; `welcome` is `auth_success`, or `world_list`."""
+        self._state = "open"
+        self._splitter.limit = self._limits.frame
+        if self.dialect == "raw":
+            return b"auth_success" + DELIMITER
+        return encode(self._with_auth_id(dict(welcome))) + DELIMITER
+
+    def refuse(self, error: NmesError) -> bytes:
+        """Ends the session, opened or not, and returns the bytes that say why; the host sends them and closes."""
+        opened = self._state == "open"
+        self._state = "closed"
+        if self.dialect == "raw" and not opened:
+            return b"auth_failed" + DELIMITER
+        if opened or self.dialect is None:
+            return encode(error_reply(error)) + DELIMITER
+        return encode(self._with_auth_id(error_reply(error, "auth"))) + DELIMITER
+
+    def _with_auth_id(self, message: dict[str, Any]) -> dict[str, Any]:
+        return message if self._auth_id is NO_ID else {**message, "id": self._auth_id}
+
+    def reply(self, request: Request, reply: bytes) -> bytes:
+        """Returns the bytes to send for an encoded reply: none where the raw dialect is silent."""
+        command = COMMANDS.get(request.type) if self.dialect == "raw" and request.type is not None else None
+        if command is not None and command.silent:
+            return b""
+        if command is not None and command.bare:
+            message = decode(reply)
+            if message.get("type") == command.reply:
+                reply = encode({key: value for key, value in message.items() if key not in ("type", "id")})
+        return reply + DELIMITER
+
+    def event(self, event: bytes) -> bytes:
+        """Returns the bytes to send for an encoded event."""
+        return event + DELIMITER

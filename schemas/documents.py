@@ -1,0 +1,340 @@
+"""Documents: JSON data that people write and share, such as genomes, brains, tasks and world configs.
+
+Hides how a document is read strictly, judged by its schema, completed with its defaults, named by its hash, and found
+by a name or a path. What a kind of document means beyond its schema, its own package knows.
+"""
+
+from __future__ import annotations
+
+import copy
+import difflib
+import hashlib
+import json
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, Final
+
+import jiter
+import jsonschema_rs
+import orjson
+
+from nmes.errors import DocumentError, RejectedMessage
+from nmes.schemas import Schema, describe, load, load_all
+
+__all__ = [
+    "NESTING",
+    "CompiledSchema",
+    "JsonObject",
+    "Problem",
+    "ShippedDocuments",
+    "canonical_hash",
+    "check",
+    "compile_folder",
+    "compile_schema",
+    "complete",
+    "did_you_mean",
+    "excerpt",
+    "parse_document",
+    "parse_json",
+    "plain",
+    "problems",
+    "write_json",
+]
+
+JsonObject = dict[str, Any]
+
+NESTING: Final = 200
+"""How deep JSON may be nested."""
+_EXCERPT: Final = 80  # characters of somebody's value that a message repeats
+_WHOLE: Final = 2.0**53  # beyond this not every whole number is a float
+
+
+# -- JSON -------------------------------------------------------------------------------------------------------------
+
+
+def parse_json(text: bytes) -> Any:
+    """Reads strict JSON: no duplicate keys, no number that is infinite as a double, at most `NESTING` deep.
+
+    Raises:
+        RejectedMessage: It is not UTF-8 (`bad_frame`), or not strict JSON (`bad_json`).
+    """
+    try:
+        # jiter alone finds duplicate keys and keeps long integers exact; orjson alone refuses numbers that are
+        # infinite as a double (1e400). Both together cost less than looking for such numbers ourselves.
+        value = jiter.from_json(text, catch_duplicate_keys=True, allow_inf_nan=False)
+        orjson.loads(text)
+    except ValueError as error:
+        raise _rejection(text, error) from None
+    if len(text) > 2 * NESTING and _too_deep(text, value):
+        raise RejectedMessage("bad_json", f"nested more than {NESTING} deep")
+    return value
+
+
+def _rejection(text: bytes, error: ValueError) -> RejectedMessage:
+    try:
+        text.decode()
+    except UnicodeDecodeError as broken:
+        return RejectedMessage("bad_frame", f"invalid UTF-8 at byte {broken.start}")
+    return RejectedMessage("bad_json", f"not strict JSON: {_cut(str(error))}")  # it may repeat a key of any length
+
+
+def _too_deep(text: bytes, value: Any) -> bool:
+    if text.count(b"[") + text.count(b"{") <= NESTING:
+        return False
+    level: list[Any] = [value]
+    for _ in range(NESTING):
+        level = [
+            inner
+            for outer in level
+            if isinstance(outer, (list, dict))
+            for inner in (outer.values() if isinstance(outer, dict) else outer)
+        ]
+    return any(isinstance(inner, (list, dict)) for inner in level)
+
+
+def parse_document(text: bytes) -> Any:
+    """Reads the bytes of a document's file.
+
+    Raises:
+        DocumentError: It is not strict JSON.
+    """
+    try:
+        return parse_json(text)
+    except RejectedMessage as error:
+        raise DocumentError([("", error.message)]) from error
+
+
+def write_json(value: Any) -> bytes:
+    """Writes JSON without white space; numpy arrays become arrays, integers may have any length.
+
+    Raises:
+        TypeError: It holds something that JSON cannot.
+        ValueError: It holds a lone surrogate, or a number that JSON cannot.
+    """
+    try:
+        return orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY)
+    except TypeError:  # also an integer of more than 64 bits
+        return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
+
+
+def plain(value: Any) -> Any:
+    """Returns a deep copy of JSON data, numpy arrays as lists; what is no number (NaN) becomes null.
+
+    Raises:
+        DocumentError: It is not JSON data.
+    """
+    try:
+        return orjson.loads(write_json(value))
+    except (TypeError, ValueError, RecursionError) as error:
+        raise DocumentError([("", f"this is not JSON data: {error}")]) from None
+
+
+# -- schemas ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class CompiledSchema:
+    """The shape of one kind of message or document, free of references, and its compiled validator."""
+
+    type: str
+    schema: Schema
+    validator: jsonschema_rs.Draft202012Validator = field(repr=False)
+
+
+def compile_schema(path: str) -> CompiledSchema:
+    """Returns the compiled schema in a file, by its path under `schemas/`: `genome.json`."""
+    return _compiled(path.removesuffix(".json"), load(path))
+
+
+def compile_folder(folder: str) -> dict[str, CompiledSchema]:
+    """Returns the compiled schemas of a folder (`commands`, `replies`, `events`) by message type, sorted."""
+    return {kind: _compiled(kind, schema) for kind, schema in load_all(folder).items()}
+
+
+def _compiled(kind: str, schema: Schema) -> CompiledSchema:
+    return CompiledSchema(kind, schema, jsonschema_rs.Draft202012Validator(schema))
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """One value of a document that is not as its schema says.
+
+    Attributes:
+        keys: The keys and indices that lead to the value.
+        message: What is wrong with it, for a person.
+    """
+
+    keys: tuple[str | int, ...]
+    message: str
+
+    @property
+    def pointer(self) -> str:
+        """The JSON Pointer of the value, without its leading slash."""
+        return "/".join(str(key).replace("~", "~0").replace("/", "~1") for key in self.keys)
+
+
+def check(schema: CompiledSchema, value: Any) -> None:
+    """Holds a document to its schema.
+
+    Raises:
+        DocumentError: It is not as the schema says, with every problem.
+    """
+    found = [(problem.pointer, problem.message) for problem in problems(schema, value)]
+    if found:
+        raise DocumentError(found)
+
+
+def problems(schema: CompiledSchema, value: Any) -> Iterator[Problem]:
+    """Yields the problems that a schema has with a value; those of `x-when` only where there are no others."""
+    sound = True
+    for error in schema.validator.iter_errors(value):
+        sound = False
+        yield from _explain(schema.schema, error, value)
+    if sound:
+        yield from _misplaced(schema.schema, value, ())
+
+
+def _explain(schema: Schema, error: jsonschema_rs.ValidationError, value: Any) -> Iterator[Problem]:
+    """Yields the problems of one failed keyword."""
+    keys, kind = tuple(error.instance_path), error.kind
+    around = _at(schema, error.schema_path[:-1])
+    if isinstance(kind, jsonschema_rs.ValidationErrorKind.Required):
+        missing = around.get("properties", {}).get(kind.property, {})
+        yield Problem((*keys, kind.property), f"is missing; expected {describe(missing)}")
+    elif isinstance(kind, jsonschema_rs.ValidationErrorKind.AdditionalProperties):
+        for name in kind.unexpected:
+            yield Problem((*keys, name), "there is no such field" + did_you_mean(name, around["properties"]))
+    else:
+        actual = "" if "x-secret" in around else f", got {excerpt(_at(value, keys))}"
+        yield Problem(keys, f"expected {describe(around)}{actual}")
+
+
+def _misplaced(schema: Schema, value: Mapping[str, Any], keys: tuple[str | int, ...]) -> Iterator[Problem]:
+    """Yields the fields that are there, or are not, against `x-when`, in a value that is otherwise sound."""
+    parts = schema.get("properties", {})
+    for name, part in parts.items():
+        if "x-when" in part and value.get("type", parts["type"].get("default")) not in part["x-when"]:
+            if name in value:
+                yield Problem((*keys, name), f"only where type is {' or '.join(part['x-when'])}")
+            continue
+        if name not in value and "x-when" in part and "default" not in part:
+            yield Problem((*keys, name), f"is missing; expected {describe(part)}")
+        inner = value.get(name, part.get("default"))
+        if part.get("type") == "object" and inner is not None:
+            yield from _misplaced(part, inner, (*keys, name))
+        elif part.get("items", {}).get("type") == "object" and inner is not None:
+            for index, item in enumerate(inner):
+                yield from _misplaced(part["items"], item, (*keys, name, index))
+
+
+def _at(value: Any, keys: Iterable[str | int]) -> Any:
+    for key in keys:
+        value = value[key]
+    return value
+
+
+def complete(schema: Schema, value: Mapping[str, Any]) -> JsonObject:
+    """Returns a sound document with its defaults filled in; fields that hold a whole number become ints.
+
+    A field with `x-when` is filled in only where `type` is one of those. What stands in the document keeps its order,
+    what is filled in follows in the schema's.
+    """
+    full = dict(value)
+    for name, part in schema.get("properties", {}).items():
+        if "x-when" in part and full["type"] not in part["x-when"]:
+            continue
+        if name in full:
+            full[name] = _completed(part, full[name])
+        elif "default" in part:
+            full[name] = _completed(part, copy.deepcopy(part["default"]))
+    return full
+
+
+def _completed(schema: Schema, value: Any) -> Any:
+    kind = schema.get("type")
+    if kind == "object":
+        return complete(schema, value)
+    if kind == "integer":
+        return int(value)  # to JSON Schema 1.0 is an integer too
+    items = schema.get("items", {})
+    return [complete(items, item) for item in value] if items.get("type") == "object" else value
+
+
+# -- names ------------------------------------------------------------------------------------------------------------
+
+
+def canonical_hash(document: Any) -> str:
+    """Returns the SHA-256 of a document in canonical form, 64 hexadecimal digits.
+
+    Canonical is: UTF-8, no white space, keys sorted by their code points, whole numbers below 2^53 without a
+    fraction (`10` for `10.0`), others as the shortest decimal that is the same double.
+    """
+    return hashlib.sha256(orjson.dumps(_canonical(document), option=orjson.OPT_SORT_KEYS)).hexdigest()
+
+
+def _canonical(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _canonical(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [_canonical(item) for item in value]
+    if isinstance(value, float) and value.is_integer() and abs(value) < _WHOLE:
+        return int(value)
+    return value
+
+
+@dataclass(frozen=True, slots=True)
+class ShippedDocuments:
+    """The documents of one kind that ship with the package, a file each.
+
+    Attributes:
+        kind: What one is called in messages, as in "there is no task".
+        package: The package that has the files.
+        folder: The folder inside it.
+    """
+
+    kind: str
+    package: str
+    folder: str
+
+    def names(self) -> tuple[str, ...]:
+        """Returns the names of all of them, sorted."""
+        entries = (entry.name for entry in (files(self.package) / self.folder).iterdir())
+        return tuple(sorted(name.removesuffix(".json") for name in entries if name.endswith(".json")))
+
+    def read(self, name: str | Path) -> bytes:
+        """Returns the bytes of the file at a path or, where there is none, of the shipped document of that name.
+
+        Raises:
+            DocumentError: There is neither, or the file cannot be read.
+        """
+        try:
+            return Path(name).read_bytes()
+        except (FileNotFoundError, IsADirectoryError, NotADirectoryError) as error:
+            names = self.names()
+            if str(name) in names:
+                return (files(self.package) / self.folder / f"{name}.json").read_bytes()
+            hint = did_you_mean(str(name), names) or f"; there are {', '.join(names)}"
+            message = f"there is no {self.kind} {str(name)!r}, nor such a file ({error.strerror}){hint}"
+            raise DocumentError([("", message)]) from error
+        except OSError as error:
+            raise DocumentError([("", f"cannot read {name}: {error.strerror}")]) from error
+
+
+# -- words ------------------------------------------------------------------------------------------------------------
+
+
+def did_you_mean(name: str | int, known: Iterable[str]) -> str:
+    """Returns `; did you mean leg?`, to stand behind a message about an unknown name, or nothing if none is near."""
+    near = difflib.get_close_matches(str(name)[:_EXCERPT], known, n=1)
+    return f"; did you mean {near[0]}?" if near else ""
+
+
+def excerpt(value: Any) -> str:
+    """Returns the beginning of a value's JSON, for a message: `<` escaped, as it is on the wire."""
+    return _cut(write_json(value).decode().replace("<", "\\u003c"))
+
+
+def _cut(text: str) -> str:
+    return text if len(text) <= _EXCERPT else text[: _EXCERPT - 3] + "..."
