@@ -2,18 +2,9 @@
 
 from __future__ import annotations
 
-from nmes.evaluation.evaluator import (
-    Episode,
-    Evaluation,
-    Job,
-    Proof,
-    Result,
-    brain_of,
-    evaluate,
-    evaluate_all,
-    prove,
-    scores_so_far,
-)
+from nmes.evaluation.episode import Episode, Result, brain_of
+from nmes.evaluation.evaluator import Evaluation, Job, evaluate, evaluate_all
+from nmes.evaluation.proof import Proof, prove, scores_so_far
 from nmes.evaluation.task import Limits, Task
 
 __all__ = [

@@ -31,7 +31,7 @@ from nmes.errors import LeaderboardError, NmesError
 from nmes.evaluation.parallel import Lost, in_processes
 
 if TYPE_CHECKING:
-    from nmes.evaluation.evaluator import Proof
+    from nmes.evaluation.proof import Proof
 
 __all__ = ["Entry", "Leaderboard"]
 
@@ -276,9 +276,7 @@ class Leaderboard:
 
 def _examine(work: tuple[Entry, list[str]]) -> str | None:
     """Returns why recordings do not prove an entry, or None."""
-    from nmes.evaluation.evaluator import (
-        prove,  # here, since whoever looks at a list needs no engine: that takes seconds
-    )
+    from nmes.evaluation.proof import prove  # here, since whoever looks at a list needs no engine: that takes seconds
 
     entry, paths = work
     scores = []

@@ -1,0 +1,203 @@
+"""Proof of a score: a recorded episode, run again and scored from its log alone.
+
+Invariant: what `prove` returns was reproduced tick by tick, in the very world of the task, and nothing but the
+creature's own motors was touched.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from hashlib import file_digest
+from itertools import chain, islice
+
+import numpy as np
+import orjson
+
+from nmes import protocol
+from nmes.backend import Array
+from nmes.errors import ProofError, RecordingError, WorldError
+from nmes.evaluation.episode import ANY_CONTROLS, METADATA, Episode, Result, Step, brain_of
+from nmes.evaluation.task import CREATURE, Task
+from nmes.genome import Genome
+from nmes.playback.compare import replay
+from nmes.protocol import Request
+from nmes.recording import Kind, Recording
+from nmes.world import World
+
+__all__ = ["Proof", "prove", "scores_so_far"]
+
+
+@dataclass(frozen=True, slots=True)
+class Proof:
+    """What a recording proves: how one episode came out.
+
+    Attributes:
+        genome: The creature.
+        task: The task.
+        result: The episode's, computed from the log.
+        path: The recording.
+        recording_hash: SHA-256 of the file, hexadecimal.
+        fingerprint: What the last bits depend on.
+    """
+
+    genome: Genome
+    task: Task
+    result: Result
+    path: str
+    recording_hash: str
+    fingerprint: Mapping[str, str]
+
+
+def prove(recording: str | os.PathLike[str], *, brain: bool = False) -> Proof:
+    """Runs a recorded episode again and scores it, from its log alone.
+
+    The commands must be those that set up the task's world with this creature in it, and then only drive its motors.
+
+    Args:
+        recording: The file.
+        brain: Compare the controls too with what the genome's brain gives; else they may come from anywhere.
+
+    Raises:
+        RecordingError: It cannot be read.
+        ProofError: It proves nothing: it is no recorded episode (`not_an_evaluation`), was made on another machine or
+            with other versions (`not_comparable`), ends too early (`damaged`), or something in it comes out otherwise,
+            or was done otherwise, than recorded (`diverged`); the message has the frame.
+        DocumentError: Its task or its genome is not as it must be.
+    """
+    source = Recording(recording)
+    checker, task, genome = _check(source, brain)
+    with open(recording, "rb") as file:
+        digest = file_digest(file, "sha256").hexdigest()
+    return Proof(genome, task, checker.result(), str(recording), digest, source.fingerprint)
+
+
+def scores_so_far(recording: Recording) -> Array:
+    """Returns the score that an episode would have had at each of its ticks, had it ended there.
+
+    Args:
+        recording: The episode's. It is run again as by `prove`.
+
+    Returns:
+        Array (n, 2) of times since the recording began, s, and of values; where there is none, NaN.
+
+    Raises:
+        RecordingError, ProofError, DocumentError: As by `prove`.
+    """
+    checker, task, _genome = _check(recording, False)
+    values = checker.scores_so_far()
+    ticks = task.settle_ticks + np.arange(len(values))
+    return np.stack([ticks / task.tick_rate, values], axis=1)
+
+
+def _check(recording: Recording, brain: bool) -> tuple[_Checker, Task, Genome]:
+    """Runs a recorded episode again; returns the checker that followed it to its end without finding fault."""
+    task, genome, seed = _recorded_episode(recording)
+    if recording.config != protocol.complete_config(task.world_config(seed)):
+        raise ProofError("diverged", f"{recording.path}, frame 0: the world is not the task's")
+    driver = brain_of(genome) if brain else None
+    logged = not brain and "brain" in genome.document
+    checker = _Checker(lambda world: Episode(world, genome, driver, task, seed, logged=logged))
+    try:
+        report = replay(recording, watch=checker)
+        if report.verdict == "not_comparable":
+            unlike = ", ".join(f"{name} {was}, here {here}" for name, (was, here) in report.differences.items())
+            raise ProofError("not_comparable", f"it was recorded with another {unlike}")
+        if report.divergence is not None:
+            frame = report.divergence.frame
+            raise ProofError("diverged", f"it diverges at frame {frame}: {report.divergence.message}")
+        if report.damage is not None:
+            raise ProofError("damaged", report.damage)
+        checker.result()
+    except (ProofError, RecordingError, WorldError) as error:
+        raise ProofError(error.code, f"{recording.path}: {error.message}") from error
+    return checker, task, genome
+
+
+def _recorded_episode(recording: Recording) -> tuple[Task, Genome, int]:
+    """Returns the task, the creature and the seed that a recording says it is of.
+
+    Raises:
+        ProofError: It is no recorded episode (`not_an_evaluation`).
+    """
+    about = recording.metadata.get(METADATA)
+    begin, first = islice(chain(recording, (None, None)), 2)  # one that goes on from another begins with a keyframe
+    spawn = None
+    if begin is not None and begin.kind is Kind.JOINED and first is not None and first.kind is Kind.COMMAND:
+        spawn = protocol.parse(first.data).command
+    if about is None or not {"task", "seed"} <= about.keys() or spawn is None or spawn["type"] != "spawn_creature":
+        raise ProofError("not_an_evaluation", f"{recording.path} is no recording of `nmes eval`")
+    return Task(orjson.loads(about["task"])), Genome(spawn["genome"]), int(about["seed"])
+
+
+class _Checker:
+    """Follows a replay, and compares each of its inputs with the episode's next step."""
+
+    def __init__(self, make: Callable[[World], Episode]) -> None:
+        self._make = make
+        self._episode: Episode | None = None
+        self._steps: Iterator[Step] = iter(())
+        self._next: Step = None
+        self._over = False
+
+    def __call__(self, world: World, request: Request | None) -> None:
+        """Takes one input, after it has acted."""
+        if self._episode is None:
+            self._episode = self._make(world)
+            self._steps = self._episode.steps()
+            self._advance()
+        if self._over:
+            raise _divergence(world, f"{_input(request)} after the end of the episode")
+        if not _agree(self._next, request):
+            raise _divergence(world, f"{_input(request)} where there should be {_expected(self._next)}")
+        self._advance()
+
+    def _advance(self) -> None:
+        try:
+            self._next = next(self._steps)
+        except StopIteration:
+            self._over = True
+
+    def result(self) -> Result:
+        """Returns the episode's result.
+
+        Raises:
+            ProofError: The recording ends before the episode does (`damaged`).
+        """
+        if self._episode is None or not self._over:
+            raise ProofError("damaged", "the recording ends before the episode does")
+        return self._episode.result()
+
+    def scores_so_far(self) -> Array:
+        """Returns the objective's value at the start and after each tick, array (n,)."""
+        assert self._episode is not None
+        return self._episode.scores_so_far()
+
+
+def _agree(step: Step, request: Request | None) -> bool:
+    """Whether a recorded input is the step that there should be."""
+    if step is None or request is None:
+        return step is None and request is None
+    if isinstance(step, bytes):
+        return request.raw == step
+    command = request.command
+    if command is None or command["type"] != "drive" or command["creature"] != CREATURE:
+        return False
+    return step is ANY_CONTROLS or np.array_equal(np.array(command["controls"], float), np.asarray(step))
+
+
+def _divergence(world: World, what: str) -> ProofError:
+    return ProofError("diverged", f"at frame {world.frame} it has {what}")
+
+
+def _input(request: Request | None) -> str:
+    return "a tick" if request is None else f"the command {request.type or 'that was refused'}"
+
+
+def _expected(step: Step) -> str:
+    if step is None:
+        return "a tick"
+    if isinstance(step, bytes):
+        return f"another {protocol.decode(step)['type']}"
+    return "what the brain does" if isinstance(step, np.ndarray) else "a drive of the creature"
