@@ -1,7 +1,6 @@
-"""What a world's history is told to, as it happens: a recorder that keeps it, a replay that compares it, a watcher.
+"""The listener to a world's history: a recorder that keeps it, a replay that compares it, a watcher.
 
-It hides nothing: it is the order and the words in which a history is told. A world calls in the order of its history;
-whoever listens sees every input before it acts, and every digest after its tick.
+A world calls its journal in the order of its history: every input before it acts, every digest after its tick.
 """
 
 from __future__ import annotations
@@ -14,28 +13,38 @@ __all__ = ["Journal"]
 
 
 class Journal(Protocol):
-    """Where a world's history goes: a recorder, or a replay that compares. Called in the order of the history.
+    """Base of all listeners to a world's history; each method does nothing unless it is overridden.
 
-    A journal that cannot keep what it is told raises RecordingError, and the world faults with its code.
+    A journal that cannot keep what happened raises RecordingError, and the world faults with that error's code. The
+    recorder does not inherit from it, but has the same methods: reading recordings must not load worlds.
     """
+
+    # `return` makes each method a default that subclasses inherit; without it a type checker takes it for abstract.
 
     def joined(self, client: int) -> None:
         """A client came."""
+        return
 
     def left(self, client: int) -> None:
         """A client went."""
+        return
 
     def received(self, client: int, request: Request) -> None:
         """A frame came from a client; it is executed next."""
+        return
 
     def replied(self, client: int, request: Request, reply: bytes) -> None:
         """The frame was executed; `reply` is encoded, without delimiter."""
+        return
 
     def ticked(self, frame: int, digest: bytes) -> None:
-        """The world reached `frame`."""
+        """The world reached `frame`; the digest is of its whole state."""
+        return
 
     def keyframe(self, snapshot: bytes) -> None:
         """The world was saved, as its config says that it is now and then."""
+        return
 
     def faulted(self, frame: int, code: str, message: str) -> None:
         """The world stopped at `frame`."""
+        return

@@ -29,6 +29,7 @@ from nmes.backends.mujoco3d.scenery import Scenery
 from nmes.errors import SimulationFault
 from nmes.playback.compare import replay
 from nmes.recording import Recorder
+from nmes.world.journal import Journal
 
 STEP = 1 / 240
 NONE: Vector = (0.0, 0.0, 0.0)
@@ -669,16 +670,11 @@ def test_a_program_gives_the_same_world_again_looked_at_or_not(number: int) -> N
     assert not [reply for reply in replies if reply.get("code") in ("internal", "world_faulted")]
 
 
-class Onlooker:
+class Onlooker(Journal):
     """A journal that looks at all poses after some ticks, as a recorder does, and keeps nothing."""
 
     def __init__(self, watched: World) -> None:
         self.watched = watched
-
-    def _pass(self, *args: Any) -> None:
-        pass
-
-    joined = left = received = replied = keyframe = faulted = _pass
 
     def ticked(self, frame: int, digest: bytes) -> None:
         if frame % 6 == 0:

@@ -61,7 +61,7 @@ def test_a_recording_is_what_the_journal_was_told_in_that_order(busy_file: Path)
     world = World({"backend": "ballistic", "mode": "lockstep"}, journal=(script := Script()))
     busy(world, world.join())
     recording = Recording(busy_file)
-    assert told_by(recording) == script.told
+    assert told_by(recording) == script.entries
     assert recording.complete
     assert [item.sequence for item in recording] == sorted({item.sequence for item in recording})
 

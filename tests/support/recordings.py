@@ -15,6 +15,7 @@ from nmes.protocol import Request, parse
 from nmes.recording import Recorder
 from nmes.recording.mcapfile import Writer
 from nmes.world import World
+from nmes.world.journal import Journal
 
 
 class Line(NamedTuple):
@@ -28,32 +29,32 @@ class Line(NamedTuple):
 Edit = Callable[[list[Line]], list[Line]]
 
 
-class Script:
-    """A journal that keeps everything it is told."""
+class Script(Journal):
+    """A journal that keeps a tuple for each call, in order."""
 
     def __init__(self) -> None:
-        self.told: list[tuple[Any, ...]] = []
+        self.entries: list[tuple[Any, ...]] = []
 
     def joined(self, client: int) -> None:
-        self.told.append(("joined", client))
+        self.entries.append(("joined", client))
 
     def left(self, client: int) -> None:
-        self.told.append(("left", client))
+        self.entries.append(("left", client))
 
     def received(self, client: int, request: Request) -> None:
-        self.told.append(("command" if request.error is None else "refused", client, request.raw))
+        self.entries.append(("command" if request.error is None else "refused", client, request.raw))
 
     def replied(self, client: int, request: Request, reply: bytes) -> None:
-        self.told.append(("reply", client, reply))
+        self.entries.append(("reply", client, reply))
 
     def ticked(self, frame: int, digest: bytes) -> None:
-        self.told.append(("tick", frame, digest.hex()))
+        self.entries.append(("tick", frame, digest.hex()))
 
     def keyframe(self, snapshot: bytes) -> None:
-        self.told.append(("keyframe", snapshot))
+        self.entries.append(("keyframe", snapshot))
 
     def faulted(self, frame: int, code: str, message: str) -> None:
-        self.told.append(("fault", frame, code, message))
+        self.entries.append(("fault", frame, code, message))
 
 
 def record(

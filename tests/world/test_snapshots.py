@@ -27,8 +27,8 @@ Seen = list[tuple[Any, ...]]
 def watched(world: World) -> Seen:
     """Returns the list that all goes into that a world does and says from now on."""
     script = world.journal = Script()
-    world.emit = lambda client, event: script.told.append(("event", client, event))
-    return script.told
+    world.emit = lambda client, event: script.entries.append(("event", client, event))
+    return script.entries
 
 
 @settings(max_examples=60, deadline=None)
