@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-from nmes.recording.reader import (
-    FORMAT,
-    PROFILE,
-    REFUSED_LIMIT,
-    Kind,
-    Record,
-    Recorder,
-    Recording,
-    Start,
-    Summary,
-)
+from nmes.recording.reader import Recording
+from nmes.recording.recorder import Recorder
+from nmes.recording.records import FORMAT, PROFILE, REFUSED_LIMIT, Kind, Record
+from nmes.recording.seeking import Start
+from nmes.recording.summary import Summary
 
 __all__ = [
     "FORMAT",

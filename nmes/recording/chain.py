@@ -14,9 +14,8 @@ import orjson
 from mcap.records import Channel
 
 from nmes.errors import RecordingError
-from nmes.recording.mcapfile import (
+from nmes.recording.mcap_format import (
     MESSAGE_OVERHEAD,
-    Block,
     DamagedFile,
     Message,
     Skim,
@@ -24,6 +23,7 @@ from nmes.recording.mcapfile import (
     skim_chunk,
     split_chunk,
 )
+from nmes.recording.mcap_reader import Block
 from nmes.recording.records import BOXES, KEYFRAMES, SEQUENCE_MASK, Kind, Record, next_head
 from nmes.schemas import load
 

@@ -1,14 +1,12 @@
-"""Recordings: one world's history written down as it happens, and read again.
+"""The reader of recordings: one world's history, in order, as far as the file is sound.
 
 A recording is an MCAP file (docs/recording-format.md) that holds a world's inputs in order: who came and went, every
-frame that clients sent, every tick with its digest, and the replies. A `Recorder` is the journal of a live world; a
-`Recording` reads such a file, and needs no world and no engine for that: `nmes.playback` runs it again.
+frame that clients sent, every tick with its digest, and the replies. A `Recording` reads such a file, and needs no
+world and no engine for that: `nmes.playback` runs it again.
 
 Invariants:
 
 - File order is the order of the history, and a message's sequence number is its place in it.
-- What a client sent is kept byte for byte. Passwords never get here: a client joins after it was authenticated.
-- Recording does not change what a world does: it only asks for poses. Keyframes are the world's own.
 - A SHA-256 chain runs over the metadata and every chunk, each chunk ending with its head, so that no byte of the
   history can be changed, dropped or moved without breaking it. Checksums of the single records stand before the head:
   the chain shows whether a chunk is as it was written, they show which record is not.
@@ -19,10 +17,7 @@ Invariants:
 from __future__ import annotations
 
 import os
-from bisect import bisect_right
-from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, TypeVar
@@ -31,90 +26,21 @@ import orjson
 
 from nmes import protocol
 from nmes.errors import NmesError, RecordingError
-from nmes.recording.chain import Chain, keyframe_ticks
-from nmes.recording.mcapfile import (
-    Block,
-    DamagedFile,
-    Reader,
-)
-from nmes.recording.recorder import Recorder
-from nmes.recording.records import (
-    END,
-    FORMAT,
-    FORMATS,
-    KEYFRAMES,
-    PROFILE,
-    REFUSED_LIMIT,
-    Kind,
-    Record,
-    next_head,
-)
+from nmes.recording.chain import Chain
+from nmes.recording.mcap_format import DamagedFile
+from nmes.recording.mcap_reader import Block, Reader
+from nmes.recording.records import END, FORMAT, FORMATS, PROFILE, Record, next_head
+from nmes.recording.seeking import Start, beginning, last_keyframe
+from nmes.recording.summary import Summary, summarize
 
-__all__ = [
-    "FORMAT",
-    "PROFILE",
-    "REFUSED_LIMIT",
-    "Kind",
-    "Record",
-    "Recorder",
-    "Recording",
-    "Start",
-    "Summary",
-]
+__all__ = ["Recording"]
 
-_Taken = TypeVar("_Taken")
+_Part = TypeVar("_Part")
 _NEVER = 2**63  # a frame that no world comes to
-_ERROR = b'{"type":"error",'  # how the world's encoder begins an error
-
-
-@dataclass(slots=True)
-class Summary:
-    """What a recording holds, counted.
-
-    Attributes:
-        clients: How many came.
-        commands: How many of each type were executed, also those that the world answered with an error.
-        refused: How many frames were no valid command.
-        errors: How many replies were errors.
-        ticks: How many there were, over all resets.
-        keyframes: How often the world was saved.
-        faults: How often the world stopped.
-        began: Wall clock of the first record, ns since 1970; 0 when there is none.
-        ended: The same of the last.
-    """
-
-    clients: int = 0
-    commands: Counter[str] = field(default_factory=Counter)
-    refused: int = 0
-    errors: int = 0
-    ticks: int = 0
-    keyframes: int = 0
-    faults: int = 0
-    began: int = 0
-    ended: int = 0
-
-    def _count(self, record: Record) -> None:
-        match record:
-            case Record(kind=Kind.JOINED):
-                self.clients += 1
-            case Record(kind=Kind.COMMAND):
-                self.commands[protocol.parse(record.data).type or "invalid"] += 1
-            case Record(kind=Kind.REFUSED):
-                self.refused += 1
-            case Record(kind=Kind.REPLY):
-                self.errors += record.data.startswith(_ERROR)
-            case Record(kind=Kind.TICKS, about={"digests": digests}):
-                self.ticks += len(digests)
-            case Record(kind=Kind.KEYFRAME):
-                self.keyframes += 1
-            case Record(kind=Kind.FAULT):
-                self.faults += 1
-        self.began = self.began or record.wall
-        self.ended = record.wall
 
 
 class Recording:
-    """A recording to read.
+    """A recorded history.
 
     Iterating yields its records in file order, as often as one likes, up to the damage if there is any.
 
@@ -122,9 +48,9 @@ class Recording:
         path: The file.
         metadata: Its metadata records by name (schemas/recording_metadata.json).
         config: The world's complete config, seed included.
-        fingerprint: What the run's numbers depended on.
-        size: Of the file, in bytes.
-        end: What it states of itself at its end (`nmes.end`); empty until all of it was read and is sound.
+        fingerprint: The versions, binaries and processor that the run's numbers depended on.
+        size: The size of the file in bytes.
+        end: Its closing metadata (`nmes.end`); empty until all of it was read and is sound.
         stopped: Why the last reading ended before the file does, if it did.
 
     Raises:
@@ -145,28 +71,32 @@ class Recording:
         self._checked = False
         self.end: dict[str, str] = {}
         self.metadata: dict[str, dict[str, str]] = {}
-        beginning, reason = b"", ""
+        self._read_metadata()
+
+    def _read_metadata(self) -> None:
+        """Reads the metadata at the beginning, and with them config, fingerprint and the first head of the chain."""
+        metadata, reason = b"", ""
         try:
             for block in self._reader.blocks():
                 if block.metadata is None or block.metadata.name == END:
                     break
                 self.metadata[block.metadata.name] = block.metadata.metadata
-                beginning += block.content
+                metadata += block.content
         except DamagedFile as error:
             reason = f": {error.message}"
-        self._head = next_head(b"", beginning)
+        self._head = next_head(b"", metadata)
         written = self.metadata.get("nmes.recording", {}).get("format", FORMAT)
         if written not in FORMATS:
             known = " and ".join(sorted(FORMATS))
             raise RecordingError(
-                "unknown_format", f"{path} is a recording of format {written}; this nmes reads formats {known}"
+                "unknown_format", f"{self.path} is a recording of format {written}; this nmes reads formats {known}"
             )
         try:
             protocol.validate_metadata(self.metadata)
             self.config: dict[str, Any] = protocol.complete_config(orjson.loads(self.metadata["nmes.world"]["config"]))
         except (NmesError, ValueError) as error:
             reason = reason or f": {error}"
-            raise RecordingError("not_a_recording", f"{path} does not say how its world began{reason}") from None
+            raise RecordingError("not_a_recording", f"{self.path} does not say how its world began{reason}") from None
         self.fingerprint = self.metadata["nmes.fingerprint"]
 
     @property
@@ -198,27 +128,28 @@ class Recording:
         """
         return self._walk(Chain.records, start)
 
-    def _walk(self, take: Callable[[Chain, Block], _Taken], start: Start | None = None) -> Iterator[tuple[int, _Taken]]:
-        """Goes through the chunks, and notes where that ends."""
-        chain = Chain(self._head) if start is None else start._chain.copy()
-        offset = None if start is None else start._offset
+    def _walk(self, read: Callable[[Chain, Block], _Part], start: Start | None = None) -> Iterator[tuple[int, _Part]]:
+        """Reads chunk after chunk, and keeps where and why that ends.
+
+        Args:
+            read: Called with the chain and each chunk; its result is yielded.
+            start: Where to begin; None: at the beginning.
+        """
+        chain = Chain(self._head) if start is None else start.chain.copy()
+        offset = None if start is None else start.offset
         self.stopped = None
         end: dict[str, str] = {}
         try:
             for block in self._reader.blocks(offset):
                 if block.metadata is None:
-                    yield block.offset + block.size, take(chain, block)
+                    yield block.offset + block.size, read(chain, block)
                 elif block.metadata.name == END:
                     end = block.metadata.metadata
             if (end.get("head"), end.get("records")) != (chain.head.hex(), str(chain.sequence)):
                 raise DamagedFile(self.size, "the file's closing metadata do not belong to its records")
             self.end = end
         except DamagedFile as error:
-            read = f"read up to record {chain.sequence - 1}" if chain.sequence else "no record can be read"
-            which = None if error.content is None else chain.first_bad(error.content)
-            told = "" if which is None else f"; record {which} is not as it was written"
-            self.stopped = DamagedFile(error.offset, f"{error.message}{told}; {read}", cut=error.cut)
-            self.stopped.record = which
+            self.stopped = _explained(error, chain)
         if offset is None:
             self._damage, self._checked = self.stopped, True
 
@@ -242,90 +173,40 @@ class Recording:
             raise RecordingError("no_such_frame", f"{self.path} begins at frame {first.frame}; it has no frame {frame}")
         if frame == first.frame or not self.config.get("keyframes"):
             return first
-        return self._indexed(frame) or self._scanned(frame) or first
+        return last_keyframe(self._reader, self._head, frame) or first
 
     @cached_property
     def _first(self) -> Start:
-        """The beginning."""
-        chain, snapshot = Chain(self._head), None
-        try:
-            block = next((block for block in self._reader.blocks() if block.metadata is None), None)
-            if block is not None:
-                snapshot = chain.copy().keyframe(block)
-        except DamagedFile:
-            pass  # whoever reads from here will be told
-        return Start(0 if snapshot is None else keyframe_ticks(snapshot), snapshot, None, chain)
-
-    def _indexed(self, frame: int) -> Start | None:
-        """Finds the last keyframe before a frame by the file's summary; None where that is of no use."""
-        summary = self._reader.summary()
-        if summary is None:
-            return None
-        chain = Chain(self._head)
-        for channel in summary.channels:
-            chain.define(channel)
-        channels = {channel.id for channel in summary.channels if channel.topic == KEYFRAMES}
-        places = [i for i, (_, held) in enumerate(summary.chunks) if held & channels]
-
-        def found(i: int) -> Start:
-            block = self._reader.block(summary.chunks[i][0])
-            snapshot = chain.keyframe(block)
-            if snapshot is None:
-                raise DamagedFile(block.offset, "the summary does not fit the chunks")
-            return Start(keyframe_ticks(snapshot), snapshot, block.offset, chain)
-
-        try:
-            count = bisect_right(places, frame, key=lambda i: found(i).frame)
-            if count == 0:
-                return None
-            chain.follow(self._reader.block(summary.chunks[places[count - 1] - 1][0]) if places[count - 1] else None)
-            return found(places[count - 1])
-        except (DamagedFile, RecordingError):
-            return None  # what the file is like will come out when it is read from its beginning
-
-    def _scanned(self, frame: int) -> Start | None:
-        """Finds the last keyframe before a frame by reading all that comes before."""
-        chain, best = Chain(self._head), None
-        try:
-            for block in self._reader.blocks():
-                if block.metadata is None:
-                    before = chain.copy()
-                    chain.check(block)
-                    snapshot = chain.keyframe(block)
-                    if snapshot is not None:
-                        ticks = keyframe_ticks(snapshot)
-                        if ticks > frame:
-                            break
-                        best = Start(ticks, snapshot, block.offset, before)
-        except (DamagedFile, RecordingError):
-            pass  # what comes before the damage is sound
-        return best
+        return beginning(self._reader, self._head)
 
     @property
     def last_frame(self) -> int:
-        """The frame to which it comes, counted on through resets; read from its last keyframe on."""
+        """The frame with which it ends, counted on through resets; read from its last keyframe on."""
         start = self.start(_NEVER)
         return start.frame + _count_ticks(self.records(start))
 
     def require_beginning(self, who: str) -> None:
-        """Refuses a recording that begins at a keyframe, on behalf of somebody who cannot take one up.
+        """Refuses a recording that begins at a keyframe, on behalf of a server or an engine that cannot restore one.
+
+        Args:
+            who: The server or the engine, as it is called in the message.
 
         Raises:
-            RecordingError: It does (`unsupported`).
+            RecordingError: The recording begins at a keyframe (`unsupported`).
         """
         if self._first.snapshot is not None:
             begins = f"it begins at frame {self._first.frame}, in a running world of {self.config['backend']}"
             raise RecordingError("unsupported", f"{self.path} cannot be run on {who}: {begins}")
 
     def lineage(self, frame: int) -> dict[str, str]:
-        """Returns what a recording that goes on from a frame of this one says of its parent (`nmes.parent`)."""
+        """Makes the metadata `nmes.parent` of a recording that is forked from this one at a frame."""
         start = self.start(frame)
-        ticks, head = start.frame, start._chain.head
+        ticks, head = start.frame, start.chain.head
 
-        def take(chain: Chain, block: Block) -> tuple[list[Record], bytes]:
+        def read(chain: Chain, block: Block) -> tuple[list[Record], bytes]:
             return chain.records(block), chain.head
 
-        for _, (records, after) in self._walk(take, start):
+        for _, (records, after) in self._walk(read, start):
             ticks, head = ticks + _count_ticks(records), after
             if ticks > frame:
                 break
@@ -333,31 +214,18 @@ class Recording:
 
     def summary(self) -> Summary:
         """Counts what is in the recording, by reading all of it."""
-        result = Summary()
-        for record in self:
-            result._count(record)
-        return result
+        return summarize(self)
 
 
 def _count_ticks(records: Iterable[Record]) -> int:
-    return sum(len(record.about["digests"]) for record in records if record.kind is Kind.TICKS and record.about)
+    return sum(len(record.digests) for record in records)
 
 
-@dataclass(frozen=True, slots=True)
-class Start:
-    """A place from which a recording can be read.
-
-    Attributes:
-        frame: Which frame it is, counted on through resets.
-        snapshot: What the world is there; None: a new one.
-    """
-
-    frame: int
-    snapshot: bytes | None
-    _offset: int | None
-    _chain: Chain
-
-    @property
-    def within(self) -> bool:
-        """Whether something was recorded before it."""
-        return self._offset is not None
+def _explained(error: DamagedFile, chain: Chain) -> DamagedFile:
+    """Adds to a damage which record it is in, as far as that can be known, and how many come before it."""
+    extent = f"read up to record {chain.sequence - 1}" if chain.sequence else "no record can be read"
+    number = None if error.content is None else chain.first_bad(error.content)
+    place = "" if number is None else f"; record {number} is not as it was written"
+    damage = DamagedFile(error.offset, f"{error.message}{place}; {extent}", cut=error.cut)
+    damage.record = number
+    return damage

@@ -1,9 +1,13 @@
 """The writer of recordings: one world's history written down as it happens.
 
 It hides how little that costs a world (notes now, records later), when a chunk is written and the chain's next head
-made, and what the file's end says. What a recording is, `nmes.recording` says.
+made, and what the file's end says. A `Recorder` is the journal of a live world; `nmes.recording.reader` reads its file.
 
-Invariants: what was flushed is never changed; whatever keeps the file from being written is raised, and from then on.
+Invariants:
+
+- What was flushed is never changed; whatever keeps the file from being written is raised, and from then on.
+- What a client sent is kept byte for byte. Passwords never get here: a client joins after it was authenticated.
+- Recording does not change what a world does: it only asks for poses. Keyframes are the world's own.
 """
 
 from __future__ import annotations
@@ -24,7 +28,8 @@ from nmes.backend.fingerprint import VERSION, fingerprint
 from nmes.errors import RecordingError, SimulationFault, WorldError
 from nmes.protocol import Request
 from nmes.recording import viewer_messages as scene
-from nmes.recording.mcapfile import Writer, message_checksums
+from nmes.recording.mcap_format import message_checksums
+from nmes.recording.mcap_writer import Writer
 from nmes.recording.records import BOXES, END, FORMAT, KEYFRAMES, PROFILE, REFUSED_LIMIT, SEQUENCE_MASK, next_head
 from nmes.schemas import load
 

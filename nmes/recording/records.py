@@ -1,6 +1,6 @@
-"""What the writer, the readers and the feeders of recordings share: the kinds of records, the hash chain, the format.
+"""The records of a recording: their kinds, their hash chain, and the names that its format fixes.
 
-See `nmes.recording`, of which this is a part.
+The reader, the writer and whoever runs a recording again share them.
 """
 
 from __future__ import annotations
@@ -22,13 +22,14 @@ __all__ = [
     "Kind",
     "Record",
     "next_head",
+    "numbered_ticks",
 ]
 
 PROFILE: Final = "nmes"
 FORMAT: Final = "2"
 FORMATS: Final = frozenset({"1", FORMAT})  # that can be read: version 1 had no keyframes
 REFUSED_LIMIT: Final = 64 << 10  # bytes of a refused frame that are kept
-PARENT: Final = "nmes.parent"  # the metadata record that says of which recording this one is a branch
+PARENT: Final = "nmes.parent"  # the metadata record that says of which recording this one is a fork
 END: Final = "nmes.end"  # the metadata record that closes a file
 KEYFRAMES: Final = "keyframes"  # their topic
 BOXES: Final = "/boxes/"  # how the topic of a cube's box begins
@@ -36,7 +37,7 @@ SEQUENCE_MASK: Final = 0xFFFFFFFF  # MCAP's sequence numbers have 32 bits
 
 
 class Kind(StrEnum):
-    """What a record tells."""
+    """The kinds of records."""
 
     JOINED = "joined"
     LEFT = "left"
@@ -55,14 +56,14 @@ class Record(NamedTuple):
     """One message of a recording.
 
     Attributes:
-        kind: What it tells.
+        kind: Its kind.
         sequence: Its place in the world's history.
         time: Simulation time in ns.
         wall: The recorder's clock, ns since 1970.
-        client: Whom it is about, if anybody.
+        client: The number of the client that it is about, if it is about one.
         data: Its bytes: verbatim for a command, a refused frame and a reply; of a keyframe a snapshot of the world.
-        about: What those of our own say (who came or went, ticks, faults): their JSON, as its schema says. Of a box,
-            whose it is (`cube`). Else None.
+        about: The JSON of the recorder's own records (clients, ticks, faults), as its schema says. Of a box, the name
+            of its `cube`. Else None.
     """
 
     kind: Kind
@@ -72,6 +73,32 @@ class Record(NamedTuple):
     client: int | None
     data: bytes
     about: dict[str, Any] | None = None
+
+    @property
+    def digests(self) -> list[str]:
+        """The digests of its ticks in hexadecimal; empty for a record of another kind."""
+        return self.about["digests"] if self.kind is Kind.TICKS and self.about is not None else []
+
+    @property
+    def ticks(self) -> list[tuple[int, str]]:
+        """Its ticks, each with the frame that it led to and its digest; empty for a record of another kind."""
+        return numbered_ticks(self.about) if self.kind is Kind.TICKS and self.about is not None else []
+
+    @property
+    def last_frame(self) -> int:
+        """The frame that the last of its ticks led to.
+
+        Raises:
+            ValueError: It is no record of ticks.
+        """
+        if self.kind is not Kind.TICKS or self.about is None:
+            raise ValueError(f"record {self.sequence} is of kind {self.kind}, which has no ticks")
+        return int(self.about["frame"]) + len(self.digests) - 1
+
+
+def numbered_ticks(about: dict[str, Any]) -> list[tuple[int, str]]:
+    """Returns the ticks in the JSON of a record of ticks, each with the frame that it led to and its digest."""
+    return list(enumerate(about["digests"], about["frame"]))
 
 
 def next_head(head: bytes, content: bytes | bytearray | memoryview) -> bytes:

@@ -113,7 +113,7 @@ def test_nothing_is_told_before_it_is_on_disk(tmp_path: Path, monkeypatch: pytes
     def fsync(number: int) -> None:
         synced.append(os.fstat(number).st_size)
 
-    monkeypatch.setattr("nmes.recording.mcapfile.os.fsync", fsync)
+    monkeypatch.setattr("nmes.recording.mcap_writer.os.fsync", fsync)
     with served(record_to=tmp_path, flush_interval=0) as server, server.peer() as peer:
         (path,) = tmp_path.iterdir()
         for i in range(5):
@@ -129,7 +129,7 @@ def test_nothing_is_told_before_it_is_on_disk(tmp_path: Path, monkeypatch: pytes
 
 
 def test_without_being_asked_nobody_waits_for_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nmes.recording.mcapfile.os.fsync", None)
+    monkeypatch.setattr("nmes.recording.mcap_writer.os.fsync", None)
     with served(record_to=tmp_path) as server, server.client() as client:
         assert client.ping()
 
@@ -142,7 +142,7 @@ def test_what_the_disk_does_not_take_is_not_told(tmp_path: Path, monkeypatch: py
         def fails(number: int) -> None:
             raise OSError(5, "Input/output error")
 
-        monkeypatch.setattr("nmes.recording.mcapfile.os.fsync", fails)
+        monkeypatch.setattr("nmes.recording.mcap_writer.os.fsync", fails)
         with pytest.raises((CommandFailed, Disconnected)) as info:
             client.spawn_cube("b")
         assert info.value.code == "recording_failed"
@@ -178,7 +178,7 @@ def test_a_recorder_keeps_its_interval(tmp_path: Path, monkeypatch: pytest.Monke
 
 def test_commit_brings_all_to_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[int] = []
-    monkeypatch.setattr("nmes.recording.mcapfile.os.fsync", calls.append)
+    monkeypatch.setattr("nmes.recording.mcap_writer.os.fsync", calls.append)
     world = World({"backend": "ballistic", "mode": "lockstep"})
     recorder = world.journal = Recorder(tmp_path / "x.mcap", world, flush_interval=0)
     client = world.join()

@@ -19,7 +19,7 @@ from nmes.cli import main
 from nmes.errors import RecordingError
 from nmes.playback import states, world_at
 from nmes.playback.compare import replay
-from nmes.recording import Kind, Recorder, Recording, mcapfile
+from nmes.recording import Kind, Recorder, Recording, mcap_reader
 from nmes.world import World
 from recordings import Line, record, rewrite, send
 
@@ -233,7 +233,7 @@ def test_what_was_not_read_is_not_judged(long_file: Path, tmp_path: Path) -> Non
 
 def test_a_seek_reads_little(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     read: list[int] = []
-    unpacked = mcapfile._unpacked
+    unpacked = mcap_reader._unpacked
 
     def count(body: bytes, decompressor: Any, offset: int) -> bytes:
         read.append(offset)
@@ -241,7 +241,7 @@ def test_a_seek_reads_little(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
 
     recording = Recording(record(tmp_path / "x.mcap", long, {"keyframes": 1 / 60}))
     chunks = len(list(recording.chunks()))
-    monkeypatch.setattr("nmes.recording.mcapfile._unpacked", count)
+    monkeypatch.setattr("nmes.recording.mcap_reader._unpacked", count)
     assert 90 < recording.start(100).frame <= 100
     assert len(read) < 3 + math.log2(chunks) < chunks / 8
 

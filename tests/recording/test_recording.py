@@ -27,7 +27,9 @@ from nmes import protocol
 from nmes.backend.fingerprint import DECISIVE, differences
 from nmes.errors import RecordingError
 from nmes.recording import REFUSED_LIMIT, Kind, Record, Recorder, Recording
-from nmes.recording.mcapfile import MAGIC, DamagedFile, Message, Reader, Writer, skim_chunk, split_chunk
+from nmes.recording.mcap_format import MAGIC, DamagedFile, Message, skim_chunk, split_chunk
+from nmes.recording.mcap_reader import Reader
+from nmes.recording.mcap_writer import Writer
 from nmes.recording.viewer_messages import ROOT, decode_poses
 from nmes.world import World
 from recordings import Script, busy, record, rewrite, send
@@ -509,7 +511,8 @@ def test_records_in_the_wrong_place_are_damage(busy_file: Path, tmp_path: Path) 
 def test_records_longer_than_a_reader_takes_are_neither_written_nor_read(
     busy_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("nmes.recording.mcapfile.MAX_RECORD", 2000)
+    monkeypatch.setattr("nmes.recording.mcap_reader.MAX_RECORD", 2000)
+    monkeypatch.setattr("nmes.recording.mcap_writer.MAX_RECORD", 2000)
     damage = Recording(busy_file).damage
     assert damage is not None and "says that it is" in damage.message
     writer = Writer(tmp_path / "x.mcap", profile="test", library="")
@@ -611,7 +614,7 @@ def test_a_file_that_cannot_be_begun_is_told(tmp_path: Path) -> None:
 
 
 def test_more_clients_than_a_file_can_hold_fault_the_world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("nmes.recording.mcapfile.MAX_CHANNELS", 20)
+    monkeypatch.setattr("nmes.recording.mcap_writer.MAX_CHANNELS", 20)
     world = World({"backend": "ballistic", "mode": "lockstep"})
     recorder = world.journal = Recorder(tmp_path / "x.mcap", world)
     for _ in range(12):

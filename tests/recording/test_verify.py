@@ -16,7 +16,8 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from nmes.cli import main
 from nmes.errors import RecordingError, SigningError
 from nmes.recording import Kind, Recording
-from nmes.recording.mcapfile import Message, Reader, message_checksums, split_chunk
+from nmes.recording.mcap_format import Message, message_checksums, split_chunk
+from nmes.recording.mcap_reader import Reader
 from nmes.recording.signing import check_signature, private_key, public_key, sign
 from recordings import Line, busy, commands_of, record, rewrite
 

@@ -360,7 +360,7 @@ def test_what_is_told_while_it_is_away_is_on_disk(tmp_path: Path, monkeypatch: p
     with gated(record_to=tmp_path, flush_interval=0) as (server, gate), server.peer() as peer:
         (path,) = tmp_path.iterdir()
         peer.ask({"type": "subscribe", "events": ["tick"]})
-        monkeypatch.setattr("nmes.recording.mcapfile.os.fsync", fsync)
+        monkeypatch.setattr("nmes.recording.mcap_writer.os.fsync", fsync)
         peer.say({"type": "step", "ticks": 4})
         for frame in (1, 2, 3):
             gate.wait()
@@ -386,7 +386,7 @@ def test_what_the_disk_does_not_take_while_it_is_away_is_not_told(
         def fails(number: int) -> None:
             raise OSError(5, "Input/output error")
 
-        monkeypatch.setattr("nmes.recording.mcapfile.os.fsync", fails)
+        monkeypatch.setattr("nmes.recording.mcap_writer.os.fsync", fails)
         gate.open()
         told = [json.loads(frame) for frame in watcher.rest()]
         assert [(message["type"], message["code"]) for message in told] == [

@@ -13,7 +13,7 @@ from mcap.stream_reader import StreamReader
 
 from nmes.protocol import Request, parse
 from nmes.recording import Recorder
-from nmes.recording.mcapfile import Writer
+from nmes.recording.mcap_writer import Writer
 from nmes.world import World
 from nmes.world.journal import Journal
 

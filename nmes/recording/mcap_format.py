@@ -1,0 +1,203 @@
+"""The bytes of an MCAP file that its reader and its writer share: records, the messages of a chunk, checksums.
+
+MCAP is a container of others, with a package of theirs. That package's writer keeps a chunk in memory for as long as it
+likes and its readers meet damage with whatever exception comes first; so here, and in `mcap_writer` and `mcap_reader`,
+the container is written and read over that package's record types. Nothing of it knows of worlds: topics, metadata
+and what the messages mean are `nmes.recording`'s.
+"""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator, Sequence
+from io import BytesIO
+from typing import NamedTuple, TypeVar
+
+from mcap.data_stream import ReadDataStream, RecordBuilder
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.records import Channel, ChunkIndex, DataEnd, Header, McapRecord, Metadata
+
+from nmes.errors import RecordingError
+
+__all__ = [
+    "FOOTER",
+    "MAGIC",
+    "MAX_RECORD",
+    "MESSAGE",
+    "MESSAGE_FIELDS",
+    "MESSAGE_OVERHEAD",
+    "OPCODE_MESSAGE",
+    "PREFIX",
+    "DamagedFile",
+    "Message",
+    "Skim",
+    "encoded",
+    "message_checksums",
+    "parsed",
+    "skim_chunk",
+    "split_chunk",
+]
+
+MAGIC = b"\x89MCAP0\r\n"
+MAX_RECORD = 256 << 20  # bytes; also of a chunk when unpacked
+PREFIX = struct.Struct("<BQ")  # opcode, length of what follows
+MESSAGE = struct.Struct("<BQHIQQ")  # the same, then channel, sequence, log time, publish time
+FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, checksum
+OPCODE_MESSAGE = int(Opcode.MESSAGE)
+MESSAGE_OVERHEAD = MESSAGE.size  # bytes of a message record beside its data
+MESSAGE_FIELDS = MESSAGE.size - PREFIX.size
+_SKIMMED = struct.Struct("<BQHI")  # as much of a message as tells whose it is
+
+_Record = TypeVar("_Record", Header, Metadata, ChunkIndex, Channel, DataEnd)
+
+
+class DamagedFile(RecordingError):
+    """A file can no longer be read from some place on.
+
+    Attributes:
+        offset: Where in the file the first unreadable byte or record is.
+        cut: Whether the file simply ends there, as it does when its writer was killed; everything before is whole.
+        content: Of a chunk that does not match its checksum: what it holds all the same, if it could be unpacked.
+        record: The number of the first message that is not as it was written, where that can be told.
+    """
+
+    def __init__(self, offset: int, message: str, *, cut: bool = False, content: bytes | None = None) -> None:
+        """Makes an error about the byte at `offset`; the attributes are those of the class."""
+        super().__init__("recording_cut" if cut else "recording_damaged", message)
+        self.offset = offset
+        self.cut = cut
+        self.content = content
+        self.record: int | None = None
+
+
+class Message(NamedTuple):
+    """One message of a channel; the times are in ns."""
+
+    channel: int
+    sequence: int
+    log_time: int
+    publish_time: int
+    data: bytes
+
+
+def encoded(*records: McapRecord) -> bytes:
+    """Returns the bytes of records of the `mcap` package, one behind the other."""
+    builder = RecordBuilder()
+    for record in records:
+        record.write(builder)
+    data: bytes = builder.end()  # type: ignore[no-untyped-call]
+    return data
+
+
+def parsed(kind: type[_Record], body: bytes, offset: int) -> _Record:
+    """Reads one of the `mcap` package's records from its body.
+
+    Raises:
+        DamagedFile: The bytes are no such record; `offset` is where it stands.
+    """
+    try:
+        record: _Record = kind.read(ReadDataStream(BytesIO(body)))
+        return record
+    except (McapError, ValueError, struct.error) as error:
+        name = kind.__name__.lower()
+        raise DamagedFile(offset, f"the {name} record at byte {offset} cannot be read") from error
+
+
+def split_chunk(content: bytes) -> Iterator[Message | Channel]:
+    """Yields a chunk's messages and channels in order; the schemas are for other readers.
+
+    Raises:
+        ValueError: It does not consist of whole records.
+    """
+    position, size = 0, len(content)
+    unpack, prefix, header = MESSAGE.unpack_from, PREFIX.size, MESSAGE.size
+    while position < size:
+        if content[position] == Opcode.MESSAGE and position + header <= size:
+            _, length, channel, sequence, log_time, publish_time = unpack(content, position)
+            end = position + prefix + length
+            if length < header - prefix or end > size:
+                raise ValueError("a message does not fit into its chunk")
+            yield Message(channel, sequence, log_time, publish_time, content[position + header : end])
+        else:
+            if position + prefix > size:
+                raise ValueError("a record does not fit into its chunk")
+            opcode, length = PREFIX.unpack_from(content, position)
+            end = position + prefix + length
+            if end > size:
+                raise ValueError("a record does not fit into its chunk")
+            if opcode == Opcode.CHANNEL:
+                yield parsed(Channel, content[position + prefix : end], position)
+        position = end
+
+
+class Skim(NamedTuple):
+    """The messages of a chunk as columns, their data not copied.
+
+    Attributes:
+        channels: The channel of each message, in order.
+        sequences: The sequence number of each message.
+        lengths: The length of each message's record in bytes, without its type and length.
+        ends: Where each message's record ends in the chunk.
+        definitions: The channels that are defined in it, each with how many messages stand before it.
+    """
+
+    channels: Sequence[int]
+    sequences: Sequence[int]
+    lengths: Sequence[int]
+    ends: Sequence[int]
+    definitions: list[tuple[int, Channel]]
+
+    def data(self, content: bytes, number: int) -> bytes:
+        """Returns the data of one of its messages."""
+        end = self.ends[number]
+        return content[end - self.lengths[number] + MESSAGE_FIELDS : end]
+
+
+def skim_chunk(content: bytes) -> Skim:
+    """Returns the columns of a chunk, many times faster than `split_chunk`; raises the same."""
+    records: list[tuple[int, int, int, int]] = []
+    ends: list[int] = []
+    # A chunk has thousands of messages. This loop does what must be done for each; the rest is done for all at once.
+    add, end, unpack, prefix = records.append, ends.append, _SKIMMED.unpack_from, PREFIX.size
+    position, size = 0, len(content)
+    try:
+        while position < size:
+            record = unpack(content, position)
+            add(record)
+            position += prefix + record[1]
+            end(position)
+    except struct.error:
+        position = -1
+    if position != size:
+        raise ValueError("a record does not fit into its chunk")
+    definitions: list[tuple[int, Channel]] = []
+    if [record[0] for record in records].count(OPCODE_MESSAGE) < len(records):
+        messages: list[tuple[tuple[int, int, int, int], int]] = []
+        for record, stop in zip(records, ends, strict=True):
+            if record[0] == OPCODE_MESSAGE:
+                messages.append((record, stop))
+            elif record[0] == Opcode.CHANNEL:
+                start = stop - record[1]
+                definitions.append((len(messages), parsed(Channel, content[start:stop], start - prefix)))
+        records, ends = [record for record, _ in messages], [stop for _, stop in messages]
+    if not records:
+        return Skim((), (), (), (), definitions)
+    _, lengths, channels, sequences = zip(*records, strict=True)
+    if min(lengths) < MESSAGE_FIELDS:
+        raise ValueError("a message does not fit into its chunk")
+    return Skim(channels, sequences, lengths, ends, definitions)
+
+
+def message_checksums(content: bytes | bytearray) -> Iterator[int]:
+    """Yields the CRC-32 of each of a chunk's message records, until something is no record."""
+    position, size, view = 0, len(content), memoryview(content)
+    while position + PREFIX.size <= size:
+        opcode, length = PREFIX.unpack_from(content, position)
+        end = position + PREFIX.size + length
+        if end > size:
+            return
+        if opcode == OPCODE_MESSAGE:
+            yield zlib.crc32(view[position:end])
+        position = end

@@ -1,0 +1,277 @@
+"""The writer of MCAP files: a crash costs one chunk at most.
+
+Invariants of a written file:
+
+- What `flush` wrote stays as it is: later flushes append. `seal` writes the end (summary, footer) that ordinary MCAP
+  readers ask for behind it; the next flush removes that end again and goes on.
+- Every message lies in a chunk, and every chunk is followed by one message index for each channel in it.
+- Every byte of a sealed file is covered by a checksum: chunk, data section and summary.
+"""
+
+from __future__ import annotations
+
+import os
+import struct
+import sys
+import zlib
+from array import array
+from collections.abc import Mapping
+from pathlib import Path
+
+import zstandard
+from mcap.opcode import Opcode
+from mcap.records import (
+    Channel,
+    Chunk,
+    ChunkIndex,
+    DataEnd,
+    Header,
+    Metadata,
+    MetadataIndex,
+    Schema,
+    Statistics,
+    SummaryOffset,
+)
+
+from nmes.errors import RecordingError
+from nmes.recording.mcap_format import (
+    FOOTER,
+    MAGIC,
+    MAX_RECORD,
+    MESSAGE,
+    MESSAGE_FIELDS,
+    OPCODE_MESSAGE,
+    PREFIX,
+    encoded,
+)
+
+__all__ = ["MAX_CHANNELS", "Writer"]
+
+MAX_CHANNELS = 0xFFFF
+_INDEX = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
+_LEVEL = 1  # of zstd: digests do not compress, and what does is already small at the fastest level
+
+
+class Writer:
+    """Writes one file. Every failure of the operating system becomes a RecordingError (`recording_failed`).
+
+    Messages, schemas and channels gather in an open chunk until `flush`. There is no thread and no timer in here.
+
+    Attributes:
+        open_chunk: The bytes of the open chunk so far; others may read them.
+    """
+
+    def __init__(self, path: str | os.PathLike[str], *, profile: str, library: str) -> None:
+        """Creates the file; one that exists already is never overwritten."""
+        self.path = Path(path)
+        try:
+            self._file = open(self.path, "xb", buffering=0)
+        except FileExistsError:
+            raise RecordingError("recording_failed", f"{self.path} exists already") from None
+        except OSError as error:
+            raise RecordingError("recording_failed", f"cannot create {self.path}: {error.strerror}") from error
+        self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
+        self._schemas: list[Schema] = []
+        self._channels: list[Channel] = []
+        self._metadata: list[MetadataIndex] = []
+        self._chunks: list[ChunkIndex] = []
+        self._counts: dict[int, int] = {}
+        self.open_chunk = bytearray()
+        self._index: dict[int, array[int]] = {}  # its messages by channel: log time, offset, log time, offset...
+        self._end = 0  # where the data section ends so far, and its checksum
+        self._crc = 0
+        self._sealed = False
+        self._synced = 0  # how much was written when the disk last had all of it; and how much has been
+        self._written = 0
+        self._append(MAGIC + encoded(Header(profile=profile, library=library)))
+
+    @property
+    def size(self) -> int:
+        """Bytes in the file, the end that `seal` wrote not counted."""
+        return self._end
+
+    def metadata(self, name: str, values: Mapping[str, str]) -> bytes:
+        """Writes a metadata record at once (ahead of the open chunk) and returns its bytes."""
+        record = encoded(Metadata(name=name, metadata=dict(values)))
+        self._metadata.append(MetadataIndex(offset=self._end, length=len(record), name=name))
+        self._append(record)
+        return record
+
+    def schema(self, name: str, encoding: str, data: bytes) -> int:
+        """Adds a schema to the open chunk and returns its number."""
+        schema = Schema(id=len(self._schemas) + 1, name=name, encoding=encoding, data=data)
+        self._schemas.append(schema)
+        self._add_definition(schema)
+        return schema.id
+
+    def channel(self, topic: str, encoding: str, schema: int = 0) -> int:
+        """Adds a channel to the open chunk and returns its number."""
+        channel = Channel(
+            id=len(self._channels) + 1, topic=topic, message_encoding=encoding, schema_id=schema, metadata={}
+        )
+        if channel.id > MAX_CHANNELS:
+            raise RecordingError("recording_failed", f"a file holds at most {MAX_CHANNELS:,} channels; begin a new one")
+        self._channels.append(channel)
+        self._counts[channel.id] = 0
+        self._add_definition(channel)
+        return channel.id
+
+    def add(self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes) -> None:
+        """Adds a message to the open chunk; the fields are those of `Message`."""
+        # The hot path of every recording. The message is packed at once, while it is in the processor's caches, and
+        # nothing of it is kept but bytes.
+        chunk = self.open_chunk
+        index = self._index.get(channel)
+        if index is None:
+            index = self._index[channel] = array("Q")
+        index.append(log_time)
+        index.append(len(chunk))
+        chunk += MESSAGE.pack(OPCODE_MESSAGE, len(data) + MESSAGE_FIELDS, channel, sequence, log_time, publish_time)
+        chunk += data
+
+    def flush(self) -> None:
+        """Hands the open chunk to the operating system; nothing to do when it has no message."""
+        if not self._index:
+            return
+        if len(self.open_chunk) > MAX_RECORD:
+            size = len(self.open_chunk)
+            raise RecordingError("recording_failed", f"a chunk of {size} bytes is more than a reader takes")
+        first = min(min(entries[::2]) for entries in self._index.values())
+        last = max(max(entries[::2]) for entries in self._index.values())
+        compressed = self._compressor.compress(self.open_chunk)
+        chunk = encoded(
+            Chunk(
+                message_start_time=first,
+                message_end_time=last,
+                uncompressed_size=len(self.open_chunk),
+                uncompressed_crc=zlib.crc32(self.open_chunk),
+                compression="zstd",
+                data=compressed,
+            )
+        )
+        offsets, indexes = self._message_indexes(self._end + len(chunk))
+        index = ChunkIndex(
+            message_start_time=first,
+            message_end_time=last,
+            chunk_start_offset=self._end,
+            chunk_length=len(chunk),
+            message_index_offsets=offsets,
+            message_index_length=len(indexes),
+            compression="zstd",
+            compressed_size=len(compressed),
+            uncompressed_size=len(self.open_chunk),
+        )
+        self._append(chunk + indexes)
+        self._chunks.append(index)
+        for channel, entries in self._index.items():
+            self._counts[channel] += len(entries) // 2
+        self.open_chunk, self._index = bytearray(), {}
+
+    def _message_indexes(self, offset: int) -> tuple[dict[int, int], bytes]:
+        """Returns the index of the open chunk's messages, one record a channel, and where each is if they begin there.
+
+        The counts of messages are taken from the entries afterwards: on a big-endian machine these are swapped here.
+        """
+        indexes: list[bytes] = []
+        offsets: dict[int, int] = {}
+        for channel, entries in self._index.items():
+            offsets[channel] = offset
+            size = 8 * len(entries)
+            if sys.byteorder == "big":  # pragma: no cover - MCAP is little-endian
+                entries.byteswap()
+            indexes.append(_INDEX.pack(Opcode.MESSAGE_INDEX, size + 6, channel, size) + entries.tobytes())
+            offset += len(indexes[-1])
+        return offsets, b"".join(indexes)
+
+    def seal(self, name: str, values: Mapping[str, str]) -> None:
+        """Flushes, then writes one last metadata record and the file's end, so that every MCAP reader can read it."""
+        self.flush()
+        self._unseal()
+        last = encoded(Metadata(name=name, metadata=dict(values)))
+        indexes = [*self._metadata, MetadataIndex(offset=self._end, length=len(last), name=name)]
+        data_end = encoded(DataEnd(data_section_crc=zlib.crc32(last, self._crc)))
+        statistics = Statistics(
+            message_count=sum(self._counts.values()),
+            schema_count=len(self._schemas),
+            channel_count=len(self._channels),
+            attachment_count=0,
+            metadata_count=len(indexes),
+            chunk_count=len(self._chunks),
+            message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
+            message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
+            channel_message_counts=self._counts,
+        )
+        start = self._end + len(last) + len(data_end)
+        summary, offsets = self._summary(start, statistics, indexes)
+        # The summary's checksum covers the footer too, up to the checksum itself.
+        footer = FOOTER.pack(Opcode.FOOTER, FOOTER.size - PREFIX.size, start, offsets, 0)[:-4]
+        crc = struct.pack("<I", zlib.crc32(footer, zlib.crc32(summary)))
+        self._write(b"".join((last, data_end, summary, footer, crc, MAGIC)))
+        self._sealed = True
+
+    def _summary(self, start: int, statistics: Statistics, metadata: list[MetadataIndex]) -> tuple[bytes, int]:
+        """Returns the summary, which begins at `start`, and where in the file its own table of offsets begins."""
+        groups: list[bytes] = []
+        offsets: list[SummaryOffset] = []
+        for opcode, records in (
+            (Opcode.SCHEMA, self._schemas),
+            (Opcode.CHANNEL, self._channels),
+            (Opcode.STATISTICS, [statistics]),
+            (Opcode.CHUNK_INDEX, self._chunks),
+            (Opcode.METADATA_INDEX, metadata),
+        ):
+            group = encoded(*records)
+            if group:
+                groups.append(group)
+                offsets.append(SummaryOffset(group_opcode=opcode, group_start=start, group_length=len(group)))
+                start += len(group)
+        return b"".join((*groups, encoded(*offsets))), start
+
+    def sync(self) -> None:
+        """Waits until the disk has all written bytes, and the first time until the folder has the file."""
+        try:
+            if self._written != self._synced:
+                os.fsync(self._file.fileno())
+                if not self._synced and hasattr(os, "O_DIRECTORY"):
+                    folder = os.open(self.path.parent, os.O_RDONLY | os.O_DIRECTORY)
+                    try:
+                        os.fsync(folder)
+                    finally:
+                        os.close(folder)
+                self._synced = self._written
+        except OSError as error:
+            raise self._failure(error) from error
+
+    def close(self) -> None:
+        """Closes the file as it is: without `seal` it stays without an end."""
+        self._file.close()
+
+    def _add_definition(self, record: Schema | Channel) -> None:
+        self.open_chunk += encoded(record)
+
+    def _append(self, data: bytes) -> None:
+        self._unseal()
+        self._write(data)
+        self._end += len(data)
+        self._crc = zlib.crc32(data, self._crc)
+
+    def _unseal(self) -> None:
+        if self._sealed:
+            try:
+                self._file.seek(self._end)
+                self._file.truncate()
+            except OSError as error:
+                raise self._failure(error) from error
+            self._sealed = False
+
+    def _write(self, data: bytes) -> None:
+        rest = memoryview(data)
+        try:
+            while rest:
+                rest = rest[self._file.write(rest) :]
+            self._written += len(data)
+        except OSError as error:
+            raise self._failure(error) from error
+
+    def _failure(self, error: OSError) -> RecordingError:
+        return RecordingError("recording_failed", f"cannot write {self.path}: {error.strerror}")
