@@ -207,7 +207,7 @@ class _Observer:
 
     def _note_with_touches(self) -> None:
         trajectory = self.trajectory
-        trajectory.touches[self._track.rows] = self._world.touches(self._cubes, trajectory.cast.body)
+        trajectory.touches[self._track.rows] = self._world.touches(self._cubes, trajectory.bodies.body)
         self._track.note()
 
     def look(self) -> str | None:

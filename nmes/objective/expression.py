@@ -1,4 +1,4 @@
-"""Objectives and conditions: expressions over what an episode left, in Google's Common Expression Language (CEL).
+"""Objectives and conditions: expressions over a trajectory's quantities, in Google's Common Expression Language (CEL).
 
 Hides CEL, and how names become numbers. An expression is read once: its syntax, the names in it and the kinds of its
 values are judged before anything is run, and what is wrong is refused with its place. It can add, compare and choose,
@@ -185,9 +185,9 @@ class _Expression:
         return f"{type(self).__name__}({self.text!r})"
 
     def _run(self, values: Mapping[Quantity, float]) -> Any:
-        given: dict[str, Any] = {f"v{i}": float(values[quantity]) for i, quantity in enumerate(self.needs)}
-        given.update(self._functions)
-        return self._program.execute(given)
+        variables: dict[str, Any] = {f"v{i}": float(values[quantity]) for i, quantity in enumerate(self.needs)}
+        variables.update(self._functions)
+        return self._program.execute(variables)
 
 
 def _compile(text: str) -> Any:
@@ -197,7 +197,7 @@ def _compile(text: str) -> Any:
 
 
 class Objective(_Expression):
-    """An expression that gives a number: what something is worth."""
+    """An expression that gives a number: a score, a fitness, a reward."""
 
     _kind = "number"
 
@@ -248,17 +248,17 @@ class _Reader:
         self._next = 0
 
     def translated(self) -> str:
-        """Returns what CEL is to run: numbers are doubles, quantities are the variables `v0`, `v1`..."""
+        """Returns the expression for CEL: numbers are doubles, quantities are the variables `v0`, `v1`..."""
         return " ".join(self._out)
 
-    def read(self, wanted: _Kind) -> None:
+    def read(self, expected: _Kind) -> None:
         """Reads all of it."""
         start = self._token
         kind = self._choice()
         if self._token.kind != "end":
-            self._refuse(self._token.at, f"expected an operator or the end, found {self._found()}")
-        if kind != wanted:
-            self._refuse(start.at, f"it must give {_KIND[wanted]}, but gives {_KIND[kind]}")
+            self._refuse(self._token.at, f"expected an operator or the end, found {self._here()}")
+        if kind != expected:
+            self._refuse(start.at, f"it must give {_KIND[expected]}, but gives {_KIND[kind]}")
 
     # -- words ---------------------------------------------------------------------------------------------------
 
@@ -294,7 +294,7 @@ class _Reader:
     def _token(self) -> _Token:
         return self._tokens[self._next]
 
-    def _found(self) -> str:
+    def _here(self) -> str:
         return "the end" if self._token.kind == "end" else repr(self._token.text)
 
     def _take(self) -> _Token:
@@ -311,14 +311,14 @@ class _Reader:
 
     def _expect(self, mark: str, why: str) -> None:
         if not self._is(mark):
-            self._refuse(self._token.at, f"expected {mark!r} {why}, found {self._found()}")
+            self._refuse(self._token.at, f"expected {mark!r} {why}, found {self._here()}")
         self._copy()
 
     # -- grammar -------------------------------------------------------------------------------------------------
 
-    def _want(self, wanted: _Kind, kind: _Kind, at: int, what: str) -> None:
-        if kind != wanted:
-            self._refuse(at, f"{what} takes {_KIND[wanted]}, but this is {_KIND[kind]}")
+    def _want(self, expected: _Kind, kind: _Kind, at: int, what: str) -> None:
+        if kind != expected:
+            self._refuse(at, f"{what} takes {_KIND[expected]}, but this is {_KIND[kind]}")
 
     def _chain(self, below: Callable[[], _Kind], marks: Sequence[str], takes: _Kind, gives: _Kind) -> _Kind:
         """Reads operands of one precedence."""
@@ -403,7 +403,7 @@ class _Reader:
             return kind
         if token.kind == "string":
             self._refuse(token.at, 'there is no text in an objective but the id in cube("id")')
-        self._refuse(token.at, f"expected a value, found {self._found()}")
+        self._refuse(token.at, f"expected a value, found {self._here()}")
 
     def _name(self) -> _Kind:
         token = self._token
@@ -452,7 +452,7 @@ class _Reader:
             cube = self._cube()
         while True:
             if self._token.kind != "name":
-                self._refuse(self._token.at, f"expected the name of a quantity, found {self._found()}")
+                self._refuse(self._token.at, f"expected the name of a quantity, found {self._here()}")
             words.append(self._take())
             if not self._is("."):
                 break
@@ -462,12 +462,12 @@ class _Reader:
         if name not in known:
             parts = [other for other in known if other.startswith(f"{name}.")]
             if parts:
-                said = f"{name} is a vector; take {', '.join(parts[:-1])} or {parts[-1]}"
+                message = f"{name} is a vector; take {', '.join(parts[:-1])} or {parts[-1]}"
             elif name in QUANTITIES:
-                said = f"there is {name} of the whole only, not of one cube"
+                message = f"there is {name} of the whole only, not of one cube"
             else:
-                said = f"there is no quantity {_clip(name)!r}{_near(name, known)}"
-            self._refuse(words[0].at, said)
+                message = f"there is no quantity {_clip(name)!r}{_near(name, known)}"
+            self._refuse(words[0].at, message)
         return Quantity(name, cube, fold)
 
     def _cube(self) -> str:
@@ -475,11 +475,11 @@ class _Reader:
         self._take()
         token = self._token
         if token.kind != "string":
-            self._refuse(token.at, f'expected the id of a cube, as in cube("leg"), found {self._found()}')
+            self._refuse(token.at, f'expected the id of a cube, as in cube("leg"), found {self._here()}')
         self._take()
         for mark, why in ((")", "after the id of a cube"), (".", "and a quantity after the cube")):
             if not self._is(mark):
-                self._refuse(self._token.at, f"expected {mark!r} {why}, found {self._found()}")
+                self._refuse(self._token.at, f"expected {mark!r} {why}, found {self._here()}")
             self._take()
         return token.text[1:-1]
 

@@ -1,4 +1,4 @@
-"""What an episode leaves, and the quantities that objectives name, computed from it.
+"""The trajectory of an episode, and the quantities that objectives name, computed from it.
 
 Hides the formulas behind `nmes.objective.QUANTITIES`. There are two ways to the same figures, bit for bit: a
 `Trajectory` keeps every row and computes whatever is asked at the end, many rows at a time; `RunningQuantities` is told
@@ -32,7 +32,7 @@ UPRIGHT: Final = 0.5  # uprightness from which on a body counts as upright
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ObservedBodies:
-    """Who is observed: what stays the same from row to row.
+    """The bodies that a trajectory is about: all of them that stays the same from row to row.
 
     Attributes:
         cubes: Ids, as expressions name them: those of the body first, then others that are named.
@@ -51,7 +51,7 @@ class ObservedBodies:
     target: tuple[float, float, float] | str | None = None
 
     def columns(self, cube: str | None) -> slice:
-        """Returns which columns a cube is, or the body where there is none.
+        """Returns the columns of a cube, or of the body where `cube` is None.
 
         Raises:
             KeyError: No cube has that id.
@@ -65,23 +65,23 @@ class ObservedBodies:
 
 
 class Trajectory:
-    """Everything that an episode leaves.
+    """The states, motor work and contacts of an episode, row by row.
 
     Whoever runs the episode writes the rows into the arrays and sets `rows`; nothing is computed until it is asked for.
 
     Attributes:
-        cast: Who it is about.
-        states: Array (rows, n, 13) of the states of the cast's cubes, as `Simulation.states` has them.
+        bodies: The cubes that it is about.
+        states: Array (rows, n, 13) of the states of the bodies, as `Simulation.states` has them.
         work: Array (rows, m): what each motor of the body has worked since the start, J; see `meter`.
         touches: Array (rows, n, 2), whether a cube touches anything, and anything that is not of the body; where no
             quantity of the episode is about contacts, it may have no rows.
         rows: How many rows are written.
     """
 
-    def __init__(self, cast: ObservedBodies, ticks: int, motors: int, *, contacts: bool = False) -> None:
+    def __init__(self, bodies: ObservedBodies, ticks: int, motors: int, *, contacts: bool = False) -> None:
         """Makes room for the start and so many ticks."""
-        n = len(cast.cubes)
-        self.cast = cast
+        n = len(bodies.cubes)
+        self.bodies = bodies
         self.states: Array = np.zeros((ticks + 1, n, 13))
         self.work: Array = np.zeros((ticks + 1, motors))
         self.touches: Flags = np.zeros((ticks + 1 if contacts else 0, n, 2), np.bool_)
@@ -104,7 +104,7 @@ class Trajectory:
             powers[0] += self._watts
             sums: Array = np.add.accumulate(powers)
             self._watts = sums[-1]
-            self.work[begin : begin + len(sums)] = sums / self.cast.tick_rate
+            self.work[begin : begin + len(sums)] = sums / self.bodies.tick_rate
 
     def series(self, quantity: Quantity, begin: int = 0, end: int | None = None) -> Array:
         """Returns a quantity row by row, array (end - begin,), whatever its fold.
@@ -117,13 +117,13 @@ class Trajectory:
         end = self.rows if end is None else end
         if quantity.name == "time_upright":
             upright = self.series(Quantity("uprightness"), 1, end) >= UPRIGHT
-            return np.concatenate([[0.0], np.cumsum(upright) / self.cast.tick_rate])[begin:end]
+            return np.concatenate([[0.0], np.cumsum(upright) / self.bodies.tick_rate])[begin:end]
         work = _in_order(self.work[begin:end])
-        block = _Block(self.cast, self.states[0], begin, self.states[begin:end], work, self.touches[begin:end])
+        block = _Block(self.bodies, self.states[0], begin, self.states[begin:end], work, self.touches[begin:end])
         return block.series(quantity)
 
     def values(self, quantities: Iterable[Quantity]) -> dict[Quantity, float]:
-        """Returns what quantities are over all rows that are written."""
+        """Returns the values of quantities over all rows that are written."""
         return {quantity: self._fold(quantity) for quantity in quantities}
 
     def _fold(self, quantity: Quantity) -> float:
@@ -146,12 +146,12 @@ class Trajectory:
     def values_so_far(self, objective: Objective) -> Array:
         """Returns an objective's value at each row, over the rows up to there, array (rows,); NaN: no finite number."""
         columns = [self._so_far(quantity, range(self.rows)).tolist() for quantity in objective.needs]
-        found = np.full(self.rows, np.nan)
+        scores = np.full(self.rows, np.nan)
         for row in range(self.rows):
             values = dict(zip(objective.needs, [column[row] for column in columns], strict=True))
             with suppress(WorldError):
-                found[row] = objective.value(values)
-        return found
+                scores[row] = objective.value(values)
+        return scores
 
     def first(self, condition: Condition, begin: int, end: int, every: int = 1) -> int | None:
         """Returns the first row at which a condition holds.
@@ -160,43 +160,43 @@ class Trajectory:
             condition: It sees the episode as it was at that row; folds are over the rows up to there.
             begin: The first row to look at.
             end: The row after the last.
-            every: Only rows of which the number is a multiple of this are looked at.
+            every: Only rows whose number is a multiple of this are looked at.
         """
-        looked = range(begin + -begin % every, end, every)
-        if not looked:
+        candidates = range(begin + -begin % every, end, every)
+        if not candidates:
             return None
-        columns = [self._so_far(quantity, looked).tolist() for quantity in condition.needs]
-        rows = zip(*columns, strict=True) if columns else ((),) * len(looked)
-        for row, values in zip(looked, rows, strict=True):
+        columns = [self._so_far(quantity, candidates).tolist() for quantity in condition.needs]
+        rows = zip(*columns, strict=True) if columns else ((),) * len(candidates)
+        for row, values in zip(candidates, rows, strict=True):
             if condition.holds(dict(zip(condition.needs, values, strict=True))):
                 return row
         return None
 
-    def _so_far(self, quantity: Quantity, looked: range) -> Array:
+    def _so_far(self, quantity: Quantity, candidates: range) -> Array:
         if quantity.fold == "final":
-            return self.series(quantity, looked.start, looked[-1] + 1)[:: looked.step]
+            return self.series(quantity, candidates.start, candidates[-1] + 1)[:: candidates.step]
         if quantity.fold == "start":
-            return np.repeat(self.series(quantity, 0, 1), len(looked))
-        series = self.series(quantity, 0, looked[-1] + 1)
+            return np.repeat(self.series(quantity, 0, 1), len(candidates))
+        series = self.series(quantity, 0, candidates[-1] + 1)
         if quantity.fold == "mean":
             folded = np.add.accumulate(series) / np.arange(1, len(series) + 1)
         else:
             folded = (np.minimum if quantity.fold == "min" else np.maximum).accumulate(series)
-        return folded[looked.start :: looked.step]
+        return folded[candidates.start :: candidates.step]
 
 
 class RunningQuantities:
-    """The quantities of something that goes on and on, of which no row is kept but the start.
+    """The quantities of a world that runs for ever: no row is kept but the start.
 
     Args:
-        cast: Who it is about.
+        bodies: The cubes that it is about.
         quantities: What will be asked.
         states: At the start, array (n, 13).
         touches: At the start, array (n, 2); as in `Trajectory`.
     """
 
-    def __init__(self, cast: ObservedBodies, quantities: Iterable[Quantity], states: Array, touches: Flags) -> None:
-        self.cast = cast
+    def __init__(self, bodies: ObservedBodies, quantities: Iterable[Quantity], states: Array, touches: Flags) -> None:
+        self.bodies = bodies
         self.ticks = 0
         """Rows that came after the start."""
         self._quantities = tuple(quantities)
@@ -230,7 +230,7 @@ class RunningQuantities:
                 self._folds[quantity] = min(before, now) if quantity.fold == "min" else max(before, now)
 
     def values(self, states: Array, work: Array, touches: Flags) -> dict[Quantity, float]:
-        """Returns what the quantities are, given how things are now (as in `add`)."""
+        """Returns the values of the quantities, with `states`, `work` and `touches` as they are now (see `add`)."""
         row = self._row(states, work, touches)
         values = {}
         for quantity in self._quantities:
@@ -242,15 +242,15 @@ class RunningQuantities:
 
     def _row(self, states: Array, work: Array, touches: Flags) -> _Block:
         rows = states[np.newaxis], _in_order(work[np.newaxis]), touches[np.newaxis]
-        return _Block(self.cast, self._start, self.ticks, *rows)
+        return _Block(self.bodies, self._start, self.ticks, *rows)
 
     def _now(self, quantity: Quantity, row: _Block) -> float:
         if quantity.name == "time_upright":
-            return self._upright / self.cast.tick_rate
+            return self._upright / self.bodies.tick_rate
         return float(row.series(quantity)[0])
 
     def state(self) -> dict[str, object]:
-        """Returns what it has gathered, as plain JSON data, for `resume`."""
+        """Returns the sums and extremes so far as plain JSON data, for `resume`."""
         return {
             "start": self._start.tolist(),
             "ticks": self.ticks,
@@ -259,7 +259,7 @@ class RunningQuantities:
         }
 
     def resume(self, state: Mapping[str, object]) -> None:
-        """Takes up what `state` of a tally of the same quantities returned."""
+        """Goes on from the `state` of another one of the same quantities."""
         self._start = np.array(state["start"], np.float64).reshape(-1, 13)
         ticks, upright, folds = state["ticks"], state["upright"], state["folds"]
         assert isinstance(ticks, int) and isinstance(upright, int) and isinstance(folds, Sequence)
@@ -268,7 +268,13 @@ class RunningQuantities:
 
 
 def touches(simulation: Simulation, bodies: Sequence[int], body: int) -> Flags:
-    """Returns the row of `Trajectory.touches`, array (n, 2), for bodies of which the first `body` are the body's."""
+    """Returns a row of `Trajectory.touches`, array (n, 2).
+
+    Args:
+        simulation: The scene.
+        bodies: The cubes' numbers in the engine.
+        body: How many of them, from the first on, are the body.
+    """
     own = set(bodies[:body])
     partners = [[contact.other for contact in simulation.contacts(number)] for number in bodies]
     return np.array([(bool(others), any(other not in own for other in others)) for others in partners]).reshape(-1, 2)
@@ -294,7 +300,7 @@ def _length(vectors: Array) -> Array:
 class _Block:
     """Some rows in a row: `states` (k, n, 13), `work` (k,), `touches` (k, n, 2), the first being number `begin`."""
 
-    cast: ObservedBodies
+    bodies: ObservedBodies
     start: Array
     begin: int
     states: Array
@@ -305,14 +311,14 @@ class _Block:
     def series(self, quantity: Quantity) -> Array:
         """Returns a quantity of each row."""
         name, _, axis = quantity.name.partition(".")
-        columns = self.cast.columns(quantity.cube)
+        columns = self.bodies.columns(quantity.cube)
         match name:
             case "time":
-                return np.arange(self.begin, self.begin + len(self.states)) / self.cast.tick_rate
+                return np.arange(self.begin, self.begin + len(self.states)) / self.bodies.tick_rate
             case "energy":
                 return self.work
             case "cubes" | "mass":
-                masses = self.cast.masses[columns]
+                masses = self.bodies.masses[columns]
                 value = float(len(masses)) if name == "cubes" else float(_in_order(masses))
                 return np.full(len(self.states), value)
             case "contacts":
@@ -331,7 +337,7 @@ class _Block:
                 vectors, axis = self._centre(quantity.cube), axis or "y"
             case "displacement" | "distance":
                 vectors = self._centre(quantity.cube)
-                aim = self.cast.target if name == "distance" else None
+                aim = self.bodies.target if name == "distance" else None
                 if aim is None:
                     vectors = vectors - self._mean(self.start[np.newaxis], columns, 0)
                 else:
@@ -345,12 +351,12 @@ class _Block:
     def _centre(self, cube: str | None) -> Array:
         """Returns the centre of mass of a cube or the body in each row, (k, 3)."""
         if cube not in self._centres:
-            self._centres[cube] = self._mean(self.states, self.cast.columns(cube), 0)
+            self._centres[cube] = self._mean(self.states, self.bodies.columns(cube), 0)
         return self._centres[cube]
 
     def _mean(self, states: Array, columns: slice, first: int) -> Array:
         """Returns the mean, weighted by mass, of a vector that begins at number `first` of each state, (k, 3)."""
-        vectors, masses = states[:, columns, first : first + 3], self.cast.masses[columns]
+        vectors, masses = states[:, columns, first : first + 3], self.bodies.masses[columns]
         if len(masses) == 1:
             return vectors[:, 0]
         weights = masses / _in_order(masses)
@@ -358,7 +364,7 @@ class _Block:
         return sums[:, -1]
 
     def _extent(self, name: str, columns: slice, cube: str | None) -> Array:
-        states, half = self.states[:, columns], self.cast.sizes[columns] / 2.0
+        states, half = self.states[:, columns], self.bodies.sizes[columns] / 2.0
         x, y, z, w = (states[:, :, i] for i in range(3, 7))
         if name != "reach":
             # How far a turned box reaches up and down from its centre: its half edges along the world's y axis.

@@ -1,10 +1,11 @@
-"""What one client calls good: its objectives over the world, and the rewards that it asks for.
+"""The objectives of one client over the wire, and the metrics of `compute_reward`.
 
-Hides which cubes an objective is about once it is set, and what must be noted at every tick so that it can be asked at
-any time. The quantities are `nmes.trace`'s, and so the same to the last bit as those of an episode that was evaluated.
+Hides which cubes an objective observes once it is set, and what is measured at every tick so that its value can be
+asked for at any time. The quantities are those of `nmes.objective.trajectory`, the same to the last bit as those of an
+episode that was evaluated.
 
-Invariants: an objective counts from when it was set; nothing here changes the simulation; an objective of which a cube
-is gone stays refused until it is set anew.
+Invariants: an objective counts from when it was set; nothing here changes the simulation; an objective that observes a
+cube which is gone stays refused until it is set anew.
 """
 
 from __future__ import annotations
@@ -28,16 +29,16 @@ __all__ = ["ClientObjectives", "metric"]
 
 JsonObject = dict[str, Any]
 
-_MOST = 16  # objectives of one client: each may cost something at every tick
+_MOST_OBJECTIVES = 16  # objectives of one client: each may cost something at every tick
 
 
 class _ClientObjective:
     """One objective, from when it was set.
 
     Args:
-        objective: What is to be known.
-        cubes: Whom it is about: the body's cubes by the ids that expressions have for them.
-        others: The other cubes that it names.
+        objective: The expression.
+        cubes: The body that it observes: its cubes by the ids that expressions have for them.
+        others: The other cubes that the expression names.
         target: Where `distance` is measured from, m.
         entities: Where the cubes are.
         frame: When it is set.
@@ -55,49 +56,52 @@ class _ClientObjective:
         self.objective, self.body, self.others = objective, dict(cubes), dict(others)
         self._frame = frame
         self._version = entities.version
-        held = [*cubes.values(), *others.values()]
-        self._cubes = held
-        self._bodies = [cube.body for cube in held]
+        self._cubes = [*cubes.values(), *others.values()]
+        self._numbers = [cube.body for cube in self._cubes]
         aim = None if target is None else (float(target[0]), float(target[1]), float(target[2]))
-        sizes, masses = np.array([cube.size for cube in held]), np.array([cube.mass for cube in held])
-        self._cast = ObservedBodies((*cubes, *others), len(cubes), sizes, masses, entities.tick_rate, aim)
-        self._touched = any(quantity.name == "contacts" for quantity in objective.needs)
-        self._works = any(quantity.name == "energy" for quantity in objective.needs)
+        sizes = np.array([cube.size for cube in self._cubes])
+        masses = np.array([cube.mass for cube in self._cubes])
+        self._observed = ObservedBodies((*cubes, *others), len(cubes), sizes, masses, entities.tick_rate, aim)
+        self._uses_contacts = any(quantity.name == "contacts" for quantity in objective.needs)
+        self._uses_energy = any(quantity.name == "energy" for quantity in objective.needs)
         # The motors of its body, also those that came later or are gone, and the sums of their powers.
         self._motors: list[int] = []
         self._watts: Array = np.zeros(0)
         self._metered: tuple[int, ...] | None = None  # the meter's numbers that the two lines below belong to
         self._here: npt.NDArray[np.intp] = np.zeros(0, np.intp)
         self._there: npt.NDArray[np.intp] = np.zeros(0, np.intp)
-        self._tally = RunningQuantities(self._cast, objective.needs, *self._row(entities)[::2])
+        self._quantities = RunningQuantities(self._observed, objective.needs, *self._row(entities)[::2])
 
     def _row(self, entities: Entities) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-        simulation, bodies = entities.simulation, self._bodies
-        touched = (
-            touches(simulation, bodies, self._cast.body) if self._touched else np.zeros((len(bodies), 2), np.bool_)
-        )
-        return simulation.states(bodies), self._watts / entities.tick_rate, touched
+        """Returns the states, the motors' work and the contacts now, as `RunningQuantities.add` takes them."""
+        simulation, numbers = entities.simulation, self._numbers
+        if self._uses_contacts:
+            contacts = touches(simulation, numbers, self._observed.body)
+        else:
+            contacts = np.zeros((len(numbers), 2), np.bool_)
+        return simulation.states(numbers), self._watts / entities.tick_rate, contacts
 
     def missing(self, entities: Entities) -> str | None:
         """Returns the name of one of its cubes that is gone, or None."""
         if self._version != entities.version:
             self._version = entities.version
-            return next((cube.name for cube in self._cubes if entities.find(cube.name) is not cube), None)
+            return next((cube.name for cube in self._cubes if entities.cubes.get(cube.name) is not cube), None)
         return None
 
     def tick(self, entities: Entities) -> None:
-        """Notes what must be noted of a tick that has just ended."""
-        if self._works:
+        """Measures the quantities after a tick, where they need every tick."""
+        if self._uses_energy:
             self._meter(entities)
-        if self._tally.watches:
-            self._tally.add(*self._row(entities))
+        if self._quantities.watches:
+            self._quantities.add(*self._row(entities))
 
     def _meter(self, entities: Entities) -> None:
+        """Adds the power of each motor of the body in the last tick."""
         meter = entities.meter
         if self._metered is not meter.numbers:
             self._metered = meter.numbers
-            ours = {entities.joint(name).number for cube in self.body.values() for name in cube.joints}
-            now = [number for number in meter.numbers if number in ours]
+            own = {entities.joint(name).number for cube in self.body.values() for name in cube.joints}
+            now = [number for number in meter.numbers if number in own]
             self._motors += [number for number in sorted(now) if number not in self._motors]
             self._watts = np.append(self._watts, np.zeros(len(self._motors) - len(self._watts)))
             self._here = np.array([self._motors.index(number) for number in now], np.intp)
@@ -105,139 +109,141 @@ class _ClientObjective:
         self._watts[self._here] += meter.powers()[self._there]
 
     def value(self, entities: Entities, frame: int) -> float:
-        """Returns what it is worth now.
+        """Returns the objective's value now.
 
         Raises:
             WorldError: `bad_expression`: it is no finite number.
         """
-        self._tally.ticks = frame - self._frame
-        return self.objective.value(self._tally.values(*self._row(entities)))
+        self._quantities.ticks = frame - self._frame
+        return self.objective.value(self._quantities.values(*self._row(entities)))
 
     def state(self) -> JsonObject:
-        """Returns all of it as plain JSON data, for `restored`."""
+        """Returns the objective as plain JSON data, for `restored`."""
         return {
             "expression": self.objective.text,
             "cubes": {part: cube.name for part, cube in self.body.items()},
             "others": {part: cube.name for part, cube in self.others.items()},
-            "target": None if self._cast.target is None else list(self._cast.target),
+            "target": None if self._observed.target is None else list(self._observed.target),
             "frame": self._frame,
-            "tally": self._tally.state(),
+            "tally": self._quantities.state(),
             "motors": self._motors,
             "watts": self._watts.tolist(),
         }
 
     @classmethod
     def restored(cls, state: Mapping[str, Any], entities: Entities) -> _ClientObjective:
-        """Returns the one of which `state` told.
+        """Rebuilds an objective from its `state`.
 
         Raises:
             WorldError: Its cubes are not there, or its expression is none.
-            ValueError: What it says does not fit together.
+            ValueError: Its parts do not fit together.
         """
         cubes, others = (
             {part: entities.cube(name) for part, name in state[key].items()} for key in ("cubes", "others")
         )
-        goal = cls(Objective(state["expression"]), cubes, others, state["target"], entities, state["frame"])
-        goal._tally.resume(state["tally"])
-        goal._motors, goal._watts = list(state["motors"]), np.array(state["watts"], np.float64)
-        return goal
+        objective = cls(Objective(state["expression"]), cubes, others, state["target"], entities, state["frame"])
+        objective._quantities.resume(state["tally"])
+        objective._motors, objective._watts = list(state["motors"]), np.array(state["watts"], np.float64)
+        return objective
 
 
 class ClientObjectives:
     """The objectives of one client, by name."""
 
     def __init__(self) -> None:
-        self._goals: dict[str, _ClientObjective] = {}
+        self._objectives: dict[str, _ClientObjective] = {}
         self._lost: dict[str, str] = {}  # objectives that cannot be asked any more, and the cube that is gone
 
     def __len__(self) -> int:
-        return len(self._goals)
+        return len(self._objectives)
 
-    def set(self, entities: Entities, frame: int, cubes: Mapping[str, Cube], c: JsonObject) -> JsonObject:
+    def set(self, entities: Entities, frame: int, cubes: Mapping[str, Cube], command: JsonObject) -> JsonObject:
         """Executes a `set_objective` command; returns the reply.
 
         Args:
             entities: Where the cubes are.
             frame: Now.
-            cubes: Whom it is about, by the ids that the expression may use for them beside the cubes' names.
-            c: The command.
+            cubes: The cubes that it observes, by the ids that the expression may use for them beside their names.
+            command: The command.
 
         Raises:
             WorldError: `bad_expression`, `cube_not_found` for a cube that it names, `limit_reached`.
         """
-        objective = Objective(c["expression"])
-        name = c.get("name", protocol.COMMANDS["set_objective"].defaults["name"])
-        if name not in self._goals and len(self._goals) >= _MOST:
-            raise WorldError("limit_reached", f"this connection has its {_MOST} objectives already")
+        objective = Objective(command["expression"])
+        name = command.get("name", protocol.COMMANDS["set_objective"].defaults["name"])
+        if name not in self._objectives and len(self._objectives) >= _MOST_OBJECTIVES:
+            raise WorldError("limit_reached", f"this connection has its {_MOST_OBJECTIVES} objectives already")
         others: dict[str, Cube] = {}
         for quantity in objective.needs:
             if quantity.cube is not None and quantity.cube not in cubes:
                 others[quantity.cube] = entities.cube(quantity.cube, "expression")
             if quantity.name == "contacts":
                 entities.require("contacts", "contacts", "expression")
-        self._goals[name] = _ClientObjective(objective, cubes, others, c.get("target"), entities, frame)
+        self._objectives[name] = _ClientObjective(objective, cubes, others, command.get("target"), entities, frame)
         self._lost.pop(name, None)
         needs = [str(quantity) for quantity in objective.needs]
         return {"type": "objective_set", "name": name, "cubes": [cube.name for cube in cubes.values()], "needs": needs}
 
     def tick(self, entities: Entities) -> None:
-        """Notes what must be noted of a tick that has just ended."""
-        self._look(entities)
-        for goal in self._goals.values():
-            goal.tick(entities)
+        """Measures the quantities of all objectives after a tick."""
+        self._set_lost_aside(entities)
+        for objective in self._objectives.values():
+            objective.tick(entities)
 
-    def _look(self, entities: Entities) -> None:
-        """Puts aside the objectives of which a cube is gone."""
-        for name, goal in list(self._goals.items()):
-            gone = goal.missing(entities)
-            if gone is not None:
-                del self._goals[name]
-                self._lost[name] = gone
+    def _set_lost_aside(self, entities: Entities) -> None:
+        """Sets the objectives aside that observe a cube which is gone."""
+        for name, objective in list(self._objectives.items()):
+            missing = objective.missing(entities)
+            if missing is not None:
+                del self._objectives[name]
+                self._lost[name] = missing
 
     def value(self, entities: Entities, frame: int, name: str | None) -> JsonObject:
-        """Returns what an objective is worth now, as `reward` has it; the default one if none is named.
+        """Returns an objective's value now, as `reward` has it; the default objective's if none is named.
 
         Raises:
             WorldError: `invalid`: there is none; `cube_not_found`: a cube that it is about is gone; `bad_expression`:
                 its value is no finite number.
         """
-        self._look(entities)
+        self._set_lost_aside(entities)
         name = protocol.COMMANDS["set_objective"].defaults["name"] if name is None else name
         if name in self._lost:
-            said = f"objective {name!r} is about the cube {self._lost[name]!r}, which is gone"
-            raise WorldError("cube_not_found", said, "objective")
-        if name not in self._goals:
-            there = f"this connection has set {', '.join(map(repr, self._goals)) or 'none'}"
-            raise WorldError("invalid", f"objective: there is no objective {name!r}; {there}", "objective")
+            message = f"objective {name!r} is about the cube {self._lost[name]!r}, which is gone"
+            raise WorldError("cube_not_found", message, "objective")
+        if name not in self._objectives:
+            known = f"this connection has set {', '.join(map(repr, self._objectives)) or 'none'}"
+            raise WorldError("invalid", f"objective: there is no objective {name!r}; {known}", "objective")
         try:
-            value = self._goals[name].value(entities, frame)
+            value = self._objectives[name].value(entities, frame)
         except WorldError as error:
-            said = error.message.removeprefix(f"{error.path}: ")
-            raise WorldError(error.code, f"objective {name!r}: {said}", "objective") from error
+            reason = error.message.removeprefix(f"{error.path}: ")
+            raise WorldError(error.code, f"objective {name!r}: {reason}", "objective") from error
         return {"type": "reward", "value": value, "objective": name}
 
     def state(self, entities: Entities) -> JsonObject:
-        """Returns all of them as plain JSON data, for `restored`."""
-        self._look(entities)
-        return {"set": {name: goal.state() for name, goal in self._goals.items()}, "lost": self._lost}
+        """Returns the objectives as plain JSON data, for `restored`."""
+        self._set_lost_aside(entities)
+        return {"set": {name: objective.state() for name, objective in self._objectives.items()}, "lost": self._lost}
 
     @classmethod
     def restored(cls, state: Mapping[str, Any], entities: Entities) -> ClientObjectives:
-        """Returns those of which `state` told.
+        """Rebuilds the objectives from their `state`.
 
         Raises:
             WorldError: A cube is not there, or an expression is none.
-            ValueError: What they say does not fit together.
+            ValueError: Their parts do not fit together.
         """
         objectives = cls()
-        objectives._goals = {name: _ClientObjective.restored(given, entities) for name, given in state["set"].items()}
+        objectives._objectives = {
+            name: _ClientObjective.restored(values, entities) for name, values in state["set"].items()
+        }
         objectives._lost = dict(state["lost"])
         return objectives
 
 
-def metric(entities: Entities, cube: Cube, c: JsonObject) -> JsonObject:
-    """Returns what a metric of a `compute_reward` command is for a cube, as `reward` has it."""
-    name = c["metric"]
+def metric(entities: Entities, cube: Cube, command: JsonObject) -> JsonObject:
+    """Returns the value of a `compute_reward` command's metric for a cube, as `reward` has it."""
+    name = command["metric"]
     state = entities.simulation.body_state(cube.body)
     if name == "height":
         value = state.position[1]
@@ -248,9 +254,9 @@ def metric(entities: Entities, cube: Cube, c: JsonObject) -> JsonObject:
     elif name == "energy":
         value = entities.work(cube)
     elif name == "distance":
-        value = dist(state.position, c.get("target", cube.origin))
+        value = dist(state.position, command.get("target", cube.origin))
     else:
-        axis = c.get("axis", protocol.COMMANDS["compute_reward"].defaults["axis"])
-        way = (a - b for a, b in zip(state.position, cube.origin, strict=True))
-        value = sum(a * b for a, b in zip(way, axis, strict=True)) / hypot(*axis)
+        axis = command.get("axis", protocol.COMMANDS["compute_reward"].defaults["axis"])
+        displacement = (a - b for a, b in zip(state.position, cube.origin, strict=True))
+        value = sum(a * b for a, b in zip(displacement, axis, strict=True)) / hypot(*axis)
     return {"type": "reward", "value": value, "metric": name, "cube_name": cube.name}

@@ -1,9 +1,9 @@
-"""Who is in a world: what each client owns and wants to be told, and the events that subscribers are sent.
+"""The clients of a world: what each one owns, its subscription and objectives, and the events that it is sent.
 
-It hides how an event is made once for all who get it, and what must outlive a snapshot. It knows no sockets: where
-events go is the caller's.
+It hides how an event is encoded once for all who get it, and what a snapshot must hold of clients. It knows no
+sockets: where events go is the caller's.
 
-Invariants: numbers are never used twice; what subscribers were told does not depend on whether anybody listened.
+Invariants: numbers are never used twice; what counts as sent does not depend on whether anybody listened.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ Emit = Callable[[int, bytes], None]  # takes a client's number and an encoded ev
 
 @dataclass(slots=True)
 class Client:
-    """One connection to a world: the cube that it spawned last, what it is told unasked, and its objectives."""
+    """One connection to a world: the name of the cube that it spawned last, its subscription, its objectives."""
 
     number: int
     owned: str | None = None
@@ -34,12 +34,12 @@ class Client:
 
 
 class Clients(dict[int, Client]):
-    """Those who are in, by number, in order of arrival."""
+    """The clients that are in, by number, in order of arrival."""
 
     _next = 1
 
     def join(self) -> int:
-        """Lets one in; returns its number."""
+        """Adds a client; returns its number."""
         number = self._next
         self._next += 1
         self[number] = Client(number)
@@ -59,7 +59,7 @@ class Clients(dict[int, Client]):
                     emit(client.number, encoded)
 
     def measure(self, entities: Entities) -> None:
-        """Has all objectives note what they must of a tick that has just ended."""
+        """Updates all objectives after a tick."""
         for client in self.values():
             if client.objectives:
                 client.objectives.tick(entities)
@@ -92,11 +92,11 @@ class Clients(dict[int, Client]):
                 cubes, removed = subscription.changes(version, names, states)
                 if (cubes or removed) and emit is not None:
                     head = protocol.encode({"type": "state", "t": time, "frame": frame})[:-1]
-                    gone = protocol.encode(removed)
-                    emit(client.number, b'%b,"cubes":%b,"removed":%b}' % (head, cubes or b"[]", gone))
+                    tail = protocol.encode(removed)
+                    emit(client.number, b'%b,"cubes":%b,"removed":%b}' % (head, cubes or b"[]", tail))
 
     def snapshot(self, entities: Entities) -> dict[str, Any]:
-        """Returns all of it as plain JSON data, in a world of these cubes."""
+        """Returns the clients as plain JSON data; `entities` are those of their world."""
         return {
             "next_client": self._next,
             "clients": [
@@ -112,18 +112,20 @@ class Clients(dict[int, Client]):
 
     @classmethod
     def restored(cls, state: Mapping[str, Any], entities: Entities) -> Clients:
-        """Returns those of whom `snapshot` told, in a world of these cubes.
+        """Rebuilds the clients of a snapshot, in a world with these entities.
 
         Raises:
-            ValueError: What they were told does not fit together.
-            WorldError: Their objectives do not fit the cubes.
+            ValueError: A subscription does not fit together.
+            WorldError: An objective does not fit the cubes.
         """
         clients = cls()
         clients._next = state["next_client"]
-        for given in state["clients"]:
-            told = given["subscription"]
-            subscription = None if told is None else Subscription.restored(told)
-            clients[given["client"]] = Client(
-                given["client"], given["owned"], subscription, ClientObjectives.restored(given["objectives"], entities)
+        for values in state["clients"]:
+            subscription = values["subscription"]
+            clients[values["client"]] = Client(
+                values["client"],
+                values["owned"],
+                None if subscription is None else Subscription.restored(subscription),
+                ClientObjectives.restored(values["objectives"], entities),
             )
         return clients

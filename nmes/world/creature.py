@@ -1,4 +1,4 @@
-"""Creatures: bodies of genomes that live in a world, driven and felt as a whole.
+"""Creatures: bodies of genomes that live in a world, driven and sensed as a whole.
 
 Hides which cubes and joints of the world a creature is, how controls become targets of motors, and how readings become
 the values of sensors. A creature is nothing but its cubes and joints: whoever moves, pushes or retunes those by their
@@ -23,7 +23,7 @@ from nmes.errors import WorldError
 from nmes.genome import Genome
 from nmes.genome.body import Body, BodyCube, BodyJoint, Motor, Sensor
 from nmes.protocol import Request
-from nmes.world import joint_params as jointparams
+from nmes.world import joint_params
 from nmes.world.entities import Cube, Entities, Joint
 
 __all__ = ["Creature", "Creatures"]
@@ -41,7 +41,7 @@ class Creature:
     Attributes:
         name: Unique among the creatures of its world.
         genome: What it was made from; `body` is the genome's.
-        target: What its sensors of a target are about: a point, m, or the name of a cube; None where it has none.
+        target: What its target sensors point to: a point (m) or the name of a cube; None: nothing.
         cubes: The names of its cubes in the world by the ids in its body; `joints` likewise.
         motors: In the order of controls.
         sensors: In the order of values.
@@ -83,8 +83,8 @@ class Creature:
     def whole(self) -> bool:
         """Whether all its cubes and joints are still there."""
         entities = self._entities
-        return all(entities.find(cube.name) is cube for cube in self._cubes.values()) and all(
-            entities.find_joint(joint.name) is joint for joint in self._joints.values()
+        return all(entities.cubes.get(cube.name) is cube for cube in self._cubes.values()) and all(
+            entities.joints.get(joint.name) is joint for joint in self._joints.values()
         )
 
     def accepts(self, controls: Array) -> bool:
@@ -105,7 +105,7 @@ class Creature:
     # -- motors ---------------------------------------------------------------------------------------------------
 
     def drive(self, controls: Array) -> None:
-        """Sets what the motors aim at, until they are driven again.
+        """Sets the motors' targets, until they are driven again.
 
         A motor that was switched off or made one of the other mode since is what it was made as again.
 
@@ -116,18 +116,18 @@ class Creature:
         targets *= self._half
         targets += self._low
         if self._tuned != self._entities.tuned:
-            self._take_up_motors(targets)
+            self._prepare_motors(targets)
         self._simulation.set_motor_targets(self._numbers, self._params, targets)
         for (params, field), target in zip(self._targets, targets.tolist(), strict=True):
             params[field] = target
 
-    def _take_up_motors(self, targets: Array) -> None:
-        """Sees to it that all motors run as they were made, and where their parameters are."""
+    def _prepare_motors(self, targets: Array) -> None:
+        """Has all motors run in the mode that they were made for, and keeps their parameters at hand for `drive`."""
         for joint, motor, field, target in zip(self._driven, self.motors, self._fields, targets.tolist(), strict=True):
             servo = joint.params["target_position"] is not None
             if not joint.params["motor_enabled"] or servo != (motor.mode == "position"):
                 self._entities.set_param(joint, field, target)
-        self._params = [jointparams.engine_params(joint.params) for joint in self._driven]
+        self._params = [joint_params.engine_params(joint.params) for joint in self._driven]
         self._targets = [(joint.params, field) for joint, field in zip(self._driven, self._fields, strict=True)]
         self._tuned = self._entities.tuned
 
@@ -174,7 +174,7 @@ class Creature:
         return _TURNING if sensor.type == "velocity" and joint.kind == "hinge" else 1.0
 
     def sense(self) -> Array:
-        """Returns what the sensors read now: a new array, shape (s,), in the order of `sensors`.
+        """Returns the sensors' values now: a new array, shape (s,), in the order of `sensors`.
 
         Units are those of `schemas/genome.json`.
         """
@@ -196,7 +196,7 @@ class Creature:
         place: Vector | None = None
         motion: Vector = (0.0, 0.0, 0.0)
         if isinstance(target, str):
-            cube = self._entities.find(target)
+            cube = self._entities.cubes.get(target)
             if cube is not None:
                 state = simulation.body_state(cube.body)
                 place, motion = state.position, state.linear_velocity
@@ -296,13 +296,13 @@ class Creatures:
         self._version = self._entities.version
 
     def spawn(self, genome: Genome, position: Vector, name: str | None, target: Vector | str | None = None) -> Creature:
-        """Makes a body live, all of it or nothing.
+        """Makes a creature from a genome, all of it or nothing.
 
         Args:
             genome: Whose body it is.
             position: Where the origin of its document comes to be, m.
             name: Of the creature; its cubes and joints are called `NAME.id`. Drawn from the world's seed if None.
-            target: What its sensors of a target are about: a point, m, or the name of a cube, which need not be there.
+            target: What its target sensors point to: a point (m) or the name of a cube, which need not be there yet.
 
         Raises:
             WorldError: The name is taken or too long, the world is full, or the engine lacks what the body needs.
@@ -327,58 +327,58 @@ class Creatures:
         return creature
 
     def snapshot(self) -> JsonObject:
-        """Returns which creatures there are, as plain JSON data; their cubes and joints are the entities' own."""
+        """Returns the creatures as plain JSON data; their cubes and joints are part of the entities' snapshot."""
         self._forget_dissolved()
-        kept = [
+        creatures = [
             {"name": name, "genome": creature.genome.document, "target": creature.target}
             for name, creature in self._creatures.items()
         ]
-        return {"count": self._count, "creatures": kept}
+        return {"count": self._count, "creatures": creatures}
 
     def restore(self, state: JsonObject) -> None:
-        """Takes up what `snapshot` returned, over entities that have taken up their own part."""
+        """Rebuilds the creatures of a snapshot, over entities that are rebuilt already."""
         entities, self._count, self._version = self._entities, state["count"], self._entities.version
-        for given in state["creatures"]:
-            name, genome = given["name"], Genome(given["genome"])
+        for values in state["creatures"]:
+            name, genome = values["name"], Genome(values["genome"])
             cubes = {part.id: entities.cube(f"{name}.{part.id}") for part in genome.body.cubes}
             joints = {part.id: entities.joint(f"{name}.{part.id}") for part in genome.body.joints}
-            target = given["target"]
-            aim = (target[0], target[1], target[2]) if isinstance(target, list) else target
-            self._creatures[name] = Creature(entities, name, genome, cubes, joints, aim)
+            target = values["target"]
+            target = (target[0], target[1], target[2]) if isinstance(target, list) else target
+            self._creatures[name] = Creature(entities, name, genome, cubes, joints, target)
 
     def _taken(self, name: str, body: Body) -> WorldError | None:
-        """Says who has a name that a creature of this name would need."""
+        """Returns the error to raise where a name is taken that a creature of this name would need, else None."""
         if name in self._creatures:
             return WorldError("creature_exists", f"there is a creature {name!r} already", "name")
         for cube in body.cubes:
-            if self._entities.find(f"{name}.{cube.id}") is not None:
+            if f"{name}.{cube.id}" in self._entities.cubes:
                 return WorldError("cube_exists", f"there is a cube '{name}.{cube.id}' already", "name")
         for joint in body.joints:
-            if self._entities.find_joint(f"{name}.{joint.id}") is not None:
+            if f"{name}.{joint.id}" in self._entities.joints:
                 return WorldError("joint_exists", f"there is a joint '{name}.{joint.id}' already", "name")
         return None
 
     def _check(self, body: Body, name: str) -> None:
-        """Raises what would go wrong while the body is made: afterwards nothing can."""
-        taken = self._taken(name, body)
-        if taken is not None:
-            raise taken
-        longest = max(len(part) for part in [*(c.id for c in body.cubes), *(j.id for j in body.joints)])
+        """Raises whatever would go wrong while the body is made: afterwards nothing can."""
+        error = self._taken(name, body)
+        if error is not None:
+            raise error
+        longest = max(len(part) for part in [*(cube.id for cube in body.cubes), *(joint.id for joint in body.joints)])
         if len(name) + 1 + longest > _NAME_LENGTH:
             most = _NAME_LENGTH - 1 - longest
-            said = f"name: the names of this body's parts leave room for {most} characters"
-            raise WorldError("invalid", said, "name")
+            message = f"name: the names of this body's parts leave room for {most} characters"
+            raise WorldError("invalid", message, "name")
         self._entities.require_room(len(body.cubes), len(body.joints))
         self._entities.require_plane(body.planar, "body that leaves the XY plane", "genome/body")
         for joint in body.joints:
-            place, said = "genome/body", f"joints of type {joint.kind}"
-            self._entities.require(f"joint.{joint.kind}", said, place)
+            path = "genome/body"
+            self._entities.require(f"joint.{joint.kind}", f"joints of type {joint.kind}", path)
             if joint.limits is not None:
-                self._entities.require("limits", "limits of joints", place)
+                self._entities.require("limits", "limits of joints", path)
             if joint.stiffness or joint.damping:
-                self._entities.require("spring", "springs in joints", place)
+                self._entities.require("spring", "springs in joints", path)
             if joint.motor is not None:
-                self._entities.require("motor" if joint.motor.mode == "velocity" else "servo", "such motors", place)
+                self._entities.require("motor" if joint.motor.mode == "velocity" else "servo", "such motors", path)
         if any(sensor.type == "touch" for sensor in body.sensors):
             self._entities.require("contacts", "sense of touch", "genome/sensors")
 

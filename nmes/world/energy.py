@@ -1,4 +1,4 @@
-"""What the motors of a world have worked.
+"""The work of the motors of a world.
 
 Hides where the sums are kept, and that they are taken of many ticks at once. The work of a motor in a tick is the
 size of its effort times its joint's velocity, both as they are when the tick ends, times the tick: a motor that brakes

@@ -1,8 +1,8 @@
 """The cubes and joints of a world, by name, over one simulation of its engine.
 
-Hides what a command's fields become: defaults, names drawn from the seed, Euler angles and the planar world's missing
-axis, the midpoint as anchor, the wrench of a force at a point, the rigid motion of a structure, the limits on how many
-there may be. It knows nothing of clients, time, modes or faults: those are the World's.
+Hides what a command's fields become: defaults, names drawn from the seed, the midpoint as anchor, the wrench of a force
+at a point, the rigid motion of a structure, the limits on how many there may be. It knows nothing of clients, time,
+modes or faults: those are the World's.
 
 Invariants: cubes and joints are in order of creation; numbers given to the engine are never used twice; a command
 that raises WorldError has changed nothing.
@@ -13,46 +13,22 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from hashlib import blake2b
-from math import hypot, inf
 from typing import Any
 
-import numpy as np
-
 from nmes import protocol
-from nmes.backend import (
-    Array,
-    Backend,
-    BodySpec,
-    BodyState,
-    CameraSpec,
-    JointSpec,
-    Quaternion,
-    Simulation,
-    Vector,
-)
-from nmes.backend.rotation import (
-    conjugate,
-    cross,
-    euler_from_quaternion,
-    minus,
-    multiply,
-    normalize,
-    plus,
-    quaternion_from_euler,
-    rotate,
-)
+from nmes.backend import Array, Backend, BodySpec, BodyState, JointSpec, Quaternion, Simulation, Vector
+from nmes.backend.rotation import conjugate, cross, minus, multiply, normalize, plus, rotate
 from nmes.errors import WorldError
-from nmes.world import joint_params as jointparams
-from nmes.world import scenery
+from nmes.world import joint_params, scenery
 from nmes.world.energy import EnergyMeter
-from nmes.world.readings import contact_list, own_axes, png
-from nmes.world.subscription import moving_part
+from nmes.world.fields import FieldReader, unit_vector, vector
 
-__all__ = ["Cube", "Entities", "Joint", "identity"]
+__all__ = ["Cube", "Entities", "Joint", "cube_not_found", "identity"]
 
 JsonObject = dict[str, Any]
 
 ZERO: Vector = (0.0, 0.0, 0.0)
+UNTURNED: Quaternion = (0.0, 0.0, 0.0, 1.0)
 _NAME_LENGTH = 128
 
 
@@ -75,7 +51,7 @@ class Cube:
 
 @dataclass(slots=True)
 class Joint:
-    """One joint. `params` are the wire's parameters, all of them; `number` is its number in the engine."""
+    """One joint. `number` is its number in the engine."""
 
     name: str
     number: int
@@ -93,8 +69,17 @@ class Entities:
         backend: The engine.
         config: The world's complete config.
         seed: What names are drawn from.
-        version: The first structure version; it increases with every change of cubes, joints or frozenness, and
-            `tuned` with every `set_param`.
+        version: The first structure version.
+
+    Attributes:
+        cubes: The cubes by name, `joints` likewise, in order of creation. To be read only.
+        body_names: The cubes' names by their numbers in the engine, in order of creation.
+        simulation: The engine's scene.
+        fields: Reads the geometric fields of commands.
+        meter: The work of the joints' motors.
+        tick_rate: Ticks per second.
+        version: Increases with every change of cubes, joints or frozenness.
+        tuned: Increases with every `set_param`.
 
     Raises:
         WorldError: The engine cannot make the config's scene, or does not know its settings.
@@ -106,16 +91,16 @@ class Entities:
         self._backend = backend
         self._config = config
         self._seed = seed
-        self._planar = backend.dims == 2
+        self.fields = FieldReader(backend.dims == 2)
         for capability, path in scenery.needs(config).items():
             self.require(capability, f"scenery of this kind ({capability})", path)
         scene = scenery.scene_spec(config, seed)
         self._engine_step = scene.timestep
         self.simulation: Simulation = backend.create(scene)
-        self._cubes: dict[str, Cube] = {}
-        self._joints: dict[str, Joint] = {}
-        self._pairs: dict[tuple[int, int], str] = {}
-        self._names: dict[int, str] = {}  # by body number
+        self.cubes: dict[str, Cube] = {}
+        self.joints: dict[str, Joint] = {}
+        self.body_names: dict[int, str] = {}
+        self._pairs: dict[tuple[int, int], str] = {}  # joints' names by their cubes' bodies, the lower number first
         self._spawned = 0
         self._joined = 0
         self.tick_rate: int = config["tick_rate"]
@@ -124,7 +109,7 @@ class Entities:
     # -- snapshots -----------------------------------------------------------------------------------------------
 
     def snapshot(self) -> tuple[JsonObject, bytes]:
-        """Returns what the cubes and joints are as plain JSON data, and the engine's snapshot.
+        """Returns the cubes and joints as plain JSON data, and the engine's snapshot.
 
         Raises:
             WorldError: The engine has no snapshots (`unsupported`).
@@ -133,7 +118,7 @@ class Entities:
         self.require("snapshot", "snapshots")
         engine = self.simulation.snapshot()
         cubes = [
-            {name: getattr(cube, name) for name in Cube.__slots__ if name != "joints"} for cube in self._cubes.values()
+            {name: getattr(cube, name) for name in Cube.__slots__ if name != "joints"} for cube in self.cubes.values()
         ]
         joints = [
             {
@@ -142,7 +127,7 @@ class Entities:
                 "cube2": joint.cube2.name,
                 "watts": self.meter.watts(joint.number),
             }
-            for joint in self._joints.values()
+            for joint in self.joints.values()
         ]
         state = {
             "version": self.version,
@@ -154,54 +139,39 @@ class Entities:
         return state, engine
 
     def restore(self, state: JsonObject, engine: bytes) -> None:
-        """Takes up in a world without cubes what `snapshot` of another one returned, of the same config and seed."""
+        """Rebuilds the cubes and joints of a snapshot in a world without cubes, of the same config and seed.
+
+        Args:
+            state: The cubes and joints, as `snapshot` returned them.
+            engine: The engine's snapshot.
+        """
         self.version, self._spawned, self._joined = state["version"], state["spawned"], state["joined"]
-        for given in state["cubes"]:
-            vectors = {name: _vector(given[name]) for name in ("size", "origin")}
-            cube = Cube(**{**given, **vectors, "color": tuple(given["color"])})
-            self._cubes[cube.name] = cube
-            self._names[cube.body] = cube.name
-        for given in state["joints"]:
-            ends = self._cubes[given["cube1"]], self._cubes[given["cube2"]]
-            watts = given["watts"]
-            joint = Joint(**{**{k: v for k, v in given.items() if k != "watts"}, "cube1": ends[0], "cube2": ends[1]})
+        for values in state["cubes"]:
+            vectors = {name: vector(values[name]) for name in ("size", "origin")}
+            self._add_cube(Cube(**{**values, **vectors, "color": tuple(values["color"])}))
+        for values in state["joints"]:
+            cubes = {name: self.cubes[values[name]] for name in ("cube1", "cube2")}
+            watts = values["watts"]
+            joint = Joint(**{**{name: value for name, value in values.items() if name != "watts"}, **cubes})
             if watts is not None:
                 self.meter.add(joint.number, watts)
-            self._joints[joint.name] = joint
-            self._pairs[min(end.body for end in ends), max(end.body for end in ends)] = joint.name
-            for end in ends:
-                end.joints[joint.name] = None
+            self._add_joint(joint)
         self.simulation.restore(engine)
+
+    def _add_cube(self, cube: Cube) -> None:
+        self.cubes[cube.name] = cube
+        self.body_names[cube.body] = cube.name
+
+    def _add_joint(self, joint: Joint) -> None:
+        self.joints[joint.name] = joint
+        self._pairs[_pair(joint.cube1, joint.cube2)] = joint.name
+        joint.cube1.joints[joint.name] = joint.cube2.joints[joint.name] = None
 
     # -- looking up ----------------------------------------------------------------------------------------------
 
-    def names(self) -> list[str]:
-        """Returns the cubes' names in order of creation."""
-        return list(self._cubes)
-
-    def joints(self) -> list[Joint]:
-        """Returns the joints in order of creation."""
-        return list(self._joints.values())
-
-    def skeletons(self) -> list[JsonObject]:
-        """Returns the skeletons in order of their oldest bones, as `world_info` has them."""
-        bones: dict[str | int, list[str]] = {}
-        for joint in self._joints.values():
-            if joint.skeleton is not None:
-                bones.setdefault(joint.skeleton, []).append(joint.name)
-        return [{"snake_id": snake, "bones": names} for snake, names in bones.items()]
-
-    def name_of(self, body: int) -> str | None:
-        """Returns the name of a body of the engine, or None if it is no cube of ours."""
-        return self._names.get(body)
-
     def states(self) -> Array:
-        """Returns a new array (n, 13), a row for each of `names()`; see `Simulation.states`."""
-        return self.simulation.states(list(self._names))
-
-    def find(self, name: str) -> Cube | None:
-        """Returns a cube, or None."""
-        return self._cubes.get(name)
+        """Returns a new array (n, 13), a row for each cube in order of creation; see `Simulation.states`."""
+        return self.simulation.states(list(self.body_names))
 
     def cube(self, name: str, path: str = "cube_name") -> Cube:
         """Returns a cube; `path` is the field to blame if there is none.
@@ -209,9 +179,9 @@ class Entities:
         Raises:
             WorldError: `cube_not_found`.
         """
-        cube = self._cubes.get(name)
+        cube = self.cubes.get(name)
         if cube is None:
-            raise WorldError("cube_not_found", f"there is no cube {name!r}", path)
+            raise cube_not_found(name, path)
         return cube
 
     def joint(self, name: str) -> Joint:
@@ -220,18 +190,10 @@ class Entities:
         Raises:
             WorldError: `joint_not_found`.
         """
-        joint = self._joints.get(name)
+        joint = self.joints.get(name)
         if joint is None:
             raise WorldError("joint_not_found", f"there is no joint {name!r}", "joint_name")
         return joint
-
-    def find_joint(self, name: str) -> Joint | None:
-        """Returns a joint, or None."""
-        return self._joints.get(name)
-
-    def planets(self) -> list[JsonObject]:
-        """Returns the planets as `get_planets` tells them."""
-        return scenery.planet_list(self._config, self._seed)
 
     def require(self, capability: str, what: str, path: str | None = None) -> None:
         """Raises `unsupported` unless the engine has the capability; `path` is the field that asks for it."""
@@ -242,45 +204,38 @@ class Entities:
 
     def require_room(self, cubes: int = 0, joints: int = 0) -> None:
         """Raises `limit_reached` unless the world may hold so many more."""
-        for held, more, what in ((self._cubes, cubes, "cubes"), (self._joints, joints, "joints")):
+        for count, more, what in ((len(self.cubes), cubes, "cubes"), (len(self.joints), joints, "joints")):
             most = self._config["limits"][what]
-            if len(held) + more > most:
-                raise WorldError("limit_reached", f"the world holds {len(held)} of its {most} {what} already")
+            if count + more > most:
+                raise WorldError("limit_reached", f"the world holds {count} of its {most} {what} already")
 
     def require_plane(self, planar: bool, what: str, path: str) -> None:
         """Raises `unsupported` where the engine is one of the XY plane and the thing is not in it."""
-        if self._planar and not planar:
+        if self._backend.dims == 2 and not planar:
             raise WorldError("unsupported", f"the {self._backend.name} backend is planar and takes no {what}", path)
 
-    def spawn(self, c: JsonObject) -> Cube:
-        """Makes the cube that a `spawn_cube` command describes."""
+    def spawn(self, command: JsonObject) -> Cube:
+        """Makes the cube that a `spawn_cube` command describes.
+
+        Raises:
+            WorldError: `limit_reached`, `cube_exists`, or `invalid` for a name or a rotation.
+        """
         self.require_room(cubes=1)
-        default = protocol.COMMANDS["spawn_cube"].defaults
-        suffix = "_BASE" if c.get("is_base") else ""
-        count = self._spawned + 1
-        if "cube_name" in c:
-            name = c["cube_name"] + suffix
-            if len(name) > 128:
-                raise WorldError("invalid", "cube_name: with _BASE appended it is longer than 128", "cube_name")
-            if name in self._cubes:
-                raise WorldError("cube_exists", f"there is a cube {name!r} already", "cube_name")
-        else:
-            # A client may have given its cube the very name that comes next.
-            while (name := self.draw("cube", count) + suffix) in self._cubes:
-                count += 1
-        size = c.get("size", default["size"])
-        friction, restitution = self._config["friction"], self._config["restitution"]
-        color = [float(x) for x in c.get("color", default["color"])]
+        fields, default = self.fields, protocol.COMMANDS["spawn_cube"].defaults
+        frozen = bool(command.get("is_base"))
+        name, count = self._new_cube_name(command.get("cube_name"), "_BASE" if frozen else "")
+        size = command.get("size", default["size"])
+        color = [float(part) for part in command.get("color", default["color"])]
         cube = Cube(
             name=name,
             body=count,
-            size=_vector(size) if isinstance(size, list) else (float(size),) * 3,
-            mass=float(c.get("mass", default["mass"])),
-            friction=float(c.get("friction", friction)),
-            restitution=float(c.get("restitution", restitution)),
+            size=vector(size) if isinstance(size, list) else (float(size),) * 3,
+            mass=float(command.get("mass", default["mass"])),
+            friction=float(command.get("friction", self._config["friction"])),
+            restitution=float(command.get("restitution", self._config["restitution"])),
             color=(color[0], color[1], color[2], color[3] if len(color) == 4 else 1.0),
-            frozen=bool(suffix),
-            origin=self._position(c.get("position", default["position"])),
+            frozen=frozen,
+            origin=fields.position(command.get("position", default["position"])),
         )
         self.simulation.add_body(
             cube.body,
@@ -290,78 +245,90 @@ class Entities:
                 friction=cube.friction,
                 restitution=cube.restitution,
                 position=cube.origin,
-                quaternion=self._rotation(c.get("rotation", default["rotation"])),
-                linear_velocity=self._position(c.get("linear_velocity", ZERO)),
-                angular_velocity=self._turn(c.get("angular_velocity", ZERO)),
+                quaternion=fields.rotation(command.get("rotation", default["rotation"])),
+                linear_velocity=fields.position(command.get("linear_velocity", ZERO)),
+                angular_velocity=fields.turn(command.get("angular_velocity", ZERO)),
                 frozen=cube.frozen,
             ),
         )
         self._spawned = count
-        self._cubes[name] = cube
-        self._names[cube.body] = name
+        self._add_cube(cube)
         self.version += 1
         return cube
+
+    def _new_cube_name(self, name: str | None, suffix: str) -> tuple[str, int]:
+        """Returns the name of the next cube, as wished or drawn, and its number in the engine."""
+        count = self._spawned + 1
+        if name is None:
+            # A client may have called its cube by the very name that comes next.
+            while (drawn := self.draw("cube", count) + suffix) in self.cubes:
+                count += 1
+            return drawn, count
+        name += suffix
+        if len(name) > _NAME_LENGTH:
+            message = f"cube_name: with _BASE appended it is longer than {_NAME_LENGTH}"
+            raise WorldError("invalid", message, "cube_name")
+        if name in self.cubes:
+            raise WorldError("cube_exists", f"there is a cube {name!r} already", "cube_name")
+        return name, count
 
     def despawn(self, cube: Cube) -> list[str]:
         """Removes a cube and the joints that it carries; returns their names."""
         joints = list(cube.joints)
         for name in joints:
-            self.cut(self._joints[name])
+            self.cut(self.joints[name])
         self.simulation.remove_body(cube.body)
-        del self._cubes[cube.name], self._names[cube.body]
+        del self.cubes[cube.name], self.body_names[cube.body]
         self.version += 1
         return joints
 
-    def apply(self, cube: Cube, c: JsonObject) -> None:
+    def apply(self, cube: Cube, command: JsonObject) -> None:
         """Applies the forces, torques and impulses of an `apply_physics` command during the next tick."""
-        force = self._position(c["force"]) if "force" in c else ZERO
-        impulse = self._position(c["impulse"]) if "impulse" in c else ZERO
-        torque = self._turn(c["torque"]) if "torque" in c else ZERO
-        spin = self._turn(c["angular_impulse"]) if "angular_impulse" in c else ZERO
-        if "at" in c:
-            arm = minus(self._position(c["at"]), self.simulation.body_state(cube.body).position)
+        fields = self.fields
+        force = fields.position(command["force"]) if "force" in command else ZERO
+        impulse = fields.position(command["impulse"]) if "impulse" in command else ZERO
+        torque = fields.turn(command["torque"]) if "torque" in command else ZERO
+        spin = fields.turn(command["angular_impulse"]) if "angular_impulse" in command else ZERO
+        if "at" in command:
+            arm = minus(fields.position(command["at"]), self.simulation.body_state(cube.body).position)
             torque = plus(torque, cross(arm, force))
             spin = plus(spin, cross(arm, impulse))
         self.simulation.apply(cube.body, force, torque, impulse, spin)
 
-    def move(self, cube: Cube, c: JsonObject) -> None:
-        """Puts a cube, and with it what joints connect to it, where a `set_cube_state` command says."""
-        simulation = self.simulation
-        old = simulation.body_state(cube.body)
-        position = self._position(c["position"]) if "position" in c else old.position
-        quaternion = self._rotation(c["rotation"]) if "rotation" in c else old.quaternion
-        turn = multiply(quaternion, conjugate(old.quaternion)) if "rotation" in c else (0.0, 0.0, 0.0, 1.0)
-        linear = self._position(c["linear_velocity"]) if "linear_velocity" in c else old.linear_velocity
-        angular = self._turn(c["angular_velocity"]) if "angular_velocity" in c else old.angular_velocity
-        rigid = "linear_velocity" in c or "angular_velocity" in c
+    def move(self, cube: Cube, command: JsonObject) -> None:
+        """Puts a cube, and with it all that joints connect to it, where a `set_cube_state` command says.
+
+        Raises:
+            WorldError: `invalid`: the rotation is none.
+        """
+        fields, old = self.fields, self.simulation.body_state(cube.body)
+        turned = "rotation" in command
+        new = BodyState(
+            fields.position(command["position"]) if "position" in command else old.position,
+            fields.rotation(command["rotation"]) if turned else old.quaternion,
+            fields.position(command["linear_velocity"]) if "linear_velocity" in command else old.linear_velocity,
+            fields.turn(command["angular_velocity"]) if "angular_velocity" in command else old.angular_velocity,
+        )
+        turn = multiply(new.quaternion, conjugate(old.quaternion)) if turned else UNTURNED
+        rigid = "linear_velocity" in command or "angular_velocity" in command
         # Joints hold, so the whole structure moves as one: by the same turn and shift, and, where a velocity is
-        # given, with the velocity field of a rigid body that has it.
-        for other in self._connected(cube):
-            if other is cube:
-                continue
-            state = simulation.body_state(other.body)
-            arm = minus(state.position, old.position)
-            arm = rotate(turn, arm) if "rotation" in c else arm
-            if rigid:
-                v, w = plus(linear, cross(angular, arm)), angular
-            else:
-                v = plus(linear, rotate(turn, minus(state.linear_velocity, old.linear_velocity)))
-                w = plus(angular, rotate(turn, minus(state.angular_velocity, old.angular_velocity)))
-            q = normalize(multiply(turn, state.quaternion)) if "rotation" in c else state.quaternion
-            simulation.set_body_state(other.body, BodyState(plus(position, arm), q, v, w))
-        simulation.set_body_state(cube.body, BodyState(position, quaternion, linear, angular))
+        # asked for, with the velocity field of a rigid body that has it.
+        for other in self._connected(cube)[1:]:
+            state = self.simulation.body_state(other.body)
+            self.simulation.set_body_state(other.body, _moved(state, old, new, turn, turned=turned, rigid=rigid))
+        self.simulation.set_body_state(cube.body, new)
 
     def _connected(self, cube: Cube) -> list[Cube]:
         """Returns the cubes that joints connect with this one, itself first."""
-        found, at = {cube.body: cube}, [cube]
-        for here in at:
+        seen, cubes = {cube.body}, [cube]
+        for here in cubes:  # grows meanwhile
             for name in here.joints:
-                joint = self._joints[name]
+                joint = self.joints[name]
                 other = joint.cube2 if joint.cube1 is here else joint.cube1
-                if other.body not in found:
-                    found[other.body] = other
-                    at.append(other)
-        return at
+                if other.body not in seen:
+                    seen.add(other.body)
+                    cubes.append(other)
+        return cubes
 
     def freeze(self, cube: Cube, frozen: bool) -> None:
         """Makes a cube immovable, or lets it go at rest."""
@@ -370,144 +337,79 @@ class Entities:
             cube.frozen = frozen
             self.version += 1
 
-    def cube_info(self, cube: Cube) -> JsonObject:
-        """Returns all there is to know about a cube, as `cube_info` has it."""
-        reply = self.cube_state(cube)
-        reply["size"] = cube.size
-        reply["mass"] = cube.mass
-        reply["friction"] = cube.friction
-        reply["restitution"] = cube.restitution
-        reply["color"] = cube.color
-        reply["frozen"] = cube.frozen
-        reply["sleeping"] = self.simulation.sleeping(cube.body)
-        reply["joints"] = list(cube.joints)
-        reply["contacts"] = contact_list(self.simulation.contacts(cube.body), reply["quaternion"], self._names)
-        return reply
-
-    def inertial(self, cubes: list[Cube]) -> list[JsonObject]:
-        """Returns what the accelerometers and gyros of cubes read."""
-        self.require("sensors.inertial", "accelerometers and gyros", "sensors")
-        bodies = [cube.body for cube in cubes]
-        states, felt = self.simulation.states(bodies).tolist(), self.simulation.proper_accelerations(bodies).tolist()
-        return [
-            {"accelerometer": own_axes(state[3:7], acceleration), "gyro": own_axes(state[3:7], state[10:13])}
-            for state, acceleration in zip(states, felt, strict=True)
-        ]
-
-    def ranges(self, cube: Cube, rays: list[list[float]], limit: float) -> list[float | None]:
-        """Returns the distances from a cube's centre along directions in its own frame."""
-        self.require("sensors.range", "range finder", "rays")
-        quaternion = self.simulation.body_state(cube.body).quaternion
-        directions = []
-        for i, ray in enumerate(rays):
-            unit = _unit(self._position(ray))
-            if unit is None:
-                raise WorldError(
-                    "invalid", f"rays/{i}: must have a direction, and in a planar world one in it", f"rays/{i}"
-                )
-            directions.append(rotate(quaternion, unit))
-        return self.simulation.ranges(cube.body, np.array(directions).reshape(-1, 3), limit) if directions else []
-
-    def camera(self, cube: Cube, c: JsonObject) -> JsonObject:
-        """Returns what the camera of a `get_camera` command sees, as `camera_image` has it."""
-        self.require("camera", "cameras")
-        c = {**protocol.COMMANDS["get_camera"].defaults, **c}
-        state = self.simulation.body_state(cube.body)
-        image = self.simulation.draw(
-            CameraSpec(
-                width=c["width"],
-                height=c["height"],
-                fov=float(c["fov"]),
-                position=plus(state.position, rotate(state.quaternion, self._position(c["position"]))),
-                quaternion=normalize(multiply(state.quaternion, self._rotation(c["rotation"]))),
-            ),
-            {other.body: other.color for other in self._cubes.values()},
-        )
-        return {"cube_name": cube.name, "width": c["width"], "height": c["height"], "image": png(image)}
-
-    def cube_state(self, cube: Cube) -> JsonObject:
-        """Returns the moving part of a cube's info."""
-        state = self.simulation.body_state(cube.body)
-        return {
-            "cube_name": cube.name,
-            "position": state.position,
-            "rotation": euler_from_quaternion(state.quaternion),
-            "quaternion": state.quaternion,
-            "linear_velocity": state.linear_velocity,
-            "angular_velocity": state.angular_velocity,
-        }
-
-    def moving(self, cubes: list[Cube], sensors: bool = False) -> list[JsonObject]:
-        """Returns the moving part of several cubes, and what their `sensors` read."""
-        states = self.simulation.states([cube.body for cube in cubes]).tolist()
-        parts = [moving_part(cube.name, state) for cube, state in zip(cubes, states, strict=True)]
-        if sensors:
-            for cube, part, inertial in zip(cubes, parts, self.inertial(cubes), strict=True):
-                touched = self.simulation.contacts(cube.body)
-                part["contacts"] = contact_list(touched, part["quaternion"], self._names)
-                part.update(inertial)
-        return parts
-
     # -- joints --------------------------------------------------------------------------------------------------
 
     def connect(
-        self, c: JsonObject, kind: str, prefix: str, skeleton: str | int | None = None, name: str | None = None
+        self, command: JsonObject, kind: str, prefix: str, skeleton: str | int | None = None, name: str | None = None
     ) -> str:
         """Makes the joint that a `create_joint` or `create_bone` command describes; returns its name.
 
-        A bone belongs to a `skeleton`. A `name` that is not given is drawn; one that is must not be taken.
+        Args:
+            command: Its cubes, geometry and parameters.
+            kind: The joint's type, as the wire has it.
+            prefix: What a drawn name begins with.
+            skeleton: What a bone belongs to.
+            name: The joint's name, which must be free; None: one is drawn.
+
+        Raises:
+            WorldError: `unsupported`, `cube_not_found`, `self_joint`, `joint_exists`, `limit_reached`, or `invalid` for
+                an axis or a parameter.
         """
         kind = "slide" if kind == "slider" else kind
         self.require(f"joint.{kind}", f"joints of type {kind}")
-        cube1, cube2 = self.cube(c["cube1"], "cube1"), self.cube(c["cube2"], "cube2")
+        cube1, cube2 = self.cube(command["cube1"], "cube1"), self.cube(command["cube2"], "cube2")
         if cube1 is cube2:
             raise WorldError("self_joint", f"a joint needs two cubes; both are {cube1.name!r}", "cube2")
-        pair = (min(cube1.body, cube2.body), max(cube1.body, cube2.body))
+        pair = _pair(cube1, cube2)
         if pair in self._pairs:
             raise WorldError("joint_exists", f"these cubes are joined by {self._pairs[pair]!r} already")
         self.require_room(joints=1)
-        here, there = (self.simulation.body_state(cube.body).position for cube in (cube1, cube2))
-        if "position" in c:
-            anchor = self._position(c["position"])
-        else:
-            anchor = ((here[0] + there[0]) / 2, (here[1] + there[1]) / 2, (here[2] + there[2]) / 2)
-        if "axis" in c:
-            axis = self._axis(kind, c["axis"])
-        elif kind == "conetwist":
-            axis = _unit(minus(there, here)) or (1.0, 0.0, 0.0)
-        else:
-            axis = (1.0, 0.0, 0.0) if kind == "slide" else (0.0, 0.0, 1.0)
-        given = {name: c[name] for name in jointparams.CAPABILITY if name in c}
-        if "limits" in c:
-            given["limit_lower"], given["limit_upper"] = c["limits"]
-            given["limit_enabled"] = True
-        for parameter in given:
-            self._require_param(kind, parameter, parameter)
-        params = jointparams.adjust(
-            kind, jointparams.default_params(self._engine_step), given, self._engine_step, path=None
-        )
-        count = self._joined + 1
-        while name is None and self.draw(prefix, count) in self._joints:
-            count += 1
-        drawn = name or self.draw(prefix, count)
-        self.simulation.add_joint(
-            count, JointSpec(kind, cube1.body, cube2.body, anchor, axis, jointparams.engine_params(params))
-        )
+        anchor, axis = self._joint_geometry(command, kind, cube1, cube2)
+        params = self._first_params(command, kind)
+        name, count = self._new_joint_name(name, prefix)
+        spec = JointSpec(kind, cube1.body, cube2.body, anchor, axis, joint_params.engine_params(params))
+        self.simulation.add_joint(count, spec)
         self._joined = count
-        self._joints[drawn] = Joint(drawn, count, kind, cube1, cube2, params, skeleton)
-        self._pairs[pair] = drawn
-        cube1.joints[drawn] = cube2.joints[drawn] = None
+        self._add_joint(Joint(name, count, kind, cube1, cube2, params, skeleton))
         if params["motor_enabled"]:
             self.meter.add(count)
         self.version += 1
-        return drawn
+        return name
 
-    def _axis(self, kind: str, value: list[float]) -> Vector:
-        axis = self._turn(value) if kind == "hinge" else self._position(value)
-        unit = _unit(axis)
-        if unit is None:
-            raise WorldError("invalid", "axis: must have a direction, and in a planar world one in it", "axis")
-        return unit
+    def _new_joint_name(self, name: str | None, prefix: str) -> tuple[str, int]:
+        """Returns the name of the next joint, as wished or drawn, and its number in the engine."""
+        count = self._joined + 1
+        if name is not None:
+            return name, count
+        while (drawn := self.draw(prefix, count)) in self.joints:
+            count += 1
+        return drawn, count
+
+    def _joint_geometry(self, command: JsonObject, kind: str, cube1: Cube, cube2: Cube) -> tuple[Vector, Vector]:
+        """Returns the anchor and the axis of a new joint: the midpoint and the type's own axis where none is said."""
+        here, there = (self.simulation.body_state(cube.body).position for cube in (cube1, cube2))
+        if "position" in command:
+            anchor = self.fields.position(command["position"])
+        else:
+            anchor = ((here[0] + there[0]) / 2, (here[1] + there[1]) / 2, (here[2] + there[2]) / 2)
+        if "axis" in command:
+            axis = self.fields.axis(kind, command["axis"])
+        elif kind == "conetwist":
+            axis = unit_vector(minus(there, here)) or (1.0, 0.0, 0.0)
+        else:
+            axis = (1.0, 0.0, 0.0) if kind == "slide" else (0.0, 0.0, 1.0)
+        return anchor, axis
+
+    def _first_params(self, command: JsonObject, kind: str) -> JsonObject:
+        """Returns the parameters that a new joint begins with."""
+        changes = {name: command[name] for name in joint_params.CAPABILITY if name in command}
+        if "limits" in command:
+            changes["limit_lower"], changes["limit_upper"] = command["limits"]
+            changes["limit_enabled"] = True
+        for parameter in changes:
+            self._require_param(kind, parameter, parameter)
+        default = joint_params.default_params(self._engine_step)
+        return joint_params.adjust(kind, default, changes, self._engine_step, path=None)
 
     def cut(self, joint: Joint) -> None:
         """Removes a joint; its cubes keep their motion."""
@@ -515,16 +417,15 @@ class Entities:
         work = self.meter.remove(joint.number) / self.tick_rate
         joint.cube1.past_work += work
         joint.cube2.past_work += work
-        bodies = joint.cube1.body, joint.cube2.body
-        del self._joints[joint.name], self._pairs[min(bodies), max(bodies)]
+        del self.joints[joint.name], self._pairs[_pair(joint.cube1, joint.cube2)]
         del joint.cube1.joints[joint.name], joint.cube2.joints[joint.name]
         self.version += 1
 
     def set_param(self, joint: Joint, name: str, value: float | bool) -> None:
         """Sets one parameter of a joint."""
         self._require_param(joint.kind, name, "param_name")
-        params = jointparams.adjust(joint.kind, joint.params, {name: value}, self._engine_step, path="value")
-        self.simulation.set_joint_params(joint.number, jointparams.engine_params(params))
+        params = joint_params.adjust(joint.kind, joint.params, {name: value}, self._engine_step, path="value")
+        self.simulation.set_joint_params(joint.number, joint_params.engine_params(params))
         joint.params = params
         if params["motor_enabled"]:
             self.meter.add(joint.number)
@@ -533,10 +434,10 @@ class Entities:
     def _require_param(self, kind: str, name: str, path: str) -> None:
         if kind not in ("hinge", "slide") and not (kind == "conetwist" and name.startswith("limit")):
             raise WorldError("unsupported", f"a {kind} joint has no {name}", path)
-        self.require(jointparams.CAPABILITY[name], f"{name} for joints")
+        self.require(joint_params.CAPABILITY[name], f"{name} for joints")
 
     def joint_info(self, joint: Joint) -> JsonObject:
-        """Returns all there is to know about a joint, as `joint_info` has it."""
+        """Returns a joint's state and parameters, as `joint_info` has them."""
         reading = self.simulation.joint_state(joint.number)
         return {
             **identity(joint),
@@ -549,48 +450,51 @@ class Entities:
         }
 
     def work(self, cube: Cube) -> float:
-        """Returns what the motors of all joints that a cube has, or had, have worked so far, J."""
-        sums = (self.meter.watts(self._joints[name].number) for name in cube.joints)
+        """Returns the work that the motors of all joints that a cube has, or had, have done so far, J."""
+        sums = (self.meter.watts(self.joints[name].number) for name in cube.joints)
         return cube.past_work + sum(watts for watts in sums if watts is not None) / self.tick_rate
-
-    # -- reading fields ------------------------------------------------------------------------------------------
 
     def draw(self, prefix: str, count: int) -> str:
         """Draws the name of the `count`-th thing of its kind from the seed."""
         digits = blake2b(f"{self._seed}:{prefix}:{count}".encode(), digest_size=4).hexdigest()
         return f"{prefix}_{count}_{digits}"
 
-    def _position(self, value: list[float]) -> Vector:
-        x, y, z = value
-        return (float(x), float(y), 0.0 if self._planar else float(z))
 
-    def _turn(self, value: list[float]) -> Vector:
-        """Reads an angular vector: torque, angular velocity, angular impulse."""
-        x, y, z = value
-        return (0.0, 0.0, float(z)) if self._planar else (float(x), float(y), float(z))
-
-    def _rotation(self, value: list[float]) -> Quaternion:
-        if len(value) == 3:
-            return quaternion_from_euler(*self._turn(value))
-        try:
-            q = normalize((float(value[0]), float(value[1]), float(value[2]), float(value[3])))
-        except (ZeroDivisionError, OverflowError):
-            raise WorldError("invalid", "rotation: a quaternion must not be zero", "rotation") from None
-        return quaternion_from_euler(*self._turn(list(euler_from_quaternion(q)))) if self._planar else q
+def _pair(cube1: Cube, cube2: Cube) -> tuple[int, int]:
+    return (cube1.body, cube2.body) if cube1.body < cube2.body else (cube2.body, cube1.body)
 
 
-def _vector(value: list[float]) -> Vector:
-    x, y, z = value
-    return (float(x), float(y), float(z))
+def _moved(
+    state: BodyState, old: BodyState, new: BodyState, turn: Quaternion, *, turned: bool, rigid: bool
+) -> BodyState:
+    """Returns the state of a body of a structure that moves as one with another body.
+
+    Args:
+        state: Its state now.
+        old: The other body's state before.
+        new: The other body's state after.
+        turn: From the other body's old attitude to its new one.
+        turned: Whether it turns at all: where it does not, no number changes by rounding.
+        rigid: Whether velocities are those of one rigid body, or turned along with it.
+    """
+    arm = minus(state.position, old.position)
+    arm = rotate(turn, arm) if turned else arm
+    if rigid:
+        linear, angular = plus(new.linear_velocity, cross(new.angular_velocity, arm)), new.angular_velocity
+    else:
+        linear = plus(new.linear_velocity, rotate(turn, minus(state.linear_velocity, old.linear_velocity)))
+        angular = plus(new.angular_velocity, rotate(turn, minus(state.angular_velocity, old.angular_velocity)))
+    quaternion = normalize(multiply(turn, state.quaternion)) if turned else state.quaternion
+    return BodyState(plus(new.position, arm), quaternion, linear, angular)
 
 
-def _unit(v: Vector) -> Vector | None:
-    length = hypot(*v)
-    return (v[0] / length, v[1] / length, v[2] / length) if 1e-9 < length < inf else None
+def cube_not_found(name: str, path: str = "cube_name") -> WorldError:
+    """Returns the error to raise where there is no cube of that name; `path` is the field to blame."""
+    return WorldError("cube_not_found", f"there is no cube {name!r}", path)
 
 
 def identity(joint: Joint) -> JsonObject:
-    """Returns what `joint_list` says of a joint."""
+    """Returns a joint's name, type and cubes, as `joint_list` has them."""
     return {
         "joint_name": joint.name,
         "joint_type": joint.kind,

@@ -1,4 +1,4 @@
-"""The adjustable parameters of a joint: the wire's names, units and rules, and what an engine is told.
+"""The adjustable parameters of a joint: the wire's names, units and rules, and an engine's parameters from them.
 
 Hides how the wire's parameters depend on each other (a target switches the motor on, the bound on the motor's
 effort has two units, a position target makes the motor a servo), so that no engine needs to know.
@@ -53,14 +53,14 @@ def default_params(engine_step: float) -> Params:
 
 
 def adjust(
-    kind: str, params: Mapping[str, Any], given: Mapping[str, float | bool], engine_step: float, path: str | None
+    kind: str, params: Mapping[str, Any], changes: Mapping[str, float | bool], engine_step: float, path: str | None
 ) -> Params:
-    """Returns the parameters with the given ones set, all of them or none.
+    """Returns the parameters with changes made, all of them or none.
 
     Args:
         kind: The joint's type.
         params: What the joint has now.
-        given: New values, in the order in which they act.
+        changes: New values, in the order in which they act.
         engine_step: Length of one engine step, s.
         path: The field to blame; None where each parameter is a field of its own name.
 
@@ -69,11 +69,11 @@ def adjust(
             its largest swing for lower limit and its largest twist for upper one, neither of them negative.
     """
     result = dict(params)
-    for name, value in given.items():
+    for name, value in changes.items():
         field = path or name
         if isinstance(value, bool) != (name in _SWITCHES):
-            wanted = "true or false" if name in _SWITCHES else "a number"
-            raise WorldError("invalid", f"{field}: {name} must be {wanted}, not {value}", field)
+            expected = "true or false" if name in _SWITCHES else "a number"
+            raise WorldError("invalid", f"{field}: {name} must be {expected}, not {value}", field)
         if name in _NOT_NEGATIVE and value < 0:
             raise WorldError("invalid", f"{field}: {name} must not be negative, but is {value}", field)
         result[name] = value if isinstance(value, bool) else float(value)
@@ -97,7 +97,7 @@ def adjust(
 
 
 def engine_params(params: Mapping[str, Any]) -> JointParams:
-    """Returns the same for an engine."""
+    """Returns an engine's parameters for a joint with these parameters of the wire."""
     result = JointParams(
         target_velocity=params["motor_target_velocity"],
         max_effort=params["motor_max_force"],

@@ -24,6 +24,7 @@ from PIL import Image
 from nmes.backend import Arena, Array, Heightfield, Planet, Quaternion, SceneSpec, StaticBox, Vector
 from nmes.backend.rotation import normalize, quaternion_from_euler, rotate
 from nmes.errors import WorldError
+from nmes.world.fields import vector
 
 __all__ = ["needs", "planet_list", "scene_spec"]
 
@@ -39,14 +40,14 @@ _BIOMES = 5
 def needs(config: Mapping[str, Any]) -> dict[str, str]:
     """Returns the capabilities that an engine needs for the scene, each with the field of the config that asks."""
     scene = config["scene"]
-    found = {} if scene["type"] == "flat" else {f"scene.{scene['type']}": "scene/type"}
+    fields = {} if scene["type"] == "flat" else {f"scene.{scene['type']}": "scene/type"}
     if scene["obstacles"]:
-        found["scene.obstacles"] = "scene/obstacles"
-    return found
+        fields["scene.obstacles"] = "scene/obstacles"
+    return fields
 
 
 def scene_spec(config: Mapping[str, Any], seed: int) -> SceneSpec:
-    """Returns what an engine makes of a complete config; `seed` is the world's.
+    """Returns the scene that an engine makes for a complete config; `seed` is the world's.
 
     Raises:
         WorldError: The scene contradicts itself; `path` names the field.
@@ -60,7 +61,7 @@ def scene_spec(config: Mapping[str, Any], seed: int) -> SceneSpec:
     arena = scene.get("arena")
     return SceneSpec(
         timestep=1.0 / (config["tick_rate"] * config["substeps"]),
-        gravity=_vector(config["gravity"]),
+        gravity=vector(config["gravity"]),
         max_bodies=config["limits"]["cubes"],
         ground=kind == "flat" and not gaps,
         boxes=(*boxes, *_ground_with_gaps([gap for _, gap in gaps])),
@@ -74,44 +75,45 @@ def scene_spec(config: Mapping[str, Any], seed: int) -> SceneSpec:
 # -- obstacles --------------------------------------------------------------------------------------------------------
 
 
-def _box(c: JsonObject) -> list[StaticBox]:
-    size, turn = c["size"], c["rotation"]
-    edges = _vector(size) if isinstance(size, list) else (float(size),) * 3
+def _box(obstacle: JsonObject) -> list[StaticBox]:
+    size, turn = obstacle["size"], obstacle["rotation"]
+    edges = vector(size) if isinstance(size, list) else (float(size),) * 3
     quaternion = quaternion_from_euler(*turn) if len(turn) == 3 else normalize((turn[0], turn[1], turn[2], turn[3]))
-    return [StaticBox(edges, _vector(c["position"]), quaternion)]
+    return [StaticBox(edges, vector(obstacle["position"]), quaternion)]
 
 
-def _placed(c: JsonObject, size: Vector, along: float, up: float, tilt: float = 0.0) -> StaticBox:
+def _placed(obstacle: JsonObject, size: Vector, along: float, up: float, tilt: float = 0.0) -> StaticBox:
     """Returns a box whose middle is `along` the heading and `up` from the obstacle's position; `tilt` raises it."""
-    turn: Quaternion = quaternion_from_euler(0.0, c["heading"], tilt)
-    x, y, z = rotate(quaternion_from_euler(0.0, c["heading"], 0.0), (along, up, 0.0))
-    at = c["position"]
+    turn: Quaternion = quaternion_from_euler(0.0, obstacle["heading"], tilt)
+    x, y, z = rotate(quaternion_from_euler(0.0, obstacle["heading"], 0.0), (along, up, 0.0))
+    at = obstacle["position"]
     return StaticBox(size, (at[0] + x, at[1] + y, at[2] + z), turn)
 
 
-def _wall(c: JsonObject) -> list[StaticBox]:
-    return [_placed(c, (c["length"], c["height"], c["width"]), 0.0, c["height"] / 2.0)]
+def _wall(obstacle: JsonObject) -> list[StaticBox]:
+    height = obstacle["height"]
+    return [_placed(obstacle, (obstacle["length"], height, obstacle["width"]), 0.0, height / 2.0)]
 
 
-def _ramp(c: JsonObject) -> list[StaticBox]:
+def _ramp(obstacle: JsonObject) -> list[StaticBox]:
     """A plank whose upper face runs from the line at its position up to the height."""
-    length, height = c["length"], c["height"]
+    length, height = obstacle["length"], obstacle["height"]
     slope = hypot(length, height)
     # Down from the middle of the upper face, at a right angle to it.
     along = length / 2.0 + _PLANK / 2.0 * height / slope
     up = height / 2.0 - _PLANK / 2.0 * length / slope
-    return [_placed(c, (slope, _PLANK, c["width"]), along, up, atan2(height, length))]
+    return [_placed(obstacle, (slope, _PLANK, obstacle["width"]), along, up, atan2(height, length))]
 
 
-def _stairs(c: JsonObject) -> list[StaticBox]:
-    depth, rise = c["length"] / c["steps"], c["height"] / c["steps"]
+def _stairs(obstacle: JsonObject) -> list[StaticBox]:
+    depth, rise = obstacle["length"] / obstacle["steps"], obstacle["height"] / obstacle["steps"]
     return [
-        _placed(c, (depth, rise * step, c["width"]), depth * (step - 0.5), rise * step / 2.0)
-        for step in range(1, c["steps"] + 1)
+        _placed(obstacle, (depth, rise * step, obstacle["width"]), depth * (step - 0.5), rise * step / 2.0)
+        for step in range(1, obstacle["steps"] + 1)
     ]
 
 
-def _gap(c: JsonObject) -> list[StaticBox]:
+def _gap(obstacle: JsonObject) -> list[StaticBox]:
     return []  # what is left of the ground is made of all gaps together
 
 
@@ -123,10 +125,10 @@ def _ground_with_gaps(gaps: list[JsonObject]) -> list[StaticBox]:
     if not gaps:
         return []
     spans = [
-        [tuple(min(max(c["position"][i] + end * c[size], -_PLAIN), _PLAIN) for end in (-0.5, 0.5)) for c in gaps]
+        [tuple(min(max(gap["position"][i] + end * gap[size], -_PLAIN), _PLAIN) for end in (-0.5, 0.5)) for gap in gaps]
         for i, size in ((0, "length"), (2, "width"))
     ]
-    bottom = -max(c["depth"] for c in gaps) - 1.0
+    bottom = -max(gap["depth"] for gap in gaps) - 1.0
     xs, zs = (sorted({-_PLAIN, _PLAIN, *(edge for span in part for edge in span)}) for part in spans)
     boxes = []
     for x1, x2 in pairwise(xs):
@@ -134,8 +136,8 @@ def _ground_with_gaps(gaps: list[JsonObject]) -> list[StaticBox]:
         strips: list[tuple[float, float, float]] = []
         for z1, z2 in pairwise(zs):
             over = [
-                c["depth"]
-                for c, across, along in zip(gaps, *spans, strict=True)
+                gap["depth"]
+                for gap, across, along in zip(gaps, *spans, strict=True)
                 if across[0] <= x1 and x2 <= across[1] and along[0] <= z1 and z2 <= along[1]
             ]
             depth = max(over, default=0.0)
@@ -152,41 +154,41 @@ def _ground_with_gaps(gaps: list[JsonObject]) -> list[StaticBox]:
 # -- landscapes -------------------------------------------------------------------------------------------------------
 
 
-def _landscape(c: JsonObject, seed: int) -> Heightfield:
-    size = (float(c["size"][0]), float(c["size"][1]))
-    if "image" in c and "heights" in c:
+def _landscape(field: JsonObject, seed: int) -> Heightfield:
+    size = (float(field["size"][0]), float(field["size"][1]))
+    if "image" in field and "heights" in field:
         raise WorldError("invalid", "give an image or heights, not both", "scene/heightfield/image")
-    if "image" in c:
-        return Heightfield(size, _read_image(c["image"]) * float(c["height"]))
-    if "heights" in c:
-        rows = c["heights"]
+    if "image" in field:
+        return Heightfield(size, _read_image(field["image"]) * float(field["height"]))
+    if "heights" in field:
+        rows = field["heights"]
         for i, row in enumerate(rows):
             if len(row) != len(rows[0]):
                 message = f"expected {len(rows[0])} numbers as in the first row, got {len(row)}"
                 raise WorldError("invalid", message, f"scene/heightfield/heights/{i}")
         return Heightfield(size, np.array(rows, float))
-    return Heightfield(size, _draw_hills(c, size, c.get("seed", seed)))
+    return Heightfield(size, _draw_hills(field, size, field.get("seed", seed)))
 
 
-def _draw_hills(c: JsonObject, size: tuple[float, float], seed: int) -> Array:
+def _draw_hills(field: JsonObject, size: tuple[float, float], seed: int) -> Array:
     """Draws hills of sizes from `hill` down to the grid's own, the smaller the lower, and levels the clearing."""
     # RandomState is the one generator of which numpy promises the same numbers for ever.
     draw = np.random.RandomState(np.random.MT19937(np.random.SeedSequence(seed)))
-    columns, rows = (int(count) for count in c["samples"])
+    columns, rows = (int(count) for count in field["samples"])
     x, z = np.linspace(-size[0] / 2.0, size[0] / 2.0, columns), np.linspace(-size[1] / 2.0, size[1] / 2.0, rows)
     finest = min(x[1] - x[0], z[1] - z[0])
     heights = np.zeros((rows, columns))
-    extent, weight = float(c["hill"]), 1.0
+    extent, weight = float(field["hill"]), 1.0
     for octave in range(_OCTAVES):
         if octave and extent < 2.0 * finest:
             break
         heights += weight * _smooth_noise(draw, x, z, extent)
-        extent, weight = extent / 2.0, weight * c["roughness"]
+        extent, weight = extent / 2.0, weight * field["roughness"]
     low, high = heights.min(), heights.max()
-    heights = (heights - low) * (c["height"] / (high - low)) if high > low else heights - low
+    heights = (heights - low) * (field["height"] / (high - low)) if high > low else heights - low
     heights -= heights[rows // 2, columns // 2]
-    if c["clearing"] > 0.0:
-        far = np.clip((np.sqrt(z[:, None] ** 2 + x[None, :] ** 2) - c["clearing"]) / c["clearing"], 0.0, 1.0)
+    if field["clearing"] > 0.0:
+        far = np.clip((np.sqrt(z[:, None] ** 2 + x[None, :] ** 2) - field["clearing"]) / field["clearing"], 0.0, 1.0)
         heights = heights * _ease(far)
     return np.asarray(heights, np.float64)
 
@@ -232,18 +234,18 @@ def _read_image(text: str) -> Array:
 # -- planets ----------------------------------------------------------------------------------------------------------
 
 
-def _planets(c: JsonObject) -> list[Planet]:
+def _planets(config: JsonObject) -> list[Planet]:
     """Returns the planets, the one under the origin first, then by distance from it."""
-    radius, spacing = float(c["radius"]), float(c["spacing"])
+    radius, spacing = float(config["radius"]), float(config["spacing"])
     if spacing < 2.0 * radius:
         message = f"planets of radius {radius:g} m need a spacing of twice that"
         raise WorldError("invalid", message, "scene/planets/spacing")
     side = 1
-    while side**3 < c["count"]:
+    while side**3 < config["count"]:
         side += 1
     line = [i - (side - 1) // 2 for i in range(side)]
     cells = sorted(product(line, repeat=3), key=lambda cell: (sum(i * i for i in cell), cell))
-    return [Planet((x * spacing, y * spacing - radius, z * spacing), radius) for x, y, z in cells[: c["count"]]]
+    return [Planet((x * spacing, y * spacing - radius, z * spacing), radius) for x, y, z in cells[: config["count"]]]
 
 
 def planet_list(config: Mapping[str, Any], seed: int) -> list[JsonObject]:
@@ -252,11 +254,11 @@ def planet_list(config: Mapping[str, Any], seed: int) -> list[JsonObject]:
     if scene["type"] != "planets":
         return []
     seed = scene["planets"].get("seed", seed)
-    found = []
+    planets = []
     for number, planet in enumerate(_planets(scene["planets"])):
         drawn = blake2b(f"{seed} planet {number}".encode(), digest_size=8).digest()
         x, y, z = planet.position
-        found.append(
+        planets.append(
             {
                 "Name": f"Planet_{number}",
                 "Position": {"x": x, "y": y, "z": z},
@@ -266,8 +268,4 @@ def planet_list(config: Mapping[str, Any], seed: int) -> list[JsonObject]:
                 "TreeLocations": [],
             }
         )
-    return found
-
-
-def _vector(values: list[float]) -> Vector:
-    return (float(values[0]), float(values[1]), float(values[2]))
+    return planets

@@ -29,7 +29,7 @@ _SHAPE = jsonschema_rs.Draft202012Validator(load("recording/keyframes.json"))
 
 
 def pack(config: Mapping[str, Any], state: Mapping[str, Any], engine: bytes) -> bytes:
-    """Returns a snapshot of a world of this config, of its state and its engine's."""
+    """Returns a snapshot: the state of a world with this config, and its engine's snapshot."""
     return orjson.dumps({"version": _VERSION, "config": _hash(config), **state}) + b"\n" + engine
 
 

@@ -1,4 +1,4 @@
-"""What one client wants to be told unasked, and which cubes have moved since it was last told.
+"""One client's subscription to events, and the cubes that have moved since it was last sent them.
 
 Hides the bookkeeping of the `state` event: a subscriber is sent only the cubes that moved past its thresholds since
 they were last sent to it, each of them at least once, and the names of those that are gone. Vectorised: a thousand
@@ -38,15 +38,15 @@ class Subscription:
 
     @classmethod
     def restored(cls, state: Mapping[str, Any]) -> Self:
-        """Returns the subscription of which `state` tells.
+        """Rebuilds a subscription from its `state`.
 
         Raises:
-            ValueError: What it was told last does not fit together.
+            ValueError: Its cubes and their poses do not fit together.
         """
         sent = unpack_array(state["sent"], 7)
         names = list(state["names"])
         if len(sent) != len(names):
-            raise ValueError(f"{len(names)} cubes were told of, with {len(sent)} poses")
+            raise ValueError(f"a subscription has {len(names)} cubes, but {len(sent)} poses")
         return cls(
             events=tuple(state["events"]),
             every=state["every"],
@@ -58,7 +58,7 @@ class Subscription:
         )
 
     def state(self) -> dict[str, Any]:
-        """Returns all of it as plain JSON data, for snapshots of the world."""
+        """Returns the subscription as plain JSON data, for snapshots of the world."""
         return {
             "events": self.events,
             "every": self.every,
@@ -107,7 +107,7 @@ class Subscription:
 
 
 def moving_part(name: str, state: Sequence[float]) -> dict[str, Any]:
-    """Returns the moving part of a cube's info, from the 13 numbers of its state."""
+    """Returns a cube's pose and velocities as `cube_state` has them, from the 13 numbers of its state."""
     x, y, z, w = state[3:7]
     return {
         "cube_name": name,
@@ -129,7 +129,7 @@ _KEYS = (
 
 
 def _encode(names: Sequence[str], states: Array) -> bytes:
-    """Returns the encoded list of the moving parts of cubes, of which there is one or more."""
+    """Returns the encoded list of the moving parts of one or more cubes."""
     columns = (states[:, 0:3], euler_angles(states[:, 3:7]), states[:, 3:7], states[:, 7:10], states[:, 10:13])
     texts = [encode(np.ascontiguousarray(column))[2:-2].split(b"],[") for column in columns]
     width = 2 + 2 * len(_KEYS)

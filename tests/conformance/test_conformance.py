@@ -26,6 +26,7 @@ from nmes.conformance.__main__ import page
 from nmes.conformance.clauses import CLAUSES, UNTESTED
 from nmes.protocol import DELIMITER
 from nmes.world import World
+from nmes.world.commands import COMMANDS
 from serving import PASSWORD, Served, served
 
 BAD = {Verdict.FAILED, Verdict.FAULT, Verdict.NON_STRICT}
@@ -136,7 +137,7 @@ def test_the_search_finds_no_mistake_of_our_server(seed: int | None) -> None:
 
 
 def own_the_base_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
-    spawn = World.COMMANDS["spawn_cube"]
+    spawn = COMMANDS["spawn_cube"]
 
     def broken(world: World, client: Any, command: dict[str, Any]) -> dict[str, Any]:
         reply = spawn(world, client, command)
@@ -144,7 +145,7 @@ def own_the_base_of_another(monkeypatch: pytest.MonkeyPatch) -> None:
             other.owned = reply["spawned"]
         return reply
 
-    monkeypatch.setitem(World.COMMANDS, "spawn_cube", broken)
+    monkeypatch.setitem(COMMANDS, "spawn_cube", broken)
 
 
 def test_the_search_finds_the_shortest_conversation(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

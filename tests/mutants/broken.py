@@ -24,6 +24,7 @@ from nmes.conformance import Options, Result, Target, Verdict, run
 from nmes.protocol import Limits
 from nmes.world import World
 from nmes.world.clients import Client
+from nmes.world.commands import COMMANDS
 from serving import PASSWORD, served
 
 __all__ = ["CONTROLS", "DEFECTS", "Defect", "Judgement", "Setup", "around", "defect", "judge", "unbroken"]
@@ -92,12 +93,12 @@ def defect(
 
 def around(patch: MonkeyPatch, kind: str, change: Callable[[Answer, World, Client, JsonObject], JsonObject]) -> None:
     """Puts something round a command: `change` gets how it was answered before, and what that gets."""
-    answer: Answer = World.COMMANDS[kind]
+    answer: Answer = COMMANDS[kind]
 
     def changed(world: World, client: Client, c: JsonObject) -> JsonObject:
         return change(answer, world, client, c)
 
-    patch.setitem(World.COMMANDS, kind, changed)
+    patch.setitem(COMMANDS, kind, changed)
 
 
 class Said(NamedTuple):

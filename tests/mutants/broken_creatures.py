@@ -17,7 +17,7 @@ def heights_above_the_start(patch: MonkeyPatch) -> None:
     def lower(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
         reply = answer(world, client, c)
         if reply.get("metric") == "height":
-            reply["value"] -= world._entities.cube(reply["cube_name"]).origin[1]
+            reply["value"] -= world.entities.cube(reply["cube_name"]).origin[1]
         return reply
 
     around(patch, "compute_reward", lower)
@@ -80,8 +80,8 @@ def half_creatures(patch: MonkeyPatch) -> None:
             return answer(world, client, c)
         except NmesError:
             part = c["genome"]["body"]["cubes"][0]["id"]
-            if world._entities.find(f"{c['name']}.{part}") is None:
-                world._entities.spawn({"type": "spawn_cube", "cube_name": f"{c['name']}.{part}"})
+            if world.entities.cubes.get(f"{c['name']}.{part}") is None:
+                world.entities.spawn({"type": "spawn_cube", "cube_name": f"{c['name']}.{part}"})
             raise
 
     around(patch, "spawn_creature", leave)

@@ -16,9 +16,7 @@ from nmes.backend import BodySpec, BodyState, JointParams, SceneSpec
 from nmes.server.barrier import StepBarrier
 from nmes.server.clock import Clock
 from nmes.server.hosted_world import HostedWorld
-from nmes.world import World, scenery
-from nmes.world import entities as entities
-from nmes.world import joint_params as jointparams
+from nmes.world import World, entities, joint_params, readings, scenery
 from nmes.world.clients import Client, Clients
 from nmes.world.entities import Cube, Entities, Joint
 from nmes.world.subscription import Subscription
@@ -131,7 +129,7 @@ def steps_in_batches_at_a_barrier(patch: MonkeyPatch) -> None:
     """It takes a step in a batch at a barrier for done."""
 
     def let_in(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        world._in_batch = False
+        world.in_batch = False
         return answer(world, client, c)
 
     around(patch, "step", let_in)
@@ -272,7 +270,7 @@ def forces_that_last_two_ticks(patch: MonkeyPatch) -> None:
     def again(world: World) -> None:
         tick(world)
         for where, cube, c in held:
-            if where is world._entities and where.find(cube.name) is cube and "force" in c:
+            if where is world.entities and where.cubes.get(cube.name) is cube and "force" in c:
                 apply(where, cube, {"force": c["force"]})
         held.clear()
 
@@ -313,9 +311,9 @@ def the_last_force_only(patch: MonkeyPatch) -> None:
 
     def act(world: World) -> None:
         for name, c in last.items():
-            cube = world._entities.find(name)
+            cube = world.entities.cubes.get(name)
             if cube is not None:
-                apply(world._entities, cube, c)
+                apply(world.entities, cube, c)
         last.clear()
         tick(world)
 
@@ -438,8 +436,8 @@ def frozen_cubes_keep_their_velocity(patch: MonkeyPatch) -> None:
 
 def _motors(patch: MonkeyPatch, change: Callable[[JointParams], JointParams]) -> None:
     """Has an engine drive joints otherwise than the parameters say."""
-    engine_params = jointparams.engine_params
-    patch.setattr(jointparams, "engine_params", lambda params: change(engine_params(params)))
+    engine_params = joint_params.engine_params
+    patch.setattr(joint_params, "engine_params", lambda params: change(engine_params(params)))
 
 
 @defect("13.34:about-z", "13.35", backend="mujoco")
@@ -495,26 +493,26 @@ def removed_joints_hold(patch: MonkeyPatch) -> None:
 def planes_with_depth(patch: MonkeyPatch) -> None:
     """It tells a depth in a plane."""
     for name in ("cube_state", "cube_info"):
-        tell = getattr(Entities, name)
+        tell = getattr(readings, name)
 
         def deep(held: Entities, cube: Cube, tell: Any = tell) -> JsonObject:
             told: JsonObject = tell(held, cube)
             x, y, _ = told["position"]
             return {**told, "position": (x, y, 0.25)}
 
-        patch.setattr(Entities, name, deep)
+        patch.setattr(readings, name, deep)
 
 
 @defect("13.43")
 def quaternions_that_grow(patch: MonkeyPatch) -> None:
     """It tells quaternions that are not of unit length."""
-    state = Entities.cube_state
+    state = readings.cube_state
 
     def long(held: Entities, cube: Cube) -> JsonObject:
         told = state(held, cube)
         return {**told, "quaternion": tuple(1.1 * x for x in told["quaternion"])}
 
-    patch.setattr(Entities, "cube_state", long)
+    patch.setattr(readings, "cube_state", long)
 
 
 @defect("13.44")
@@ -569,7 +567,7 @@ def joints_that_do_not_hold(patch: MonkeyPatch) -> None:
 @defect("13.22", backend="mujoco")
 def nothing_touches(patch: MonkeyPatch) -> None:
     """It tells no contacts."""
-    patch.setattr(entities, "contact_list", lambda *given: [])
+    patch.setattr(readings, "contact_list", lambda *given: [])
 
 
 # -- determinism ------------------------------------------------------------------------------------------------------
@@ -630,9 +628,9 @@ def a_reset_keeps_the_names(patch: MonkeyPatch) -> None:
     """It goes on counting names after a reset."""
 
     def keep(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        spawned = world._entities._spawned
+        spawned = world.entities._spawned
         reply = answer(world, client, c)
-        world._entities._spawned = spawned
+        world.entities._spawned = spawned
         return reply
 
     around(patch, "reset", keep)
@@ -667,7 +665,7 @@ def owners_after_a_reset(patch: MonkeyPatch) -> None:
 @defect("14.7")
 def looking_changes_it(patch: MonkeyPatch) -> None:
     """It moves a cube a little whenever somebody looks at it."""
-    info = Entities.cube_info
+    info = readings.cube_info
 
     def nudge(held: Entities, cube: Cube) -> JsonObject:
         told = info(held, cube)
@@ -676,4 +674,4 @@ def looking_changes_it(patch: MonkeyPatch) -> None:
         held.simulation.set_body_state(cube.body, replace(state, position=(x + 1e-9, y, z)))
         return told
 
-    patch.setattr(Entities, "cube_info", nudge)
+    patch.setattr(readings, "cube_info", nudge)

@@ -15,19 +15,19 @@ from nmes.backend.rotation import multiply, quaternion_from_euler
 from nmes.errors import RejectedMessage, WorldError
 from nmes.protocol import messages, session
 from nmes.schemas.documents import CompiledSchema
-from nmes.world import World
-from nmes.world import entities as entities
-from nmes.world import joint_params as jointparams
+from nmes.world import World, entities, joint_params
 from nmes.world.clients import Client
+from nmes.world.commands import general
 from nmes.world.entities import Cube, Entities, Joint
+from nmes.world.fields import FieldReader
 
 Quaternion = tuple[float, float, float, float]
 
 
 def _rotations(patch: MonkeyPatch, read: Callable[[list[float]], list[float] | Quaternion]) -> None:
     """Has rotations in commands read as `read` says."""
-    rotation = Entities._rotation
-    patch.setattr(Entities, "_rotation", lambda held, value: rotation(held, list(read(value))))
+    rotation = FieldReader.rotation
+    patch.setattr(FieldReader, "rotation", lambda reader, value: rotation(reader, list(read(value))))
 
 
 # -- commands ---------------------------------------------------------------------------------------------------------
@@ -86,9 +86,9 @@ def despawn_leaves_joints(patch: MonkeyPatch) -> None:
         joint.cube1.joints[joint.name] = joint.cube2.joints[joint.name] = None
 
     def despawn(held: Entities, cube: Cube) -> list[str]:
-        gone = [name for name in cube.joints if name in held._joints]
+        gone = [name for name in cube.joints if name in held.joints]
         for name in gone:
-            keep(held, held._joints[name])
+            keep(held, held.joints[name])
         cube.joints.clear()
         return whole(held, cube) or gone
 
@@ -120,7 +120,7 @@ def anchors_in_the_first_cube(patch: MonkeyPatch) -> None:
     """It puts a joint into its first cube where no position is given."""
 
     def put(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        cube = world._entities.find(c["cube1"])
+        cube = world.entities.cubes.get(c["cube1"])
         if cube is not None and "position" not in c:
             c = {**c, "position": list(world.simulation.body_state(cube.body).position)}
         return answer(world, client, c)
@@ -131,7 +131,7 @@ def anchors_in_the_first_cube(patch: MonkeyPatch) -> None:
 @defect("5.15:hinge-x", "13.29", "13.30", backend="mujoco")
 def joints_with_the_wrong_axis(patch: MonkeyPatch) -> None:
     """It gives every joint the axis z."""
-    patch.setattr(Entities, "_axis", lambda held, kind, value: (0.0, 0.0, 1.0))
+    patch.setattr(FieldReader, "axis", lambda reader, kind, value: (0.0, 0.0, 1.0))
     patch.setattr(entities, "JointSpec", lambda *given: replace(JointSpec(*given), axis=(0.0, 0.0, 1.0)))
 
 
@@ -140,7 +140,7 @@ def parameters_forgotten(patch: MonkeyPatch) -> None:
     """It repeats a parameter of a joint, and does not set it."""
 
     def forget(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        joint = world._entities.joint(c["joint_name"])
+        joint = world.entities.joint(c["joint_name"])
         before = joint.params
         reply = answer(world, client, c)
         joint.params = before
@@ -152,15 +152,15 @@ def parameters_forgotten(patch: MonkeyPatch) -> None:
 @defect("5.19", backend="mujoco")
 def motors_stay_off(patch: MonkeyPatch) -> None:
     """It does not switch a motor on that gets a velocity."""
-    adjust = jointparams.adjust
+    adjust = joint_params.adjust
 
-    def off(kind: str, params: Any, given: Any, engine_step: float, path: str | None) -> jointparams.Params:
+    def off(kind: str, params: Any, given: Any, engine_step: float, path: str | None) -> joint_params.Params:
         adjusted = adjust(kind, params, given, engine_step, path)
         if "motor_enabled" not in given:
             adjusted["motor_enabled"] = params["motor_enabled"]
         return adjusted
 
-    patch.setattr(jointparams, "adjust", off)
+    patch.setattr(joint_params, "adjust", off)
 
 
 @defect("5.17")
@@ -305,7 +305,7 @@ def any_parameter(patch: MonkeyPatch) -> None:
     """It says that it sets parameters that there are not."""
 
     def mend(c: JsonObject) -> JsonObject:
-        known = c.get("param_name") in jointparams.CAPABILITY
+        known = c.get("param_name") in joint_params.CAPABILITY
         return c if c.get("type") != "set_joint_param" or known else {"type": "ping", "id": c.get("id")}
 
     _before_checks(patch, mend)
@@ -347,7 +347,7 @@ def joined_twice(patch: MonkeyPatch) -> None:
         except WorldError as error:
             if error.code != "joint_exists":
                 raise
-            for joint in world._entities.joints():
+            for joint in world.entities.joints.values():
                 if (joint.cube1.name, joint.cube2.name) == (c["cube1"], c["cube2"]):
                     raise
                 if (joint.cube2.name, joint.cube1.name) == (c["cube1"], c["cube2"]):
@@ -361,14 +361,14 @@ def joined_twice(patch: MonkeyPatch) -> None:
 @defect("7.17", backend="mujoco")
 def limits_upside_down(patch: MonkeyPatch) -> None:
     """It takes limits of which the lower is above the upper."""
-    adjust = jointparams.adjust
+    adjust = joint_params.adjust
 
-    def sort(kind: str, params: Any, given: Any, engine_step: float, path: str | None) -> jointparams.Params:
+    def sort(kind: str, params: Any, given: Any, engine_step: float, path: str | None) -> joint_params.Params:
         if given.get("limit_lower", 0) > given.get("limit_upper", float("inf")):
             given = {**given, "limit_lower": given["limit_upper"], "limit_upper": given["limit_lower"]}
         return adjust(kind, params, given, engine_step, path)
 
-    patch.setattr(jointparams, "adjust", sort)
+    patch.setattr(joint_params, "adjust", sort)
 
 
 @defect("7.14")
@@ -387,9 +387,9 @@ def a_cube_of_that_name_again(patch: MonkeyPatch) -> None:
     """It replaces a cube by another one of the same name."""
 
     def replace_it(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        cube = world._entities.find(c.get("cube_name", "") + ("_BASE" if c.get("is_base") else ""))
+        cube = world.entities.cubes.get(c.get("cube_name", "") + ("_BASE" if c.get("is_base") else ""))
         if cube is not None:
-            world._entities.despawn(cube)
+            world.entities.despawn(cube)
         return answer(world, client, c)
 
     around(patch, "spawn_cube", replace_it)
@@ -423,7 +423,7 @@ def names_used_again(patch: MonkeyPatch) -> None:
 
 
 def _lowest(held: Entities, prefix: str) -> int:
-    taken = {*held._cubes, *held._joints}
+    taken = {*held.cubes, *held.joints}
     return next(n for n in range(1, 1 << 20) if f"{prefix}_{n}_00000000" not in taken)
 
 
@@ -464,7 +464,7 @@ def an_older_cube_owned_again(patch: MonkeyPatch) -> None:
         return reply
 
     def older(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        there = [name for name in spawned.get(client.number, []) if world._entities.find(name) is not None]
+        there = [name for name in spawned.get(client.number, []) if world.entities.cubes.get(name) is not None]
         client.owned = there[-1] if there else None
         return answer(world, client, c)
 
@@ -479,9 +479,9 @@ def cubes_go_with_their_connection(patch: MonkeyPatch) -> None:
 
     def take_along(world: World, client: int) -> None:
         owned = world._clients[client].owned
-        cube = None if owned is None else world._entities.find(owned)
+        cube = None if owned is None else world.entities.cubes.get(owned)
         if cube is not None:
-            world._entities.despawn(cube)
+            world.entities.despawn(cube)
         leave(world, client)
 
     patch.setattr(World, "leave", take_along)
@@ -495,7 +495,7 @@ def bases_without_suffix(patch: MonkeyPatch) -> None:
         if not c.get("is_base"):
             return answer(world, client, c)
         reply = answer(world, client, {**c, "is_base": False})
-        world._entities.freeze(world._entities.cube(reply["spawned"]), True)
+        world.entities.freeze(world.entities.cube(reply["spawned"]), True)
         return reply
 
     around(patch, "spawn_cube", plain)
@@ -508,7 +508,7 @@ def bases_that_move(patch: MonkeyPatch) -> None:
     def let_go(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
         reply = answer(world, client, c)
         if c.get("is_base"):
-            world._entities.freeze(world._entities.cube(reply["spawned"]), False)
+            world.entities.freeze(world.entities.cube(reply["spawned"]), False)
         return reply
 
     around(patch, "spawn_cube", let_go)
@@ -600,8 +600,8 @@ def joints_that_it_does_not_claim(patch: MonkeyPatch) -> None:
 @defect("16.4", only_strict=True)
 def claims_that_are_none(patch: MonkeyPatch) -> None:
     """It claims to have a ping, which all must have, as something special."""
-    capabilities = World.capabilities
-    patch.setattr(World, "capabilities", lambda world: [*capabilities(world), "ping"])
+    capabilities = general.capabilities
+    patch.setattr(general, "capabilities", lambda backend: [*capabilities(backend), "ping"])
 
 
 @defect("16.5:stiffness")

@@ -295,7 +295,7 @@ def random_trace(seed: int, n: int = 3, ticks: int = 20, **cast: Any) -> Traject
 def reckon(trace: Trajectory, row: int, quantity: Quantity) -> float:
     """The definitions of docs/objectives.md, one cube and one corner at a time."""
     name, _, axis = quantity.name.partition(".")
-    cast = trace.cast
+    cast = trace.bodies
     who = range(cast.body) if quantity.cube is None else [cast.cubes.index(quantity.cube)]
     mass = sum(cast.masses[i] for i in who)
 
@@ -362,14 +362,14 @@ EVERYTHING = [
 @pytest.mark.parametrize("n", [1, 2, 7])
 def test_a_tally_of_rows_as_they_come_gives_the_same_bits_as_a_trace_of_all(n: int) -> None:
     trace = random_trace(n, n)
-    quantities = [q if q.cube != "d" else Quantity(q.name, trace.cast.cubes[-1], q.fold) for q in EVERYTHING]
-    tally = RunningQuantities(trace.cast, quantities, trace.states[0], trace.touches[0])
+    quantities = [q if q.cube != "d" else Quantity(q.name, trace.bodies.cubes[-1], q.fold) for q in EVERYTHING]
+    tally = RunningQuantities(trace.bodies, quantities, trace.states[0], trace.touches[0])
     for ticks in range(21):
         if ticks:
             tally.add(trace.states[ticks], trace.work[ticks], trace.touches[ticks])
             if ticks == 10:  # half way it is put down and taken up again
                 state = tally.state()
-                tally = RunningQuantities(trace.cast, quantities, trace.states[10], trace.touches[10])
+                tally = RunningQuantities(trace.bodies, quantities, trace.states[10], trace.touches[10])
                 tally.resume(state)
         trace.rows = ticks + 1
         assert tally.values(trace.states[ticks], trace.work[ticks], trace.touches[ticks]) == trace.values(quantities)

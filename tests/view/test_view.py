@@ -25,6 +25,7 @@ from nmes import Client
 from nmes.errors import CommandFailed, WorldError
 from nmes.server.metrics import Metrics
 from nmes.world import World
+from nmes.world.commands import COMMANDS
 from recordings import Line, record, rewrite, send
 from serving import PASSWORD, PATIENCE, Served, served, until
 
@@ -353,7 +354,7 @@ def test_a_server_that_does_not_tell_of_joints_is_seen_without(
     def refuse(*_: object) -> NoReturn:
         raise WorldError("unsupported", "not here")
 
-    monkeypatch.setitem(World.COMMANDS, lacking, refuse)
+    monkeypatch.setitem(COMMANDS, lacking, refuse)
     metrics = Metrics()
     with served({}, metrics=metrics) as running, running.client() as client:
         for name in ("a", "b"):

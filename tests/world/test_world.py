@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from nmes import World, protocol
 from nmes.backend.rotation import conjugate, euler_from_quaternion, multiply, quaternion_from_euler, rotate
 from nmes.errors import BackendNotFound, RecordingError, RejectedMessage
+from nmes.world.commands import COMMANDS
 
 Reply = dict[str, Any]
 
@@ -108,7 +109,7 @@ def test_every_reply_is_of_the_shape_that_its_schema_states(drive: Driver) -> No
     ]
     for command in sent:
         protocol.validate_reply(drive.world.execute(drive.client, command))
-    assert {command["type"] for command in sent} | {"create_joint"} == set(World.COMMANDS)
+    assert {command["type"] for command in sent} | {"create_joint"} == set(COMMANDS)
 
 
 # -- names and ownership ---------------------------------------------------------------------------------------------

@@ -1,0 +1,33 @@
+"""What a world does with each command: one table of plain functions, by the command's type.
+
+A command function takes the world, the client that sent the command and the command itself, which its schema has found
+valid, and returns the reply as a dict without `id`. It knows the fields of its command and nothing of sockets,
+recordings or faults. A new command is one function here and its two schemas; CONTRIBUTING.md shows it.
+
+Invariant: a function that raises WorldError has changed nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+from nmes.world.clients import Client
+from nmes.world.commands import clients, creatures, cubes, general, joints, timing
+
+if TYPE_CHECKING:
+    from nmes.world.world import World
+
+__all__ = ["COMMANDS", "CommandFunction"]
+
+CommandFunction = Callable[["World", Client, dict[str, Any]], dict[str, Any]]
+
+COMMANDS: dict[str, CommandFunction] = {
+    **cubes.COMMANDS,
+    **joints.COMMANDS,
+    **creatures.COMMANDS,
+    **clients.COMMANDS,
+    **timing.COMMANDS,
+    **general.COMMANDS,
+}
+"""The function of every command, by the command's type."""

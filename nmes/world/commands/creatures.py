@@ -1,0 +1,72 @@
+"""The commands about creatures: they are made from genomes, driven and sensed as a whole."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from nmes import protocol
+from nmes.errors import DocumentError, WorldError
+from nmes.genome import Genome
+from nmes.world.clients import Client
+
+if TYPE_CHECKING:
+    from nmes.world.world import World
+
+__all__ = ["COMMANDS"]
+
+JsonObject = dict[str, Any]
+
+_MOST_PROBLEMS = 20  # of a bad genome that a reply names
+_PROBLEM_LENGTH = 300  # characters of each
+
+
+def spawn_creature(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Makes a creature from a genome."""
+    try:
+        genome = Genome(command["genome"])
+    except DocumentError as error:
+        raise _bad_genome(error) from error
+    x, y, z = command.get("position", protocol.COMMANDS["spawn_creature"].defaults["position"])
+    target = command.get("target")
+    if target is not None and not isinstance(target, str):
+        target = (float(target[0]), float(target[1]), float(target[2]))
+    creature = world.all_creatures.spawn(genome, (float(x), float(y), float(z)), command.get("name"), target)
+    return {
+        "type": "creature_spawned",
+        "creature": creature.name,
+        "cubes": creature.cubes,
+        "joints": creature.joints,
+        "motors": [motor.id for motor in creature.motors],
+        "sensors": [sensor.id for sensor in creature.sensors],
+    }
+
+
+def _bad_genome(error: DocumentError) -> WorldError:
+    problems = [f"{path}: {text}"[:_PROBLEM_LENGTH] for path, text in error.problems[:_MOST_PROBLEMS]]
+    if len(error.problems) > _MOST_PROBLEMS:
+        problems.append(f"and {len(error.problems) - _MOST_PROBLEMS} more")
+    path = f"genome/{error.problems[0][0]}".rstrip("/")
+    return WorldError("invalid", "genome: " + "\n".join(problems), path)
+
+
+def drive(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Sets the targets of all motors of a creature."""
+    creature, controls = world.creature(command["creature"]), command["controls"]
+    motors = len(creature.motors)
+    if len(controls) != motors:
+        expected = "1 number, for its motor" if motors == 1 else f"{motors} numbers, one a motor"
+        message = f"controls: {creature.name!r} takes {expected}, got {len(controls)}"
+        raise WorldError("invalid", message, "controls")
+    creature.drive(np.array(controls, float))
+    return {"type": "driven", "creature": creature.name}
+
+
+def sense(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Reads all sensors of a creature."""
+    creature = world.creature(command["creature"])
+    return {"type": "senses", "creature": creature.name, "values": creature.sense()}
+
+
+COMMANDS = {"spawn_creature": spawn_creature, "drive": drive, "sense": sense}

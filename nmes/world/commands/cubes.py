@@ -1,0 +1,117 @@
+"""The commands about cubes: they come and go, are pushed, moved, frozen and looked at."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from nmes import protocol
+from nmes.errors import WorldError
+from nmes.world import readings
+from nmes.world.clients import Client
+from nmes.world.entities import Cube, cube_not_found
+
+if TYPE_CHECKING:
+    from nmes.world.world import World
+
+__all__ = ["COMMANDS", "named_or_own_cube"]
+
+JsonObject = dict[str, Any]
+
+
+def named_or_own_cube(world: World, client: Client, name: str | None) -> Cube:
+    """Returns the cube of that name, or, where a command names none, the one that its client spawned last.
+
+    Raises:
+        WorldError: `cube_not_found`, `nothing_owned`.
+    """
+    target = client.owned if name is None else name
+    if target is None:
+        raise WorldError("nothing_owned", "no cube_name given, and this connection has spawned no cube")
+    cube = world.entities.cubes.get(target)
+    if cube is None and name is not None:
+        raise cube_not_found(name)
+    if cube is None:
+        raise WorldError("nothing_owned", f"the cube of this connection, {target!r}, is gone")
+    return cube
+
+
+def spawn_cube(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Makes a cube, which its client then owns."""
+    cube = world.entities.spawn(command)
+    client.owned = cube.name
+    reply: JsonObject = {"type": "cube_list", "spawned": cube.name}
+    if command.get("list", True):
+        reply["cubes"] = world.cubes()
+    return reply
+
+
+def despawn_cube(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Removes a cube, and the joints on it."""
+    cube = world.entities.cube(command["cube_name"])
+    return {"type": "cube_despawned", "cube_name": cube.name, "joints": world.entities.despawn(cube)}
+
+
+def apply_physics(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Pushes and turns a cube during the next tick."""
+    cube = named_or_own_cube(world, client, command.get("cube_name"))
+    world.entities.apply(cube, command)
+    return {"type": "physics_applied", "cube_name": cube.name}
+
+
+def set_cube_state(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Puts a cube somewhere else, with all that is joined to it."""
+    cube = world.entities.cube(command["cube_name"])
+    world.entities.move(cube, command)
+    return {"type": "cube_state_set", "cube_name": cube.name}
+
+
+def freeze_cube(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Makes a cube immovable, or lets it go."""
+    cube = world.entities.cube(command["cube_name"])
+    world.entities.freeze(cube, command["freeze"])
+    return {"type": "cube_frozen", "cube_name": cube.name, "freeze": cube.frozen}
+
+
+def get_cube_list(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Lists the cubes' names in order of creation."""
+    return {"type": "cube_list", "cubes": world.cubes()}
+
+
+def get_cube_state(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Reads a cube's pose and velocities."""
+    cube = named_or_own_cube(world, client, command.get("cube_name"))
+    return {"type": "cube_state", **readings.cube_state(world.entities, cube)}
+
+
+def get_cube_info(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Reads all that is known of a cube; its sensors and distances along rays where they are asked for."""
+    entities = world.entities
+    cube = entities.cube(command["cube_name"])
+    reply = {"type": "cube_info", **readings.cube_info(entities, cube)}
+    if command.get("sensors"):
+        reply.update(readings.inertial(entities, [cube])[0])
+    if "rays" in command:
+        default = protocol.COMMANDS["get_cube_info"].defaults
+        limit = float(command.get("max_range", default["max_range"]))
+        reply["ranges"] = readings.ranges(entities, cube, command["rays"], limit)
+    return reply
+
+
+def get_camera(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Takes a picture with a camera that is fixed to a cube."""
+    cube = named_or_own_cube(world, client, command.get("cube_name"))
+    return {"type": "camera_image", **readings.camera(world.entities, cube, command)}
+
+
+COMMANDS = {
+    "spawn_cube": spawn_cube,
+    "despawn_cube": despawn_cube,
+    "apply_physics": apply_physics,
+    "apply_force": apply_physics,
+    "set_cube_state": set_cube_state,
+    "freeze_cube": freeze_cube,
+    "get_cube_list": get_cube_list,
+    "get_cube_info": get_cube_info,
+    "get_cube_state": get_cube_state,
+    "get_camera": get_camera,
+}

@@ -1,0 +1,131 @@
+"""The commands about the world as a whole, and `batch`, which holds other commands."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from nmes import protocol
+from nmes.backend.fingerprint import VERSION
+from nmes.errors import RejectedMessage, WorldError
+from nmes.protocol import Request
+from nmes.world import readings
+from nmes.world.clients import Client
+from nmes.world.scenery import planet_list
+
+if TYPE_CHECKING:
+    from nmes.backend import Backend
+    from nmes.world.entities import Entities
+    from nmes.world.world import World
+
+__all__ = ["COMMANDS", "capabilities"]
+
+JsonObject = dict[str, Any]
+
+_BATCH_TICKS = 10_000  # as many as one `step` may ask for: others wait meanwhile
+_BATCH_REPLY = 8 << 20  # bytes of replies after which the rest of a batch is refused
+
+_NEEDED = {"create_bone": "joint.conetwist", "get_camera": "camera"}  # capabilities of the engine, by command
+
+
+def ping(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Answers, and does nothing else."""
+    return {"type": "pong"}
+
+
+def get_world_state(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Reads the poses and velocities of all cubes, or of those that are named."""
+    entities, names = world.entities, command.get("cubes")
+    if names is None:
+        cubes = list(entities.cubes.values())
+    else:
+        cubes = [entities.cube(name, f"cubes/{i}") for i, name in enumerate(names)]
+    states = readings.cube_states(entities, cubes, sensors=bool(command.get("sensors")))
+    return {"type": "world_state", "frame": world.frame, "t": world.time, "cubes": states}
+
+
+def get_world_info(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Reads what the world is: its engine, config, mode, limits, capabilities and fault."""
+    fault, entities, backend = world.fault, world.entities, world.backend
+    return {
+        "type": "world_info",
+        "world": world.config["name"],
+        "backend": backend.name,
+        "versions": {"nmes": VERSION, "protocol": protocol.PROTOCOL_VERSION, "engine": backend.version()},
+        "dims": backend.dims,
+        "seed": world.seed,
+        "config": world.config,
+        "mode": world.mode,
+        "rate": world.rate,
+        "paused": world.paused,
+        "frame": world.frame,
+        "t": world.time,
+        "counts": {
+            "cubes": len(entities.cubes),
+            "joints": len(entities.joints),
+            "clients": len(world.clients()),
+        },
+        "limits": world.config["limits"],
+        "skeletons": _skeletons(entities),
+        "capabilities": capabilities(backend),
+        "fault": None if fault is None else {"code": fault.code, "frame": fault.frame, "message": fault.message},
+    }
+
+
+def _skeletons(entities: Entities) -> list[JsonObject]:
+    """Returns the skeletons in order of their oldest bones."""
+    bones: dict[str | int, list[str]] = {}
+    for joint in entities.joints.values():
+        if joint.skeleton is not None:
+            bones.setdefault(joint.skeleton, []).append(joint.name)
+    return [{"snake_id": snake, "bones": names} for snake, names in bones.items()]
+
+
+def capabilities(backend: Backend) -> list[str]:
+    """Returns the optional commands that a world with this engine serves and what the engine can do, sorted."""
+    optional = {kind for kind, schema in protocol.COMMANDS.items() if not schema.required}
+    lacking = {kind for kind, capability in _NEEDED.items() if capability not in backend.capabilities}
+    return sorted((optional - lacking) | backend.capabilities)
+
+
+def get_planets(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Lists the planets of the scene."""
+    return {"type": "planets", "planets": planet_list(world.config, world.seed)}
+
+
+def batch(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Executes commands one after another, also where one of them is refused."""
+    commands = command["commands"]
+    ticks = sum(inner.get("ticks", 1) for inner in commands if inner["type"] == "step")
+    if ticks > _BATCH_TICKS:
+        raise WorldError("invalid", f"commands: {ticks} ticks in one batch, at most {_BATCH_TICKS}", "commands")
+    results: list[JsonObject] = []
+    size = 0
+    for inner in commands:
+        request = _inner_request(inner, full=size > _BATCH_REPLY)
+        world.in_batch = True
+        try:
+            results.append(world.answer(client, request))
+        finally:
+            world.in_batch = False
+        size += len(protocol.encode(results[-1]))
+    return {"type": "batch_result", "results": results}
+
+
+def _inner_request(command: JsonObject, full: bool) -> Request:
+    """Makes a request of a command of a batch, which was validated with it; where the reply is full, one to refuse."""
+    if command["type"] == "spawn_cube" and "list" not in command:
+        command = {**command, "list": False}
+    kind, number = command["type"], command.get("id", protocol.NO_ID)
+    if full:
+        message = f"the replies of this batch are over {_BATCH_REPLY >> 20} MiB; send the rest anew"
+        return Request(b"", None, RejectedMessage("limit_reached", message), kind, number)
+    return Request(b"", command, None, kind, number)
+
+
+COMMANDS = {
+    "ping": ping,
+    "get_world_state": get_world_state,
+    "get_world_info": get_world_info,
+    "get_planets": get_planets,
+    "batch": batch,
+}

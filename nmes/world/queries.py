@@ -1,0 +1,197 @@
+"""What can be asked of a world between its inputs: time, cubes, joints, creatures, poses, contacts, energy.
+
+Invariant: queries never change what happens later.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from nmes import protocol
+from nmes.backend import Array, Backend, Contact, Simulation, Track, Vector
+from nmes.objective.trajectory import Flags, touches
+from nmes.world.clients import Clients
+from nmes.world.creature import Creature, Creatures
+from nmes.world.entities import Entities
+
+__all__ = ["Barrier", "Fault", "WorldQueries"]
+
+JsonObject = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """Why a world has stopped: a code of `world_fault`, a message for a person, the last good frame."""
+
+    code: str
+    message: str
+    frame: int
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Barrier:
+    """The wish that the world tick when all who control it have said `step`. It is the host that waits and ticks.
+
+    Attributes:
+        agents: How many clients must have said `step` before the first tick.
+        timeout: How long those that wait for others wait, s.
+    """
+
+    agents: int
+    timeout: float
+
+
+class WorldQueries:
+    """The state of a world and the questions about it.
+
+    Attributes:
+        config: The complete world config.
+        backend: The engine.
+        seed: What names and drawn scenery follow from.
+        frame: Ticks since the last reset.
+        mode: `lockstep`, `realtime` or `fast`.
+        rate: How many times faster than the clock `realtime` runs.
+        paused: Whether the clock of `realtime` and `fast` is stopped.
+        barrier: Set where the ticks of lockstep wait for several clients.
+        fault: Why the world has stopped; None while it goes on.
+        entities: Its cubes and joints.
+        all_creatures: Its creatures.
+    """
+
+    config: JsonObject
+    backend: Backend
+    seed: int
+    frame: int
+    mode: str
+    rate: float
+    paused: bool
+    barrier: Barrier | None
+    fault: Fault | None
+    entities: Entities
+    all_creatures: Creatures
+    _clients: Clients
+    _tick_rate: int
+    _past: int  # ticks before the last reset
+
+    @property
+    def time(self) -> float:
+        """Simulation time since the last reset, s."""
+        return self.frame / self._tick_rate
+
+    @property
+    def ticks(self) -> int:
+        """How many ticks there were, over all resets."""
+        return self._past + self.frame
+
+    @property
+    def untouched(self) -> bool:
+        """Whether nothing has happened here: nobody came, and it never ticked."""
+        return not (self.ticks or self._clients.ever)
+
+    @property
+    def running(self) -> bool:
+        """Whether the world ticks by itself now: not in lockstep, not paused, not faulted."""
+        return self.mode != "lockstep" and not self.paused and self.fault is None
+
+    @property
+    def structure_version(self) -> int:
+        """A number that increases whenever a cube or a joint comes or goes, or a cube is frozen or let go."""
+        return self.entities.version
+
+    @property
+    def simulation(self) -> Simulation:
+        """The running scene, for benchmarks and tests; whoever edits it breaks the world's promises."""
+        return self.entities.simulation
+
+    def digest(self) -> bytes:
+        """Returns the hash of the engine's whole state, 16 bytes."""
+        return self.simulation.digest()
+
+    def cubes(self) -> list[str]:
+        """Returns the cubes' names in order of creation."""
+        return list(self.entities.cubes)
+
+    def joints(self) -> list[str]:
+        """Returns the joints' names in order of creation."""
+        return list(self.entities.joints)
+
+    def clients(self) -> list[int]:
+        """Returns the numbers of the clients that are in, in the order in which they came."""
+        return list(self._clients)
+
+    def creatures(self) -> list[str]:
+        """Returns the creatures' names in order of creation."""
+        return self.all_creatures.names()
+
+    def creature(self, name: str) -> Creature:
+        """Returns a creature, whose `sense` may be called at any time; to drive it is an input, see `World.drive`.
+
+        Raises:
+            WorldError: `creature_not_found`.
+        """
+        return self.all_creatures.find(name)
+
+    def poses(self) -> tuple[list[str], Array]:
+        """Returns the cubes' names and a new array (n, 13) of their states.
+
+        A row holds a position (m), a quaternion (x, y, z, w), a linear (m/s) and an angular velocity (rad/s).
+        """
+        return self.cubes(), self.entities.states()
+
+    def track(self, cubes: Sequence[str], joints: Sequence[str], rows: int) -> Track:
+        """Returns a Track that records up to `rows` ticks of cube states and motor joint readings.
+
+        Raises:
+            WorldError: `cube_not_found`, `joint_not_found`.
+        """
+        entities = self.entities
+        bodies = [entities.cube(name).body for name in cubes]
+        return entities.simulation.track(bodies, [entities.joint(name).number for name in joints], rows)
+
+    def touches(self, cubes: Sequence[str], body: int) -> Flags:
+        """Returns whether each cube touches anything now, and anything outside the first `body` cubes: array (n, 2).
+
+        Raises:
+            WorldError: `cube_not_found`.
+        """
+        entities = self.entities
+        return touches(entities.simulation, [entities.cube(name).body for name in cubes], body)
+
+    def cube_shape(self, name: str) -> tuple[Vector, tuple[float, float, float, float]]:
+        """Returns a cube's edge lengths (m) and colour (RGBA, 0 to 1).
+
+        Raises:
+            WorldError: `cube_not_found`.
+        """
+        cube = self.entities.cube(name)
+        return cube.size, cube.color
+
+    def joint_infos(self) -> list[JsonObject]:
+        """Returns every joint's state and parameters, as `get_joint_info` answers, in order of creation."""
+        return [self.entities.joint_info(joint) for joint in self.entities.joints.values()]
+
+    def contacts(self) -> list[Contact]:
+        """Returns the contacts of all cubes in the last step; two cubes that touch each other have one each."""
+        simulation = self.simulation
+        return [contact for cube in self.entities.cubes.values() for contact in simulation.contacts(cube.body)]
+
+    def motor_work(self) -> float:
+        """Returns the work that the motors of all present joints have done so far, J."""
+        meter = self.entities.meter
+        return sum(meter.watts(joint) or 0.0 for joint in meter.numbers) / self._tick_rate
+
+    def welcome(self, client: int) -> JsonObject:
+        """Returns the `auth_success` message for a client that has joined."""
+        return {
+            "type": "auth_success",
+            "protocol": protocol.PROTOCOL_VERSION,
+            "client": client,
+            "world": self.config["name"],
+            "backend": self.backend.name,
+            "dims": self.backend.dims,
+            "timestep": 1.0 / self._tick_rate,
+            "tick_rate": self._tick_rate,
+            "mode": self.mode,
+        }
