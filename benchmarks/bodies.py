@@ -20,9 +20,10 @@ from measure import Figure, in_turns, ratio, summary
 from nmes import World
 from nmes.backend import BodySpec, JointSpec, SceneSpec
 from nmes.backends.mujoco3d import MujocoBackend, MujocoSimulation
-from nmes.backends.mujoco3d.layout import build, span
+from nmes.backends.mujoco3d.compiler import compile_model
+from nmes.backends.mujoco3d.forest import spanning_forest
 
-STEP = 1 / 240
+SCENE = SceneSpec(timestep=1 / 240)
 NOTHING = (0.0, 0.0, 0.0)
 TICK = 1000 / 60  # ms
 ROUNDS = 15
@@ -30,7 +31,7 @@ ROUNDS = 15
 
 def spread(count: int) -> MujocoSimulation:
     """Returns a scene of unit cubes that stand on the ground, half a metre apart, after one tick."""
-    simulation = MujocoBackend().create(SceneSpec(timestep=STEP))
+    simulation = MujocoBackend().create(SCENE)
     assert isinstance(simulation, MujocoSimulation)
     side = ceil(sqrt(count))
     for i in range(count):
@@ -43,7 +44,7 @@ def spread(count: int) -> MujocoSimulation:
 def awake() -> Iterator[Figure]:
     """A thousand cubes that do not sleep: a tick beside the bare engine's four steps from the same state."""
     simulation = spread(1000)
-    model, data = simulation._model, simulation._data
+    model, data = simulation.running.model, simulation.running.data
     model.opt.enableflags &= ~int(mujoco.mjtEnableBit.mjENBL_SLEEP)
     twin = mujoco.MjData(model)
 
@@ -90,7 +91,7 @@ def asleep() -> Iterator[Figure]:
     steps = []
     for _ in range(60):
         began = time.perf_counter()
-        mujoco.mj_step(simulation._model, simulation._data)
+        mujoco.mj_step(simulation.running.model, simulation.running.data)
         steps.append((time.perf_counter() - began) * 1e3)
     yield Figure("5,000 cubes asleep: bare step", statistics.median(steps), "ms")
 
@@ -108,22 +109,15 @@ def edits(count: int) -> Iterator[Figure]:
             simulation.remove_joint(joint)
         joint += 1
         began = time.perf_counter()
-        simulation._take_up()
+        simulation.step(0)
         return time.perf_counter() - began
 
     def bare() -> float:
         began = time.perf_counter()
-        forest = span(simulation._bodies, simulation._joints.values())
-        layout = build(
-            simulation._scene,
-            simulation._scenery,
-            simulation._bodies,
-            simulation._joints,
-            forest,
-            {},
-            list(forest.trees),
-        )
-        mujoco.MjData(layout.model)
+        bodies, joints, scenery = simulation.structure.bodies, simulation.structure.joints, simulation.running.scenery
+        forest = spanning_forest(bodies, joints.values())
+        compiled = compile_model(SCENE, scenery, bodies, joints, forest, {}, list(forest.trees))
+        mujoco.MjData(compiled.model)
         return time.perf_counter() - began
 
     samples = in_turns({"edit": edit, "bare": bare}, 2 * ROUNDS)

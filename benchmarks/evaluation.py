@@ -83,16 +83,16 @@ class Bare:
                 world.tick()
                 # The model is compiled in the first tick, in which the servos hold still.
                 if self.start is None:
-                    self.model = simulation._model  # type: ignore[attr-defined]
+                    self.model = simulation.running.model  # type: ignore[attr-defined]
                     self.start = mujoco.MjData(self.model)
-                    mujoco.mj_copyData(self.start, self.model, simulation._data)  # type: ignore[attr-defined]
+                    mujoco.mj_copyData(self.start, self.model, simulation.running.data)  # type: ignore[attr-defined]
             elif isinstance(step, bytes):
                 world.handle(client, protocol.parse(step))
             else:
                 assert isinstance(step, np.ndarray)
                 world.drive(client, CREATURE, step)
                 if self.start is not None:
-                    controls.append(simulation._data.ctrl.copy())  # type: ignore[attr-defined]
+                    controls.append(simulation.running.data.ctrl.copy())  # type: ignore[attr-defined]
         self.controls = np.array(controls)
         self.data = mujoco.MjData(self.model)
 

@@ -46,7 +46,7 @@ class Grid:
             if i // 3 < 2:
                 self.join(name, self.names[i + 3], [1, 0, 0])
         self.execute(type="step", ticks=60)
-        self.model = self.world.simulation._model  # type: ignore[attr-defined]
+        self.model = self.world.simulation.running.model  # type: ignore[attr-defined]
 
     def close(self) -> None:
         """Completes the recording."""
@@ -69,7 +69,7 @@ class Grid:
             self.execute(type="apply_physics", cube_name=name, impulse=[0.0, 4.0, 0.0])
         self.world.tick()
         state = mujoco.MjData(self.model)
-        mujoco.mj_copyData(state, self.model, self.world.simulation._data)  # type: ignore[attr-defined]
+        mujoco.mj_copyData(state, self.model, self.world.simulation.running.data)  # type: ignore[attr-defined]
         return state
 
     def fly(self) -> float:

@@ -1,8 +1,9 @@
 """The MuJoCo engine (4.x) as a backend, in 3D.
 
-`layout` turns a set of bodies and joints into a compiled model, `simulation` keeps one such model running, and `carry`
-takes its state over whenever the set changes; `scenery` and `arenas` are what stands still, `sensing` and `drawing`
-what bodies feel and see. Nothing else knows of MuJoCo.
+`structure` keeps the bodies and joints and their edits, `forest` finds their kinematic trees, `compiler` and `model`
+make a compiled model of them, `running` steps it, and `rebuild` brings it up to date after edits, with
+`state_transfer` and `sleep` for its state. `motors`, `sensing`, `tracking` and `rendering` are what goes in and comes
+out; `scenery` and `arenas` stand still. Nothing else knows of MuJoCo.
 """
 
 from __future__ import annotations

@@ -15,16 +15,15 @@ from collections.abc import Container, Iterable, Sequence
 
 import mujoco
 import numpy as np
-import numpy.typing as npt
 
 from nmes.backend import Array, Contact, Vector
-from nmes.backends.mujoco3d.layout import Layout
+from nmes.backends.mujoco3d.model import CompiledModel
 from nmes.backends.mujoco3d.scenery import Scenery
+from nmes.backends.mujoco3d.sleep import AWAKE, count_awake
 
-__all__ = ["STATE", "Senses", "count_awake"]
+__all__ = ["STATE", "Senses"]
 
 STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
-_AWAKE = -(1 + mujoco.mjMINAWAKE)  # tree_asleep of a tree that has just woken
 _BODY = int(mujoco.mjtObj.mjOBJ_BODY)
 
 
@@ -59,14 +58,14 @@ class _Touches:
 class Senses:
     """The sensors of one model."""
 
-    def __init__(self, layout: Layout, data: mujoco.MjData, scenery: Scenery) -> None:
-        self._numbers, self._model, self._data, self._scenery = layout.number, layout.model, data, scenery
-        self._owners: list[int] = layout.model.geom_bodyid.tolist()
-        self._trees: list[int] = layout.model.body_treeid.tolist()
+    def __init__(self, compiled: CompiledModel, data: mujoco.MjData, scenery: Scenery) -> None:
+        self._numbers, self._model, self._data, self._scenery = compiled.body_number, compiled.model, data, scenery
+        self._owners: list[int] = compiled.model.geom_bodyid.tolist()
+        self._trees: list[int] = compiled.model.body_treeid.tolist()
         self._now_asleep = data.tree_asleep
         self._asleep = self._now_asleep.copy()  # as of the last step: an edit may wake a tree before the next one
         # The normal force is the first of an elliptic cone's constraint forces, and the sum of a pyramid's four edges'.
-        self._edges = 1 if layout.model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC else 4
+        self._edges = 1 if compiled.model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC else 4
         self._touches: _Touches | None = None
         self._accelerated = False
         self._scratch: mujoco.MjData | None = None
@@ -186,7 +185,7 @@ class Senses:
         scratch.qacc_warmstart[:] = 0.0
         mujoco.mj_kinematics(model, scratch)
         mujoco.mj_comPos(model, scratch)
-        scratch.tree_asleep[:] = [_AWAKE if tree in awake else tree for tree in range(model.ntree)]
+        scratch.tree_asleep[:] = [AWAKE if tree in awake else tree for tree in range(model.ntree)]
         count_awake(model, scratch)
         mujoco.mj_forward(model, scratch)
         touches = _Touches(self._owners, scratch, self._edges)
@@ -234,20 +233,3 @@ class Senses:
             limit,
         )
         return [reach if 0.0 <= reach <= limit else None for reach in distance.tolist()]
-
-
-def count_awake(model: mujoco.MjModel, data: mujoco.MjData) -> None:
-    """Makes MuJoCo's lists of what is awake agree with `tree_asleep`, as its own mj_updateSleep does."""
-    tree = data.tree_asleep < 0
-    data.tree_awake[:] = tree
-    body_tree = model.body_treeid
-    body = np.where(body_tree < 0, -1, tree[body_tree] if len(tree) else 0)
-    data.body_awake[:] = body
-    awake = np.flatnonzero(body)
-    data.body_awake_ind[: len(awake)] = awake
-    parents = np.flatnonzero(body[model.body_parentid])
-    data.parent_awake_ind[: len(parents)] = parents
-    dofs: npt.NDArray[np.intp] = np.flatnonzero(tree[model.dof_treeid]) if len(tree) else np.empty(0, np.intp)
-    data.dof_awake_ind[: len(dofs)] = dofs
-    data.ntree_awake, data.nbody_awake = int(tree.sum()), len(awake)
-    data.nparent_awake, data.nv_awake = len(parents), len(dofs)

@@ -1,21 +1,22 @@
 """Rows of states kept while a MuJoCo scene runs, at the cost of a few copies a tick.
 
-What MuJoCo holds of a body (its pose, and its velocity at the centre of mass of its tree) is copied as it is. States
-are made of it when they are asked for, many rows at a time, element by element, so to the same bits as
+MuJoCo's arrays of a body (its pose, and its velocity at the centre of mass of its tree) are copied as they are. States
+are made of them when they are asked for, many rows at a time, element by element, so to the same bits as
 `MujocoSimulation.states`. Rows of a structure that the model does not have yet are kept in the same form.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 import numpy.typing as npt
 
 from nmes.backend import Array, Simulation, Track
-from nmes.backends.mujoco3d.layout import Layout
-from nmes.backends.mujoco3d.reins import compact
+from nmes.backends.mujoco3d.motors import compact
+from nmes.backends.mujoco3d.running import RunningModel
+from nmes.backends.mujoco3d.structure import Structure
 
 __all__ = ["MujocoTrack"]
 
@@ -25,11 +26,11 @@ class MujocoTrack(Track):
 
     Args:
         simulation: The scene.
-        bodies: Whose states are kept.
-        joints: Whose readings are kept.
-        rows: How many there is room for.
-        look: Returns the model and its data, with all that follows from the coordinates computed; or None while edits
-            are not in the model yet.
+        bodies: The bodies whose states are kept.
+        joints: The joints whose readings are kept.
+        rows: The number of rows that there is room for.
+        running: The scene's model, which has all bodies and joints where `structure` has no edits.
+        structure: The scene's bodies and joints.
     """
 
     def __init__(
@@ -38,11 +39,12 @@ class MujocoTrack(Track):
         bodies: Sequence[int],
         joints: Sequence[int],
         rows: int,
-        look: Callable[[], tuple[Layout, mujoco.MjData] | None],
+        running: RunningModel,
+        structure: Structure,
     ) -> None:
         super().__init__(simulation, bodies, joints)
         n, m = len(bodies), len(joints)
-        self._look = look
+        self._running, self._structure = running, structure
         self._data: mujoco.MjData | None = None  # that of which the views are
         self._pose, self._turn = np.empty((rows, n, 3)), np.empty((rows, n, 4))
         self._motion, self._centre = np.empty((rows, n, 6)), np.empty((rows, n, 3))
@@ -52,30 +54,32 @@ class MujocoTrack(Track):
         self._gathered: list[tuple[Array, Array, npt.NDArray[np.intp]]] = []
 
     def note(self) -> None:
-        """Keeps how things are now as the next row."""
-        row, seen = self.rows, self._look()
-        if seen is None:
+        """Keeps the present states and readings as the next row."""
+        row = self.rows
+        if self._structure.edited:
             self._note_slowly(row)
         else:
-            if seen[1] is not self._data:
-                self._find(*seen)
+            self._running.refresh()
+            if self._running.data is not self._data:
+                self._locate()
             for rows, view in self._views:
                 rows[row] = view
-            for rows, held, index in self._gathered:
-                rows[row] = held[index]
+            for rows, array, index in self._gathered:
+                rows[row] = array[index]
         self.rows = row + 1
 
-    def _find(self, layout: Layout, data: mujoco.MjData) -> None:
-        """Looks up where things are in the model."""
+    def _locate(self) -> None:
+        """Looks up where bodies and joints are in the model."""
+        compiled, data = self._running.compiled, self._running.data
         self._data = data
-        bodies = [layout.body[body] for body in self._bodies]
-        roots = layout.model.body_rootid[bodies].tolist()
+        bodies = [compiled.body_index[body] for body in self._bodies]
+        roots = compiled.model.body_rootid[bodies].tolist()
         # Bodies of one tree share its centre of mass, which numpy then copies to them all.
         roots = roots[:1] if len(set(roots)) == 1 else roots
-        slots = [layout.joint[joint].v for joint in self._joints]
-        motors = [layout.actuator[joint] for joint in self._joints]
+        slots = [compiled.joint[joint].v for joint in self._joints]
+        motors = [compiled.actuator[joint] for joint in self._joints]
         self._views, self._gathered = [], []
-        for rows, held, index in (
+        for rows, array, places in (
             (self._pose, data.xpos, bodies),
             (self._turn, data.xquat, bodies),
             (self._motion, data.cvel, bodies),
@@ -83,11 +87,11 @@ class MujocoTrack(Track):
             (self._velocity, data.qvel, slots),
             (self._effort, data.actuator_force, motors),
         ):
-            found = compact(index)
-            if isinstance(found, slice):
-                self._views.append((rows, held[found]))
+            index = compact(places)
+            if isinstance(index, slice):
+                self._views.append((rows, array[index]))
             else:
-                self._gathered.append((rows, held, found))
+                self._gathered.append((rows, array, index))
 
     def _note_slowly(self, row: int) -> None:
         states = self._simulation.states(self._bodies)
@@ -100,7 +104,7 @@ class MujocoTrack(Track):
         self._effort[row] = [reading.effort for reading in readings]
 
     def states(self, begin: int, end: int) -> Array:
-        """Returns the states of rows."""
+        """Returns the states of rows, array (rows, n, 13)."""
         rows = slice(begin, end)
         pose, motion = self._pose[rows], self._motion[rows]
         out = np.empty((*pose.shape[:2], 13))
@@ -116,5 +120,5 @@ class MujocoTrack(Track):
         return out
 
     def drives(self, begin: int, end: int) -> tuple[Array, Array]:
-        """Returns the joints' velocities and efforts in rows."""
+        """Returns the joints' velocities and efforts in rows, each (rows, m)."""
         return self._velocity[begin:end], self._effort[begin:end]

@@ -152,7 +152,7 @@ class Simulation(ABC):
             targets: Shape (n,): a velocity (rad/s or m/s) or a position (rad or m), whichever the motor drives towards.
         """
         for joint, held, target in zip(joints, params, targets.tolist(), strict=True):
-            self.set_joint_params(joint, held.aimed(target))
+            self.set_joint_params(joint, held.with_target(target))
 
     def joint_readings(self, joints: Sequence[int]) -> Array:
         """Returns a new array (n, 3): position, velocity and effort of hinges and slides, as `joint_state` has them."""

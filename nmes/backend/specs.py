@@ -181,7 +181,7 @@ class JointParams:
     damping: float = 0.0
     limits: tuple[float, float] | None = None
 
-    def aimed(self, target: float) -> JointParams:
+    def with_target(self, target: float) -> JointParams:
         """Returns the same with another target of the motor, in the unit of its mode."""
         if self.motor == "velocity":
             return replace(self, target_velocity=target)

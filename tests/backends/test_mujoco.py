@@ -21,10 +21,10 @@ from layout import SUPPORT
 from nmes import World
 from nmes.backend import Array, BodySpec, BodyState, JointParams, JointSpec, SceneSpec, Simulation, Vector
 from nmes.backend.rotation import quaternion_from_euler, rotate
-from nmes.backends.mujoco3d import MujocoBackend, MujocoSimulation
-from nmes.backends.mujoco3d import layout as mujoco_layout
-from nmes.backends.mujoco3d import simulation as mujoco_simulation
-from nmes.backends.mujoco3d.layout import SPARE, Body, Layout, build, occupy, span, weigh
+from nmes.backends.mujoco3d import MujocoBackend, MujocoSimulation, compiler, rebuild
+from nmes.backends.mujoco3d.compiler import compile_lone_body, compile_model
+from nmes.backends.mujoco3d.forest import Body, spanning_forest
+from nmes.backends.mujoco3d.model import SPARE, CompiledModel, occupy, set_mean_inertia
 from nmes.backends.mujoco3d.scenery import Scenery
 from nmes.errors import SimulationFault
 from nmes.playback.compare import replay
@@ -304,7 +304,7 @@ def test_a_conetwist_swings_within_a_cone_and_twists_within_its_limit(flipped: b
     simulation = scene()
     simulation.add_body(1, box((0.0, 5.0, 0.0), frozen=True))
     simulation.add_body(2, box((0.0, 3.8, 0.0)))
-    if loop:  # an older joint takes the tree's place: the cone closes a loop and is welded to its cube by a twin
+    if loop:  # an older joint takes the tree's place: the cone closes a loop and is welded to its cube by a proxy
         simulation.add_body(3, box((0.0, 5.0, 9.0), size=(0.1, 0.1, 0.1), frozen=True))
         simulation.add_joint(1, JointSpec("pin", 3, 2, (0.0, 4.4, 0.0), (1.0, 0.0, 0.0)))
     ends = (2, 1) if flipped else (1, 2)
@@ -626,7 +626,7 @@ def test_cubes_spawned_at_one_point_come_apart_at_bounded_speed(count: int) -> N
     ("room", "code"), [(100, "contact_overflow"), (300, "constraint_overflow"), (500, "arena_exhausted")]
 )
 def test_an_engine_that_runs_out_of_room_faults(room: int, code: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mujoco_layout, "_arena", lambda bodies: room << 10)
+    monkeypatch.setattr(compiler, "arena_bytes", lambda bodies: room << 10)
     crowded, quiet = World({"mode": "lockstep"}), World({"mode": "lockstep"})
     client, other = crowded.join(), quiet.join()
     quiet.execute(other, {"type": "spawn_cube", "position": [0, 3, 0]})
@@ -772,7 +772,7 @@ def test_fresh_processes_agree() -> None:
 @pytest.mark.parametrize("number", range(100, 130))
 def test_parked_bodies_change_nothing_that_can_be_seen(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same programs with parked bodies from the second cube on: repeatable, and restored exactly."""
-    monkeypatch.setattr(mujoco_simulation, "_MANY", 2)
+    monkeypatch.setattr(rebuild, "PARKING_FROM", 2)
     program = programs.draw(number, 80)
     first, second = world(number), world(number)
     played = programs.play(first, program[:40])
@@ -791,16 +791,17 @@ def test_a_body_in_a_parked_place_is_as_if_compiled_there(
 ) -> None:
     flat = SceneSpec(timestep=STEP)
 
-    def laid(count: int, spares: int) -> Layout:
+    def laid(count: int, spares: int) -> CompiledModel:
         bodies = {n: Body(n, (1.0, 0.5, 0.25), 2.0, 0.7, 0.0, False) for n in range(1, before + 1)}
         if count:
             bodies[9] = Body(9, size, mass, friction, restitution, False)
-        forest = span(bodies, ())
-        return build(flat, Scenery(flat), bodies, {}, forest, {}, [*forest.trees, *[SPARE] * spares])
+        forest = spanning_forest(bodies, ())
+        return compile_model(flat, Scenery(flat), bodies, {}, forest, {}, [*forest.trees, *[SPARE] * spares])
 
     compiled, filled = laid(1, 1), laid(0, 2)
-    occupy(filled, flat, Body(9, size, mass, friction, restitution, False))
-    weigh(filled)
+    body = Body(9, size, mass, friction, restitution, False)
+    occupy(filled, body, compile_lone_body(STEP, body))
+    set_mean_inertia(filled)
     for name in dir(compiled.model):
         one, other = getattr(compiled.model, name), getattr(filled.model, name)
         if isinstance(one, np.ndarray) and not name.startswith("name"):
@@ -811,18 +812,18 @@ def test_a_body_in_a_parked_place_is_as_if_compiled_there(
 
 
 def test_free_cubes_come_and_go_without_compiling(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(mujoco_simulation, "_MANY", 8)
+    monkeypatch.setattr(rebuild, "PARKING_FROM", 8)
     simulation = scene()
     for i in range(20):
         simulation.add_body(i + 1, box((1.5 * i, 0.5, 0.0)))
     simulation.step(4)
     compiled: list[int] = []
 
-    def count(*args: Any) -> Layout:
+    def count(*args: Any) -> CompiledModel:
         compiled.append(1)
-        return build(*args)
+        return compile_model(*args)
 
-    monkeypatch.setattr(mujoco_simulation, "build", count)
+    monkeypatch.setattr(rebuild, "compile_model", count)
     for i in range(20, 36):
         simulation.add_body(i + 1, box((1.5 * (i - 20), 3.0, 0.0), mass=0.5 + i))
         simulation.step(4)

@@ -794,7 +794,7 @@ def model_of(engine: Reply) -> Any:
     world.tick()
     simulation = world.simulation
     assert isinstance(simulation, MujocoSimulation)
-    return simulation._model
+    return simulation.running.model
 
 
 @pytest.mark.parametrize(

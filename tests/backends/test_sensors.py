@@ -579,9 +579,9 @@ def test_pictures_survive_changes_of_structure_and_other_worlds(studio: Place) -
 
 
 def test_a_machine_without_a_renderer_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
-    from nmes.backends.mujoco3d import drawing
+    from nmes.backends.mujoco3d import rendering
 
-    monkeypatch.setattr(drawing, "_gl", lambda: None)
+    monkeypatch.setattr(rendering, "opengl_context", lambda: None)
     place = Place()
     place.spawn("a", [0, 1, 0])
     assert place.refused("get_camera", cube_name="a") == ("unsupported", None)
@@ -610,10 +610,10 @@ def test_a_replay_does_not_compare_pixels(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_a_replay_without_a_renderer_reproduces_all_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from nmes.backends.mujoco3d import drawing
+    from nmes.backends.mujoco3d import rendering
 
     source = record(tmp_path / "a.mcap", photograph, {"backend": "mujoco"})
-    monkeypatch.setattr(drawing, "_gl", lambda: None)
+    monkeypatch.setattr(rendering, "opengl_context", lambda: None)
     assert replay(source).verdict == "reproduced"
 
 

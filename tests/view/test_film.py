@@ -234,7 +234,7 @@ def test_wrong_usage_is_explained(thrown: Recording, tmp_path: Path, monkeypatch
 def test_without_opengl_the_message_names_what_to_install(
     thrown: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("nmes.backends.mujoco3d.drawing._gl", lambda: None)
+    monkeypatch.setattr("nmes.backends.mujoco3d.rendering.opengl_context", lambda: None)
     with pytest.raises(WorldError, match="libegl1 or libosmesa6"):
         film([thrown], tmp_path / "x.png")
     assert not (tmp_path / "x.png").exists()

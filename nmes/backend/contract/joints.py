@@ -280,9 +280,9 @@ class JointChecks(Checks):
                 if tick % 5 != 4:
                     many[0].set_motor_targets(joints, params, targets)
                     for joint, held, target in zip(joints, params, targets.tolist(), strict=True):
-                        one[0].set_joint_params(joint, held.aimed(target))
+                        one[0].set_joint_params(joint, held.with_target(target))
                 if tick == 20:  # a change of another kind finds the targets that were set
-                    params[0] = replace(params[0], max_effort=3.0).aimed(float(targets[0]))
+                    params[0] = replace(params[0], max_effort=3.0).with_target(float(targets[0]))
                     for sim in (one[0], many[0]):
                         sim.set_joint_params(joints[0], params[0])
                 if tick == 30:  # and so does a change of structure
@@ -301,7 +301,7 @@ class JointChecks(Checks):
                 again = self.sim()
                 again.restore(many[0].snapshot())
                 for sim in (one[0], again):
-                    sim.set_joint_params(joints[0], params[0].aimed(0.1))
+                    sim.set_joint_params(joints[0], params[0].with_target(0.1))
                     sim.step(SUBSTEPS)
                 close(again.joint_readings(joints), one[0].joint_readings(joints), 1e-9, f"{motor}: restored")
 

@@ -23,11 +23,11 @@ import numpy as np
 
 from nmes.backend import Array, CameraSpec, Image
 from nmes.backend.rotation import rotate
-from nmes.backends.mujoco3d.layout import Layout
+from nmes.backends.mujoco3d.model import CompiledModel
 from nmes.backends.mujoco3d.scenery import Scenery
 from nmes.errors import WorldError
 
-__all__ = ["Painter"]
+__all__ = ["Renderer", "opengl_context"]
 
 Colors = Mapping[int, tuple[float, float, float, float]]
 
@@ -49,7 +49,7 @@ _PLATFORMS = ("egl", "osmesa")
 _thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="nmes-mujoco-drawing")
 
 
-class Painter:
+class Renderer:
     """Draws one simulation, whatever its model is at the time.
 
     What OpenGL holds is made of the scenery and serves all models: only cubes and joints come and go.
@@ -59,9 +59,9 @@ class Painter:
         self._scenery = scenery
         self._context: mujoco.MjrContext | None = None
 
-    def draw(self, camera: CameraSpec, layout: Layout, qpos: Array, colors: Colors) -> Image:
-        """Returns the picture; see `nmes.backend.Simulation.draw`. The layout's model is left as it is."""
-        return _thread.submit(self._draw, camera, layout, qpos, colors).result()
+    def draw(self, camera: CameraSpec, compiled: CompiledModel, qpos: Array, colors: Colors) -> Image:
+        """Returns the picture; see `nmes.backend.Simulation.draw`. The compiled model is left as it is."""
+        return _thread.submit(self._draw, camera, compiled, qpos, colors).result()
 
     def close(self) -> None:
         """Gives back what OpenGL holds."""
@@ -69,18 +69,18 @@ class Painter:
             _thread.submit(self._free).result()
 
     def _free(self) -> None:
-        _gl().make_current()
+        opengl_context().make_current()
         assert self._context is not None
         self._context.free()
         self._context = None
 
-    def _draw(self, camera: CameraSpec, layout: Layout, qpos: Array, colors: Colors) -> Image:
-        gl = _gl()
+    def _draw(self, camera: CameraSpec, compiled: CompiledModel, qpos: Array, colors: Colors) -> Image:
+        gl = opengl_context()
         if gl is None:
             raise WorldError("unsupported", f"this machine has no OpenGL that works without a display; {_REMEDY}")
         gl.make_current()
-        model = copy.copy(layout.model)
-        for index, number in layout.number.items():
+        model = copy.copy(compiled.model)
+        for index, number in compiled.body_number.items():
             first = model.body_geomadr[index]
             model.geom_rgba[first : first + model.body_geomnum[index]] = colors.get(number, _GREY)
         scene = self._scene(model, qpos)
@@ -183,7 +183,7 @@ def _sky() -> Image:
 
 
 @cache
-def _gl() -> Any:
+def opengl_context() -> Any:
     """Returns this thread's OpenGL context, or None if there is none to be had; to be asked on the drawing thread."""
     logging.getLogger("OpenGL.acceleratesupport").setLevel(logging.WARNING)  # tells everybody what it could do without
     wanted = os.environ.get("MUJOCO_GL", "").lower()

@@ -1,0 +1,306 @@
+"""A compiled model that runs: its data, how it steps, sleeps and faults.
+
+MuJoCo's sleep is no part of what `mj_getState` returns, and a sleeping tree's derived quantities are not computed
+afresh; so whenever a state is installed they are all computed once, with everything awake, before the sleepers are put
+back.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping, Sequence
+
+import mujoco
+import numpy as np
+import numpy.typing as npt
+
+from nmes.backend import Array, BodyState, Vector
+from nmes.backends.mujoco3d.depenetration import Depenetration
+from nmes.backends.mujoco3d.forest import Joint
+from nmes.backends.mujoco3d.model import CompiledModel, write_params
+from nmes.backends.mujoco3d.motors import ActuatorBatch
+from nmes.backends.mujoco3d.scenery import Scenery
+from nmes.backends.mujoco3d.sensing import STATE, Senses
+from nmes.backends.mujoco3d.sleep import AWAKE, count_awake
+from nmes.errors import SimulationFault
+
+__all__ = ["RunningModel", "Wrenches"]
+
+logger = logging.getLogger(__name__)
+
+_ZERO: Vector = (0.0, 0.0, 0.0)
+_WARNINGS = mujoco.mjtWarning
+_FAULTS = {
+    _WARNINGS.mjWARN_CONTACTFULL: ("contact_overflow", "the engine ran out of room for contacts"),
+    _WARNINGS.mjWARN_CNSTRFULL: ("constraint_overflow", "the engine ran out of room for constraints"),
+}
+_HUGE = 1e10  # mjMAXVAL: beyond this the engine calls a state bad
+
+# What MuJoCo prints of a diverging world goes to the log; the fault says it to the user.
+mujoco.set_mju_user_warning(lambda message: logger.debug("mujoco: %s", message))
+
+
+class Wrenches:
+    """The forces and torques, and the impulses, that act on bodies during the next step.
+
+    Attributes:
+        forces: Force and torque, six numbers in N and N m, by body.
+        impulses: Impulse and angular impulse, six numbers in N s and N m s, by body.
+    """
+
+    def __init__(self) -> None:
+        self.forces: dict[int, list[float]] = {}
+        self.impulses: dict[int, list[float]] = {}
+
+    def add(self, body: int, force: Vector, torque: Vector, impulse: Vector, angular_impulse: Vector) -> None:
+        """Adds to what acts on a body."""
+        for pending, linear, angular in (
+            (self.forces, force, torque),
+            (self.impulses, impulse, angular_impulse),
+        ):
+            if linear != _ZERO or angular != _ZERO:
+                before, wrench = pending.get(body), [*linear, *angular]
+                pending[body] = wrench if before is None else [a + b for a, b in zip(before, wrench, strict=True)]
+
+    def forget(self, body: int) -> None:
+        """Drops what acts on a body."""
+        self.forces.pop(body, None)
+        self.impulses.pop(body, None)
+
+
+class RunningModel:
+    """The model of a scene and its data, replaced (`install`) whenever the structure changes.
+
+    Attributes:
+        compiled: The model and where everything is in it; `model` is MuJoCo's.
+        data: MuJoCo's.
+        scenery: The static surroundings.
+        senses: The sensors of this model.
+        motors: The motors and joints of this model.
+        depenetration: The bodies that are let apart.
+        qpos: `data.qpos`; likewise `qvel`, `efforts` (`actuator_force`) and `asleep` (`tree_asleep`).
+    """
+
+    def __init__(self, scenery: Scenery, timestep: float) -> None:
+        self.scenery, self._timestep = scenery, timestep
+        self.depenetration = Depenetration()
+
+    def install(
+        self, compiled: CompiledModel, joints: Mapping[int, Joint], shared_data: mujoco.MjData | None = None
+    ) -> None:
+        """Runs another model from now on.
+
+        Args:
+            compiled: The model.
+            joints: All joints by number.
+            shared_data: Data that are others', too, and so are only read; fresh ones if None.
+        """
+        self.compiled, self._joints = compiled, joints
+        self.model = model = compiled.model
+        self.data = data = mujoco.MjData(model) if shared_data is None else shared_data
+        self._shared = shared_data is not None
+        self._current = False  # whether xpos, xquat, cvel belong to qpos, qvel
+        self._state = np.empty(mujoco.mj_stateSize(model, STATE))
+        self._before = np.empty_like(self._state)  # the state that a step began with
+        # Attribute access on MjData makes a new view each time; these are what a tick and a query need.
+        self._warnings = data.warning.number
+        self._no_warnings = self._warnings.tobytes()
+        self._xfrc, self.asleep = data.xfrc_applied, data.tree_asleep
+        self._xpos, self._xquat, self._cvel = data.xpos, data.xquat, data.cvel
+        self._centre, self._root = data.subtree_com, model.body_rootid
+        self.qpos, self.qvel, self.efforts = data.qpos, data.qvel, data.actuator_force
+        self.senses = Senses(compiled, data, self.scenery)
+        self.motors = ActuatorBatch(compiled, data, joints)
+        for joint in compiled.joint_index:
+            self.drive(joints[joint])
+
+    def state(self) -> Array:
+        """Returns MuJoCo's integration state, in an array that the next call overwrites."""
+        mujoco.mj_getState(self.model, self.data, self._state, STATE)
+        return self._state
+
+    def forget_kinematics(self) -> None:
+        """Computes poses and velocities anew when somebody reads them, since coordinates were changed."""
+        self._current = False
+
+    def replace_senses(self) -> None:
+        """Forgets all sensor readings, since bodies came, went or were moved without a step."""
+        self.senses = Senses(self.compiled, self.data, self.scenery)
+
+    # -- poses and velocities ---------------------------------------------------------------------------------------
+
+    def refresh(self) -> None:
+        """Makes poses and velocities those of the coordinates: a step leaves them one step behind."""
+        if self._current:
+            return
+        if self._shared:
+            self.install(self.compiled, self._joints)
+        mujoco.mj_kinematics(self.model, self.data)
+        mujoco.mj_comPos(self.model, self.data)
+        mujoco.mj_comVel(self.model, self.data)
+        self._current = True
+
+    def body_state(self, index: int, frozen: bool) -> BodyState:
+        """Returns the pose and velocity of a body of the model."""
+        if not self._current:
+            self.refresh()
+        x, y, z = self._xpos[index].tolist()
+        qw, qx, qy, qz = self._xquat[index].tolist()
+        if frozen:
+            return BodyState((x, y, z), (qx, qy, qz, qw), _ZERO, _ZERO)
+        wx, wy, wz, vx, vy, vz = self._cvel[index].tolist()
+        # cvel is the velocity at the tree's centre of mass; a box's own centre is its body frame's origin.
+        cx, cy, cz = self._centre[self._root[index]].tolist()
+        rx, ry, rz = x - cx, y - cy, z - cz
+        return BodyState(
+            (x, y, z),
+            (qx, qy, qz, qw),
+            (vx + (wy * rz - wz * ry), vy + (wz * rx - wx * rz), vz + (wx * ry - wy * rx)),
+            (wx, wy, wz),
+        )
+
+    def body_states(self, indices: Sequence[int]) -> Array:
+        """Returns a new array (n, 13) of bodies of the model, as `Simulation.states`; frozen ones are at rest."""
+        self.refresh()
+        index, out = np.array(indices, np.intp), np.empty((len(indices), 13))
+        position, velocity = self._xpos[index], self._cvel[index]
+        out[:, 0:3] = position
+        out[:, 3:7] = self._xquat[index][:, (1, 2, 3, 0)]
+        x, y, z = (position - self._centre[self._root[index]]).T
+        wx, wy, wz = velocity[:, :3].T
+        out[:, 7:10] = velocity[:, 3:]
+        out[:, 7] += wy * z - wz * y  # numpy.cross costs as much as all the rest
+        out[:, 8] += wz * x - wx * z
+        out[:, 9] += wx * y - wy * x
+        out[:, 10:13] = velocity[:, :3]
+        out[self.model.body_treeid[index] < 0, 7:] = 0.0
+        return out
+
+    # -- motors and joints ------------------------------------------------------------------------------------------
+
+    def drive(self, joint: Joint) -> None:
+        """Makes the model and the controls have a joint's parameters."""
+        write_params(self.compiled, joint)
+        self.set_target(joint)
+
+    def set_target(self, joint: Joint) -> None:
+        """Sets a motor's control to its joint's target."""
+        motor, params = self.compiled.actuator.get(joint.number), joint.params
+        if motor is not None:
+            target = params.target_velocity if params.motor == "velocity" else params.target_position
+            self.data.ctrl[motor] = target if params.max_effort > 0.0 else 0.0
+
+    # -- sleep ------------------------------------------------------------------------------------------------------
+
+    def settle(self, asleep: npt.NDArray[np.int32]) -> None:
+        """Computes all that follows from the state, with everything awake, then puts trees to sleep (`tree_asleep`)."""
+        model, data, state = self.model, self.data, self.state()
+        self.asleep[:] = AWAKE
+        count_awake(model, data)
+        if self.scenery.attracts:
+            self.scenery.pull(model, data, 0.0)  # the state has no forces in it: these go again
+        mujoco.mj_forward(model, data)
+        mujoco.mj_setState(model, data, state, STATE)
+        self.asleep[:] = asleep
+        count_awake(model, data)
+        self._current = True
+        self.replace_senses()
+
+    def wake(self, *indices: int) -> None:
+        """Wakes the islands of these bodies (indices in the model)."""
+        woken = False
+        for index in indices:
+            tree = int(self.model.body_treeid[index])
+            while tree >= 0 and (following := int(self.asleep[tree])) >= 0:
+                self.asleep[tree] = AWAKE
+                tree, woken = following, True
+        if woken:
+            count_awake(self.model, self.data)
+            self._current = False  # what was read of a static root left its sleeping branches out
+
+    # -- time -------------------------------------------------------------------------------------------------------
+
+    def step(self, substeps: int, wrenches: Wrenches) -> None:
+        """Advances by engine steps, with wrenches that act and then are gone.
+
+        Raises:
+            SimulationFault: The engine cannot go on; the state is the one before the call.
+        """
+        mujoco.mj_getState(self.model, self.data, self._before, STATE)
+        try:
+            if wrenches.forces or wrenches.impulses:
+                self._advance_pushed(substeps, wrenches)
+            else:
+                self._advance(substeps)
+        except mujoco.FatalError as error:
+            self._go_back()
+            code = "arena_exhausted" if "memory" in str(error) else "engine_failed"
+            raise SimulationFault(code, f"MuJoCo: {error}") from error
+        self._current = False
+        self.senses.forget()
+        if self._warnings.tobytes() != self._no_warnings:
+            try:
+                self._fail()
+            finally:
+                self._go_back()
+
+    def _advance_pushed(self, substeps: int, wrenches: Wrenches) -> None:
+        xfrc, index = self._xfrc, self.compiled.body_index
+        forces, impulses = wrenches.forces, wrenches.impulses
+        try:
+            for body, wrench in forces.items():
+                xfrc[index[body]] = wrench
+            if impulses:
+                # An impulse is the force that gives it within the first engine step, so that it meets joints and
+                # contacts like any other force.
+                rate = 1.0 / self._timestep
+                for body, wrench in impulses.items():
+                    xfrc[index[body]] += np.multiply(wrench, rate)
+                self._advance(1)
+                for body in impulses:
+                    xfrc[index[body]] = forces.get(body, 0.0)
+                substeps -= 1
+            if substeps:
+                self._advance(substeps)
+        finally:
+            xfrc[:] = 0.0
+            forces.clear()
+            impulses.clear()
+
+    def _advance(self, steps: int) -> None:
+        if self.scenery.attracts:
+            self._advance_attracted(steps)
+            return
+        while self.depenetration.bodies and steps:
+            self.depenetration.step(self.compiled, self.data)
+            steps -= 1
+        if steps:
+            mujoco.mj_step(self.model, self.data, steps)
+
+    def _advance_attracted(self, steps: int) -> None:
+        """Takes engine steps in a field of gravity that is another at every place: a force on each body, each step."""
+        applied = self._xfrc.copy()
+        for _ in range(steps):
+            self.scenery.pull(self.model, self.data, applied)
+            if self.depenetration.bodies:
+                self.depenetration.step(self.compiled, self.data)
+            else:
+                mujoco.mj_step(self.model, self.data)
+        self._xfrc[:] = applied
+
+    def _go_back(self) -> None:
+        """Shows the state before the step that failed."""
+        mujoco.mj_setState(self.model, self.data, self._before, STATE)
+        self._current = False
+
+    def _fail(self) -> None:
+        for warning, (code, message) in _FAULTS.items():
+            if self._warnings[warning]:
+                raise SimulationFault(code, message)
+        owner = self.model.dof_bodyid
+        for values, quantity in ((self.data.qvel, "velocity"), (self.data.qacc, "acceleration")):
+            bad = np.flatnonzero(~(np.abs(values) <= _HUGE))
+            if len(bad):
+                body = self.compiled.body_number[int(owner[bad[0]])]
+                raise SimulationFault("diverged", f"the engine diverged: {quantity} out of bounds", body)
+        raise SimulationFault("diverged", "the engine diverged")
