@@ -40,7 +40,7 @@ __all__ = ["HostedWorld", "Status"]
 
 logger = logging.getLogger(__name__)
 
-# The commands after which a world may tick by itself, or wait for others, where it did not before.
+# The commands after which a world may tick by itself where it did not before, or otherwise.
 _STEERING = frozenset({"set_mode", "pause", "resume", "reset", "batch"})
 
 
@@ -171,8 +171,7 @@ class HostedWorld:
             reply = self.world.handle(client, request)
         if request.type in _STEERING:
             self._clock.adjust()  # at once: its next turn may come before all else
-            self._settle_soon()
-        elif self._peers.unsent or self.world.fault is not self._fault:
+        if self._peers.unsent or self._barrier.waiting or self.world.fault is not self._fault:
             self._settle_soon()
         return reply
 
