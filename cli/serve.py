@@ -3,36 +3,26 @@
 from __future__ import annotations
 
 import asyncio
-import base64
-import ipaddress
 import json
-import os
-import secrets
 import signal
-import ssl
-import subprocess
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
 import click
 
 from nmes.cli import _logs
-from nmes.cli._password import PASSWORD_VARIABLE, choose_password, password_options
+from nmes.cli._password import PASSWORD_VARIABLE, password_options
+from nmes.cli._serve_report import Running, ready_lines, ready_object, stopped_lines
+from nmes.cli._serve_settings import MOST_WORLDS, Settings, read_settings
+from nmes.cli._viewer import viewer
 from nmes.cli.info import open_recording
 from nmes.errors import RejectedMessage, WorldError
-from nmes.protocol import parse_json
 from nmes.recording import Recording
 from nmes.server import Host
 from nmes.server.metrics import Metrics
-from nmes.view.screen import has_display
 from nmes.world import World
-
-MOST_WORLDS = 1000
-VIEWER_ENDS = 10.0  # s that it has
-KEYFRAMES = 10.0  # s of a world's time
 
 
 class _Worlds(click.ParamType["int | list[str]"]):
@@ -74,7 +64,6 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
 @click.option("--backend", help="Physics engine.  [default: mujoco]")
 @click.option(
     "--config",
-    "config_file",
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
     help="World config, a JSON file; the other options win over it.",
 )
@@ -133,31 +122,7 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
 )
 @click.option("--view", is_flag=True, help="Look at the world, as `nmes view` does: in a window, or else in a browser.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object when ready, for scripts.")
-def command(
-    host: str,
-    port: int,
-    worlds: int | list[str] | None,
-    port_step: int | None,
-    backend: str | None,
-    config_file: Path | None,
-    seed: int | None,
-    mode: str | None,
-    rate: float | None,
-    record_to: Path,
-    no_record: bool,
-    flush_interval: float,
-    keyframes: float | None,
-    resume: Recording | None,
-    frame: int | None,
-    password: str | None,
-    password_file: Path | None,
-    tls_cert: Path | None,
-    tls_key: Path | None,
-    log_format: str,
-    metrics_port: int | None,
-    view: bool,
-    as_json: bool,
-) -> None:
+def command(log_format: str, view: bool, as_json: bool, **options: Any) -> None:
     """Host a world that clients drive over TCP, or many.
 
     Each world is recorded to a new file. With --resume it goes on from where a recording ends, or from any frame of it;
@@ -171,215 +136,71 @@ def command(
         nmes serve --worlds 20 --port 14000 --port-step 3
         nmes serve --resume recordings/main-20260101-120000.mcap --at 3600
     """
-    given = {"backend": backend, "seed": seed, "mode": mode, "rate": rate, "keyframes": keyframes}
-    given = {key: value for key, value in given.items() if value is not None}
-    if resume is not None:
-        other = [*given, *(["config"] if config_file is not None else []), *(["worlds"] if worlds is not None else [])]
-        if other:
-            raise click.UsageError(f"--{other[0]} does not go with --resume: the recording says what its world is")
-        config = resume.config
-    else:
-        if frame is not None:
-            raise click.UsageError("--at says from where to --resume")
-        config = {"keyframes": KEYFRAMES, **(_read_config(config_file) if config_file is not None else {}), **given}
-    password, source = choose_password(password, password_file) or (secrets.token_urlsafe(12), "generated")
-    if source == "generated" and not _is_local(host):
-        raise click.UsageError(
-            f"{host} can be reached from elsewhere: give a password, in {PASSWORD_VARIABLE} or with --password-file"
-        )
+    settings = read_settings(options)
     _logs.set_up(log_format)
     _raise_open_files_limit()
-    names, ports = _lay_out(worlds, config.get("name", "main"), port, port_step)
-    metrics = None if metrics_port is None else Metrics()
-    server = Host(
-        password,
-        record_to=None if no_record else record_to,
-        flush_interval=flush_interval,
-        tls=_load_tls(tls_cert, tls_key),
-        metrics=metrics,
-    )
-    parent = None if resume is None else (resume, frame)
     with ExitStack() as after:  # a viewer sees the world's end
 
-        def look(address: str, port: int) -> None:
+        def report(running: Running) -> None:
+            click.echo(json.dumps(ready_object(running)) if as_json else "\n".join(ready_lines(running)))
             if view:
-                after.enter_context(_viewer(address, port, password, tls_cert, as_json))
+                address, port = running.address, running.ports[0]
+                after.enter_context(viewer(address, port, settings.password, settings.tls_cert, quiet=as_json))
 
-        asyncio.run(_serve(server, config, parent, names, host, ports, password, source, metrics_port, as_json, look))
+        running = asyncio.run(_serve(settings, report))
+        if not as_json:
+            for line in stopped_lines(running):
+                click.echo(line)
 
 
-async def _serve(
-    server: Host,
-    config: dict[str, Any],
-    parent: tuple[Recording, int | None] | None,
-    worlds: list[str],
-    host: str,
-    ports: list[int],
-    password: str,
-    source: str,
-    metrics_port: int | None,
-    as_json: bool,
-    look: Callable[[str, int], None],
-) -> None:
+async def _serve(settings: Settings, report: Callable[[Running], None]) -> Running:
+    """Hosts until a signal comes; `report` is called when clients may connect. Returns what was hosted, closed now."""
     stop = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, stop.set)
-    async with server:
-        try:
-            if worlds:
-                for name in worlds:
-                    server.offer({**config, "name": name})
-                # They are created when first used, but what is wrong with them is told now.
-                sample = World({**config, "name": worlds[0]})
-                sample.close()
-            else:
-                sample = (server.add(config) if parent is None else server.resume(*parent)).world
-        except RejectedMessage as error:
-            raise click.UsageError(f"world config: {error.message}") from error
-        except WorldError as error:
-            raise click.UsageError(error.message) from error
-        resumed = sample.ticks
-        listening = []
-        for index, port in enumerate(ports):
-            address, port = await server.listen(host, port, worlds[index] if len(ports) > 1 else None)
-            listening.append(port)
-        if metrics_port is not None:
-            metrics_port = await server.serve_metrics("127.0.0.1", metrics_port)
-        about = {"backend": sample.backend.name, "mode": sample.mode, "rate": sample.rate, "seed": sample.seed}
-        if worlds:
-            # One port each, or all on one.
-            where = dict(zip(worlds, listening * (len(worlds) // len(listening)), strict=True))
-            ready: dict[str, Any] = {
-                "worlds": [{"world": name, "port": port} for name, port in where.items()],
-                **about,
-                "recordings": None if server.record_to is None else str(server.record_to),
-            }
-            named = [f"World {name!r} on {address}:{port}" for name, port in where.items()]
-            recording = None if server.record_to is None else f"{server.record_to}, a file for each world"
-        else:
-            (hosted,) = server.worlds.values()
-            recording = None if hosted.recording is None else str(hosted.recording)
-            ready = {"world": hosted.name, **about, "recording": recording}
-            if parent is not None:
-                ready["resumed"] = {"file": str(parent[0].path), "frame": resumed}
-            named = [f"World {hosted.name!r}"]
-        if as_json:
-            ready = {"host": address, "port": listening[0], "password_source": source, **ready}
-            if metrics_port is not None:
-                ready["metrics_port"] = metrics_port
-            if source == "generated":
-                ready["password"] = password
-            click.echo(json.dumps(ready))
-        else:
-            pace = f"{sample.mode} x {sample.rate:g}" if sample.mode == "realtime" else sample.mode
-            for name in named:
-                click.echo(f"{name}: {sample.backend.name} {sample.backend.version()}, {pace}, seed {sample.seed}")
-            if not worlds:
-                click.echo(f"Listening on {address}:{listening[0]}")
-            if source == "generated":
-                click.echo(f"Password: {password}  (made up for this run)")
-            else:
-                click.echo(f"Password: given by {source}")
-            if metrics_port is not None:
-                click.echo(f"Metrics on http://127.0.0.1:{metrics_port}/metrics")
-            if parent is not None:
-                click.echo(f"Going on from frame {resumed:,} of {parent[0].path}")
-            click.echo(f"Recording to {recording}" if recording else "Not recording")
-            click.echo("Ctrl-C stops")
-        look(address, listening[0])
-        await stop.wait()
-    if not as_json:
-        for hosted in server.worlds.values():
-            name = f"World {hosted.name!r} stopped" if worlds else "Stopped"
-            click.echo(f"{name} at frame {hosted.world.frame}")
-
-
-@contextmanager
-def _viewer(address: str, port: int, password: str, tls_cert: Path | None, as_json: bool) -> Iterator[None]:
-    """Runs `nmes view` of a host here, as a program of its own so that it takes nothing from the worlds' threads."""
-    here = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(address, address)
-    where = f"[{here}]:{port}" if ":" in here else f"{here}:{port}"
-    options = [] if has_display() else ["--web"]
-    if tls_cert is not None:
-        options += ["--tls-ca", str(tls_cert)]
-    # A session of its own: Ctrl-C is for the host, which then ends the viewer, once.
-    process = subprocess.Popen(
-        [sys.executable, "-c", "from nmes.cli import main; main()", "view", where, *options],
-        env={**os.environ, PASSWORD_VARIABLE: password},
-        stdout=sys.stderr.fileno() if as_json else None,
-        start_new_session=True,
+    host = Host(
+        settings.password,
+        record_to=settings.record_to,
+        flush_interval=settings.flush_interval,
+        tls=settings.tls,
+        metrics=None if settings.metrics_port is None else Metrics(),
     )
+    async with host:
+        running = await _start(host, settings)
+        report(running)
+        await stop.wait()
+    return running
+
+
+async def _start(host: Host, settings: Settings) -> Running:
+    """Adds the worlds and listens on the ports."""
     try:
-        yield
-    finally:
-        process.send_signal(signal.SIGINT)
-        try:
-            process.wait(VIEWER_ENDS)
-        except subprocess.TimeoutExpired:
-            process.kill()
-
-
-def _lay_out(worlds: int | list[str] | None, name: str, port: int, step: int | None) -> tuple[list[str], list[int]]:
-    """Returns the names of the worlds, none where there is just one, and the ports."""
-    if not isinstance(worlds, int):
-        if step is not None:
-            raise click.UsageError("--port-step goes with a number of worlds")
-        return worlds or [], [port]
-    names = [f"{name}-{number}" for number in range(1, worlds + 1)]
-    if port == 0:
-        return names, [0] * worlds
-    ports = [port + number * (step or 1) for number in range(worlds)]
-    if ports[-1] > 65535:
-        raise click.UsageError(f"{worlds} worlds from port {port} on reach beyond port 65535")
-    return names, ports
-
-
-def _read_config(path: Path) -> dict[str, Any]:
-    try:
-        config = parse_json(path.read_bytes())
-    except OSError as error:
-        raise click.UsageError(f"cannot read {path}: {error.strerror}") from error
+        sample = _add_worlds(host, settings)
     except RejectedMessage as error:
-        raise click.UsageError(f"{path}: {error.message}") from error
-    if not isinstance(config, dict):
-        raise click.UsageError(f"{path}: a world config is a JSON object, not {type(config).__name__}")
-    _embed_image(config, path)
-    return config
+        raise click.UsageError(f"world config: {error.message}") from error
+    except WorldError as error:
+        raise click.UsageError(error.message) from error
+    start, address, ports = sample.ticks, settings.address, []
+    for index, port in enumerate(settings.ports):
+        name = settings.names[index] if len(settings.ports) > 1 else None
+        address, port = await host.listen(settings.address, port, name)
+        ports.append(port)
+    metrics_port = settings.metrics_port
+    if metrics_port is not None:
+        metrics_port = await host.serve_metrics("127.0.0.1", metrics_port)
+    return Running(settings, host, sample, start, address, ports, metrics_port)
 
 
-def _embed_image(config: dict[str, Any], path: Path) -> None:
-    """Replaces the `image_file` of a landscape, beside the config's own file, by the image itself.
-
-    A world reads no file, and a recording must hold all that the world was made of.
-    """
-    scene = config.get("scene")
-    landscape = scene.get("heightfield") if isinstance(scene, dict) else None
-    if isinstance(landscape, dict) and isinstance(landscape.get("image_file"), str):
-        image = path.parent / landscape.pop("image_file")
-        try:
-            landscape["image"] = base64.b64encode(image.read_bytes()).decode()
-        except OSError as error:
-            raise click.UsageError(f"{path}: scene/heightfield/image_file: {error}") from error
-
-
-def _load_tls(cert: Path | None, key: Path | None) -> ssl.SSLContext | None:
-    if cert is None and key is None:
-        return None
-    if cert is None or key is None:
-        raise click.UsageError("--tls-cert and --tls-key go together")
-    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
-    try:
-        context.load_cert_chain(cert, key, password="")  # a key under a passphrase is refused, not asked about
-    except (OSError, ValueError) as error:
-        raise click.UsageError(f"cannot use {cert} with {key}: {error}") from error
-    return context
-
-
-def _is_local(host: str) -> bool:
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
+def _add_worlds(host: Host, settings: Settings) -> World:
+    """Adds the one world and returns it; or many, which are created when first used, and returns one like them."""
+    if not settings.names:
+        hosted = host.add(settings.config) if settings.parent is None else host.resume(*settings.parent)
+        return hosted.world
+    for name in settings.names:
+        host.offer({**settings.config, "name": name})
+    sample = World({**settings.config, "name": settings.names[0]})  # an error in all of them is shown now
+    sample.close()
+    return sample
 
 
 def _raise_open_files_limit() -> None:

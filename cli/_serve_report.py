@@ -1,0 +1,113 @@
+"""What `nmes serve` prints: that it is ready, as text for people or as one JSON object, and that it has stopped."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+from nmes.cli._serve_settings import MADE_UP, Settings
+from nmes.server import Host
+from nmes.world import World
+
+__all__ = ["Running", "ready_lines", "ready_object", "stopped_lines"]
+
+
+class Running(NamedTuple):
+    """A host that clients may connect to.
+
+    Attributes:
+        sample: The world, or where there are many, one like each of them.
+        start: The ticks that the world had when it was made.
+        address: Where it listens.
+        ports: The ports that were found.
+        metrics_port: The port that was found for metrics; None: there are none.
+    """
+
+    settings: Settings
+    host: Host
+    sample: World
+    start: int
+    address: str
+    ports: list[int]
+    metrics_port: int | None
+
+    @property
+    def worlds(self) -> dict[str, int]:
+        """The ports of the worlds by name; empty where there is just one world."""
+        names = self.settings.names
+        return dict(zip(names, self.ports * (len(names) // len(self.ports)), strict=True))  # one each, or one for all
+
+
+def ready_object(running: Running) -> dict[str, Any]:
+    """Returns what scripts need to know of a host."""
+    settings = running.settings
+    ready = {
+        "host": running.address,
+        "port": running.ports[0],
+        "password_source": settings.password_source,
+        **(_many_worlds(running) if settings.names else _one_world(running)),
+    }
+    if running.metrics_port is not None:
+        ready["metrics_port"] = running.metrics_port
+    if settings.password_source == MADE_UP:
+        ready["password"] = settings.password
+    return ready
+
+
+def _many_worlds(running: Running) -> dict[str, Any]:
+    directory = running.settings.record_to
+    return {
+        "worlds": [{"world": name, "port": port} for name, port in running.worlds.items()],
+        **_engine(running.sample),
+        "recordings": None if directory is None else str(directory),
+    }
+
+
+def _one_world(running: Running) -> dict[str, Any]:
+    (hosted,) = running.host.worlds.values()
+    recording = None if hosted.recording is None else str(hosted.recording)
+    world = {"world": hosted.name, **_engine(running.sample), "recording": recording}
+    if running.settings.parent is not None:
+        world["resumed"] = {"file": str(running.settings.parent[0].path), "frame": running.start}
+    return world
+
+
+def _engine(world: World) -> dict[str, Any]:
+    return {"backend": world.backend.name, "mode": world.mode, "rate": world.rate, "seed": world.seed}
+
+
+def ready_lines(running: Running) -> list[str]:
+    """Returns what people need to know of a host, line by line."""
+    settings, sample = running.settings, running.sample
+    pace = f"{sample.mode} x {sample.rate:g}" if sample.mode == "realtime" else sample.mode
+    engine = f"{sample.backend.name} {sample.backend.version()}, {pace}, seed {sample.seed}"
+    lines = [f"World {name!r} on {running.address}:{port}: {engine}" for name, port in running.worlds.items()]
+    if not lines:
+        lines = [f"World {sample.config['name']!r}: {engine}", f"Listening on {running.address}:{running.ports[0]}"]
+    if settings.password_source == MADE_UP:
+        lines.append(f"Password: {settings.password}  (made up for this run)")
+    else:
+        lines.append(f"Password: given by {settings.password_source}")
+    if running.metrics_port is not None:
+        lines.append(f"Metrics on http://127.0.0.1:{running.metrics_port}/metrics")
+    if settings.parent is not None:
+        lines.append(f"Going on from frame {running.start:,} of {settings.parent[0].path}")
+    return [*lines, _recording_line(running), "Ctrl-C stops"]
+
+
+def _recording_line(running: Running) -> str:
+    settings = running.settings
+    if settings.record_to is None:
+        return "Not recording"
+    if settings.names:
+        return f"Recording to {settings.record_to}, a file for each world"
+    (hosted,) = running.host.worlds.values()
+    return f"Recording to {hosted.recording}"
+
+
+def stopped_lines(running: Running) -> list[str]:
+    """Returns how far the worlds of a closed host went, line by line."""
+    lines = []
+    for hosted in running.host.worlds.values():
+        name = f"World {hosted.name!r} stopped" if running.settings.names else "Stopped"
+        lines.append(f"{name} at frame {hosted.world.frame}")
+    return lines

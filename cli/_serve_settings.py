@@ -1,0 +1,175 @@
+"""What `nmes serve` is to host, where and how: its options, checked."""
+
+from __future__ import annotations
+
+import base64
+import ipaddress
+import secrets
+import ssl
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import click
+
+from nmes.cli._password import PASSWORD_VARIABLE, choose_password
+from nmes.errors import RejectedMessage
+from nmes.protocol import parse_json
+from nmes.recording import Recording
+
+__all__ = ["MADE_UP", "MOST_WORLDS", "Settings", "read_settings"]
+
+MOST_WORLDS = 1000
+KEYFRAMES = 10.0  # s of a world's time
+MADE_UP = "generated"  # the source of a password that was not given
+
+
+@dataclass(frozen=True)
+class Settings:
+    """One world or many, their addresses, and what all of them share.
+
+    Attributes:
+        config: The world's config, or that of all worlds but for their names.
+        parent: The recording and its frame (None: the last) that the world goes on from.
+        names: The worlds' names, none where there is just one world.
+        address: The address to listen on.
+        ports: One port for all worlds, or one for each.
+        password: The password that clients must give.
+        password_source: Where the password is from.
+        record_to: Directory for the recordings; None: nothing is recorded.
+        flush_interval: How much (s) of a recording a crash may lose.
+        tls_cert: The file of the host's certificate; None: no TLS.
+        tls: The certificate and its key.
+        metrics_port: Port of the metrics; None: there are none.
+    """
+
+    config: dict[str, Any]
+    parent: tuple[Recording, int | None] | None
+    names: list[str]
+    address: str
+    ports: list[int]
+    password: str
+    password_source: str
+    record_to: Path | None
+    flush_interval: float
+    tls_cert: Path | None
+    tls: ssl.SSLContext | None
+    metrics_port: int | None
+
+
+def read_settings(options: Mapping[str, Any]) -> Settings:
+    """Checks the options of `nmes serve`, by the names of its parameters.
+
+    Raises:
+        UsageError: Some do not go together, or a file that they name cannot be used.
+    """
+    config, parent = _world(options)
+    password, source = _password(options)
+    names, ports = _layout(options, config.get("name", "main"))
+    return Settings(
+        config=config,
+        parent=parent,
+        names=names,
+        address=options["host"],
+        ports=ports,
+        password=password,
+        password_source=source,
+        record_to=None if options["no_record"] else options["record_to"],
+        flush_interval=options["flush_interval"],
+        tls_cert=options["tls_cert"],
+        tls=_load_tls(options["tls_cert"], options["tls_key"]),
+        metrics_port=options["metrics_port"],
+    )
+
+
+def _world(options: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[Recording, int | None] | None]:
+    """Returns the config, and where its world goes on from."""
+    fields = {key: options[key] for key in ("backend", "seed", "mode", "rate", "keyframes") if options[key] is not None}
+    recording: Recording | None = options["resume"]
+    if recording is not None:
+        others = [*fields, *(name for name in ("config", "worlds") if options[name] is not None)]
+        if others:
+            raise click.UsageError(f"--{others[0]} does not go with --resume: the recording says what its world is")
+        return recording.config, (recording, options["frame"])
+    if options["frame"] is not None:
+        raise click.UsageError("--at needs --resume: it is a frame of that recording")
+    file = {} if options["config"] is None else _read_config(options["config"])
+    return {"keyframes": KEYFRAMES, **file, **fields}, None
+
+
+def _read_config(path: Path) -> dict[str, Any]:
+    try:
+        config = parse_json(path.read_bytes())
+    except OSError as error:
+        raise click.UsageError(f"cannot read {path}: {error.strerror}") from error
+    except RejectedMessage as error:
+        raise click.UsageError(f"{path}: {error.message}") from error
+    if not isinstance(config, dict):
+        raise click.UsageError(f"{path}: a world config is a JSON object, not {type(config).__name__}")
+    _embed_image(config, path)
+    return config
+
+
+def _embed_image(config: dict[str, Any], path: Path) -> None:
+    """Replaces the `image_file` of a landscape, beside the config's own file, by the image itself.
+
+    A world reads no file, and a recording must hold all that the world was made of.
+    """
+    scene = config.get("scene")
+    landscape = scene.get("heightfield") if isinstance(scene, dict) else None
+    if isinstance(landscape, dict) and isinstance(landscape.get("image_file"), str):
+        image = path.parent / landscape.pop("image_file")
+        try:
+            landscape["image"] = base64.b64encode(image.read_bytes()).decode()
+        except OSError as error:
+            raise click.UsageError(f"{path}: scene/heightfield/image_file: {error}") from error
+
+
+def _password(options: Mapping[str, Any]) -> tuple[str, str]:
+    """Returns the password, which may be made up for an address of this machine, and where it is from."""
+    chosen = choose_password(options["password"], options["password_file"])
+    if chosen is not None:
+        return chosen
+    host = options["host"]
+    if not _is_local(host):
+        raise click.UsageError(
+            f"{host} can be reached from elsewhere: give a password, in {PASSWORD_VARIABLE} or with --password-file"
+        )
+    return secrets.token_urlsafe(12), MADE_UP
+
+
+def _is_local(host: str) -> bool:
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def _layout(options: Mapping[str, Any], name: str) -> tuple[list[str], list[int]]:
+    """Returns the names of the worlds, none where there is just one, and the ports."""
+    worlds, port, step = options["worlds"], options["port"], options["port_step"]
+    if not isinstance(worlds, int):
+        if step is not None:
+            raise click.UsageError("--port-step goes with a number of worlds")
+        return worlds or [], [port]
+    names = [f"{name}-{number}" for number in range(1, worlds + 1)]
+    if port == 0:
+        return names, [0] * worlds
+    ports = [port + number * (step or 1) for number in range(worlds)]
+    if ports[-1] > 65535:
+        raise click.UsageError(f"{worlds} worlds from port {port} on reach beyond port 65535")
+    return names, ports
+
+
+def _load_tls(cert: Path | None, key: Path | None) -> ssl.SSLContext | None:
+    if cert is None and key is None:
+        return None
+    if cert is None or key is None:
+        raise click.UsageError("--tls-cert and --tls-key go together")
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    try:
+        context.load_cert_chain(cert, key, password="")  # a key under a passphrase is refused, not asked about
+    except (OSError, ValueError) as error:
+        raise click.UsageError(f"cannot use {cert} with {key}: {error}") from error
+    return context
