@@ -20,7 +20,7 @@ from nmes import World
 from nmes.backend import Array
 from nmes.backend.rotation import conjugate, euler_from_quaternion, normalize, quaternion_from_euler, rotate
 from nmes.playback.compare import replay
-from nmes.world import entities as entities
+from nmes.world import readings
 from recordings import record, rewrite, send
 
 Reply = dict[str, Any]
@@ -604,7 +604,7 @@ def photograph(world: World, client: int) -> None:
 def test_a_replay_does_not_compare_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     source = record(tmp_path / "a.mcap", photograph, {"backend": "mujoco"})
     assert replay(source).verdict == "reproduced"
-    monkeypatch.setattr(entities, "png", lambda image: "AAAA")
+    monkeypatch.setattr(readings, "png", lambda image: "AAAA")
     report = replay(source)
     assert (report.verdict, report.commands) == ("reproduced", 5)
 
