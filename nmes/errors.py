@@ -1,7 +1,7 @@
 """The errors that NMES raises, and the codes they carry.
 
-Every error has a stable `code` (the string that goes over the wire where the error reaches a client), a message
-for a person, and, where one value is to blame, a `path`: the JSON Pointer of that value without its leading
+Every error has a stable `code` (the string that goes over the wire where the error reaches a client; docs/errors.md
+lists all of them), a message for a person, and, where one value is to blame, a `path`: the JSON Pointer of that value without its leading
 slash (`mass`, `position/1`). This module imports nothing of ours, so that every other may import it.
 """
 
@@ -48,12 +48,12 @@ class DocumentError(NmesError):
     """A document (a genome, a brain, a task) that is not as it must be.
 
     Attributes:
-        problems: All that was found: each a JSON Pointer without its leading slash, and words for a person.
+        problems: Everything that is wrong: each a JSON Pointer without its leading slash, and words for a person.
     """
 
     def __init__(self, problems: Sequence[tuple[str, str]]) -> None:
-        said = "\n".join(f"{path}: {words}" if path else words for path, words in problems)
-        super().__init__("invalid", said, problems[0][0])
+        message = "\n".join(f"{path}: {words}" if path else words for path, words in problems)
+        super().__init__("invalid", message, problems[0][0])
         self.problems = tuple(problems)
 
 
