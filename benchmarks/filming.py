@@ -13,7 +13,9 @@ from nmes import Genome, Task, evaluate
 from nmes.backend import CameraSpec
 from nmes.errors import WorldError
 from nmes.recording import Recording
-from nmes.view.film import Cut, Stage, film, moments
+from nmes.view.film import Cut, film
+from nmes.view.moments import moments
+from nmes.view.stage import Stage
 
 SECONDS, FPS, SIZE = 10.0, 30, (640, 480)
 

@@ -10,7 +10,8 @@ import click
 from nmes.cli._progress import progress_bars
 from nmes.cli.info import open_recording
 from nmes.recording import Recording
-from nmes.view.film import Cut, Way, film
+from nmes.view.camera import Way
+from nmes.view.film import Cut, film
 
 __all__ = ["command"]
 

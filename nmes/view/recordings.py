@@ -1,6 +1,6 @@
 """A recording in Rerun: run again, with its commands, the forces they applied, and where it diverges.
 
-It hides how what clients said is brought in step with what is seen.
+It hides how the clients' commands are brought in step with the ticks.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ __all__ = ["Places", "Showing", "show_drift", "show_recording"]
 
 _TEXT = 300  # characters of a command that are shown
 _ZERO = (0.0, 0.0, 0.0)
-# What is said at every tick, or only asks: it can be looked at too, but would hide the rest.
+# Commands that come at every tick, or only ask: they can be shown too, but would hide the others.
 _EVERY_TICK = frozenset({"step", "drive", "sense", "ping", "compute_reward"})
 
 Json = Mapping[str, Any]
@@ -40,11 +40,11 @@ Places = tuple[float, dict[str, Array]]  # s, and where each cube was then
 
 
 class Showing(NamedTuple):
-    """What came of showing a recording.
+    """A recording that was drawn.
 
     Attributes:
         report: The verdict of its replay.
-        canvas: What it was drawn on.
+        canvas: Where it was drawn.
         places: Where all cubes were at the times that were drawn.
     """
 
@@ -54,7 +54,7 @@ class Showing(NamedTuple):
 
 
 class _Sight(NamedTuple):
-    """What is looked at after a tick that is shown."""
+    """A world as it is drawn, after a tick."""
 
     seed: int
     shapes: dict[str, Shape]
@@ -62,6 +62,34 @@ class _Sight(NamedTuple):
     joints: list[dict[str, Any]]
     points: Array
     forces: Array
+
+
+class _Observer:
+    """Looks at a world after every tick: notes its figures, and sees what is drawn of every so many ticks."""
+
+    def __init__(self, every: int) -> None:
+        self.series = TimeSeries()
+        self._every = every
+        self._version = -1
+        self._shapes: dict[str, Shape] = {}
+
+    def look(self, world: World) -> _Sight | None:
+        """Returns the world as it is drawn; None after a tick that is not."""
+        self.series.note(world)
+        if world.frame % self._every:
+            return None
+        if world.structure_version != self._version:
+            self._version = world.structure_version
+            self._shapes = {name: world.cube_shape(name) for name in world.cubes()}
+        contacts = world.contacts()
+        return _Sight(
+            world.seed,
+            self._shapes,
+            world.poses()[1][:, :7],
+            world.joint_infos(),
+            np.array([contact.position for contact in contacts]).reshape(-1, 3),
+            np.array([np.multiply(contact.normal, contact.force) for contact in contacts]).reshape(-1, 3),
+        )
 
 
 def show_recording(
@@ -79,39 +107,32 @@ def show_recording(
         stream: Where it is sent.
         root: The entity under which it stands.
         fps: How often cubes are drawn, in Hz of simulation time. Forces and commands are shown at their own ticks.
-        progress: Told how many ticks are done, of how many.
-
-    Returns:
-        What came of it.
+        progress: Called with how many ticks are done, and how many there are.
     """
     rate: int = recording.config["tick_rate"]
     canvas = Canvas(stream, root, load_backend(recording.config["backend"]).dims == 2)
     report = replay(recording, anyway=True)
-    course, inputs = TimeSeries(), _Inputs(recording, canvas, rate)
-    every = max(1, round(rate / fps))
+    observer, inputs = _Observer(max(1, round(rate / fps))), _Inputs(recording, canvas, rate)
+    places = _draw(recording, canvas, observer, inputs, progress)
+    for name, values in observer.series.curves().items():
+        canvas.curve(name, observer.series.times, values)
+    inputs.plot()
+    _draw_score(recording, canvas)
+    if report.divergence is not None:
+        canvas.at(report.ticks / rate)
+        canvas.say(f"diverged: {report.divergence.message}", "ERROR", "divergence")
+    return Showing(report, canvas, places)
+
+
+def _draw(
+    recording: Recording, canvas: Canvas, observer: _Observer, inputs: _Inputs, progress: Callable[[int, int], None]
+) -> list[Places]:
+    """Draws the world tick by tick; returns where its cubes were at the times that were drawn."""
+    rate: int = recording.config["tick_rate"]
     total = recording.summary().ticks
-    version, shapes = -1, dict[str, Shape]()
-
-    def look(world: World) -> _Sight | None:
-        nonlocal version, shapes
-        course.note(world)
-        if world.frame % every:
-            return None
-        if world.structure_version != version:
-            version, shapes = world.structure_version, {name: world.cube_shape(name) for name in world.cubes()}
-        contacts = world.contacts()
-        return _Sight(
-            world.seed,
-            shapes,
-            world.poses()[1][:, :7],
-            world.joint_infos(),
-            np.array([contact.position for contact in contacts]).reshape(-1, 3),
-            np.array([np.multiply(contact.normal, contact.force) for contact in contacts]).reshape(-1, 3),
-        )
-
     seed, tick = None, 0
     places: list[Places] = []
-    for tick, sight in enumerate(watch(recording, look, anyway=True), start=1):
+    for tick, sight in enumerate(watch(recording, observer.look, anyway=True), start=1):
         progress(tick, total)
         inputs.show(tick)
         if sight is None:
@@ -123,21 +144,19 @@ def show_recording(
         if canvas.cubes(sight.shapes, sight.poses):
             canvas.joints(sight.joints)
         canvas.contacts(sight.points, sight.forces)
-        places.append((tick / rate, inputs.see(sight.shapes, sight.poses[:, :3])))
+        places.append((tick / rate, inputs.place(sight.shapes, sight.poses[:, :3])))
     inputs.show(tick + 1)
-    for name, values in course.curves().items():
-        canvas.curve(name, course.times, values)
-    inputs.plot()
+    return places
+
+
+def _draw_score(recording: Recording, canvas: Canvas) -> None:
+    """Draws the score over time, where the recording is an evaluation's."""
     try:
         times, scores = scores_so_far(recording).T
         canvas.curve("score so far", times, scores)
     except (ProofError, RecordingError) as error:
         if error.code != "not_an_evaluation":
             canvas.say(f"no score: {error.message}", "WARN")
-    if report.divergence is not None:
-        canvas.at(report.ticks / rate)
-        canvas.say(f"diverged: {report.divergence.message}", "ERROR", "divergence")
-    return Showing(report, canvas, places)
 
 
 def show_drift(stream: rr.RecordingStream, first: Sequence[Places], second: Sequence[Places]) -> None:
@@ -152,8 +171,8 @@ def show_drift(stream: rr.RecordingStream, first: Sequence[Places], second: Sequ
             stream.log(["drift", "mean (m)"], load_rerun().Scalars(sum(apart) / len(apart)))
 
 
-class _Said(NamedTuple):
-    """A command or a fault, and after how many ticks it came."""
+class _Line(NamedTuple):
+    """A line of the log: a command, a client that came or left, or a fault, and after how many ticks it was."""
 
     ticks: int
     text: str
@@ -163,46 +182,47 @@ class _Said(NamedTuple):
 
 
 class _Inputs:
-    """What clients said in a recording, in step with its ticks."""
+    """The inputs of a recording, drawn in step with its ticks."""
 
     def __init__(self, recording: Recording, canvas: Canvas, rate: int) -> None:
         self._canvas, self._rate = canvas, rate
-        self._said = _said(recording, rate)
-        self._next = next(self._said, None)
+        self._lines = _lines(recording, rate)
+        self._next = next(self._lines, None)
         self._places: dict[str, Array] = {}
         self._rewards: dict[str, list[tuple[float, float]]] = {}
 
-    def see(self, shapes: Mapping[str, Shape], positions: Array) -> dict[str, Array]:
-        """Notes where cubes are, for the forces that begin at their middles; returns it by name."""
+    def place(self, shapes: Mapping[str, Shape], positions: Array) -> dict[str, Array]:
+        """Notes where cubes are, for the forces that act at their middles; returns their positions by name."""
         self._places = dict(zip(shapes, positions, strict=True))
         return self._places
 
     def show(self, tick: int) -> None:
-        """Writes what was said before a tick, and draws the forces that acted in it."""
+        """Writes the lines of the inputs before a tick, and draws the forces that acted in it."""
         pushes: list[tuple[str, Array, Array]] = []
         while self._next is not None and self._next.ticks < tick:
-            said = self._next
-            self._canvas.at(said.ticks / self._rate)
-            self._canvas.say(said.text, said.level)
-            for name, value in said.rewards:
-                self._rewards.setdefault(name, []).append((said.ticks / self._rate, value))
-            for name, force, point in said.pushes:
+            line = self._next
+            self._canvas.at(line.ticks / self._rate)
+            self._canvas.say(line.text, line.level)
+            for name, value in line.rewards:
+                self._rewards.setdefault(name, []).append((line.ticks / self._rate, value))
+            for name, force, point in line.pushes:
                 at = point if point is not None else self._places.get(name)
                 if at is not None:
                     pushes.append((name, at, force))
-            self._next = next(self._said, None)
+            self._next = next(self._lines, None)
         self._canvas.at(tick / self._rate)
         points, forces = (np.array([push[i] for push in pushes]).reshape(-1, 3) for i in (1, 2))
         self._canvas.forces(points, forces, [name for name, _, _ in pushes])
 
     def plot(self) -> None:
-        """Draws the rewards that clients asked for."""
+        """Draws the curves of the rewards that clients asked for."""
         for name, points in self._rewards.items():
             times, values = np.array(points).T
             self._canvas.curve(name, times, values)
 
 
-def _said(recording: Recording, rate: int) -> Iterator[_Said]:
+def _lines(recording: Recording, rate: int) -> Iterator[_Line]:
+    """Yields the lines of a recording's log, in order."""
     ticks = 0
     for record, effects in recorded_inputs(recording):
         reply = orjson.loads(effects[-1].data) if effects and effects[-1].kind is Kind.REPLY else {}
@@ -210,23 +230,24 @@ def _said(recording: Recording, rate: int) -> Iterator[_Said]:
             case Kind.COMMAND:
                 yield _command(ticks, record.client, orjson.loads(record.data), reply, rate)
             case Kind.REFUSED:
-                said = f"client {record.client}: a frame that is no command: {reply.get('message')}"
-                yield _Said(ticks, said, "WARN")
+                text = f"client {record.client}: a frame that is no command: {reply.get('message')}"
+                yield _Line(ticks, text, "WARN")
             case Kind.JOINED | Kind.LEFT:
-                yield _Said(ticks, f"client {record.client} {record.kind}", "INFO")
+                yield _Line(ticks, f"client {record.client} {record.kind}", "INFO")
         for other in (record, *effects):
             if other.kind is Kind.TICKS and other.about is not None:
                 ticks += len(other.about["digests"])
             elif other.kind is Kind.FAULT and other.about is not None:
-                yield _Said(ticks, f"fault: {other.about['message']}", "ERROR")
+                yield _Line(ticks, f"fault: {other.about['message']}", "ERROR")
 
 
-def _command(ticks: int, client: int | None, command: Json, reply: Json, rate: int) -> _Said:
+def _command(ticks: int, client: int | None, command: Json, reply: Json, rate: int) -> _Line:
+    """Returns the line of a command, with the forces that it applied and the rewards that it asked for."""
     fields = [f"{name}={orjson.dumps(value).decode()}" for name, value in command.items() if name not in ("type", "id")]
-    told = " ".join([f"client {client}: {command.get('type')}", *fields])
-    told = told if len(told) <= _TEXT else told[:_TEXT] + "..."
+    text = " ".join([f"client {client}: {command.get('type')}", *fields])
+    text = text if len(text) <= _TEXT else text[:_TEXT] + "..."
     if reply.get("type") == "error":
-        return _Said(ticks, f"{told} -> {reply['code']}: {reply['message']}", "WARN")
+        return _Line(ticks, f"{text} -> {reply['code']}: {reply['message']}", "WARN")
     pushes: list[tuple[str, Array, Array | None]] = []
     rewards: list[tuple[str, float]] = []
     for part, answer in _parts(command, reply):
@@ -239,7 +260,7 @@ def _command(ticks: int, client: int | None, command: Json, reply: Json, rate: i
         elif answer.get("type") == "reward":
             rewards.append((f"reward of client {client}", float(answer["value"])))
     quiet = command.get("type") in _EVERY_TICK or str(command.get("type")).startswith("get_")
-    return _Said(ticks, told, "TRACE" if quiet else "INFO", pushes, rewards)
+    return _Line(ticks, text, "TRACE" if quiet else "INFO", pushes, rewards)
 
 
 def _parts(command: Json, reply: Json) -> Iterator[tuple[Json, Json]]:

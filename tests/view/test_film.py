@@ -17,7 +17,8 @@ from nmes.backend import fingerprint as fingerprints
 from nmes.cli import main
 from nmes.errors import FilmError, WorldError
 from nmes.recording import Recording
-from nmes.view.film import Cut, film, moments
+from nmes.view.film import Cut, film
+from nmes.view.moments import moments
 from nmes.world import World
 from recordings import record, send
 

@@ -1,0 +1,115 @@
+"""The cameras of films: where each moment is seen from.
+
+It hides what is worth looking at, and how a camera follows it without shaking.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import cos, hypot, pi, radians, sin
+from typing import Literal
+
+import numpy as np
+
+from nmes.backend import Array, CameraSpec
+from nmes.backend.rotation import quaternion_from_euler
+from nmes.errors import FilmError
+from nmes.view.moments import Moment
+
+__all__ = ["Way", "cameras"]
+
+Way = Literal["follow", "orbit", "fixed"]
+
+_FOV = radians(40.0)
+_ELEVATION, _AZIMUTH = radians(20.0), radians(30.0)  # of the camera; a planar world is looked at from its front
+_FRONT = radians(4.0)
+_CALM = 0.4  # s before and after a moment, over which a camera that follows smooths what it follows
+_ROUND = 24.0  # s that an orbit takes
+_NEAREST = 1.0  # m: the smallest radius that is looked at
+_MOVES, _BESIDE = 0.02, 1.5  # m: how far a cube gets that moves; how near to it a neighbour is
+_FLAT = 1e-9  # m, and parts of a quaternion: a world in which nothing leaves the plane by more is planar
+
+
+def cameras(
+    shown: Sequence[Moment], way: Way, target: str | None, fps: float, size: tuple[int, int]
+) -> list[CameraSpec]:
+    """Returns the camera for each moment.
+
+    Args:
+        shown: The moments, at least one.
+        way: How the camera moves.
+        target: The cube to look at, or the beginning of the names of several; None for those that move.
+        fps: How many moments are shown in a second.
+        size: Width and height of the picture, pixels.
+
+    Raises:
+        FilmError: `cube_not_found`: no cube's name begins with `target`.
+    """
+    planar = all(np.abs(moment.poses[:, (2, 3, 4)]).max(initial=0.0) < _FLAT for moment in shown)
+    names = _looked_at(shown, target)
+    middles, radii = _middles(shown, names)
+    if way == "fixed":
+        low, high = middles.min(axis=0), middles.max(axis=0)
+        radii[:] = np.linalg.norm(high - low) / 2.0 + radii.max()
+        middles[:] = (low + high) / 2.0
+    else:
+        middles, radii = _smooth(middles, fps), _smooth(radii[:, None], fps)[:, 0]
+    elevation, azimuth = (_FRONT, 0.0) if planar else (_ELEVATION, _AZIMUTH)
+    width, height = size
+    specs = []
+    for i, (middle, radius) in enumerate(zip(middles, radii.tolist(), strict=True)):
+        turn = azimuth + (2.0 * pi * i / (_ROUND * fps) if way == "orbit" else 0.0)
+        distance = max(radius, _NEAREST) / sin(_FOV / 2.0) * max(1.0, 0.75 * height / width)
+        away = (cos(elevation) * sin(turn), sin(elevation), cos(elevation) * cos(turn))
+        x, y, z = (float(m) + distance * a for m, a in zip(middle, away, strict=True))
+        specs.append(CameraSpec(width, height, _FOV, (x, y, z), quaternion_from_euler(-elevation, turn, 0.0), True))
+    return specs
+
+
+def _smooth(values: Array, fps: float) -> Array:
+    """Returns the running mean of an array (n, k) over the time before and after, without lag."""
+    reach = round(_CALM * fps)
+    padded = np.pad(values, ((reach, reach), (0, 0)), mode="edge")
+    smooth: Array = np.lib.stride_tricks.sliding_window_view(padded, 2 * reach + 1, axis=0).mean(axis=-1)
+    return smooth
+
+
+def _looked_at(shown: Sequence[Moment], target: str | None) -> set[str]:
+    """Returns the names of the cubes to look at: the target's, else those that move and their neighbours, else all."""
+    if target is not None:
+        names = {name for moment in shown for name in moment.shapes if name.startswith(target)}
+        if not names:
+            known = ", ".join(list(shown[-1].shapes)[:8]) or "none"
+            raise FilmError("cube_not_found", f"no cube's name begins with {target!r} (there are: {known})")
+        return names
+    first: dict[str, Array] = {}
+    moved: dict[str, None] = {}
+    for moment in shown:
+        for name, pose in zip(moment.shapes, moment.poses, strict=True):
+            if np.abs(pose[:3] - first.setdefault(name, pose[:3])).max() > _MOVES:
+                moved[name] = None
+    starts = np.array([first[name] for name in moved]).reshape(-1, 3)
+    beside = {name for name, at in first.items() if np.linalg.norm(starts - at, axis=1).min(initial=np.inf) < _BESIDE}
+    return beside or set(first)
+
+
+def _middles(shown: Sequence[Moment], names: set[str]) -> tuple[Array, Array]:
+    """Returns the middle of some cubes at each moment, and how far they reach from there, m.
+
+    Where none of them is there, they are as at the moment before.
+    """
+    middles, radii = np.zeros((len(shown), 3)), np.full(len(shown), _NEAREST)
+    known = -1
+    for i, moment in enumerate(shown):
+        rows = [row for row, name in enumerate(moment.shapes) if name in names]
+        if rows:
+            places = moment.poses[rows, :3]
+            halves = [hypot(*size) / 2.0 for name, (size, _) in moment.shapes.items() if name in names]
+            middles[i] = (places.min(axis=0) + places.max(axis=0)) / 2.0
+            radii[i] = (np.linalg.norm(places - middles[i], axis=1) + halves).max()
+            if known < 0:
+                middles[:i], radii[:i] = middles[i], radii[i]
+            known = i
+        elif known >= 0:
+            middles[i], radii[i] = middles[known], radii[known]
+    return middles, radii

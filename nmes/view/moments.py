@@ -1,0 +1,114 @@
+"""A recording's world tick by tick: its cubes and where they are, from running it again or from its recorded poses.
+
+It hides which of the two is possible on this machine.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from nmes.backend import Array, load_backend
+from nmes.backend.fingerprint import differences, fingerprint
+from nmes.errors import BackendNotFound, FilmError
+from nmes.playback.watch import watch
+from nmes.recording import Kind, Recording
+from nmes.recording.viewer_messages import Shape, decode_poses, decode_shapes
+from nmes.world import World
+
+__all__ = ["Moment", "moments"]
+
+
+class Moment(NamedTuple):
+    """The cubes of a world after one tick.
+
+    Attributes:
+        time: s since the recording began; a `reset` does not set it back.
+        seed: The world's seed, from which scenery may be drawn.
+        shapes: The cubes in order of creation: edge lengths (m) and colour.
+        poses: Array (n, 7): their positions (m) and quaternions (x, y, z, w).
+    """
+
+    time: float
+    seed: int
+    shapes: dict[str, Shape]
+    poses: Array
+
+
+def moments(recording: Recording) -> Iterator[Moment]:
+    """Yields the cubes of a recording's world after each tick.
+
+    On the machine and the engine that made it, the recording is run again; elsewhere its recorded poses are shown, and
+    what lies between two of them is drawn between them.
+
+    Raises:
+        RecordingError: A tick does not come out as recorded (`diverged`).
+        FilmError: There is neither the engine nor poses (`nothing_to_see`).
+    """
+    try:
+        unlike = differences(recording.fingerprint, fingerprint(load_backend(recording.config["backend"])))
+    except BackendNotFound:
+        unlike = {"backend": ("", "")}
+    return _recorded(recording) if unlike else _run_again(recording)
+
+
+def _run_again(recording: Recording) -> Iterator[Moment]:
+    """Yields the cubes of the world in which the recording is run again."""
+    rate, version, shapes = recording.config["tick_rate"], -1, dict[str, Shape]()
+
+    def look(world: World) -> tuple[int, dict[str, Shape], Array]:
+        nonlocal version, shapes
+        if world.structure_version != version:
+            version, shapes = world.structure_version, {name: world.cube_shape(name) for name in world.cubes()}
+        return world.seed, shapes, world.poses()[1][:, :7]
+
+    for tick, seen in enumerate(watch(recording, look), start=1):
+        yield Moment(tick / rate, *seen)
+
+
+def _recorded(recording: Recording) -> Iterator[Moment]:
+    """Yields the recorded poses, and one moment a tick between two of them."""
+    rate: int = recording.config["tick_rate"]
+    before = frame = 0  # ticks before the last reset, and since
+    shapes: dict[str, Shape] = {}
+    last: Moment | None = None
+    for record in recording:
+        now_at = round(record.time * rate / 1e9)
+        if now_at < frame:
+            before += frame
+        frame = now_at
+        match record.kind:
+            case Kind.SCENE:
+                shapes = decode_shapes(record.data, shapes)
+            case Kind.POSES:
+                poses = decode_poses(record.data)
+                known = {name: shapes[name] for name in poses if name in shapes}
+                rows = np.array([poses[name] for name in known], float).reshape(-1, 7)
+                now = Moment((before + frame) / rate, recording.config["seed"], known, rows)
+                if last is not None:
+                    yield from _between(last, now, rate)
+                yield now
+                last = now
+    if last is None:
+        raise FilmError(
+            "nothing_to_see",
+            f"{recording.path} was made by another engine or machine, so it cannot be run again here exactly, and it "
+            "holds no poses",
+        )
+
+
+def _between(first: Moment, second: Moment, rate: int) -> Iterator[Moment]:
+    """Yields the moments of the ticks between two, with poses on the straight way from one to the other."""
+    places = {name: row for row, name in enumerate(second.shapes)}
+    rows = [row for row, name in enumerate(first.shapes) if name in places]
+    begin = first.poses[rows]
+    end = second.poses[[places[name] for name in first.shapes if name in places]]
+    # q and -q are the same rotation: the shorter way.
+    end[(begin[:, 3:] * end[:, 3:]).sum(axis=1) < 0.0, 3:] *= -1.0
+    count = round((second.time - first.time) * rate)
+    for i in range(1, count):
+        poses = first.poses.copy()
+        poses[rows] += (end - begin) * (i / count)
+        yield first._replace(time=first.time + i / rate, poses=poses)

@@ -1,0 +1,75 @@
+"""A stage for pictures: an engine that can draw shows cubes at the poses that any engine computed.
+
+It hides that the stage is a simulation of its own, which is stepped by so little that nothing moves.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from nmes.backend import BodySpec, BodyState, CameraSpec, Image, Simulation, Vector, load_backend
+from nmes.backend.rotation import normalize
+from nmes.recording.viewer_messages import Shape
+from nmes.view.moments import Moment
+from nmes.world.scenery import scene_spec
+
+__all__ = ["Stage"]
+
+_DRAWN_BY = "mujoco"
+_STILL = 1e-6  # s: one step of the stage, in which nothing gets anywhere
+_ZERO: Vector = (0.0, 0.0, 0.0)
+
+
+class Stage:
+    """A scene that an engine can draw: cubes at any poses, in the scenery of a world.
+
+    Args:
+        config: The world's complete config.
+
+    Raises:
+        BackendNotFound: The engine that draws is not installed.
+    """
+
+    def __init__(self, config: dict[str, Any]) -> None:
+        self._config = config
+        self._build(config["seed"])
+
+    def _build(self, seed: int) -> None:
+        scene = replace(scene_spec(self._config, seed), timestep=_STILL, gravity=(0.0, 0.0, 0.0), options={})
+        self._simulation: Simulation = load_backend(_DRAWN_BY).create(scene)
+        self._bodies: dict[str, tuple[int, Shape]] = {}
+        self._made, self._seed = 0, seed
+
+    def show(self, moment: Moment) -> None:
+        """Puts all cubes where they are at a moment."""
+        if moment.seed != self._seed:
+            self.close()
+            self._build(moment.seed)
+        simulation, bodies = self._simulation, self._bodies
+        for name, (body, shape) in list(bodies.items()):
+            if moment.shapes.get(name) != shape:
+                simulation.remove_body(body)
+                del bodies[name]
+        for (name, shape), pose in zip(moment.shapes.items(), moment.poses.tolist(), strict=True):
+            x, y, z, *turn = pose
+            position, quaternion = (x, y, z), normalize((turn[0], turn[1], turn[2], turn[3]))
+            if name in bodies:
+                simulation.set_body_state(bodies[name][0], BodyState(position, quaternion, _ZERO, _ZERO))
+            else:
+                self._made += 1
+                bodies[name] = (self._made, shape)
+                simulation.add_body(self._made, BodySpec(shape[0], 1.0, 0.0, 0.0, position, quaternion))
+        simulation.step(1)
+
+    def draw(self, camera: CameraSpec) -> Image:
+        """Returns the picture, an array (height, width, 3) of bytes.
+
+        Raises:
+            WorldError: `unsupported`: no OpenGL works here; the message says what to install.
+        """
+        return self._simulation.draw(camera, {body: color for body, (_, color) in self._bodies.values()})
+
+    def close(self) -> None:
+        """Frees the scene."""
+        self._simulation.close()
