@@ -1,4 +1,4 @@
-"""What subcommands that connect to a server are told: its address, its password, and whether to speak TLS."""
+"""The options of subcommands that connect to a server: its password, and whether to speak TLS."""
 
 from __future__ import annotations
 
@@ -38,16 +38,25 @@ def connector(
     timeout: float = 10.0,
     world: str | None = None,
 ) -> Callable[[], Client]:
-    """Returns what makes a client for a server's world, its first if None, not connected yet, each time it is called.
+    """Returns a function that makes a client, not connected yet, each time it is called.
+
+    Args:
+        address: The server's host and port.
+        password: What --password says.
+        password_file: What --password-file says.
+        tls: Whether to speak TLS.
+        tls_ca: A PEM file of certificates to trust; it implies `tls`.
+        timeout: How long a reply may take, s.
+        world: The name of one of the server's worlds; its first if None.
 
     Raises:
         UsageError: There is no password, or the certificates cannot be read.
     """
-    chosen = choose_password(password, password_file)
-    if chosen is None:
+    choice = choose_password(password, password_file)
+    if choice is None:
         raise click.UsageError(f"give the host's password, in {PASSWORD_VARIABLE} or with --password-file")
     try:
         trust = ssl.create_default_context(cafile=tls_ca) if tls_ca is not None else tls
     except OSError as error:
         raise click.UsageError(f"{tls_ca}: {error}") from error
-    return lambda: Client(*address, password=chosen[0], world=world, tls=trust, timeout=timeout)
+    return lambda: Client(*address, password=choice[0], world=world, tls=trust, timeout=timeout)

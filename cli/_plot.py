@@ -1,4 +1,4 @@
-"""Small plots as SVG: curves, and bars of when something was so, one panel below the other."""
+"""Small plots as SVG: panels of curves and of bars, one below the other, over the same time."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ Points = Sequence[tuple[float, float]]
 
 @dataclass(frozen=True, slots=True)
 class Curves:
-    """Curves over time.
+    """A panel of curves over time.
 
     Attributes:
         title: What they show, with its unit.
-        lines: By name: times, s, and values. What is no finite number is left out.
-        floor: The scale is logarithmic, and all that is less is drawn here; None: it is linear.
-        height: Of the panel.
+        lines: By name: times (s) and values; a value that is no finite number is left out.
+        floor: The lowest value of a logarithmic scale, at which all smaller ones are drawn; None for a linear scale.
+        height: The panel's, in pixels.
     """
 
     title: str
@@ -40,7 +40,13 @@ class Curves:
         return max((time for line in self.lines.values() for time, _ in line), default=0.0)
 
     def draw(self, top: int, width: float, end: float) -> Iterator[str]:
-        """Yields the panel's elements, given where it begins and how wide `end` seconds are."""
+        """Yields the panel's SVG elements.
+
+        Args:
+            top: Where it begins, pixels from the top.
+            width: How wide `end` seconds are, pixels.
+            end: The last time of all panels, s.
+        """
         values = [value for line in self.lines.values() for _, value in line if math.isfinite(value)]
         ticks = self._ticks(values)
         low, high = ticks[0], ticks[-1]
@@ -55,8 +61,8 @@ class Curves:
             yield f'<text x="{LEFT - 6}" y="{level + 4:.1f}" text-anchor="end">{label}</text>'
         for i, (name, line) in enumerate(self.lines.items()):
             color = COLORS[i % len(COLORS)]
-            known = [(time, value) for time, value in line if math.isfinite(value)]
-            points = " ".join(f"{LEFT + width * time / end:.1f},{y(value):.1f}" for time, value in known)
+            finite = [(time, value) for time, value in line if math.isfinite(value)]
+            points = " ".join(f"{LEFT + width * time / end:.1f},{y(value):.1f}" for time, value in finite)
             yield f'<polyline points="{points}" fill="none" stroke="{color}"/>'
             if i < self.height // LINE:
                 place = f'x="{LEFT + width + 8}" y="{top + LINE * i + 12}"'
@@ -66,7 +72,7 @@ class Curves:
         return value if self.floor is None else math.log10(max(value, self.floor))
 
     def _ticks(self, values: Sequence[float]) -> list[float]:
-        """Returns what is written at the scale: round numbers round all values, two or more."""
+        """Returns the numbers at the scale: two or more round ones, round all values."""
         if self.floor is not None:
             low = math.floor(math.log10(self.floor))
             high = max(low + 1, math.ceil(self._scaled(max(values, default=self.floor))))
@@ -80,11 +86,11 @@ class Curves:
 
 @dataclass(frozen=True, slots=True)
 class Bars:
-    """Bars of when something was so.
+    """A panel of bars: when something held, such as a foot on the ground.
 
     Attributes:
         title: What they show.
-        rows: By name: from when to when, s.
+        rows: By name: the spans of time, each its beginning and end, s.
     """
 
     title: str
@@ -92,7 +98,7 @@ class Bars:
 
     @property
     def height(self) -> int:
-        """Of the panel."""
+        """The panel's, in pixels."""
         return LINE * min(len(self.rows), BARS)
 
     @property
@@ -101,7 +107,7 @@ class Bars:
         return max((last for row in self.rows.values() for _, last in row), default=0.0)
 
     def draw(self, top: int, width: float, end: float) -> Iterator[str]:
-        """Yields the panel's elements, as those of `Curves`."""
+        """Yields the panel's SVG elements; the arguments are those of `Curves.draw`."""
         for i, (name, spans) in enumerate(list(self.rows.items())[:BARS]):
             y = top + LINE * i
             yield f'<path d="M{LEFT} {y + LINE - 1}H{LEFT + width}" stroke="#eee"/>'
@@ -113,7 +119,7 @@ class Bars:
 
 
 def write_plot(path: Path, title: str, panels: Sequence[Curves | Bars]) -> None:
-    """Writes panels, over the same time, as one SVG."""
+    """Writes an SVG file of panels, one below the other, over the same time."""
     path.write_text("\n".join(_svg(title, panels)) + "\n")
 
 

@@ -12,15 +12,15 @@ __all__ = ["progress_bars"]
 
 
 @contextmanager
-def progress_bars(shown: bool = True) -> Iterator[Callable[[str, int, int], None]]:
-    """Gives a function to be told what is being done, and how much of it, of how much, is done.
+def progress_bars(visible: bool = True) -> Iterator[Callable[[str, int, int], None]]:
+    """Gives a function to call with what is being done, how much of it is done, and how much there is.
 
     Args:
-        shown: Whether the work is long enough to be worth it.
+        visible: Whether to show bars at all: short work needs none.
     """
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console, transient=True, disable=not (shown and console.is_terminal)) as bars:
+    with Progress(*columns, console=console, transient=True, disable=not (visible and console.is_terminal)) as bars:
         tasks: dict[str, TaskID] = {}
 
         def progress(doing: str, done: int, total: int) -> None:

@@ -66,52 +66,54 @@ def command(
         address = split_address(context, argument, what[0])
         assert address is not None
         client = connector(address, world=world, **connection)()
-        with client, show(f"{client.welcome['world']} at {what[0]}") as shown:
-            _tell(shown, save)
+        with client, show(f"{client.welcome['world']} at {what[0]}") as display:
+            _announce(display, save)
             try:
-                show_live(client, shown.stream, fps)
+                show_live(client, display.stream, fps)
                 click.echo("The world was closed")
-                _stay(shown, web)
+                _stay(display, web)
             except KeyboardInterrupt:
                 click.echo()
         return
     recordings = [open_recording(context, argument, one) for one in what]
-    with show(" and ".join(recording.path.stem for recording in recordings)) as shown:
-        _tell(shown, save)
-        _show(recordings, shown, fps)
-        _stay(shown, web)
+    with show(" and ".join(recording.path.stem for recording in recordings)) as display:
+        _announce(display, save)
+        _show(recordings, display, fps)
+        _stay(display, web)
 
 
-def _show(recordings: list[Recording], shown: Screen, fps: float) -> None:
+def _show(recordings: list[Recording], display: Screen, fps: float) -> None:
+    """Draws recordings, prints their verdicts, and plots the drift between two."""
     roots = [recording.path.stem for recording in recordings]
     if len(set(roots)) < len(roots):
         roots = [f"{place}: {root}" for place, root in zip("AB", roots, strict=False)]
-    found: list[list[Places]] = []
+    places: list[list[Places]] = []
     worlds: dict[str, Canvas] = {}
     for recording, root in zip(recordings, roots, strict=True):
         with progress_bars() as progress:
             done = partial(progress, f"running {recording.path.name}")
-            sight = show_recording(recording, shown.stream, root, fps=fps, progress=done)
+            sight = show_recording(recording, display.stream, root, fps=fps, progress=done)
         worlds[root] = sight.canvas
-        found.append(sight.places)
+        places.append(sight.places)
         click.echo(f"{recording.path}: {sight.report.verdict}")
-    if len(found) == 2:
-        show_drift(shown.stream, *found)
-    lay_out(shown.stream, worlds, live=False)
+    if len(places) == 2:
+        show_drift(display.stream, *places)
+    lay_out(display.stream, worlds, live=False)
 
 
-def _tell(shown: Screen, save: Path | None) -> None:
-    if shown.address is not None:
-        click.echo(f"Look at {shown.address}")
+def _announce(display: Screen, save: Path | None) -> None:
+    """Prints where to look."""
+    if display.address is not None:
+        click.echo(f"Look at {display.address}")
     elif save is not None:
         click.echo(f"Writing {save}: open it with rerun {save}")
 
 
-def _stay(shown: Screen, web: bool) -> None:
-    """Keeps the viewer for browsers running until somebody has seen enough."""
+def _stay(display: Screen, web: bool) -> None:
+    """Keeps the viewer for browsers running until Ctrl-C."""
     if web:
         click.echo("Ctrl-C stops")
         try:
-            shown.wait()
+            display.wait()
         except KeyboardInterrupt:
             click.echo()

@@ -31,12 +31,12 @@ _FLAT = 1e-9  # m, and parts of a quaternion: a world in which nothing leaves th
 
 
 def cameras(
-    shown: Sequence[Moment], way: Way, target: str | None, fps: float, size: tuple[int, int]
+    moments: Sequence[Moment], way: Way, target: str | None, fps: float, size: tuple[int, int]
 ) -> list[CameraSpec]:
     """Returns the camera for each moment.
 
     Args:
-        shown: The moments, at least one.
+        moments: The moments that are shown, at least one.
         way: How the camera moves.
         target: The cube to look at, or the beginning of the names of several; None for those that move.
         fps: How many moments are shown in a second.
@@ -45,9 +45,9 @@ def cameras(
     Raises:
         FilmError: `cube_not_found`: no cube's name begins with `target`.
     """
-    planar = all(np.abs(moment.poses[:, (2, 3, 4)]).max(initial=0.0) < _FLAT for moment in shown)
-    names = _looked_at(shown, target)
-    middles, radii = _middles(shown, names)
+    planar = all(np.abs(moment.poses[:, (2, 3, 4)]).max(initial=0.0) < _FLAT for moment in moments)
+    names = _looked_at(moments, target)
+    middles, radii = _middles(moments, names)
     if way == "fixed":
         low, high = middles.min(axis=0), middles.max(axis=0)
         radii[:] = np.linalg.norm(high - low) / 2.0 + radii.max()
@@ -74,17 +74,17 @@ def _smooth(values: Array, fps: float) -> Array:
     return smooth
 
 
-def _looked_at(shown: Sequence[Moment], target: str | None) -> set[str]:
+def _looked_at(moments: Sequence[Moment], target: str | None) -> set[str]:
     """Returns the names of the cubes to look at: the target's, else those that move and their neighbours, else all."""
     if target is not None:
-        names = {name for moment in shown for name in moment.shapes if name.startswith(target)}
+        names = {name for moment in moments for name in moment.shapes if name.startswith(target)}
         if not names:
-            known = ", ".join(list(shown[-1].shapes)[:8]) or "none"
-            raise FilmError("cube_not_found", f"no cube's name begins with {target!r} (there are: {known})")
+            present = ", ".join(list(moments[-1].shapes)[:8]) or "none"
+            raise FilmError("cube_not_found", f"no cube's name begins with {target!r} (there are: {present})")
         return names
     first: dict[str, Array] = {}
     moved: dict[str, None] = {}
-    for moment in shown:
+    for moment in moments:
         for name, pose in zip(moment.shapes, moment.poses, strict=True):
             if np.abs(pose[:3] - first.setdefault(name, pose[:3])).max() > _MOVES:
                 moved[name] = None
@@ -93,23 +93,23 @@ def _looked_at(shown: Sequence[Moment], target: str | None) -> set[str]:
     return beside or set(first)
 
 
-def _middles(shown: Sequence[Moment], names: set[str]) -> tuple[Array, Array]:
+def _middles(moments: Sequence[Moment], names: set[str]) -> tuple[Array, Array]:
     """Returns the middle of some cubes at each moment, and how far they reach from there, m.
 
     Where none of them is there, they are as at the moment before.
     """
-    middles, radii = np.zeros((len(shown), 3)), np.full(len(shown), _NEAREST)
-    known = -1
-    for i, moment in enumerate(shown):
+    middles, radii = np.zeros((len(moments), 3)), np.full(len(moments), _NEAREST)
+    last = -1
+    for i, moment in enumerate(moments):
         rows = [row for row, name in enumerate(moment.shapes) if name in names]
         if rows:
             places = moment.poses[rows, :3]
             halves = [hypot(*size) / 2.0 for name, (size, _) in moment.shapes.items() if name in names]
             middles[i] = (places.min(axis=0) + places.max(axis=0)) / 2.0
             radii[i] = (np.linalg.norm(places - middles[i], axis=1) + halves).max()
-            if known < 0:
+            if last < 0:
                 middles[:i], radii[:i] = middles[i], radii[i]
-            known = i
-        elif known >= 0:
-            middles[i], radii[i] = middles[known], radii[known]
+            last = i
+        elif last >= 0:
+            middles[i], radii[i] = middles[last], radii[last]
     return middles, radii

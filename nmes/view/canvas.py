@@ -1,6 +1,6 @@
-"""One world among the entities of a Rerun recording.
+"""The drawing of one world with Rerun: its scenery, cubes, joints, contacts, forces, log and curves.
 
-It hides Rerun's archetypes and what of a world becomes which of them. All cubes are one entity, so that a picture of a
+It hides Rerun's archetypes and entities. All cubes are one entity, so that a picture of a
 thousand is one message; a planar world is drawn in two dimensions.
 """
 
@@ -22,21 +22,21 @@ if TYPE_CHECKING:
 
 __all__ = ["Canvas", "load_rerun"]
 
-_MOVED = 1e-4  # m, and parts of a unit quaternion: less than this nobody sees
+_MOVED = 1e-4  # m, and parts of a unit quaternion: smaller changes cannot be seen
 _NEWTON = 0.01  # m of arrow for 1 N
 _LONGEST = 3.0  # m of arrow
 _ARC = 16  # points along the limits of a hinge
 _REACH = 0.35  # of an axis that is drawn, as a part of the smaller cube's size
-_FIRST = 2.0  # s of cubes by which it is judged from where to look
+_FIRST = 2.0  # s after the first cubes, in which their extent decides where the eye is
 _PLAIN = 1000.0  # m: how far the ground of a plane is drawn
 _COLORS = {"hinge": (240, 200, 60), "slide": (90, 200, 240), "fixed": (150, 150, 150)}
 _OTHER = (200, 120, 240)
 _FORCE, _CONTACT, _SCENERY = (255, 90, 60), (210, 60, 190), (120, 125, 130)
-_THIN, _THICK = -1.5, -2.0  # half of how thick lines are: what is negative is in points of the screen, for Rerun
+_THIN, _THICK = -1.5, -2.0  # radii of lines; Rerun takes negative ones as points of the screen
 
 
 def load_rerun() -> Any:
-    """Returns Rerun, which takes half a second to import and is an extra.
+    """Imports Rerun, which takes half a second and is an extra, and returns it.
 
     Raises:
         NmesError: It is not installed.
@@ -50,15 +50,15 @@ def load_rerun() -> Any:
 
 
 class Canvas:
-    """One world among the entities of a Rerun recording.
+    """The drawing of one world, under one entity of a Rerun recording.
 
     Args:
-        stream: Where it is sent.
+        stream: The Rerun stream to draw to.
         root: The name of the entity under which all of it stands.
         planar: Whether it is drawn in two dimensions, as outlines.
 
     Attributes:
-        planar: The same.
+        planar: Whether it is drawn in two dimensions.
         entity: The path of the entity, as Rerun writes it.
     """
 
@@ -74,12 +74,12 @@ class Canvas:
         """The entities of curves, by name."""
         self._now, self._until = 0.0, inf
         self.extent: tuple[Array, Array] | None = None
-        """The lowest and the highest corner of where cubes were in their first seconds, arrays (3,), m."""
+        """The corners of the box in which cubes were in their first seconds, arrays (3,), m; None while there were none."""
         if not planar:
             self._log("scene", self._rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
 
     def at(self, seconds: float) -> None:
-        """Sets the time of what is drawn next, s."""
+        """Sets the time (s) at which the following calls draw."""
         self._now = seconds
         self._stream.set_time("time", duration=seconds)
 
@@ -87,7 +87,7 @@ class Canvas:
         self._stream.log(f"{self.entity}/{path}", what, static=static)
 
     def scenery(self, scene: SceneSpec) -> None:
-        """Draws what stands still."""
+        """Draws the scenery: obstacles, landscape, planets."""
         rr = self._rr
         if self.planar:
             lines = [[*_hull(box.section())] for box in scene.boxes]
@@ -135,9 +135,11 @@ class Canvas:
         return self._rr.Mesh3D(vertex_positions=points, triangle_indices=triangles, vertex_colors=colors)
 
     def cubes(self, shapes: Mapping[str, Shape], poses: Array) -> bool:
-        """Draws the cubes where they are: array (n, 7) of positions and quaternions. Tells whether there was anything.
+        """Draws the cubes; returns whether any had changed by as much as can be seen, else nothing is sent.
 
-        Cubes that moved by less than can be seen are not sent again; they are once they have moved that far.
+        Args:
+            shapes: Their edge lengths (m) and colours, by name.
+            poses: Array (n, 7), in the same order: positions (m) and quaternions (x, y, z, w).
         """
         rr = self._rr
         same = list(shapes.items()) == list(self._shapes.items())
@@ -182,7 +184,7 @@ class Canvas:
         self.extent = low, high
 
     def joints(self, infos: Sequence[Mapping[str, Any]]) -> None:
-        """Draws joints as `joint_info` tells of them: the axis at the anchor, and how far the limits let it go."""
+        """Draws joints from their `joint_info`: the axis at the anchor, and the range between the limits."""
         strips: list[list[tuple[float, float, float]]] = []
         colors: list[tuple[int, int, int]] = []
         names: list[str] = []
@@ -204,18 +206,18 @@ class Canvas:
         self._arrows("forces", points, forces, _FORCE, names)
 
     def say(self, text: str, level: str = "INFO", where: str = "log") -> None:
-        """Writes a line beside the time line, of the level TRACE if most do not want to read it."""
+        """Writes a line of the log beside the time line; the level TRACE is hidden at first."""
         self._log(where, self._rr.TextLog(text, level=level))
 
     def curve(self, name: str, times: Array, values: Array) -> None:
-        """Draws a whole curve: arrays (n,) of times, s, and of values. Where one is no number there is nothing."""
+        """Draws a curve: arrays (n,) of times (s) and values; it has gaps where values are not finite."""
         rr = self._rr
-        known = np.isfinite(values)
+        finite = np.isfinite(values)
         path = f"{self.entity}/plots/{rr.escape_entity_path_part(name)}"
         self.curves[name] = path
         self._stream.log(path, rr.SeriesLines(names=self._root), static=True)
-        index = rr.TimeColumn("time", duration=times[known])
-        self._stream.send_columns(path, [index], rr.Scalars.columns(scalars=values[known]))
+        index = rr.TimeColumn("time", duration=times[finite])
+        self._stream.send_columns(path, [index], rr.Scalars.columns(scalars=values[finite]))
 
     def _arrows(
         self, path: str, points: Array, forces: Array, color: tuple[int, int, int], names: Sequence[str] = ()
@@ -255,7 +257,7 @@ class Canvas:
 
 
 def _hull(points: Sequence[tuple[float, float]]) -> Iterator[tuple[float, float]]:
-    """Yields the corners of a convex shape in the order in which one walks round it, back to the first."""
+    """Yields the corners of a convex shape in order around it, and the first again."""
     x, y = (sum(point[i] for point in points) / max(len(points), 1) for i in (0, 1))
     round_it = sorted(points, key=lambda point: atan2(point[1] - y, point[0] - x))
     yield from (*round_it, *round_it[:1])
@@ -278,7 +280,7 @@ def _outline(size: Sequence[float], pose: Sequence[float]) -> list[tuple[float, 
 def _joint_lines(info: Mapping[str, Any], reach: float, planar: bool) -> Iterator[list[tuple[float, float, float]]]:
     ax, ay, az = info["anchor"]
     kind, params = info["joint_type"], info["params"]
-    if kind in ("fixed", "pin") or (planar and kind == "hinge"):  # the axis of which points at who looks
+    if kind in ("fixed", "pin") or (planar and kind == "hinge"):  # its axis points at the eye
         for x, y, z in ((reach, 0, 0), (0, reach, 0), (0, 0, reach)):
             yield [(ax - x / 2, ay - y / 2, az - z / 2), (ax + x / 2, ay + y / 2, az + z / 2)]
     if kind in ("fixed", "pin"):
@@ -295,11 +297,11 @@ def _joint_lines(info: Mapping[str, Any], reach: float, planar: bool) -> Iterato
         third = cross(axis, aside)
 
         def point(angle: float, length: float) -> tuple[float, float, float]:
-            c, s = length * cos(angle), length * sin(angle)
+            cosine, sine = length * cos(angle), length * sin(angle)
             return (
-                ax + c * aside[0] + s * third[0],
-                ay + c * aside[1] + s * third[1],
-                az + c * aside[2] + s * third[2],
+                ax + cosine * aside[0] + sine * third[0],
+                ay + cosine * aside[1] + sine * third[1],
+                az + cosine * aside[2] + sine * third[2],
             )
 
         lower, upper = params["limit_lower"], params["limit_upper"]

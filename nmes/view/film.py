@@ -98,7 +98,7 @@ def film(
     tile = (size[0] // columns // 2 * 2, size[1] // rows // 2 * 2)  # in whole pixels of half resolution, for mp4
     takes = [_take(recording, cut, fps, tile, progress) for recording in recordings]
     if path.suffix == ".png":
-        takes = [_Take(take.title, take.config, take.shown[-1:], take.cameras[-1:]) for take in takes]
+        takes = [_Take(take.title, take.config, take.moments[-1:], take.cameras[-1:]) for take in takes]
     with _whole(path) as unfinished, closing(_pictures(takes, columns, rows, tile, progress)) as pictures:
         _WRITERS[path.suffix](pictures, unfinished, fps)
 
@@ -108,13 +108,14 @@ class _Take(NamedTuple):
 
     title: str
     config: dict[str, Any]
-    shown: list[Moment]
+    moments: list[Moment]
     cameras: list[CameraSpec]
 
 
 def _take(recording: Recording, cut: Cut, fps: int, size: tuple[int, int], progress: Progress) -> _Take:
-    shown = _choose(recording, cut, cut.speed / fps, partial(progress, f"running {recording.path.name}"))
-    return _Take(recording.path.stem, recording.config, shown, cameras(shown, cut.camera, cut.target, fps, size))
+    """Runs a recording and chooses what of it is shown; `size` is that of its tile, pixels."""
+    parts = _choose(recording, cut, cut.speed / fps, partial(progress, f"running {recording.path.name}"))
+    return _Take(recording.path.stem, recording.config, parts, cameras(parts, cut.camera, cut.target, fps, size))
 
 
 def _choose(recording: Recording, cut: Cut, step: float, progress: Callable[[int, int], None]) -> list[Moment]:
@@ -123,36 +124,36 @@ def _choose(recording: Recording, cut: Cut, step: float, progress: Callable[[int
     Raises:
         FilmError: `nothing_to_see`: the recording ends before the cut begins, or cannot be shown at all.
     """
-    chosen: list[Moment] = []
+    cut_moments: list[Moment] = []
     last: Moment | None = None
     ticks, rate = recording.summary().ticks, recording.config["tick_rate"]
     total = ticks if cut.end is None else min(ticks, ceil(cut.end * rate))
     for tick, moment in enumerate(moments(recording), start=1):
         progress(tick, total)
-        while moment.time > cut.begin + len(chosen) * step + _ROUNDING:
-            chosen.append(last or moment)
+        while moment.time > cut.begin + len(cut_moments) * step + _ROUNDING:
+            cut_moments.append(last or moment)
         last = moment
         if cut.end is not None and moment.time >= cut.end:
             break
     if last is None or last.time < cut.begin:
         end = f"ends at {last.time:.2f} s" if last is not None else "has no ticks"
         raise FilmError("nothing_to_see", f"{recording.path} {end}")
-    return [*chosen, last]
+    return [*cut_moments, last]
 
 
 def _pictures(
     takes: Sequence[_Take], columns: int, rows: int, tile: tuple[int, int], progress: Progress
 ) -> Generator[Pixels]:
     """Yields the pictures of a film: arrays (height, width, 3) of bytes, with the takes as tiles of `tile` pixels."""
-    count = max(len(take.shown) for take in takes)
+    count = max(len(take.moments) for take in takes)
     width, height = tile
     stages = [Stage(take.config) for take in takes]
     try:
         for i in range(count):
             sheet = np.zeros((height * rows, width * columns, 3), np.uint8)
             for place, (stage, take) in enumerate(zip(stages, takes, strict=True)):
-                at = min(i, len(take.shown) - 1)
-                stage.show(take.shown[at])
+                at = min(i, len(take.moments) - 1)
+                stage.show(take.moments[at])
                 pixels = stage.draw(take.cameras[at])
                 if len(takes) > 1:
                     pixels = _titled(pixels, take.title)

@@ -1,7 +1,6 @@
 """A live world in Rerun, seen through a client of any server.
 
-It hides what a server is asked so that all of it can be drawn: as little as can be, since nobody's world should be
-slower for being looked at.
+It hides the questions to the server: as few as can be, since a world must not become slower for being looked at.
 """
 
 from __future__ import annotations
@@ -29,23 +28,23 @@ if TYPE_CHECKING:
 
 __all__ = ["SHIFT", "TURN", "show_live"]
 
-SHIFT, TURN = 1e-3, 1e-2  # m, rad: the world tells of what moved farther
+SHIFT, TURN = 1e-3, 1e-2  # m, rad: thresholds of the subscription
 _ASK_AGAIN = 1.0  # s between two questions for the joints
 _GONE = frozenset({"cube_not_found", "joint_not_found", "world_faulted", "world_closed"})
-_LACKING = frozenset({"unsupported", "unknown_type"})  # a server may leave out what tells of joints
+_LACKING = frozenset({"unsupported", "unknown_type"})  # a server may leave out the commands about joints
 _GOLDEN = 0.618034  # of the circle of colours, from one cube to the next
 
 
 def show_live(client: Client, stream: rr.RecordingStream, fps: float) -> None:
-    """Draws the world that a client is in, until it is closed.
+    """Draws the world of a client until the world is closed.
 
     The world sends only what moved, and is asked for nothing else but the shapes of cubes that are new and, once a
     second, its joints.
 
     Args:
         client: A client of any server that offers `subscribe`.
-        stream: Where it is sent.
-        fps: How often the world is asked to tell, in Hz of its time.
+        stream: The Rerun stream to draw to.
+        fps: How often the world sends states, in Hz of its time.
 
     Raises:
         CommandFailed: The server does not offer what is needed.
@@ -63,11 +62,11 @@ def show_live(client: Client, stream: rr.RecordingStream, fps: float) -> None:
 
 
 def _follow(client: Client, canvas: Canvas, last: float, look: Callable[[], None]) -> None:
-    """Draws what a client is told; `look` is called when there is something to see for the first time."""
+    """Draws the events of a client; calls `look` when there is something to see for the first time."""
     states: dict[str, list[float]] = {}
     shapes: dict[str, Shape] = {}
     hinges: list[_Hinge] = []
-    asked, before = -inf, 0.0
+    last_question, before = -inf, 0.0
     for event in client.events():
         if event["type"] == "world_fault":
             canvas.say(f"fault: {event['message']}", "ERROR")
@@ -89,20 +88,20 @@ def _follow(client: Client, canvas: Canvas, last: float, look: Callable[[], None
             states[cube["cube_name"]] = [*cube["position"], *cube["quaternion"]]
         strangers = [name for name in states if name not in shapes]
         shapes |= _ask_shapes(client, strangers, len(shapes))
-        known = [name for name in states if name in shapes]
-        poses = np.array([states[name] for name in known]).reshape(-1, 7)
-        first, moved = canvas.extent is None, canvas.cubes({name: shapes[name] for name in known}, poses)
+        names = [name for name in states if name in shapes]
+        poses = np.array([states[name] for name in names]).reshape(-1, 7)
+        first, moved = canvas.extent is None, canvas.cubes({name: shapes[name] for name in names}, poses)
         if first and canvas.extent is not None:
             look()
-        if strangers or time.monotonic() - asked > _ASK_AGAIN:
-            asked = time.monotonic()
+        if strangers or time.monotonic() - last_question > _ASK_AGAIN:
+            last_question = time.monotonic()
             hinges = _ask_joints(client)
         if moved:
             canvas.joints([hinge.now(states) for hinge in hinges if hinge.info["cube1"] in states])
 
 
 def _draw_scenery(canvas: Canvas, info: Any) -> None:
-    """Draws what stands still, as far as what a server says of it can be understood."""
+    """Draws the scenery, as far as the server's config can be read."""
     try:
         canvas.scenery(scene_spec(protocol.complete_config(info["config"]), info["seed"]))
     except NmesError as error:
@@ -110,9 +109,9 @@ def _draw_scenery(canvas: Canvas, info: Any) -> None:
 
 
 def _ask(client: Client, commands: Sequence[dict[str, Any]]) -> list[Any]:
-    """Returns the replies, in one exchange; None for what is not there any more, be it the world, or never was.
+    """Asks in one exchange; returns the replies, None for each cube, joint or world that is not there any more.
 
-    What is still to be told then comes as an event.
+    What the server has still to say then comes as an event.
     """
     if not commands:
         return []
@@ -124,37 +123,37 @@ def _ask(client: Client, commands: Sequence[dict[str, Any]]) -> list[Any]:
         if error.code not in _GONE:
             raise
         return [None] * len(commands)
-    found = []
+    replies = []
     for call in together.calls:
         try:
-            found.append(call.result())
+            replies.append(call.result())
         except CommandFailed as error:
             if error.code not in _GONE | _LACKING:
                 raise
-            found.append(None)
-    return found
+            replies.append(None)
+    return replies
 
 
 def _ask_shapes(client: Client, names: Sequence[str], count: int) -> dict[str, Shape]:
-    """Returns the shapes of cubes; where a server does not tell their colours, they get some."""
-    found: dict[str, Shape] = {}
-    told = _ask(client, [{"type": "get_cube_info", "cube_name": name} for name in names])
-    for i, (name, info) in enumerate(zip(names, told, strict=True), start=count):
+    """Asks for the shapes of cubes; those whose colour the server does not tell get one of their own."""
+    shapes: dict[str, Shape] = {}
+    infos = _ask(client, [{"type": "get_cube_info", "cube_name": name} for name in names])
+    for i, (name, info) in enumerate(zip(names, infos, strict=True), start=count):
         if info is not None:
             x, y, z = info["size"]
             red, green, blue, alpha = info.get("color") or (*hls_to_rgb(i * _GOLDEN % 1.0, 0.6, 0.5), 1.0)
-            found[name] = (x, y, z), (red, green, blue, alpha)
-    return found
+            shapes[name] = (x, y, z), (red, green, blue, alpha)
+    return shapes
 
 
 class _Hinge(NamedTuple):
-    """A joint as it was told of, with the pose that its first cube had then."""
+    """A joint's `joint_info`, with the pose that its first cube had then."""
 
     info: dict[str, Any]
     pose: list[float]
 
     def now(self, states: Mapping[str, Sequence[float]]) -> dict[str, Any]:
-        """Returns what there is to draw, carried along by the first cube."""
+        """Returns the `joint_info` as it is now, anchor and axis carried along by the first cube."""
         x, y, z, *turn = states[self.info["cube1"]]
         back = conjugate((self.pose[3], self.pose[4], self.pose[5], self.pose[6]))
         turned = multiply((turn[0], turn[1], turn[2], turn[3]), back)
@@ -164,8 +163,8 @@ class _Hinge(NamedTuple):
 
 
 def _ask_joints(client: Client) -> list[_Hinge]:
-    """Returns all joints, each as it is at one moment with the cube that carries it along."""
-    found = []
+    """Asks for all joints, each together with its first cube, so that both are of one moment."""
+    hinges = []
     (listed,) = _ask(client, [{"type": "get_joint_list"}])
     joints = [] if listed is None else listed["joints"]
     moments = [
@@ -175,8 +174,8 @@ def _ask_joints(client: Client) -> list[_Hinge]:
         ]
         for joint in joints
     ]
-    for told in filter(None, _ask(client, [{"type": "batch", "commands": commands} for commands in moments])):
-        cube, joint = told["results"]
+    for pair in filter(None, _ask(client, [{"type": "batch", "commands": commands} for commands in moments])):
+        cube, joint = pair["results"]
         if cube["type"] == "cube_info" and joint["type"] == "joint_info":
-            found.append(_Hinge(joint, [*cube["position"], *cube["quaternion"]]))
-    return found
+            hinges.append(_Hinge(joint, [*cube["position"], *cube["quaternion"]]))
+    return hinges

@@ -64,8 +64,8 @@ def _run_again(recording: Recording) -> Iterator[Moment]:
             version, shapes = world.structure_version, {name: world.cube_shape(name) for name in world.cubes()}
         return world.seed, shapes, world.poses()[1][:, :7]
 
-    for tick, seen in enumerate(watch(recording, look), start=1):
-        yield Moment(tick / rate, *seen)
+    for tick, cubes in enumerate(watch(recording, look), start=1):
+        yield Moment(tick / rate, *cubes)
 
 
 def _recorded(recording: Recording) -> Iterator[Moment]:
@@ -84,9 +84,9 @@ def _recorded(recording: Recording) -> Iterator[Moment]:
                 shapes = decode_shapes(record.data, shapes)
             case Kind.POSES:
                 poses = decode_poses(record.data)
-                known = {name: shapes[name] for name in poses if name in shapes}
-                rows = np.array([poses[name] for name in known], float).reshape(-1, 7)
-                now = Moment((before + frame) / rate, recording.config["seed"], known, rows)
+                cubes = {name: shapes[name] for name in poses if name in shapes}
+                rows = np.array([poses[name] for name in cubes], float).reshape(-1, 7)
+                now = Moment((before + frame) / rate, recording.config["seed"], cubes, rows)
                 if last is not None:
                     yield from _between(last, now, rate)
                 yield now

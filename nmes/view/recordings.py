@@ -104,8 +104,8 @@ def show_recording(
 
     Args:
         recording: The recording. Its engine must be installed.
-        stream: Where it is sent.
-        root: The entity under which it stands.
+        stream: The Rerun stream to draw to.
+        root: The entity under which all of it stands.
         fps: How often cubes are drawn, in Hz of simulation time. Forces and commands are shown at their own ticks.
         progress: Called with how many ticks are done, and how many there are.
     """

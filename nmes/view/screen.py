@@ -1,7 +1,7 @@
-"""Where Rerun shows things: a window, a browser, or a file for later.
+"""The screen of Rerun: a window, a browser, or a file for later.
 
-It hides how Rerun's programs are started, found listening and ended, and how what they show is laid out. They listen on
-the address that they are told, which is this machine's own unless somebody asks for another.
+It hides how Rerun's programs are started and ended, and how worlds, curves and log are laid out. The programs listen on
+this machine's own address unless the caller asks for another.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ __all__ = ["LOCAL", "Screen", "has_display", "lay_out", "screen"]
 
 LOCAL = "127.0.0.1"
 _LISTENS = 30.0  # s that Rerun has to begin to listen
-_ELEVATION, _AZIMUTH = radians(20.0), radians(30.0)  # from where one looks
-_AWAY = 2.2  # times the radius of what is seen
+_ELEVATION, _AZIMUTH = radians(20.0), radians(30.0)  # of the eye
+_AWAY = 2.2  # radii of the scene: how far the eye is
 _NEAREST, _NOTHING = 1.0, 4.0  # m: the smallest radius, and that of a world without cubes
 _GRID = (128, 128, 128, 90)
 _SHOWN = ["$origin/scene/**", "$origin/cubes", "$origin/joints", "$origin/contacts", "$origin/forces"]
 
 
 def lay_out(stream: rr.RecordingStream, worlds: Mapping[str, Canvas], live: bool) -> None:
-    """Says how all of it is arranged: the worlds side by side, curves below them, and what was said at their right.
+    """Arranges the views: the worlds side by side, curves below them, the log at their right.
 
     Args:
-        stream: Where it is sent.
-        worlds: By name. They are looked at from where all of their cubes can be seen that have been drawn so far.
-        live: Whether one looks on, with no curves, or goes back and forth.
+        stream: The Rerun stream.
+        worlds: The worlds by name. The eye of each is where all cubes that have been drawn so far can be seen.
+        live: True for a world that goes on, which has no curves; False for recordings, with a time line.
     """
     rrb = load_rerun().blueprint
     views = [_planar_view(name, world) if world.planar else _view(name, world) for name, world in worlds.items()]
-    shown = rrb.Horizontal(*views)
+    scenes = rrb.Horizontal(*views)
     if not live:
         # One view a curve, as their units are not the same; of all worlds together.
         names = dict.fromkeys(name for world in worlds.values() for name in world.curves)
@@ -61,7 +61,7 @@ def lay_out(stream: rr.RecordingStream, worlds: Mapping[str, Canvas], live: bool
         ]
         if len(worlds) > 1:
             curves.append(rrb.TimeSeriesView(origin="/drift", name="drift"))
-        shown = rrb.Vertical(shown, rrb.Horizontal(*curves), row_shares=[3, 1])
+        scenes = rrb.Vertical(scenes, rrb.Horizontal(*curves), row_shares=[3, 1])
     columns = rrb.archetypes.TextLogColumns(
         timeline_columns=[rrb.encodings.TimelineColumn("time")],
         text_log_columns=[
@@ -70,16 +70,16 @@ def lay_out(stream: rr.RecordingStream, worlds: Mapping[str, Canvas], live: bool
             rrb.encodings.TextLogColumn("Body"),
         ],
     )
-    said = rrb.TextLogView(
+    log = rrb.TextLogView(
         origin="/",
-        contents=[f"/{world.entity}/{said}" for world in worlds.values() for said in ("log", "divergence")],
+        contents=[f"/{world.entity}/{log}" for world in worlds.values() for log in ("log", "divergence")],
         name="what was said",
         columns=columns,
         rows=rrb.archetypes.TextLogRows(filter_by_log_level=["INFO", "WARN", "ERROR"]),
     )
     time_panel = rrb.TimePanel(timeline="time", play_state="following" if live else "playing", state="collapsed")
     panels = rrb.BlueprintPanel(state="collapsed"), rrb.SelectionPanel(state="collapsed"), time_panel
-    stream.send_blueprint(rrb.Blueprint(rrb.Horizontal(shown, said, column_shares=[5, 2]), *panels))
+    stream.send_blueprint(rrb.Blueprint(rrb.Horizontal(scenes, log, column_shares=[5, 2]), *panels))
 
 
 def _view(name: str, world: Canvas) -> Any:
@@ -105,7 +105,7 @@ def _planar_view(name: str, world: Canvas) -> Any:
 
 
 def _ball(world: Canvas) -> tuple[Array, float]:
-    """Returns the middle of what there is to see, and the radius of the ball round it, m."""
+    """Returns the middle of a world's cubes, array (3,), and the radius of a ball round them, m."""
     if world.extent is None:
         return np.array([0.0, 1.0, 0.0]), _NOTHING
     low, high = world.extent
@@ -113,17 +113,17 @@ def _ball(world: Canvas) -> tuple[Array, float]:
 
 
 def has_display() -> bool:
-    """Tells whether there is one for windows."""
+    """Whether windows can be opened on this machine."""
     return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
 
 
 class Screen(NamedTuple):
-    """Where a stream is seen.
+    """A Rerun stream and the program that shows it.
 
     Attributes:
-        stream: What is sent there is shown.
-        address: For a browser, where it is seen in one.
-        process: Rerun's program, where one was started.
+        stream: The stream to draw to.
+        address: The address for a browser; None where none is served.
+        process: Rerun's program; None where none was started.
     """
 
     stream: rr.RecordingStream
@@ -131,7 +131,7 @@ class Screen(NamedTuple):
     process: subprocess.Popen[bytes] | None = None
 
     def wait(self) -> None:
-        """Returns when Rerun's program has ended."""
+        """Waits until Rerun's program has ended."""
         if self.process is not None:
             self.process.wait()
 
@@ -140,16 +140,16 @@ class Screen(NamedTuple):
 def screen(
     name: str, *, web: bool = False, save: Path | None = None, host: str = LOCAL, port: int = 0
 ) -> Iterator[Screen]:
-    """Opens Rerun and gives a stream to it: its window, its viewer for browsers, or a file to be opened by it later.
+    """Opens Rerun's window, its viewer for browsers, or a file for later, and gives a stream to it.
 
     A window stays open; the viewer for browsers ends with the context.
 
     Args:
-        name: What the recording is called there.
-        web: Whether it is to be seen in a browser.
-        save: The file, `.rrd`.
+        name: The name that Rerun shows.
+        web: Whether to serve a viewer for browsers, in place of a window.
+        save: The file (`.rrd`) to write, in place of a window.
         host: The address that Rerun listens on.
-        port: Where the viewer for browsers listens; 0 for any that is free.
+        port: The TCP port of the viewer for browsers; 0 for any that is free.
 
     Raises:
         NmesError: Rerun is not installed, does not begin to listen, or there is no display for a window.

@@ -1,8 +1,6 @@
-"""How a world came along: its figures over time, for those who plot them.
+"""A world's figures over time: height, speed, work and contacts, tick by tick, for plots.
 
-It hides what is noted of a world after a tick and how that becomes curves.
-
-Invariant: it only looks; whoever runs the world, once or again, calls `note` after each tick.
+Invariant: it only looks; the code that runs the world calls `note` after each tick.
 """
 
 from __future__ import annotations
@@ -16,7 +14,7 @@ __all__ = ["TimeSeries"]
 
 
 class TimeSeries:
-    """The figures of a world, tick by tick. Where there is no cube, height and speed are no number."""
+    """The figures of a world, tick by tick; where there is no cube, height and speed are NaN."""
 
     def __init__(self) -> None:
         self._rows: list[tuple[float, float, float, float]] = []
@@ -24,7 +22,7 @@ class TimeSeries:
         self._names: dict[str, None] = {}
 
     def note(self, world: World) -> None:
-        """Takes a world as it is after a tick."""
+        """Adds a row: the world's figures after a tick."""
         names, states = world.poses()
         height = speed = float("nan")
         if names:
@@ -41,7 +39,7 @@ class TimeSeries:
         return self._column(0)
 
     def curves(self) -> dict[str, Array]:
-        """Returns by name, with their units, arrays (n,): what is of the middle of all cubes, and the motors' work."""
+        """Returns the curves, arrays (n,), by names that tell their units."""
         return {
             "height of the middle (m)": self._column(1),
             "speed of the middle (m/s)": self._column(2),
@@ -49,16 +47,16 @@ class TimeSeries:
         }
 
     def gait(self) -> dict[str, list[tuple[float, float]]]:
-        """Returns of each cube, in the order in which they came, from when to when it touched something, s."""
-        found: dict[str, list[tuple[float, float]]] = {name: [] for name in self._names}
+        """Returns, by cube, the spans of time in which it touched something: (begin, end), s."""
+        spans: dict[str, list[tuple[float, float]]] = {name: [] for name in self._names}
         before: set[str] = set()
         times = self.times.tolist()
         for time, touching in zip(times, self._touching, strict=True):
             for name in touching:
-                since = found[name].pop()[0] if name in before else time
-                found[name].append((since, time))
+                since = spans[name].pop()[0] if name in before else time
+                spans[name].append((since, time))
             before = touching
-        return found
+        return spans
 
     def _column(self, number: int) -> Array:
         return np.array(self._rows, float).reshape(-1, 4)[:, number]
