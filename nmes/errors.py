@@ -2,7 +2,8 @@
 
 Every error has a stable `code` (the string that goes over the wire where the error reaches a client; docs/errors.md
 lists all of them), a message for a person, and, where one value is to blame, a `path`: the JSON Pointer of that value
-without its leading slash (`mass`, `position/1`). This module imports nothing of ours, so that every other may import it.
+without its leading slash (`mass`, `position/1`). This module imports nothing of ours, so that every other may import
+it.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ class Canvas:
         """The entities of curves, by name."""
         self._now, self._until = 0.0, inf
         self.extent: tuple[Array, Array] | None = None
-        """The corners of the box in which cubes were in their first seconds, arrays (3,), m; None while there were none."""
+        """The corners of the box around all cubes in their first seconds, arrays (3,), m; None without cubes."""
         if not planar:
             self._log("scene", self._rr.ViewCoordinates.RIGHT_HAND_Y_UP, static=True)
 

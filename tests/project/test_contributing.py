@@ -68,7 +68,7 @@ def add(file: Path, place: str, code: str) -> None:
 def tree(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A copy of the tree as it is once installed, with the message of the page in it."""
     root = tmp_path_factory.mktemp("contributing")
-    lay_out(root, shutil.copyfile)
+    lay_out(root, copy=True)
     (root / "tests" / "world").mkdir(parents=True)
     shutil.copy(ROOT / "pyproject.toml", root)
     shutil.copy(ROOT / "tests" / "world" / "test_world.py", root / "tests" / "world")

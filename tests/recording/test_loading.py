@@ -63,7 +63,7 @@ def test_the_command_line_reads_verifies_and_signs_without_worlds_or_engines(com
     key = tmp_path / "key.pem"
     private = Ed25519PrivateKey.generate()
     key.write_bytes(private.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
-    options = ["--key", key, "-o", tmp_path / "x.sig"] if command == "sign" else []
+    options: list[str | Path] = ["--key", key, "-o", tmp_path / "x.sig"] if command == "sign" else []
     assert modules_loaded_by(COMMAND_LINE, command, CORPUS, *options) == []
 
 
