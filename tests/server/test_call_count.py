@@ -16,7 +16,7 @@ from nmes.recording import Kind, Recording
 from nmes.server.connection import Connection
 from serving import served
 
-MOST = 30
+MOST = 24
 PUSH = {"type": "apply_physics", "cube_name": "cube", "force": [1.5, 0, -0.5]}
 PACKAGES = tuple(str(ROOT / folder) + "/" for folder in ("nmes", "backends"))
 
