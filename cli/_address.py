@@ -1,4 +1,4 @@
-"""How subcommands are told of a server: HOST:PORT."""
+"""The argument HOST:PORT, by which subcommands find a server."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["split_address"]
 
 
 def split_address(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, int] | None:
-    """Returns host and port; None where nothing is given."""
+    """Returns host and port of HOST:PORT; None for None."""
     if value is None:
         return None
     host, _, port = value.rpartition(":")

@@ -1,4 +1,4 @@
-"""Where subcommands take the password from: an option, a file, or the environment."""
+"""The password of subcommands: from an option, a file, or the environment."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ PASSWORD_VARIABLE = "NMES_PASSWORD"
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def password_options(about: str) -> Callable[[F], F]:
-    """Adds `--password`, with what its help says, and `--password-file`."""
+def password_options(text: str) -> Callable[[F], F]:
+    """Adds `--password`, with a help text, and `--password-file`."""
 
     def add(function: F) -> F:
         file = click.option(
@@ -25,17 +25,21 @@ def password_options(about: str) -> Callable[[F], F]:
             type=click.Path(path_type=Path, exists=True, dir_okay=False),
             help="File whose first line is the password.",
         )
-        return click.option("--password", help=about)(file(function))
+        return click.option("--password", help=text)(file(function))
 
     return add
 
 
-def choose_password(given: str | None, file: Path | None) -> tuple[str, str] | None:
-    """Returns the password and where it is from, the most explicit source; None where none is given."""
-    if given is not None and file is not None:
+def choose_password(option: str | None, file: Path | None) -> tuple[str, str] | None:
+    """Returns the password and the name of its source, the most explicit one; None if there is no password.
+
+    Raises:
+        UsageError: Both an option and a file are there, the file cannot be read, or the password is empty.
+    """
+    if option is not None and file is not None:
         raise click.UsageError("give --password or --password-file, not both")
-    if given is not None:
-        password, source = given, "option"
+    if option is not None:
+        password, source = option, "option"
     elif file is not None:
         try:
             lines = file.read_text("utf-8").splitlines()

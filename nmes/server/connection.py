@@ -203,7 +203,7 @@ class Connection(asyncio.BufferedProtocol):
             request = backlog[0]
             encoded = world.submit(self._client, request)
             waits = encoded is None
-            if encoded is None or not backlog:  # it was hung up on
+            if encoded is None or not backlog:  # it waits, or its connection was ended meanwhile
                 break
             backlog.popleft()
             reply = session.reply(request, encoded)
@@ -217,14 +217,19 @@ class Connection(asyncio.BufferedProtocol):
             if monotonic() >= until:
                 break
         self.flush()
-        if backlog:
-            self._transport.pause_reading()
-            if not self._full and not waits:
-                asyncio.get_running_loop().call_soon(self.resume)
-        elif self._lost:
-            self._leave()
+        if backlog or self._lost:
+            self._wait_or_leave(waits)
         else:
             self._transport.resume_reading()
+
+    def _wait_or_leave(self, waits: bool) -> None:
+        """Has the rest executed when others have had their turn, or after `resume`; leaves if none is left."""
+        if not self._backlog:
+            self._leave()
+            return
+        self._transport.pause_reading()
+        if not self._full and not waits:
+            asyncio.get_running_loop().call_soon(self.resume)
 
     def _queue_violation(self, violation: RejectedMessage) -> None:
         """Queues a frame that ends the session, once.

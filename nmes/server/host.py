@@ -70,9 +70,9 @@ class Host:
         self.auth_delay = auth_delay
         self._flush_interval = flush_interval
         self._pool = WorkerPool()
-        self.worlds: dict[str, HostedWorld] = {}  # those that there are
-        self._offered: dict[str, dict[str, Any]] = {}  # the configs of all that there may be
-        self._ports: dict[str, int] = {}  # where a client that names no world gets which
+        self.worlds: dict[str, HostedWorld] = {}  # those that were created
+        self._offered: dict[str, dict[str, Any]] = {}  # the configs of all, by name
+        self._ports: dict[str, int] = {}  # the port whose clients get a world without naming it
         self.buffer = memoryview(bytearray(READ))
         self._password = _digest(password)
         self.record_to = record_to
@@ -106,15 +106,10 @@ class Host:
             RecordingError: Its recording cannot be written.
             WorldError: There is a world of that name (`world_exists`).
         """
-        name = self.offer(config)
-        try:
-            return self._create(name)
-        except NmesError:
-            del self._offered[name]
-            raise
+        return self._add(config, None)
 
     def resume(self, recording: Recording, frame: int | None = None) -> HostedWorld:
-        """Hosts the world of a recording, which goes on from a frame of it; those who were in it are gone.
+        """Hosts the world of a recording, which goes on from a frame of it; the clients of then have left.
 
         Args:
             recording: The recording.
@@ -126,18 +121,21 @@ class Host:
             BackendNotFound: No such engine.
             WorldError: There is a world of that name (`world_exists`).
         """
-        name = self.offer(recording.config)
+        return self._add(recording.config, (recording, frame))
+
+    def _add(self, config: Mapping[str, Any], parent: tuple[Recording, int | None] | None) -> HostedWorld:
+        name = self.offer(config)
         try:
-            return self._create(name, (recording, frame))
+            return self._create(name, parent)
         except NmesError:
             del self._offered[name]
             raise
 
     def offer(self, config: Mapping[str, Any]) -> str:
-        """Hosts a world that is created, and its recording begun, when it is first used; returns its name.
+        """Hosts a world that is created when a client first joins it; returns its name.
 
         Raises:
-            RejectedMessage: The config does not have the shape of one. What its engine thinks of it comes out later.
+            RejectedMessage: The config is not valid. Whether its engine can do it is seen when the world is created.
             WorldError: There is a world of that name (`world_exists`).
         """
         complete = complete_config(config)
@@ -147,16 +145,16 @@ class Host:
         self._offered[name] = complete
         return name
 
-    def _create(self, name: str, resume: tuple[Recording, int | None] | None = None) -> HostedWorld:
+    def _create(self, name: str, parent: tuple[Recording, int | None] | None = None) -> HostedWorld:
         hosted = self.worlds[name] = HostedWorld(
-            self._offered[name], self._pool, self.record_to, self._flush_interval, self._metrics, resume
+            self._offered[name], self._pool, self.record_to, self._flush_interval, self._metrics, parent
         )
         if self._servers:
             hosted.start()
         return hosted
 
     def find(self, name: str | None) -> HostedWorld:
-        """Returns the world of that name, which may be created only now; the first where no name is given.
+        """Returns the world of a name, or the first one if the name is None; creates it if need be.
 
         Raises:
             WorldError: `world_not_found`, or `world_unavailable` where it cannot be created.
@@ -176,7 +174,7 @@ class Host:
             ) from error
 
     def list_worlds(self, port: int) -> dict[str, Any]:
-        """Returns the `world_list` message for a client that asks on a port. Creates none of the worlds."""
+        """Returns the `world_list` message for a client of a port. Creates none of the worlds."""
         listed = []
         for name, config in self._offered.items():
             hosted = self.worlds.get(name)
@@ -206,11 +204,11 @@ class Host:
 
     @property
     def connections(self) -> int:
-        """How many connections there are, those that are ending included."""
+        """The number of connections, those that are ending included."""
         return len(self._connections)
 
     def admit(self, connection: Connection) -> int:
-        """Counts a connection in; returns how many there are."""
+        """Counts a connection in; returns the number of connections."""
         self._connections.add(connection)
         return len(self._connections)
 
@@ -219,9 +217,15 @@ class Host:
         self._connections.discard(connection)
 
     async def listen(self, host: str, port: int, world: str | None = None) -> tuple[str, int]:
-        """Serves on an address; returns it, with the port that was found where `port` is 0.
+        """Listens on an address. The worlds' clocks start with the first port.
 
-        `world` is for the clients of this port that name none. The worlds' clocks start with the first port.
+        Args:
+            host: The address or its name.
+            port: The port; 0 finds a free one.
+            world: The world of those clients that name none; None: the first one.
+
+        Returns:
+            The address and the port that it listens on.
 
         Raises:
             NmesError: `cannot_listen`: the address is taken, or not of this machine.
