@@ -1,4 +1,4 @@
-"""How `nmes replay --against` shows what it found: a verdict, the fields that differ, and what was left out."""
+"""The report of `nmes replay --against`: a verdict, the fields that differ, and the commands that were not sent."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ def show(report: RemoteReplayReport, console: Console) -> None:
         console.print(f"{report.commands - report.equal:,} answers differ, in these fields:")
         table = Table("command", "field", "times", "first", "worst", box=None, pad_edge=False)
         table.columns[2].justify = "right"
-        for found in report.fields[:FIELDS]:
-            worst = "" if found.worst is found.first else _sighting(found.worst)
-            table.add_row(found.command, found.field or "answer", f"{found.count:,}", _sighting(found.first), worst)
+        for row in report.fields[:FIELDS]:
+            worst = "" if row.worst is row.first else _place(row.worst)
+            table.add_row(row.command, row.field or "answer", f"{row.count:,}", _place(row.first), worst)
         console.print(table)
         if len(report.fields) > FIELDS:
             console.print(f"and {len(report.fields) - FIELDS} fields more; --json has them all")
     lines = [f"not supported there: {kind} ({count} times)" for kind, count in report.unsupported.items()]
     if report.ended is not None:
         lines.append(f"ended early: {report.ended}")
-    for name, (recorded, there) in report.unlike.items():
+    for name, (recorded, there) in report.differences.items():
         lines.append(f"its world is made otherwise: {name}: recorded {_value(recorded)}, there {_value(there)}")
     lines += [f"not sent: {reason} ({count} times)" for reason, count in report.kept_back.items()]
     if report.renamed:
@@ -45,10 +45,10 @@ def show(report: RemoteReplayReport, console: Console) -> None:
         console.print(f"  {line}", soft_wrap=True)
 
 
-def _sighting(seen: Mismatch) -> str:
-    where = f"frame {seen.frame}" + (f", {seen.cube}" if seen.cube is not None else "")
-    by = f", by {seen.difference:.3g}" if seen.difference is not None else ""
-    return f"{where}: {_value(seen.expected)}, there {_value(seen.actual)}{by}"
+def _place(mismatch: Mismatch) -> str:
+    place = f"frame {mismatch.frame}" + (f", {mismatch.cube}" if mismatch.cube is not None else "")
+    amount = f", by {mismatch.difference:.3g}" if mismatch.difference is not None else ""
+    return f"{place}: {_value(mismatch.expected)}, there {_value(mismatch.actual)}{amount}"
 
 
 def _value(value: Any) -> str:

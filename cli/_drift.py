@@ -1,8 +1,9 @@
-"""How `nmes replay --backend` shows what it found: a table, and a plot as SVG."""
+"""The report of `nmes replay --backend`: a table, and a plot as SVG."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from pathlib import Path
 
 from rich.console import Console
@@ -44,10 +45,9 @@ def show(report: DriftReport, console: Console) -> None:
         console.print(f"ended early: {report.ended}")
 
 
-def plot(report: DriftReport, path: Path) -> None:
+def plot(title: str, cubes: Mapping[str, list[Drift]], path: Path) -> None:
     """Writes each cube's distance over time as an SVG, on a logarithmic scale."""
-    lines = {name: [(drift.time, drift.distance) for drift in line] for name, line in report.cubes.items()}
-    title = f"Drift of {report.backend} from the recording on {report.recorded}"
+    lines = {name: [(drift.time, drift.distance) for drift in drifts] for name, drifts in cubes.items()}
     write_plot(path, title, [Curves("distance (m)", lines, floor=FLOOR, height=380)])
 
 
@@ -56,7 +56,7 @@ def _worst(drifts: list[Drift]) -> float:
 
 
 def _times(times: list[float]) -> list[float]:
-    """Returns some of the times at which there is something to show, evenly spread, the last one among them."""
+    """Chooses the times for the columns, evenly spread, the last one among them."""
     distinct = sorted(set(times))
     count = min(TIMES, len(distinct))
     return sorted({distinct[round((i + 1) * len(distinct) / count) - 1] for i in range(count)})

@@ -14,7 +14,6 @@ from rich.table import Table
 from nmes.cli._drift import plot
 from nmes.cli.info import open_recording
 from nmes.playback.diff import Comparison, compare
-from nmes.playback.drift import DriftReport
 from nmes.recording import Recording
 
 __all__ = ["command"]
@@ -28,9 +27,10 @@ _CUBES = 20  # rows of the table: those that come apart most
 @click.option(
     "--plot", "plot_to", type=click.Path(dir_okay=False, path_type=Path), help="Write the distances to an SVG."
 )
-@click.option("--anyway", is_flag=True, help="Go on where a tick does not come out as recorded.")
+@click.option("--keep-going", is_flag=True, help="Go on where a tick does not come out as recorded.")
+@click.option("--anyway", "keep_going", is_flag=True, hidden=True)  # its old name
 @click.option("--json", "as_json", is_flag=True, help="Print the comparison as JSON.")
-def command(first: Recording, second: Recording, plot_to: Path | None, anyway: bool, as_json: bool) -> None:
+def command(first: Recording, second: Recording, plot_to: Path | None, keep_going: bool, as_json: bool) -> None:
     """Compare two recordings.
 
     Shows the first input that is not the same, the first tick after which the worlds are not, with the value that
@@ -43,9 +43,9 @@ def command(first: Recording, second: Recording, plot_to: Path | None, anyway: b
     \b
         nmes diff before.mcap after.mcap --plot apart.svg
     """
-    comparison = compare(first, second, anyway=anyway)
+    comparison = compare(first, second, keep_going=keep_going)
     if plot_to is not None:
-        plot(DriftReport(first.path.name, second.path.name, comparison.drifts), plot_to)
+        plot(f"Drift of {second.path.name} from the recording on {first.path.name}", comparison.drifts, plot_to)
     if as_json:
         click.echo(orjson.dumps(comparison.to_json(), option=orjson.OPT_INDENT_2))
     else:

@@ -24,8 +24,9 @@ __all__ = ["command"]
     "[default: messages in jsonl, states in csv and parquet]",
 )
 @click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="The file; else standard output.")
-@click.option("--anyway", is_flag=True, help="States: go on where a tick does not come out as recorded.")
-def command(recording: Recording, kind: str, what: str | None, output: Path | None, anyway: bool) -> None:
+@click.option("--keep-going", is_flag=True, help="States: go on where a tick does not come out as recorded.")
+@click.option("--anyway", "keep_going", is_flag=True, hidden=True)  # its old name
+def command(recording: Recording, kind: str, what: str | None, output: Path | None, keep_going: bool) -> None:
     """Write a recording as data for other programs.
 
     States are not in a recording: they are made by running it again, and each tick is compared with its recorded
@@ -40,7 +41,7 @@ def command(recording: Recording, kind: str, what: str | None, output: Path | No
     if kind == "parquet" and output is None:
         raise click.UsageError("parquet needs --output")
     as_messages = what == "messages" if what is not None else kind == "jsonl"
-    rows = messages(recording) if as_messages else state_rows(states(recording, anyway=anyway))
+    rows = messages(recording) if as_messages else state_rows(states(recording, keep_going=keep_going))
     if kind == "parquet":
         assert output is not None
         write_parquet(rows, output)

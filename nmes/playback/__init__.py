@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from nmes.playback.compare import Difference, Divergence, ReplayReport, replay
+from nmes.playback.compare import ReplayReport, replay
+from nmes.playback.divergence import Difference, Divergence
 from nmes.playback.restore import make_world, restore_into, world_at
 from nmes.playback.watch import States, states, watch
 

@@ -30,7 +30,7 @@ _SHOWN = 300  # characters of an input
 
 @dataclass(frozen=True, slots=True)
 class InputsPart:
-    """The first inputs that are not the same: after how many ticks, and what each recording has there."""
+    """The first inputs that are not the same: after how many ticks, and the input of each recording in words."""
 
     ticks: int
     first: str
@@ -53,7 +53,14 @@ class StatesPart:
 
 @dataclass(slots=True)
 class Comparison:
-    """What two recordings have in common and what not; `drifts` has, for each cube of both, how far it is apart."""
+    """The result of a comparison.
+
+    Attributes:
+        ticks: How many ticks each recording has, from the later of the two beginnings on.
+        inputs: The first inputs that differ, if any do.
+        states: The first tick after which the states differ, if they do.
+        drifts: How far each cube of both is apart, over time.
+    """
 
     ticks: tuple[int, int]
     inputs: InputsPart | None
@@ -66,7 +73,7 @@ class Comparison:
         return self.inputs is None and self.states is None
 
     def to_json(self) -> dict[str, Any]:
-        """Returns it as plain data."""
+        """Makes a dict of it for JSON."""
         drifts = {name: [drift._asdict() for drift in line] for name, line in self.drifts.items()}
         return {
             "same": self.same,
@@ -77,7 +84,7 @@ class Comparison:
         }
 
 
-def compare(first: Recording, second: Recording, *, anyway: bool = False) -> Comparison:
+def compare(first: Recording, second: Recording, *, keep_going: bool = False) -> Comparison:
     """Compares two recordings.
 
     Where states part, both are run again to see how.
@@ -85,7 +92,7 @@ def compare(first: Recording, second: Recording, *, anyway: bool = False) -> Com
     Args:
         first: One of them.
         second: The other.
-        anyway: Go on where a tick does not come out as it was recorded, as on another machine.
+        keep_going: Go on where a tick does not come out as it was recorded, as on another machine.
 
     Raises:
         RecordingError: A tick does not come out as recorded.
@@ -94,68 +101,67 @@ def compare(first: Recording, second: Recording, *, anyway: bool = False) -> Com
     begins = first.start().frame, second.start().frame
     begin = max(begins)
     skip = begin - begins[0], begin - begins[1]
-    one, other = list(islice(_digests(first), skip[0], None)), list(islice(_digests(second), skip[1], None))
-    tick = next((i for i, (a, b) in enumerate(zip_longest(one, other), begin + 1) if a != b), None)
+    digests = [list(islice(_digests(recording), n, None)) for recording, n in zip((first, second), skip, strict=True)]
     inputs = _inputs_part(_inputs(first, skip[0]), _inputs(second, skip[1]), begin)
-    comparison = Comparison((len(one), len(other)), inputs, None)
-    if tick is not None:
-        comparison.states = StatesPart(tick)
-        pairs = zip(
-            islice(states(first, anyway=anyway), skip[0], None),
-            islice(states(second, anyway=anyway), skip[1], None),
-            strict=False,
-        )
-        every = max(1, round(first.config["tick_rate"] / _SAMPLES))
-        for number, (a, b) in enumerate(pairs, begin + 1):
-            if number == tick:
-                comparison.states = _part(tick, a, b)
-            if number % every == 0 or number == tick:
-                _note(comparison.drifts, number / first.config["tick_rate"], a, b)
+    comparison = Comparison((len(digests[0]), len(digests[1])), inputs, None)
+    tick = next((i for i, (one, other) in enumerate(zip_longest(*digests), begin + 1) if one != other), None)
+    if tick is None:
+        return comparison
+    comparison.states = StatesPart(tick)
+    pairs = zip(
+        islice(states(first, keep_going=keep_going), skip[0], None),
+        islice(states(second, keep_going=keep_going), skip[1], None),
+        strict=False,
+    )
+    rate: int = first.config["tick_rate"]
+    for number, (one, other) in enumerate(pairs, begin + 1):
+        if number == tick:
+            comparison.states = _states_part(tick, one, other)
+        if number % max(1, round(rate / _SAMPLES)) == 0 or number == tick:
+            _add_distances(comparison.drifts, number / rate, one, other)
     return comparison
 
 
 def _digests(recording: Recording) -> Iterator[str]:
     for record in recording:
-        if record.kind is Kind.TICKS and record.about is not None:
-            yield from record.about["digests"]
+        yield from record.digests
 
 
 _Input = tuple[str, int | None, bytes]
 
 
 def _inputs(recording: Recording, skip: int) -> Iterator[_Input]:
-    """Yields what was done to the world; with ticks to skip, from the tick after those on."""
+    """Yields the inputs of the world as kind, client and data; with ticks to skip, from the tick after those on."""
     ticks = 0
     for record in recording:
-        if record.kind is Kind.TICKS and record.about is not None:
-            for _ in record.about["digests"]:
-                ticks += 1
-                if ticks > skip:
-                    yield "tick", None, b""
-        elif record.kind in _INPUTS and (ticks > skip or skip == 0):
+        for _ in record.digests:
+            ticks += 1
+            if ticks > skip:
+                yield "tick", None, b""
+        if record.kind in _INPUTS and (ticks > skip or skip == 0):
             yield str(record.kind), record.client, record.data
 
 
 def _inputs_part(first: Iterator[_Input], second: Iterator[_Input], ticks: int) -> InputsPart | None:
     for one, other in zip_longest(first, second):
         if one != other:
-            return InputsPart(ticks, _told(one), _told(other))
+            return InputsPart(ticks, _described(one), _described(other))
         ticks += one is not None and one[0] == "tick"
     return None
 
 
-def _told(told: tuple[str, int | None, bytes] | None) -> str:
-    if told is None:
+def _described(item: _Input | None) -> str:
+    if item is None:
         return "the end"
-    kind, client, data = told
+    kind, client, data = item
     if kind == "tick":
         return "a tick"
     text = data.decode(errors="replace")
     return f"client {client} {kind}" + (f" {text[:_SHOWN]}" if kind in ("command", "refused") else "")
 
 
-def _part(tick: int, one: States, other: States) -> StatesPart:
-    """Returns the value that differs most."""
+def _states_part(tick: int, one: States, other: States) -> StatesPart:
+    """Finds the value that differs most after a tick."""
     if one.names != other.names:
         return StatesPart(tick, None, "cubes", one.names, other.names)
     gaps = abs(one.values - other.values)
@@ -167,9 +173,10 @@ def _part(tick: int, one: States, other: States) -> StatesPart:
     )
 
 
-def _note(drifts: dict[str, list[Drift]], time: float, one: States, other: States) -> None:
-    there = dict(zip(other.names, other.values.tolist(), strict=True))
+def _add_distances(drifts: dict[str, list[Drift]], time: float, one: States, other: States) -> None:
+    """Adds to each cube's drifts how far it is apart now."""
+    others = dict(zip(other.names, other.values.tolist(), strict=True))
     for name, pose in zip(one.names, one.values.tolist(), strict=True):
-        if name in there:
-            angle = angle_between(pose[3:7], there[name][3:7])
-            drifts.setdefault(name, []).append(Drift(time, math.dist(pose[:3], there[name][:3]), angle))
+        if name in others:
+            angle = angle_between(pose[3:7], others[name][3:7])
+            drifts.setdefault(name, []).append(Drift(time, math.dist(pose[:3], others[name][:3]), angle))

@@ -1,7 +1,7 @@
 """How far two engines agree on the same experiment: a recording's inputs, run on another engine.
 
 The commands and ticks of a recording are fed to a world on the other engine, and wherever the recording shows poses,
-the cubes' distances from them are noted. There is no verdict: two engines never agree bit for bit.
+the cubes' distances from them are noted. It is not judged how large they are: two engines never agree bit for bit.
 
 Invariant: what is compared stands after the same number of ticks on both sides; where the two worlds no longer tick
 alike (one of them faulted), the comparison ends and says so.
@@ -12,19 +12,21 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import orjson
 
 from nmes.backend.rotation import angle_between
-from nmes.playback.inputs import apply_input, recorded_inputs
+from nmes.playback.inputs import Progress, RecordedInput, apply_input, recorded_inputs, walk
+from nmes.playback.report import RunReport, fingerprint_differences
 from nmes.playback.restore import make_world
 from nmes.protocol import Request
 from nmes.recording import Kind, Record, Recording
 from nmes.recording.viewer_messages import decode_poses
 from nmes.world import World
+from nmes.world.journal import Journal
 
 __all__ = ["Drift", "DriftReport", "measure_drift"]
 
@@ -38,43 +40,33 @@ class Drift(NamedTuple):
 
 
 @dataclass(slots=True)
-class DriftReport:
-    """What the comparison came to.
+class DriftReport(RunReport):
+    """The result of running a recording on another engine; `ticks` and `commands` are those that both executed.
 
     Attributes:
+        verdict: `ran`, or `incomplete` where it ended before the recording does.
         recorded: The engine of the recording.
         backend: The other one.
         cubes: For each cube, in the order of their appearance, its drift over time. The poses of a recording are
             rounded to float32, so 1e-6 is nothing.
         refused: How many commands were answered with an error that were not when they were recorded, by code.
-        ticks: How many ticks both took.
-        commands: How many commands were executed.
         ended: Why it ended before the recording does, if so.
-        sim_seconds: The simulation time of those ticks, s.
-        wall_seconds: How long it took, s.
+        sim_seconds: The simulation time of the ticks, s.
     """
 
-    recorded: str
-    backend: str
+    recorded: str = ""
+    backend: str = ""
     cubes: dict[str, list[Drift]] = field(default_factory=dict)
     refused: dict[str, int] = field(default_factory=dict)
-    ticks: int = 0
-    commands: int = 0
     ended: str | None = None
     sim_seconds: float = 0.0
-    wall_seconds: float = 0.0
-
-    def to_json(self) -> dict[str, Any]:
-        """Returns it as plain data."""
-        plain: dict[str, Any] = {name: getattr(self, name) for name in self.__slots__}
-        return plain | {"cubes": {name: [drift._asdict() for drift in drifts] for name, drifts in self.cubes.items()}}
 
 
 def measure_drift(
     recording: Recording | str | os.PathLike[str],
     backend: str,
     *,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> DriftReport:
     """Runs a recording's inputs on another engine and measures how far its cubes drift from where they were.
 
@@ -91,77 +83,78 @@ def measure_drift(
     if not isinstance(recording, Recording):
         recording = Recording(recording)
     began = time.perf_counter()
-    run = _Run(recording, backend)
+    run = _DriftMeasurement(recording, backend)
     try:
-        run.play(_records(recording, progress))
+        run.play(recorded_inputs(walk(recording, progress=progress)))
     finally:
         run.world.close()
     report = run.report
+    report.verdict = "ran" if report.ended is None else "incomplete"
+    report.differences = fingerprint_differences(backend, recording.fingerprint)
+    report.damage = None if recording.stopped is None else recording.stopped.message
     report.ticks = run.ticks
     report.sim_seconds = run.ticks / recording.config["tick_rate"]
     report.wall_seconds = time.perf_counter() - began
     return report
 
 
-def _records(recording: Recording, progress: Callable[[int, int], None] | None) -> Iterator[Record]:
-    for reached, records in recording.chunks():
-        yield from records
-        if progress is not None:
-            progress(reached, recording.size)
-
-
-class _Run:
+class _DriftMeasurement(Journal):
     """One comparison: it feeds a world, and is its journal, to look at the world in the midst of a `step`."""
 
     def __init__(self, recording: Recording, backend: str) -> None:
         config = recording.config
-        self.report = DriftReport(config["backend"], backend)
+        self.report = DriftReport("ran", recorded=config["backend"], backend=backend)
         if backend == config["backend"]:
             self.world = make_world(recording, recording.start(), self)
         else:
             recording.require_beginning(backend)
             # The settings of one engine mean nothing to another.
             self.world = World({**config, "backend": backend, "engine": {}}, journal=self)
-        self.ticks = 0  # of our world
+        self.ticks = 0  # of this world
         self._recorded = 0  # ticks of the recorded one
-        self._shown: dict[int, bytes] = {}  # recorded poses that our world has not come to yet, by ticks
+        self._shown: dict[int, bytes] = {}  # recorded poses that this world has not come to yet, by ticks
         self._rate = config["tick_rate"]
-        self._answer = b""  # the last one that our world gave
+        self._answer = b""  # the last reply of this world
 
-    def play(self, records: Iterator[Record]) -> None:
+    def play(self, inputs: Iterable[RecordedInput]) -> None:
         """Feeds the world until the recording ends or the two part."""
-        world, report = self.world, self.report
-        for recorded in recorded_inputs(records):
-            record = recorded.record
+        for recorded in inputs:
             # The ticks of a command, and what was shown between them, stand before its reply.
-            for each in (record, *recorded.effects):
-                self._note(each)
-            match record.kind:
-                case Kind.JOINED | Kind.LEFT:
-                    apply_input(world, record)
-                case Kind.COMMAND:
-                    apply_input(world, record)
-                    report.commands += 1
-                    error, reply = _error(self._answer), recorded.reply
-                    if error is not None and reply is not None and _error(reply.data) is None:
-                        report.refused[error] = report.refused.get(error, 0) + 1
-                case Kind.TICKS | Kind.POSES:
-                    while self.ticks < self._recorded and world.fault is None:
-                        world.tick()
-                    self._compare()
-            if world.fault is not None:
-                frame, what = world.fault.frame, world.fault.message
-                report.ended = f"{report.backend} stopped at frame {frame}: {what}"
-            elif self.ticks != self._recorded:
-                report.ended = f"after {self._recorded} recorded ticks, {report.backend} has made {self.ticks}"
-            if report.ended is not None:
+            for record in (recorded.record, *recorded.effects):
+                self._note(record)
+            self._apply(recorded)
+            self.report.ended = self._end()
+            if self.report.ended is not None:
                 return
 
+    def _apply(self, recorded: RecordedInput) -> None:
+        match recorded.record.kind:
+            case Kind.JOINED | Kind.LEFT:
+                apply_input(self.world, recorded.record)
+            case Kind.COMMAND:
+                apply_input(self.world, recorded.record)
+                self.report.commands += 1
+                error, reply = _error(self._answer), recorded.reply
+                if error is not None and reply is not None and _error(reply.data) is None:
+                    self.report.refused[error] = self.report.refused.get(error, 0) + 1
+            case Kind.TICKS | Kind.POSES:
+                while self.ticks < self._recorded and self.world.fault is None:
+                    self.world.tick()
+                self._compare()
+
+    def _end(self) -> str | None:
+        """Tells why the comparison ends here, if it does."""
+        fault, backend = self.world.fault, self.report.backend
+        if fault is not None:
+            return f"{backend} stopped at frame {fault.frame}: {fault.message}"
+        if self.ticks != self._recorded:
+            return f"after {self._recorded} recorded ticks, {backend} has made {self.ticks}"
+        return None
+
     def _note(self, record: Record) -> None:
-        """Notes what a record says of the recorded world."""
-        if record.kind is Kind.TICKS and record.about is not None:
-            self._recorded += len(record.about["digests"])
-        elif record.kind is Kind.POSES:
+        """Counts the ticks of a record and keeps its poses, until this world has come as far."""
+        self._recorded += len(record.digests)
+        if record.kind is Kind.POSES:
             self._shown[self._recorded] = record.data
 
     def _compare(self) -> None:
@@ -179,15 +172,6 @@ class _Run:
 
     # -- the journal -----------------------------------------------------------------------------------------------
 
-    def joined(self, client: int) -> None:
-        """A client came."""
-
-    def left(self, client: int) -> None:
-        """A client went."""
-
-    def received(self, client: int, request: Request) -> None:
-        """A frame is executed next."""
-
     def replied(self, client: int, request: Request, reply: bytes) -> None:
         """A frame was answered."""
         self._answer = reply
@@ -197,15 +181,9 @@ class _Run:
         self.ticks += 1
         self._compare()
 
-    def keyframe(self, snapshot: bytes) -> None:
-        """The world was saved."""
-
-    def faulted(self, frame: int, code: str, message: str) -> None:
-        """The world stopped."""
-
 
 def _error(reply: bytes) -> str | None:
-    """Returns the code of an error reply."""
+    """Returns the code of a reply if it is an error, else None."""
     if b'"error"' not in reply:
         return None
     message = orjson.loads(reply)

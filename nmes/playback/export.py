@@ -32,10 +32,10 @@ Row = Mapping[str, Any]
 
 
 def messages(recording: Recording) -> Iterator[Row]:
-    """Yields what was said and what happened, a row each: commands, replies, who came and went, ticks, faults.
+    """Yields a row for each message and event: commands, replies, who came and went, ticks, faults.
 
     The first row says how the world began: the recording's metadata. Where a recording begins at a keyframe, because
-    its world has a past, the second holds that, in base64. A frame that is not JSON stands as text.
+    its world has a past, the second row holds that, in base64. A frame that is not JSON stands as text.
     """
     beginning = {"record": None, "kind": "recording", "t": 0.0, "wall_ns": None, "client": None}
     yield {**beginning, "message": recording.metadata}
@@ -63,9 +63,9 @@ def _message(record: Record) -> Any:
         return record.data.decode(errors="replace")
 
 
-def state_rows(found: Iterable[States]) -> Iterator[Row]:
+def state_rows(ticks: Iterable[States]) -> Iterator[Row]:
     """Yields a row for each cube after each tick."""
-    for frame, time, names, values in found:
+    for frame, time, names, values in ticks:
         for name, value in zip(names, values.tolist(), strict=True):
             yield {"frame": frame, "t": time, "cube_name": name, **dict(zip(COLUMNS, value, strict=True))}
 

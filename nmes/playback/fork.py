@@ -1,7 +1,7 @@
-"""Going on from a frame of a recording: a new history that begins where another was, and says so.
+"""Forks: new recordings that go on from a frame of another, and name it.
 
-Where its engine can save a world, a branch begins with a keyframe. Where it cannot, all that came before is fed to the
-world again, and is recorded in the branch too. Either way the branch replays by itself, without its parent.
+Where its engine can save a world, a fork begins with a keyframe. Where it cannot, all that came before is fed to the
+world again, and is recorded in the fork too. Either way the fork replays by itself, without its parent.
 """
 
 from __future__ import annotations
@@ -22,16 +22,16 @@ __all__ = ["fork"]
 def fork(
     recording: Recording, world: World, path: str | os.PathLike[str], frame: int | None = None, **options: Any
 ) -> Recorder:
-    """Brings a world to a frame of a recording, and begins a recording of its own there, which is its journal then.
+    """Brings a world to a frame of a recording, and begins a new recording there as its journal.
 
-    The clients of then are still in it.
+    The clients of that frame are still in it.
 
     Args:
         recording: The parent.
         world: A new world of the parent's config.
         path: The new recording, a file that does not exist yet.
         frame: The frame, counted on through resets; None: where the parent ends.
-        options: Of the `Recorder`.
+        options: Further arguments of the `Recorder`.
 
     Raises:
         RecordingError: There is no such frame (`no_such_frame`), a tick on the way does not come out as recorded

@@ -1,38 +1,91 @@
-"""Feeding a world what a recording holds: the one place that knows how its records become inputs again.
+"""The walk over a recorded history, and how its records become inputs of a world again.
 
-Replays, the drift between engines, states made again and worlds taken up in the midst of a recording all go through
-here.
+Whatever runs a history again goes through here: replays of recordings and of logs, replays on other servers and other
+engines, watchers, and worlds restored in the midst of a recording.
 
 Invariants:
 
-- A record that follows from others is never fed. What a command led to (the ticks of a `step`, what viewers were shown
-  in between, a fault, its reply) stands between it and its reply, and is handed out with it.
+- A record that follows from others is never fed. The effects of a command (the ticks of a `step`, the poses shown in
+  between, a fault, its reply) stand between it and its reply, and are handed out with it.
 - A world is never fed beyond the recording's end: of a command in the midst of which it ends (the host was killed, or
   told to stop), only as much is handed out as was recorded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import zip_longest
-from typing import Any, NamedTuple
+from typing import Any, Generic, NamedTuple, TypeVar
 
 import orjson
 
 from nmes import protocol
 from nmes.errors import RecordingError, RejectedMessage
 from nmes.protocol import NO_ID, Request
-from nmes.recording.records import REFUSED_LIMIT, Kind, Record
+from nmes.recording import REFUSED_LIMIT, Kind, Record, Recording, Start
 from nmes.world import World
 
-__all__ = ["RecordedInput", "advance", "apply_input", "recorded_inputs"]
+__all__ = ["Progress", "RecordedInput", "Walk", "advance", "apply_input", "recorded_inputs", "walk"]
 
 _FRAMES = (Kind.COMMAND, Kind.REFUSED)
 _TICKING = ("step", "batch")  # the commands in which a world may tick
 
+Progress = Callable[[int, int], None]
+"""Called now and then with how many bytes of the file are done, and its size."""
+_Item = TypeVar("_Item")
+
+
+class Walk(Generic[_Item]):
+    """One pass over a history in order, with a look ahead: over the records of a recording, or the lines of a log."""
+
+    def __init__(self, chunks: Iterable[tuple[int, Sequence[_Item]]], size: int, progress: Progress | None) -> None:
+        """Begins before the first item.
+
+        Args:
+            chunks: The items, some at a time, each with how many bytes of the file that reaches.
+            size: The size of the file in bytes.
+            progress: Called after each chunk was read.
+        """
+        self._chunks = iter(chunks)
+        self._size = size
+        self._progress = progress
+        self._queue: deque[_Item] = deque()
+
+    def __iter__(self) -> Iterator[_Item]:
+        return self
+
+    def __next__(self) -> _Item:
+        if not self._queue and self.peek() is None:
+            raise StopIteration
+        return self._queue.popleft()
+
+    def peek(self, ahead: int = 0) -> _Item | None:
+        """Returns the next item, or one so many further on, without going on; None beyond the end."""
+        while len(self._queue) <= ahead:
+            chunk = next(self._chunks, None)
+            if chunk is None:
+                return None
+            reached, items = chunk
+            self._queue.extend(items)
+            if self._progress is not None:
+                self._progress(reached, self._size)
+        return self._queue[ahead]
+
+
+def walk(recording: Recording, start: Start | None = None, progress: Progress | None = None) -> Walk[Record]:
+    """Begins a walk over the records of a recording, from a start or the beginning on."""
+    return Walk(recording.chunks(start), recording.size, progress)
+
 
 class RecordedInput(NamedTuple):
-    """A record, and what it led to: of a client's frame all up to its reply (the last), of another nothing."""
+    """An input and its effects.
+
+    Attributes:
+        record: Who came or went, a client's frame, or ticks of the clock. Records that are no inputs stand here too,
+            where they follow from a tick of the clock: poses, keyframes, a fault.
+        effects: Of a client's frame, all records up to its reply (the last); else empty.
+    """
 
     record: Record
     effects: list[Record]
@@ -40,16 +93,21 @@ class RecordedInput(NamedTuple):
     @property
     def digests(self) -> list[str]:
         """The digests of its ticks, in hexadecimal."""
-        return [digest for record in (self.record, *self.effects) for digest in (record.about or {}).get("digests", ())]
+        return [digest for record in (self.record, *self.effects) for digest in record.digests]
 
     @property
     def reply(self) -> Record | None:
-        """What the frame was answered; None where the recording was cut before, or it is no frame."""
+        """The reply to the frame; None where the recording was cut before, or it is no frame."""
         return self.effects[-1] if self.effects and self.effects[-1].kind is Kind.REPLY else None
+
+    @property
+    def faults(self) -> bool:
+        """Whether the world stopped in it."""
+        return any(record.kind is Kind.FAULT for record in (self.record, *self.effects))
 
 
 def recorded_inputs(records: Iterable[Record]) -> Iterator[RecordedInput]:
-    """Yields records in order, those that a client's frame led to with it; a last command without reply cut short."""
+    """Yields the records in order, each frame of a client with its effects; a last command without reply cut short."""
     records = iter(records)
     for record in records:
         effects: list[Record] = []
@@ -61,22 +119,22 @@ def recorded_inputs(records: Iterable[Record]) -> Iterator[RecordedInput]:
         recorded = RecordedInput(record, effects)
         if recorded.reply is None and record.kind is Kind.COMMAND and protocol.parse(record.data).type in _TICKING:
             # A tick that stopped the world has no digest.
-            part = _part(recorded, len(recorded.digests) + any(effect.kind is Kind.FAULT for effect in effects))
-            if part is None:
+            command = _shortened(recorded, len(recorded.digests) + recorded.faults)
+            if command is None:
                 return
-            recorded = recorded._replace(record=record._replace(data=protocol.encode(part)))
+            recorded = recorded._replace(record=record._replace(data=protocol.encode(command)))
         yield recorded
 
 
 def apply_input(world: World, record: Record, reply: Record | None = None) -> None:
-    """Does to a world what a record says was done to it: who came and went, a frame, one tick of the clock.
+    """Repeats one recorded input in a world: a client that comes or goes, a frame, one tick of the clock.
 
-    A fault that stands by itself came from such a tick. What is no input is passed over.
+    A fault that stands by itself came from such a tick. Records that are no inputs are passed over.
 
     Args:
         world: The world; `clients` of the recording are its own, by number.
-        record: The record. One of several ticks is to be fed as often as it has ticks.
-        reply: What followed on a refused frame: the frame was not kept whole if it was long, and its reply stands for
+        record: The record. One of several ticks is to be applied as often as it has ticks.
+        reply: The reply to a refused frame: the frame was not kept whole if it was long, and its reply stands for
             why it was refused.
     """
     match record.kind:
@@ -91,47 +149,61 @@ def apply_input(world: World, record: Record, reply: Record | None = None) -> No
 
 
 def advance(world: World, records: Iterable[Record], frame: int) -> None:
-    """Feeds a world what was recorded until a frame is over: the next thing to come is a tick, or nothing.
+    """Applies recorded inputs to a world until a frame is over: the next thing to come is a tick, or nothing.
 
     Of a command that ticks beyond it, only that much is executed.
 
     Args:
         world: The world, at the place where the records begin.
-        records: What was recorded from there on.
+        records: The records from there on.
         frame: The frame, counted on through resets (`World.ticks`).
 
     Raises:
         RecordingError: A tick does not come out as recorded (`diverged`).
     """
     for recorded in recorded_inputs(records):
-        record, digests, left = recorded.record, recorded.digests, frame - world.ticks
-        faults = any(each.kind is Kind.FAULT for each in (record, *recorded.effects))
-        enough = len(digests) > left or (faults and len(digests) == left)
-        if not enough or record.kind is Kind.TICKS:
-            for _ in digests[:left] if record.kind is Kind.TICKS else (None,):
-                apply_input(world, record, recorded.reply)
-        elif record.kind is Kind.COMMAND and record.client in world.clients():
-            command = _part(recorded, left)
-            if command is not None:
-                world.execute(record.client, command)
-        # A digest is of the moment after its tick; what comes later in a batch may be an edit.
-        last = digests[:left][-1:]
-        told = bool(last) and world.fault is None and (record.kind is Kind.TICKS or _is_step(record))
-        if told and world.digest().hex() != last[0]:
-            raise RecordingError("diverged", f"frame {world.ticks} does not come out as recorded; see nmes replay")
-        if enough:
+        ticks = frame - world.ticks
+        count = len(recorded.digests)
+        last = count > ticks or (recorded.faults and count == ticks)
+        _advance_by(world, recorded, ticks, last)
+        if last:
             return
 
 
-def _part(recorded: RecordedInput, ticks: int) -> dict[str, Any] | None:
+def _advance_by(world: World, recorded: RecordedInput, ticks: int, last: bool) -> None:
+    """Applies an input, but no more than so many ticks of it, and compares the digest of the last of them.
+
+    Args:
+        world: The world.
+        recorded: The input.
+        ticks: How many ticks the world may make.
+        last: Whether the input has more than that, or a fault right after them.
+    """
+    record, digests = recorded.record, recorded.digests[:ticks]
+    if record.kind is Kind.TICKS:
+        for _ in digests:
+            apply_input(world, record)
+    elif not last:
+        apply_input(world, record, recorded.reply)
+    elif record.kind is Kind.COMMAND and record.client in world.clients():
+        command = _shortened(recorded, ticks)
+        if command is not None:
+            world.execute(record.client, command)
+    # A digest is of the moment after its tick; what comes later in a batch may be an edit.
+    comparable = world.fault is None and (record.kind is Kind.TICKS or _is_step(record))
+    if digests and comparable and world.digest().hex() != digests[-1]:
+        raise RecordingError("diverged", f"frame {world.ticks} does not come out as recorded; see nmes replay")
+
+
+def _shortened(recorded: RecordedInput, ticks: int) -> dict[str, Any] | None:
     """Returns as much of a command that ticks as comes before its tick after so many; None: nothing of it."""
     command = protocol.parse(recorded.record.data).command or {}
     if command["type"] == "step":
         return {**command, "ticks": ticks} if ticks else None
-    results = _told(recorded.reply).get("results", ())
+    results = _content(recorded.reply).get("results", ())
     parts = []
     for part, result in zip_longest(command.get("commands", ()), results):
-        # Where the reply is missing, all its steps are taken to have ticked; if not, the digests will tell.
+        # Where the reply is missing, all its steps are taken to have ticked; if not, the digests will show it.
         if part["type"] == "step" and (result is None or result.get("code", "world_faulted") == "world_faulted"):
             count = part.get("ticks", 1)
             if count > ticks:
@@ -149,15 +221,15 @@ def _is_step(record: Record) -> bool:
 def _request(record: Record, reply: Record | None) -> Request:
     if record.kind is Kind.COMMAND or 0 < len(record.data) <= REFUSED_LIMIT:
         return protocol.parse(record.data)
-    told = _told(reply)
-    error = RejectedMessage(str(told.get("code", "")), str(told.get("message", "")), told.get("field"))
-    return Request(record.data, None, error, told.get("command"), told.get("id", NO_ID))
+    content = _content(reply)
+    error = RejectedMessage(str(content.get("code", "")), str(content.get("message", "")), content.get("field"))
+    return Request(record.data, None, error, content.get("command"), content.get("id", NO_ID))
 
 
-def _told(reply: Record | None) -> dict[str, Any]:
-    """Returns what a reply says; nothing where it is none, which whoever compares replies will find."""
+def _content(reply: Record | None) -> dict[str, Any]:
+    """Returns the JSON object of a reply; an empty one where it is none, which whoever compares replies will find."""
     try:
-        told = orjson.loads(reply.data) if reply is not None and reply.kind is Kind.REPLY else {}
+        content = orjson.loads(reply.data) if reply is not None and reply.kind is Kind.REPLY else {}
     except ValueError:
         return {}
-    return told if isinstance(told, dict) else {}
+    return content if isinstance(content, dict) else {}

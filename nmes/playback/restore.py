@@ -1,13 +1,12 @@
-"""Worlds made of recordings as they were at a frame.
+"""Worlds restored from recordings as they were at a frame.
 
-Reading a recording loads no world; here one is made of its config, given what its keyframe says, and brought further
-by its inputs.
+A world is made of the recording's config, restored from its keyframe, and brought further by its inputs.
 """
 
 from __future__ import annotations
 
 from nmes.errors import NmesError, RecordingError, WorldError
-from nmes.playback.inputs import advance
+from nmes.playback.inputs import advance, walk
 from nmes.recording import Recording, Start
 from nmes.world import World
 from nmes.world.journal import Journal
@@ -16,7 +15,12 @@ __all__ = ["make_world", "restore_into", "world_at"]
 
 
 def make_world(recording: Recording, start: Start, journal: Journal | None = None) -> World:
-    """Makes the world that a recording has at a start, to be fed what follows.
+    """Makes the world that a recording has at a start.
+
+    Args:
+        recording: The recording.
+        start: A place of it, from `Recording.start`.
+        journal: The listener to the world's history from there on.
 
     Raises:
         RecordingError: The keyframe is no snapshot of such a world (`recording_damaged`).
@@ -66,7 +70,12 @@ def world_at(recording: Recording, frame: int | None = None) -> World:
 
 
 def restore_into(world: World, recording: Recording, frame: int) -> None:
-    """Brings a new world of a recording's config to a frame of it. Nobody is told the events on the way.
+    """Brings a new world of a recording's config to a frame of it. No events are emitted on the way.
+
+    Args:
+        world: The world, in which nothing has happened.
+        recording: The recording.
+        frame: The frame, counted on through resets.
 
     Raises:
         RecordingError: As `world_at`.
@@ -74,7 +83,7 @@ def restore_into(world: World, recording: Recording, frame: int) -> None:
     start = recording.start(frame)
     emit, world.emit = world.emit, None
     _restore(world, start)
-    advance(world, recording.records(start), frame)
+    advance(world, walk(recording, start), frame)
     world.emit = emit
     if world.ticks != frame:
         raise RecordingError("no_such_frame", f"{recording.path} ends at frame {world.ticks}; it has no frame {frame}")

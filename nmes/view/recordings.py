@@ -111,7 +111,7 @@ def show_recording(
     """
     rate: int = recording.config["tick_rate"]
     canvas = Canvas(stream, root, load_backend(recording.config["backend"]).dims == 2)
-    report = replay(recording, anyway=True)
+    report = replay(recording, ignore_fingerprint=True)
     observer, inputs = _Observer(max(1, round(rate / fps))), _Inputs(recording, canvas, rate)
     places = _draw(recording, canvas, observer, inputs, progress)
     for name, values in observer.series.curves().items():
@@ -132,7 +132,7 @@ def _draw(
     total = recording.summary().ticks
     seed, tick = None, 0
     places: list[Places] = []
-    for tick, sight in enumerate(watch(recording, observer.look, anyway=True), start=1):
+    for tick, sight in enumerate(watch(recording, observer.look, keep_going=True), start=1):
         progress(tick, total)
         inputs.show(tick)
         if sight is None:

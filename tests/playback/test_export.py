@@ -77,7 +77,7 @@ def test_states_that_are_not_those_recorded_are_not_handed_out(tmp_path: Path) -
     with pytest.raises(RecordingError, match="tick 2 does not come out as recorded") as info:
         list(states(Recording(edited)))
     assert info.value.code == "diverged"
-    assert len(list(states(Recording(edited), anyway=True))) == 40
+    assert len(list(states(Recording(edited), keep_going=True))) == 40
 
     def never_step(lines: list[Line]) -> list[Line]:
         return [line._replace(data=line.data.replace(b'"ticks":10', b'"ticks":9')) for line in lines]

@@ -41,7 +41,7 @@ def digests(recording: Recording) -> list[str]:
 
 
 @BACKENDS
-def test_a_branch_goes_on_and_replays_without_its_parent(tmp_path: Path, backend: str) -> None:
+def test_a_fork_goes_on_and_replays_without_its_parent(tmp_path: Path, backend: str) -> None:
     recording = parent(tmp_path, backend)
     total = recording.last_frame
     for frame in (0, total // 3, total):
@@ -60,7 +60,7 @@ def test_a_branch_goes_on_and_replays_without_its_parent(tmp_path: Path, backend
         assert report.verdict == "reproduced", report.divergence
         assert report.frames == (0 if backend == "pymunk" else frame, frame + 20)
         assert child.last_frame == frame + 20
-        # A branch of a branch.
+        # A fork of a fork.
         assert world_at(child, frame + 7).ticks == frame + 7
 
 
@@ -76,7 +76,7 @@ def test_the_pointer_is_to_the_parent_as_it_was(tmp_path: Path) -> None:
 
 
 @BACKENDS
-def test_a_branch_that_does_the_same_is_the_same(tmp_path: Path, backend: str) -> None:
+def test_a_fork_that_does_the_same_is_the_same(tmp_path: Path, backend: str) -> None:
     recording = parent(tmp_path, backend)
     program = programs.draw(5, 40)
 
@@ -95,7 +95,7 @@ def test_a_branch_that_does_the_same_is_the_same(tmp_path: Path, backend: str) -
 
 
 @BACKENDS
-def test_a_branch_that_cannot_be_leaves_nothing_behind(tmp_path: Path, backend: str) -> None:
+def test_a_fork_that_cannot_be_leaves_nothing_behind(tmp_path: Path, backend: str) -> None:
     recording = parent(tmp_path, backend)
     with pytest.raises(RecordingError, match="no frame"):
         fork(recording, World(recording.config), tmp_path / "x.mcap", 10**6)
@@ -120,7 +120,7 @@ def test_a_world_that_stopped_goes_on_from_before_that(tmp_path: Path) -> None:
     assert world.fault is not None
 
 
-def test_a_parent_and_its_branch_are_compared_from_where_they_part(tmp_path: Path) -> None:
+def test_a_parent_and_its_fork_are_compared_from_where_they_part(tmp_path: Path) -> None:
     recording = parent(tmp_path, "mujoco")
     frame, path = recording.last_frame // 2, tmp_path / "x.mcap"
     world = World(recording.config)

@@ -13,7 +13,8 @@ from nmes.cli import main
 from nmes.errors import RecordingError
 from nmes.playback.export import messages
 from nmes.playback.fork import fork
-from nmes.playback.log import Log, LogReport, replay_log
+from nmes.playback.log import Log
+from nmes.playback.log_replay import LogReport, replay_log
 from nmes.recording import Recording
 from nmes.world import World
 from recordings import busy, record, send
@@ -200,12 +201,14 @@ def test_nmes_replay_takes_what_nmes_export_writes(tmp_path: Path, monkeypatch: 
     code, output = run("replay", target, "--json")
     assert (code, json.loads(output)["verdict"]) == (0, "reproduced")
     code, output = run("replay", target, "--backend", "mujoco")
-    assert code == 2 and "a log goes with --anyway and --json only" in output
+    assert code == 2 and "a log goes with --ignore-fingerprint and --json only" in output
     target.write_text(target.read_text().replace('"force":[1.5,0.25,0]', '"force":[1.5,0.5,0]'))
     code, output = run("replay", target)
     assert code == 1
     assert "does not come out the same: its digest differs" in output
-    monkeypatch.setattr("nmes.playback.log.fingerprint", lambda backend: {**fingerprint(backend), "simd": "x86-64-v0"})
+    monkeypatch.setattr(
+        "nmes.playback.report.fingerprint", lambda backend: {**fingerprint(backend), "simd": "x86-64-v0"}
+    )
     code, output = run("replay", target)
     assert code == 1 and output.startswith("not comparable") and "(here: x86-64-v0)" in output
 

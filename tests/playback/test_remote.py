@@ -71,7 +71,7 @@ def test_the_same_engine_answers_the_same(tmp_path: Path, backend: str, play: Ca
         assert report.commands == report.equal == summary.commands.total() + summary.refused - kept
         assert report.ticks == summary.ticks > 0
         assert report.values > 50
-        assert report.unlike == {} and report.renamed == {} and report.ended is None
+        assert report.differences == {} and report.renamed == {} and report.ended is None
         with server.client() as other:
             assert other.get_world_info()["mode"] == "lockstep"
 
@@ -247,7 +247,7 @@ def test_worlds_made_otherwise_are_said(busy_file: Path) -> None:
     with served({"backend": "ballistic", "gravity": [0, -5, 0]}) as server:
         report = against(busy_file, lambda: server.client().connect())
         assert report.verdict == "different"
-        assert report.unlike["gravity"][1] == [0, -5, 0]
+        assert report.differences["gravity"][1] == [0, -5, 0]
 
 
 # -- the command -----------------------------------------------------------------------------------------------------

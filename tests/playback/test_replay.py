@@ -17,11 +17,12 @@ from hypothesis import strategies as st
 import programs
 from nmes.backend.fingerprint import fingerprint
 from nmes.cli import main
-from nmes.playback import states, world_at
-from nmes.playback.compare import Divergence, replay
+from nmes.playback import Divergence, states, world_at
+from nmes.playback.compare import replay
 from nmes.playback.drift import measure_drift
 from nmes.playback.export import messages
-from nmes.playback.log import Log, replay_log
+from nmes.playback.log import Log
+from nmes.playback.log_replay import replay_log
 from nmes.playback.watch import watch
 from nmes.protocol import Request, parse
 from nmes.recording import REFUSED_LIMIT, Recorder, Recording
@@ -239,7 +240,7 @@ def test_a_mistake_of_the_replay_s_own_is_no_divergence(busy_file: Path, monkeyp
     def fail(*args: object) -> None:
         raise ZeroDivisionError("a mistake")
 
-    monkeypatch.setattr("nmes.playback.compare._Run._look", fail)
+    monkeypatch.setattr("nmes.playback.compare._RecordingReplay._compare_poses", fail)
     with pytest.raises(ZeroDivisionError):
         replay(busy_file)
 
@@ -449,12 +450,12 @@ def test_what_makes_no_sense_is_told(busy_file: Path, tmp_path: Path) -> None:
 
 def test_another_engine_is_not_comparable(busy_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "nmes.playback.compare.fingerprint", lambda backend: {**fingerprint(backend), "libc": "musl 1.2"}
+        "nmes.playback.report.fingerprint", lambda backend: {**fingerprint(backend), "libc": "musl 1.2"}
     )
     report = replay(busy_file)
     assert (report.verdict, report.ticks) == ("not_comparable", 0)
     assert report.differences == {"libc": (Recording(busy_file).fingerprint["libc"], "musl 1.2")}
-    report = replay(busy_file, anyway=True)
+    report = replay(busy_file, ignore_fingerprint=True)
     assert (report.verdict, report.ticks, report.divergence) == ("not_comparable", 40, None)
 
 
@@ -539,15 +540,40 @@ def test_nmes_replay_and_info_tell_of_damage(busy_file: Path, tmp_path: Path) ->
 
 def test_nmes_replay_says_why_it_is_not_comparable(busy_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(
-        "nmes.playback.compare.fingerprint", lambda backend: {**fingerprint(backend), "simd": "x86-64-v0"}
+        "nmes.playback.report.fingerprint", lambda backend: {**fingerprint(backend), "simd": "x86-64-v0"}
     )
     code, output = run("replay", busy_file)
     assert code == 1
     assert "not comparable" in output and "(here: x86-64-v0)" in output
-    code, output = run("replay", busy_file, "--anyway")
+    code, output = run("replay", busy_file, "--ignore-fingerprint")
     assert code == 1
     assert "run anyway, it agrees all the same: 40 ticks, 47 commands" in output
-    assert json.loads(run("replay", busy_file, "--anyway", "--json")[1])["drift"] is None
+    assert json.loads(run("replay", busy_file, "--ignore-fingerprint", "--json")[1])["drift"] is None
+
+
+@pytest.mark.parametrize("command", ["replay", "diff", "export"])
+def test_the_old_name_of_an_option_works_and_is_not_in_the_help(
+    busy_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
+) -> None:
+    monkeypatch.setattr(
+        "nmes.playback.report.fingerprint", lambda backend: {**fingerprint(backend), "simd": "x86-64-v0"}
+    )
+    harder = rewrite(busy_file, tmp_path / "harder.mcap", push_harder)
+    other = record(tmp_path / "other.mcap", busy, {"gravity": [0, -1, 0]})
+    arguments: dict[str, list[str | Path]] = {
+        "replay": [busy_file],
+        "diff": [harder, other],
+        "export": [harder, "--to", "csv"],
+    }
+    name = "--ignore-fingerprint" if command == "replay" else "--keep-going"
+    refused = run(command, *arguments[command])[1]
+    output = run(command, *arguments[command], name)[1]
+    assert output != refused and output == run(command, *arguments[command], "--anyway")[1]
+    assert name in run(command, "--help")[1] and "--anyway" not in run(command, "--help")[1]
+
+
+def push_harder(lines: list[Line]) -> list[Line]:
+    return [line._replace(data=line.data.replace(b"[1.5,0.25,0]", b"[1.5,0.26,0]")) for line in lines]
 
 
 def test_elsewhere_the_drift_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -559,12 +585,12 @@ def test_elsewhere_the_drift_is_measured(tmp_path: Path, monkeypatch: pytest.Mon
 
     path = rewrite(record(tmp_path / "x.mcap", busy, pose_rate=60), tmp_path / "y.mcap", strengthen)
     monkeypatch.setattr(
-        "nmes.playback.compare.fingerprint", lambda backend: {**fingerprint(backend), "simd": "x86-64-v0"}
+        "nmes.playback.report.fingerprint", lambda backend: {**fingerprint(backend), "simd": "x86-64-v0"}
     )
-    code, output = run("replay", path, "--anyway")
+    code, output = run("replay", path, "--ignore-fingerprint")
     assert code == 1 and "run anyway, it agrees as far as 0 ticks" in output
     assert "metres from where each cube was recorded" in output
-    drift = json.loads(run("replay", path, "--anyway", "--json")[1])["drift"]
+    drift = json.loads(run("replay", path, "--ignore-fingerprint", "--json")[1])["drift"]
     ends = {name: samples[-1]["distance"] for name, samples in drift["cubes"].items()}
     assert ends["one"] == pytest.approx(2 / 60 * 39.5 / 60, rel=0.02)  # on 1 kg, for the 40 ticks
     assert ends["two"] < 1e-6
