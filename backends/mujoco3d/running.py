@@ -161,7 +161,8 @@ class RunningModel:
 
     def body_states(self, indices: Sequence[int]) -> Array:
         """Returns a new array (n, 13) of bodies of the model, as `Simulation.states`; frozen ones are at rest."""
-        self.refresh()
+        if not self._current:
+            self.refresh()
         index, out = np.array(indices, np.intp), np.empty((len(indices), 13))
         position, velocity = self._xpos[index], self._cvel[index]
         out[:, 0:3] = position

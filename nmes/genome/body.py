@@ -21,6 +21,7 @@ import numpy.typing as npt
 from nmes.backend import Array, Quaternion, Vector
 from nmes.backend.rotation import normalize, quaternion_from_euler, rotate
 from nmes.errors import DocumentError
+from nmes.genome.sensors import OF_CUBE, OF_JOINT, VECTORS
 from nmes.schemas.documents import did_you_mean
 
 __all__ = ["Body", "BodyCube", "BodyJoint", "Motor", "Sensor", "corners", "read_body"]
@@ -33,10 +34,6 @@ _SIGNS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in 
 _TOLD = 20  # overlaps that are named one by one
 _PARALLEL = 1e-6  # sine of the angle below which edges count as parallel
 _DRIVEN = ("hinge", "slide")
-_OF_JOINT = ("position", "velocity", "effort")
-_OF_TARGET = ("target_direction", "target_distance", "target_velocity")
-_OF_CUBE = ("height", "up", "velocity", "spin", "touch", *_OF_TARGET)
-_VECTORS = ("up", "velocity", "spin", "target_direction", "target_velocity")
 _ROOT = ("height", "up", "velocity", "spin")  # what the root senses where a document names no sensors
 
 
@@ -280,11 +277,11 @@ class _Reader:
             self.note(path, "must have either a joint or a cube that it is on")
             return []
         of: Literal["joint", "cube"] = "joint" if "joint" in given else "cube"
-        kinds = _OF_JOINT if of == "joint" else _OF_CUBE
+        kinds = OF_JOINT if of == "joint" else OF_CUBE
         if kind not in kinds:
             self.note(f"{path}/type", f"a {of} has no sensor {kind!r}, only {', '.join(kinds)}")
             return []
-        vector = of == "cube" and kind in _VECTORS
+        vector = of == "cube" and kind in VECTORS
         if axis is not None and not vector:
             self.note(f"{path}/axis", f"{kind} is one number and has no axis")
             return []

@@ -22,6 +22,7 @@ from nmes.backend.rotation import conjugate, rotate
 from nmes.errors import WorldError
 from nmes.genome import Genome
 from nmes.genome.body import Body, BodyCube, BodyJoint, Motor, Sensor
+from nmes.genome.sensors import READING_OF, TURNING, CubeReading, Read
 from nmes.protocol import Request
 from nmes.world import joint_params
 from nmes.world.entities import Cube, Entities, Joint
@@ -32,7 +33,6 @@ JsonObject = dict[str, Any]
 
 _NAME_LENGTH = 128
 _HERE = 1e-9  # m; nearer than this a target is in no direction
-_TURNING = 0.1  # sensors tell turning in 10 rad/s
 
 
 class Creature:
@@ -143,7 +143,7 @@ class Creature:
         column = ("position", "velocity", "effort").index
         self._picked = np.array([3 * parts.index(s.target) + column(s.type) for _, s in on_joints], np.intp)
         self._scale = np.array([self._joint_scale(sensor) for _, sensor in on_joints])
-        felt: dict[str, list[tuple[int, int]]] = {}
+        felt: dict[tuple[str, CubeReading], list[tuple[int, int]]] = {}
         aimed: dict[str, list[tuple[int, int]]] = {}
         touched = []
         for row, sensor in enumerate(sensors):
@@ -151,14 +151,17 @@ class Creature:
                 touched.append((row, self._cubes[sensor.target].body))
             elif sensor.of == "cube":
                 axis = 0 if sensor.axis is None else "xyz".index(sensor.axis)
-                into, first = (felt, _FELT) if sensor.type in _FELT else (aimed, _AIMED)
-                into.setdefault(sensor.target, []).append((row, first[sensor.type] + axis))
-        self._felt: list[tuple[int, slice | list[int], list[int] | None]] = []
-        for part, wanted in felt.items():
+                reading = READING_OF.get(sensor.type)
+                if reading is None:
+                    aimed.setdefault(sensor.target, []).append((row, _AIMED[sensor.type] + axis))
+                else:
+                    felt.setdefault((sensor.target, reading), []).append((row, reading.first(sensor.type) + axis))
+        self._felt: list[tuple[Read, int, slice | list[int], list[int] | None]] = []
+        for (part, reading), wanted in felt.items():
             picked = [number for _, number in wanted]
-            everything = picked == list(range(10))  # as where a document names no sensors
+            everything = picked == list(range(reading.count))  # as where a document names no sensors
             rows = _rows([row for row, _ in wanted])
-            self._felt.append((self._cubes[part].body, rows, None if everything else picked))
+            self._felt.append((reading.read, self._cubes[part].body, rows, None if everything else picked))
         self._aimed: list[tuple[int, slice | list[int], list[int]]] = [
             (self._cubes[part].body, _rows([row for row, _ in wanted]), [number for _, number in wanted])
             for part, wanted in aimed.items()
@@ -171,7 +174,7 @@ class Creature:
         if sensor.type == "effort":
             assert joint.motor is not None
             return 1.0 / joint.motor.max_effort if joint.motor.max_effort > 0.0 else 0.0
-        return _TURNING if sensor.type == "velocity" and joint.kind == "hinge" else 1.0
+        return TURNING if sensor.type == "velocity" and joint.kind == "hinge" else 1.0
 
     def sense(self) -> Array:
         """Returns the sensors' values now: a new array, shape (s,), in the order of `sensors`.
@@ -182,8 +185,8 @@ class Creature:
         simulation = self._simulation
         if self._read:
             out[self._joint_rows] = simulation.joint_readings(self._read).take(self._picked) * self._scale
-        for body, rows, picked in self._felt:
-            felt = _feel(simulation.body_state(body))
+        for read, body, rows, picked in self._felt:
+            felt = read(simulation.body_state(body))
             out[rows] = felt if picked is None else [felt[i] for i in picked]
         if self._touch_bodies:
             out[self._touch_rows] = simulation.touching(self._touch_bodies)
@@ -210,33 +213,8 @@ class Creature:
                 out[rows] = [seen[i] for i in picked]
 
 
-# What `_feel` returns, by type of sensor: where its first number is.
-_FELT = {"height": 0, "up": 1, "velocity": 4, "spin": 7}
-# What `_aim` returns, likewise.
+# The place of the first number of each type of sensor in what `_aim` returns.
 _AIMED = {"target_direction": 0, "target_distance": 3, "target_velocity": 4}
-
-
-def _feel(state: BodyState) -> tuple[float, ...]:
-    """Returns a cube's height, and in its own axes which way is up, its velocity and its spin (in 10 rad/s)."""
-    x, y, z, w = state.quaternion
-    vx, vy, vz = state.linear_velocity
-    wx, wy, wz = state.angular_velocity
-    # The rows of the matrix that turns into the cube's own axes. Of three vectors that is less than turning each.
-    ax, ay, az = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)
-    bx, by, bz = 2.0 * (x * y - w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z + w * x)
-    cx, cy, cz = 2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y)
-    return (
-        state.position[1],
-        ay,
-        by,
-        cy,
-        ax * vx + ay * vy + az * vz,
-        bx * vx + by * vy + bz * vz,
-        cx * vx + cy * vy + cz * vz,
-        _TURNING * (ax * wx + ay * wy + az * wz),
-        _TURNING * (bx * wx + by * wy + bz * wz),
-        _TURNING * (cx * wx + cy * wy + cz * wz),
-    )
 
 
 def _aim(state: BodyState, place: Vector, motion: Vector) -> tuple[float, ...]:
