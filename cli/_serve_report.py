@@ -38,7 +38,7 @@ class Running(NamedTuple):
 
 
 def ready_object(running: Running) -> dict[str, Any]:
-    """Returns what scripts need to know of a host."""
+    """Returns the JSON object that scripts read: addresses, worlds, recordings and a password that was made up."""
     settings = running.settings
     ready = {
         "host": running.address,
@@ -76,7 +76,7 @@ def _engine(world: World) -> dict[str, Any]:
 
 
 def ready_lines(running: Running) -> list[str]:
-    """Returns what people need to know of a host, line by line."""
+    """Returns the lines that people read: addresses, worlds, recordings and a password that was made up."""
     settings, sample = running.settings, running.sample
     pace = f"{sample.mode} x {sample.rate:g}" if sample.mode == "realtime" else sample.mode
     engine = f"{sample.backend.name} {sample.backend.version()}, {pace}, seed {sample.seed}"
@@ -105,7 +105,7 @@ def _recording_line(running: Running) -> str:
 
 
 def stopped_lines(running: Running) -> list[str]:
-    """Returns how far the worlds of a closed host went, line by line."""
+    """Returns a line for each world of a closed host, with its last frame."""
     lines = []
     for hosted in running.host.worlds.values():
         name = f"World {hosted.name!r} stopped" if running.settings.names else "Stopped"

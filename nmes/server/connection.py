@@ -79,7 +79,7 @@ class Connection(asyncio.BufferedProtocol):
             self._timer = loop.call_later(self._limits.auth_timeout, self._auth_timed_out)
         elif over <= SPARE:
             most = self._limits.connections
-            self._end(RejectedMessage("too_many_connections", f"this host serves {most} connections at once"))
+            self.hang_up(RejectedMessage("too_many_connections", f"this host serves {most} connections at once"))
         else:
             self._closing = True
             self._transport.abort()
@@ -105,12 +105,12 @@ class Connection(asyncio.BufferedProtocol):
     def _failed(self) -> None:
         """A mistake of ours must neither reach the peer as a traceback nor hurt anybody else."""
         logger.exception("a connection failed")
-        self._end(NmesError("internal", "the server failed; see its log"))
+        self.hang_up(NmesError("internal", "the server failed; see its log"))
 
     def eof_received(self) -> bool:
         """Hangs up: everything is answered, for while something waits nothing is read."""
         self._ended = True
-        self._end(None)
+        self.hang_up()
         return False
 
     def connection_lost(self, error: Exception | None) -> None:
@@ -137,7 +137,7 @@ class Connection(asyncio.BufferedProtocol):
         """Deals with the first frame, if it has come."""
         if not messages:
             if self._session.violation is not None:
-                self._end(self._session.violation)
+                self.hang_up(self._session.violation)
             return
         self._cancel_timer()
         auth = cast(Auth, messages[0])
@@ -146,13 +146,14 @@ class Connection(asyncio.BufferedProtocol):
         elif not self._host.accepts(auth.password):
             self._refuse(RejectedMessage("auth_failed", "that is not the password"))
         elif auth.list:
-            self._output.append(self._session.accept(self._host.list_worlds(self._port)))
-            self._end(None)
+            port = int(self._transport.get_extra_info("sockname")[1])
+            self._output.append(self._session.accept(self._host.list_worlds(port)))
+            self.hang_up()
         else:
             try:
                 self._destination = self._host.find(auth.world or self._default_world)
             except WorldError as error:
-                self._end(error)
+                self.hang_up(error)
                 return
             self._transport.pause_reading()
             self._join()
@@ -170,10 +171,10 @@ class Connection(asyncio.BufferedProtocol):
         """Refuses after a while, so that guessing passwords is slow; what comes meanwhile is not even read."""
         logger.warning("%s failed to authenticate: %s", self._peer, error.code)
         self._transport.pause_reading()
-        self._timer = asyncio.get_running_loop().call_later(self._host.auth_delay, self._end, error)
+        self._timer = asyncio.get_running_loop().call_later(self._host.auth_delay, self.hang_up, error)
 
     def _auth_timed_out(self) -> None:
-        self._end(RejectedMessage("auth_timeout", f"no authentication within {self._limits.auth_timeout:g} s"))
+        self.hang_up(RejectedMessage("auth_timeout", f"no authentication within {self._limits.auth_timeout:g} s"))
 
     # -- commands --------------------------------------------------------------------------------------------------
 
@@ -213,7 +214,7 @@ class Connection(asyncio.BufferedProtocol):
                 if self._output_size > CHUNK:
                     self.flush()
             if request.error is not None and request.error is session.violation:
-                self._end(None)
+                self.hang_up()
             if monotonic() >= until:
                 break
         self.flush()
@@ -290,17 +291,13 @@ class Connection(asyncio.BufferedProtocol):
             self._active_at = now  # it waits for us
         elif self._world is not None and now - self._active_at >= self._limits.idle_timeout:
             logger.info("%s was idle for %g s", self._peer, self._limits.idle_timeout)
-            self._end(None)
+            self.hang_up()
 
     def _cut(self) -> None:
         logger.warning("%s does not read what it is sent and is cut off", self._peer)
-        self._end(RejectedMessage("slow_consumer", "you do not read what you are sent"))
+        self.hang_up(RejectedMessage("slow_consumer", "you do not read what you are sent"))
 
     # -- the end ---------------------------------------------------------------------------------------------------
-
-    def hang_up(self, error: NmesError | None = None) -> None:
-        """Ends the connection from our side, with an error or none."""
-        self._end(error)
 
     @property
     def draining(self) -> bool:
@@ -311,7 +308,7 @@ class Connection(asyncio.BufferedProtocol):
         """Ends the connection at once."""
         self._transport.abort()
 
-    def _end(self, error: NmesError | None) -> None:
+    def hang_up(self, error: NmesError | None = None) -> None:
         """Sends an error, if any, and leaves the world; the socket is closed when the peer has hung up too, or soon."""
         if self._closing:
             return
@@ -344,11 +341,6 @@ class Connection(asyncio.BufferedProtocol):
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-
-    @property
-    def _port(self) -> int:
-        """The port that the peer came to."""
-        return int(self._transport.get_extra_info("sockname")[1])
 
     @property
     def _peer(self) -> str:

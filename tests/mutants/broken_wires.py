@@ -200,7 +200,7 @@ def all_wait_for_a_refusal(patch: MonkeyPatch) -> None:
 
     def wait(connection: Connection, error: NmesError) -> None:
         time.sleep(1.0)
-        connection._end(error)
+        connection.hang_up(error)
 
     patch.setattr(Connection, "_refuse", wait)
 
@@ -222,15 +222,15 @@ def the_password_repeated(patch: MonkeyPatch) -> None:
 @defect("2.4", "3.2")
 def refused_and_let_stay(patch: MonkeyPatch) -> None:
     """It says that it refuses a password, and leaves the connection open."""
-    end = Connection._end
+    end = Connection.hang_up
 
-    def stay(connection: Connection, error: NmesError | None) -> None:
+    def stay(connection: Connection, error: NmesError | None = None) -> None:
         if error is not None and error.code == "auth_failed":
             connection._transport.write(connection._session.refuse(error))
         else:
             end(connection, error)
 
-    patch.setattr(Connection, "_end", stay)
+    patch.setattr(Connection, "hang_up", stay)
 
 
 @defect("2.23")
@@ -529,7 +529,7 @@ def hangs_up_on_errors(patch: MonkeyPatch) -> None:
         bad = any(message.error is not None for message in (*connection._backlog, *messages))
         work(connection, messages)
         if bad:
-            connection._end(None)
+            connection.hang_up()
 
     patch.setattr(Connection, "_work", last)
 
