@@ -16,19 +16,19 @@ from hashlib import blake2b
 from typing import Any
 
 from nmes import protocol
-from nmes.backend import Array, Backend, BodySpec, BodyState, JointSpec, Quaternion, Simulation, Vector
-from nmes.backend.rotation import conjugate, cross, minus, multiply, normalize, plus, rotate
+from nmes.backend import Array, Backend, BodySpec, BodyState, JointSpec, Simulation, Vector
+from nmes.backend.rotation import cross, minus, plus
 from nmes.errors import WorldError
 from nmes.world import joint_params, scenery
 from nmes.world.energy import EnergyMeter
 from nmes.world.fields import FieldReader, unit_vector, vector
+from nmes.world.structure import StructureMotion, connected_cubes
 
 __all__ = ["Cube", "Entities", "Joint", "cube_not_found", "identity"]
 
 JsonObject = dict[str, Any]
 
 ZERO: Vector = (0.0, 0.0, 0.0)
-UNTURNED: Quaternion = (0.0, 0.0, 0.0, 1.0)
 _NAME_LENGTH = 128
 
 
@@ -302,33 +302,19 @@ class Entities:
             WorldError: `invalid`: the rotation is none.
         """
         fields, old = self.fields, self.simulation.body_state(cube.body)
-        turned = "rotation" in command
         new = BodyState(
             fields.position(command["position"]) if "position" in command else old.position,
-            fields.rotation(command["rotation"]) if turned else old.quaternion,
+            fields.rotation(command["rotation"]) if "rotation" in command else old.quaternion,
             fields.position(command["linear_velocity"]) if "linear_velocity" in command else old.linear_velocity,
             fields.turn(command["angular_velocity"]) if "angular_velocity" in command else old.angular_velocity,
         )
-        turn = multiply(new.quaternion, conjugate(old.quaternion)) if turned else UNTURNED
         rigid = "linear_velocity" in command or "angular_velocity" in command
-        # Joints hold, so the whole structure moves as one: by the same turn and shift, and, where a velocity is
-        # asked for, with the velocity field of a rigid body that has it.
-        for other in self._connected(cube)[1:]:
+        # Joints hold, so the whole structure moves as one.
+        motion = StructureMotion(old, new, turns="rotation" in command, rigid=rigid)
+        for other in connected_cubes(cube, self.joints)[1:]:
             state = self.simulation.body_state(other.body)
-            self.simulation.set_body_state(other.body, _moved(state, old, new, turn, turned=turned, rigid=rigid))
+            self.simulation.set_body_state(other.body, motion.moved(state))
         self.simulation.set_body_state(cube.body, new)
-
-    def _connected(self, cube: Cube) -> list[Cube]:
-        """Returns the cubes that joints connect with this one, itself first."""
-        seen, cubes = {cube.body}, [cube]
-        for here in cubes:  # grows meanwhile
-            for name in here.joints:
-                joint = self.joints[name]
-                other = joint.cube2 if joint.cube1 is here else joint.cube1
-                if other.body not in seen:
-                    seen.add(other.body)
-                    cubes.append(other)
-        return cubes
 
     def freeze(self, cube: Cube, frozen: bool) -> None:
         """Makes a cube immovable, or lets it go at rest."""
@@ -462,30 +448,6 @@ class Entities:
 
 def _pair(cube1: Cube, cube2: Cube) -> tuple[int, int]:
     return (cube1.body, cube2.body) if cube1.body < cube2.body else (cube2.body, cube1.body)
-
-
-def _moved(
-    state: BodyState, old: BodyState, new: BodyState, turn: Quaternion, *, turned: bool, rigid: bool
-) -> BodyState:
-    """Returns the state of a body of a structure that moves as one with another body.
-
-    Args:
-        state: Its state now.
-        old: The other body's state before.
-        new: The other body's state after.
-        turn: From the other body's old attitude to its new one.
-        turned: Whether it turns at all: where it does not, no number changes by rounding.
-        rigid: Whether velocities are those of one rigid body, or turned along with it.
-    """
-    arm = minus(state.position, old.position)
-    arm = rotate(turn, arm) if turned else arm
-    if rigid:
-        linear, angular = plus(new.linear_velocity, cross(new.angular_velocity, arm)), new.angular_velocity
-    else:
-        linear = plus(new.linear_velocity, rotate(turn, minus(state.linear_velocity, old.linear_velocity)))
-        angular = plus(new.angular_velocity, rotate(turn, minus(state.angular_velocity, old.angular_velocity)))
-    quaternion = normalize(multiply(turn, state.quaternion)) if turned else state.quaternion
-    return BodyState(plus(new.position, arm), quaternion, linear, angular)
 
 
 def cube_not_found(name: str, path: str = "cube_name") -> WorldError:

@@ -256,14 +256,14 @@ def planet_list(config: Mapping[str, Any], seed: int) -> list[JsonObject]:
     seed = scene["planets"].get("seed", seed)
     planets = []
     for number, planet in enumerate(_planets(scene["planets"])):
-        drawn = blake2b(f"{seed} planet {number}".encode(), digest_size=8).digest()
+        digest = blake2b(f"{seed} planet {number}".encode(), digest_size=8).digest()
         x, y, z = planet.position
         planets.append(
             {
                 "Name": f"Planet_{number}",
                 "Position": {"x": x, "y": y, "z": z},
-                "Seed": int.from_bytes(drawn[:4], "little") >> 1,
-                "BiomeType": drawn[4] % _BIOMES,
+                "Seed": int.from_bytes(digest[:4], "little") >> 1,
+                "BiomeType": digest[4] % _BIOMES,
                 "ResourceLocations": [],
                 "TreeLocations": [],
             }
