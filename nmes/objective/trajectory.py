@@ -32,7 +32,7 @@ UPRIGHT: Final = 0.5  # uprightness from which on a body counts as upright
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ObservedBodies:
-    """The bodies that a trajectory is about: all of them that stays the same from row to row.
+    """The bodies that a trajectory is about: all that stays the same from row to row.
 
     Attributes:
         cubes: Ids, as expressions name them: those of the body first, then others that are named.
