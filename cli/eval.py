@@ -12,9 +12,9 @@ import click
 import orjson
 from click.core import ParameterSource
 
-from nmes.cli._course import plot_courses
 from nmes.cli._genomes import find_genomes
 from nmes.cli._jobs import run_jobs
+from nmes.cli._recording_plot import plot_recordings
 from nmes.cli._scores import print_csv, print_json, print_table
 from nmes.errors import DocumentError
 from nmes.evaluation import Evaluation, Job, Proof, prove
@@ -174,4 +174,4 @@ def _plot(evaluations: Sequence[Evaluation], path: Path) -> None:
     recordings = [Recording(recording) for each in evaluations for recording in each.recordings]
     if not recordings:
         raise click.ClickException("there is no recording to plot")
-    plot_courses(recordings, path)
+    plot_recordings(recordings, path)

@@ -25,7 +25,7 @@ __all__ = ["command"]
 def command(recording: Recording, frame: int | None, output: Path, as_json: bool) -> None:
     """Take the world out of a recording as it was at a frame.
 
-    Writes a recording that begins there and holds nothing else: small, whole without its parent, of which it tells, and
+    Writes a recording that begins there and holds nothing else: small, whole without its parent, which it names, and
     the place from which others go on. Scripts do so with nmes.playback.world_at, servers with
     `nmes serve --resume NEW.mcap`. The clients of then are in it. Where the engine cannot save a world, all that came
     before the frame is in it.

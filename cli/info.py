@@ -46,9 +46,9 @@ def command(recording: Recording, plot_to: Path | None, as_json: bool) -> None:
     """
     about = _about(recording)
     if plot_to is not None:
-        from nmes.cli._course import plot_courses  # brains and tasks take long to import, and all commands import this
+        from nmes.cli._recording_plot import plot_recordings  # its imports take long, and all commands import this
 
-        plot_courses([recording], plot_to)
+        plot_recordings([recording], plot_to)
     if as_json:
         click.echo(orjson.dumps(about, option=orjson.OPT_INDENT_2))
         return

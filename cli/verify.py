@@ -62,7 +62,7 @@ def _check(recording: Recording, verify_key: Path | None, signature: Path | None
     key = public_key(verify_key) if verify_key is not None else None
     began = time.perf_counter()
     damage = recording.damage
-    took = time.perf_counter() - began
+    wall_seconds = time.perf_counter() - began
     signed: bool | None = None
     reason: str | None = None
     if key is not None:
@@ -83,7 +83,7 @@ def _check(recording: Recording, verify_key: Path | None, signature: Path | None
         "signed": signed,
         "not_signed": reason,
         "size": recording.size,
-        "wall_seconds": took,
+        "wall_seconds": wall_seconds,
     }
 
 

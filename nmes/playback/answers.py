@@ -63,7 +63,7 @@ class FieldReport:
 
 
 class AnswerComparison:
-    """Compares answers, and keeps what differed and which names the server gave.
+    """The comparison of all answers of one server, with the names that it gives to cubes and joints.
 
     Attributes:
         frame: The frame of the recorded world, which whoever walks through the recording sets.

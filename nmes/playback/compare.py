@@ -299,7 +299,7 @@ class _RecordingReplay(Journal):
         return record
 
     def _compare_poses(self) -> None:
-        """Compares what the recording shows to viewers at this frame, if anything."""
+        """Compares the recorded poses and shapes of this frame, if there are any."""
         if (first := self._walk.peek()) is None or first.kind not in (Kind.SCENE, Kind.BOX, Kind.POSES):
             return
         boxes = self._recorded_boxes()

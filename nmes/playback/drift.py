@@ -158,7 +158,7 @@ class _DriftMeasurement(Journal):
             self._shown[self._recorded] = record.data
 
     def _compare(self) -> None:
-        """Compares the cubes with what the recording shows after as many ticks, if it does."""
+        """Compares the cubes with the poses that were recorded after as many ticks, if some were."""
         if (data := self._shown.pop(self.ticks, None)) is None:
             return
         recorded = decode_poses(data)

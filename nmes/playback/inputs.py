@@ -227,7 +227,7 @@ def _request(record: Record, reply: Record | None) -> Request:
 
 
 def _content(reply: Record | None) -> dict[str, Any]:
-    """Returns the JSON object of a reply; an empty one where it is none, which whoever compares replies will find."""
+    """Returns the JSON object of a reply; an empty one where it is none, which a comparison of replies will find."""
     try:
         content = orjson.loads(reply.data) if reply is not None and reply.kind is Kind.REPLY else {}
     except ValueError:

@@ -1,6 +1,6 @@
 """The hash chain of a recording: chunks become records, each continuing those before it.
 
-It hides which channel is what, where the checksums of single records stand, and what a chunk must end with.
+It hides which channel has which kind of records, where the checksums of single records stand, and how a chunk ends.
 """
 
 from __future__ import annotations
@@ -38,14 +38,14 @@ _SHAPES = {
     for topic, kind in _KINDS.items()
     if not topic.startswith("/") and topic != KEYFRAMES
 }
-_WRONG = (ValueError, KeyError, TypeError, IndexError)  # what a chunk that is not ours may lead to
+_WRONG = (ValueError, KeyError, TypeError, IndexError)  # the errors that the bytes of a damaged chunk may lead to
 _RECORD_START = struct.Struct("<BQ")
 _LINK_SIZE = len('{"head":""}') + 64  # bytes of a message on `chain`
 _KEYFRAME = jsonschema_rs.Draft202012Validator(load("recording/keyframes.json"))
 
 
 def keyframe_ticks(snapshot: bytes) -> int:
-    """Returns how many ticks came before a keyframe, by the line of JSON with which its snapshot begins.
+    """Counts the ticks before a keyframe, by the line of JSON with which its snapshot begins.
 
     Raises:
         RecordingError: It is no snapshot of a world (`recording_damaged`).
@@ -66,16 +66,20 @@ class Chain:
         self.head = head
         self.sequence = 0
         self._kinds: dict[int, tuple[Kind | None, int | None]] = {}  # by channel; None: not known to this version
-        self._boxes: dict[int, str] = {}  # by channel: whose
+        self._boxes: dict[int, str] = {}  # by channel: the name of the cube
 
     def copy(self) -> Chain:
-        """Returns one that stands at the same place."""
+        """Makes a chain that stands at the same place."""
         other = Chain(self.head)
         other.sequence, other._kinds, other._boxes = self.sequence, dict(self._kinds), dict(self._boxes)
         return other
 
     def follow(self, block: Block | None) -> None:
-        """Takes its place behind a chunk, by what that says of itself; None: at the beginning."""
+        """Goes on behind a chunk, whose own head and count are believed; None: stays at the beginning.
+
+        Raises:
+            DamagedFile: The chunk does not end with a head.
+        """
         if block is None:
             return
         try:
@@ -88,7 +92,7 @@ class Chain:
             raise self._damage(block, error) from error
 
     def keyframe(self, block: Block) -> bytes | None:
-        """Returns the keyframe with which a chunk begins, if it does; no more of it is looked at.
+        """Returns the snapshot with which a chunk begins; None where it begins otherwise. The rest of it is not read.
 
         Raises:
             DamagedFile: It does not consist of records.
@@ -106,7 +110,7 @@ class Chain:
         """Returns the records of the next chunk.
 
         Raises:
-            DamagedFile: It is not what the recorder wrote after the chunks before it.
+            DamagedFile: The chunk does not go on from those before it, or its records do not have their shape.
         """
         try:
             messages = self._messages(block.content)
@@ -119,7 +123,7 @@ class Chain:
         return records
 
     def check(self, block: Block) -> None:
-        """Does as `records`, but makes none, which is many times faster."""
+        """Checks the next chunk as `records` does, but makes no records, which is many times faster."""
         content = block.content
         try:
             skim = skim_chunk(content)
@@ -151,10 +155,9 @@ class Chain:
                 raise ValueError(f"record {skim.sequences[number]} does not have the shape of {kinds[channel]}")
 
     def first_bad(self, content: bytes) -> int | None:
-        """Returns the number of the next chunk's first record that does not match its checksum, if one does not.
+        """Finds the first record of the next chunk that does not match its checksum, and returns its number.
 
-        The content may be anything. The checksums are looked for from its end; where they are not found, nothing is
-        known.
+        The content may be any bytes. The checksums are searched from its end; None where there are none, or all match.
         """
         link = len(content) - MESSAGE_OVERHEAD - _LINK_SIZE
         for count in range(link // 4):
@@ -163,8 +166,8 @@ class Chain:
                 break
             if content.startswith(_RECORD_START.pack(5, MESSAGE_OVERHEAD - 9 + 4 * count), start):
                 expected = struct.unpack_from(f"<{count}I", content, start + MESSAGE_OVERHEAD)
-                found = list(islice(message_checksums(content), count))
-                for i, (one, other) in enumerate(zip_longest(expected, found)):
+                actual = islice(message_checksums(content), count)
+                for i, (one, other) in enumerate(zip_longest(expected, actual)):
                     if one != other:
                         return self.sequence + i
                 break
@@ -186,7 +189,7 @@ class Chain:
             raise ValueError(f"record {sequence} is out of its place")
 
     def define(self, channel: Channel) -> None:
-        """Takes note of what a channel is for."""
+        """Learns the kind of records that a channel has, and whose they are, from its topic."""
         if match := _CLIENT_TOPIC.fullmatch(channel.topic):
             self._kinds[channel.id] = _CLIENT_KINDS[match[2]], int(match[1])
         elif channel.topic.startswith(BOXES):

@@ -101,7 +101,7 @@ class Recording:
 
     @property
     def damage(self) -> DamagedFile | None:
-        """Where the recording ends early and why, or None. Checks the whole file when nothing has read it yet."""
+        """The damage with which the recording ends early, or None. Checks the whole file if it was not read yet."""
         if not self._checked:
             for _ in self._walk(Chain.check):
                 pass
@@ -213,7 +213,7 @@ class Recording:
         return {"recording": self._head.hex(), "head": head.hex(), "frame": str(frame), "file": self.path.name}
 
     def summary(self) -> Summary:
-        """Counts what is in the recording, by reading all of it."""
+        """Counts the contents of the recording, by reading all of it."""
         return summarize(self)
 
 

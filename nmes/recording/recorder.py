@@ -16,7 +16,6 @@ import os
 import struct
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from functools import cache
 from pathlib import Path
 from time import time_ns
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -27,11 +26,24 @@ from nmes import protocol
 from nmes.backend.fingerprint import VERSION, fingerprint
 from nmes.errors import RecordingError, SimulationFault, WorldError
 from nmes.protocol import Request
-from nmes.recording import viewer_messages as scene
+from nmes.recording.channels import (
+    CHAIN,
+    CHECKSUMS,
+    CLIENTS,
+    COMMAND,
+    FAULTS,
+    KEYFRAME,
+    POSES,
+    REFUSED,
+    REPLY,
+    SCENE,
+    TICKS,
+    Channels,
+)
 from nmes.recording.mcap_format import message_checksums
 from nmes.recording.mcap_writer import Writer
-from nmes.recording.records import BOXES, END, FORMAT, KEYFRAMES, PROFILE, REFUSED_LIMIT, SEQUENCE_MASK, next_head
-from nmes.schemas import load
+from nmes.recording.records import END, FORMAT, PROFILE, REFUSED_LIMIT, SEQUENCE_MASK, next_head
+from nmes.recording.viewer_messages import Painter, Snapshot
 
 if TYPE_CHECKING:
     from nmes.world import World
@@ -44,64 +56,7 @@ _MANY = 512  # notes
 _LONG_RUN = 4096  # ticks
 _NEVER = -1  # when a recorder flushed that cannot: the next record of any kind then tries to, and meets the error
 
-# What a client's records are kept under until they are packed: 4 * client + one of these. Our own are negative.
-_COMMAND, _REPLY, _REFUSED = 0, 1, 2
-_TICKS, _CLIENTS, _FAULTS, _POSES, _SCENE, _CHAIN, _CHECKSUMS, _KEYFRAMES = -1, -2, -3, -4, -5, -6, -7, -8
-_VIEWS = {_POSES: scene.POSES_SCHEMA, _SCENE: scene.SCENE_SCHEMA}
 _MANY_BOXES = 8192  # cubes; a channel each, of which a file has no more than 65,535
-_TOPICS = {_TICKS: "ticks", _CLIENTS: "clients", _FAULTS: "faults", _POSES: "/tf", _SCENE: "/scene", _CHAIN: "chain"}
-_OCTETS = {_CHECKSUMS: "checksums", _KEYFRAMES: KEYFRAMES}
-_CLIENT_TOPICS = {_COMMAND: "commands", _REPLY: "replies", _REFUSED: "refused"}
-
-
-class _Channels(dict[int | str, int]):
-    """The numbers of a file's channels by key; one is registered when it is first asked for."""
-
-    def __init__(self, writer: Writer) -> None:
-        self._writer = writer
-        self._schemas: dict[str, int] = {}
-
-    def __missing__(self, key: int | str) -> int:
-        if isinstance(key, str):
-            channel = self._view(BOXES + key, scene.BOX_SCHEMA)
-        elif key >= 0:
-            client, kind = divmod(key, 4)
-            topic = f"client/{client}/{_CLIENT_TOPICS[kind]}"
-            channel = (
-                self._writer.channel(topic, "application/octet-stream")
-                if kind == _REFUSED
-                else self._writer.channel(topic, "json", self._schema("command" if kind == _COMMAND else "reply"))
-            )
-        elif key in _OCTETS:
-            channel = self._writer.channel(_OCTETS[key], "application/octet-stream")
-        elif key in _VIEWS:
-            channel = self._view(_TOPICS[key], _VIEWS[key])
-        else:
-            channel = self._writer.channel(_TOPICS[key], "json", self._schema(_TOPICS[key]))
-        self[key] = channel
-        return channel
-
-    def _view(self, topic: str, name: str) -> int:
-        """Registers a channel for viewers."""
-        if name not in self._schemas:
-            self._schemas[name] = self._writer.schema(name, "protobuf", scene.descriptors(name))
-        return self._writer.channel(topic, "protobuf", self._schemas[name])
-
-    def _schema(self, name: str) -> int:
-        if name not in self._schemas:
-            self._schemas[name] = self._writer.schema(f"nmes.{name}", "jsonschema", _schema(name))
-        return self._schemas[name]
-
-
-@cache  # a short episode takes no longer than making these
-def _schema(name: str) -> bytes:
-    match name:
-        case "command" | "reply":
-            schema = protocol.bundled_schema(name)
-        case _:
-            schema = load(f"recording/{name}.json")
-    return protocol.encode(schema)
-
 
 _Note = tuple[int, int, int, Any]  # key, frame, wall time; data, or a tick's digest, or a snapshot to draw
 
@@ -109,7 +64,7 @@ _Note = tuple[int, int, int, Any]  # key, frame, wall time; data, or a tick's di
 class Recorder:
     """Writes a world's history to a file; it becomes the world's journal with `world.journal = recorder`.
 
-    What the journal is told is noted, and a few hundred notes at a time are made into records: code that has just run
+    Each call of the world is noted, and a few hundred notes at a time are made into records: code that has just run
     runs twice as fast. `flush` writes the records out. It happens when a second has gone by or 256 KiB are waiting; a
     host calls it too, for worlds in which nothing happens, and `commit` before it tells anybody anything. While the
     world is faulted, and after `close`, the file has its end and every MCAP reader can read it.
@@ -119,7 +74,7 @@ class Recorder:
         world: The world to record. Where it has a past, the recording begins with a keyframe.
         pose_rate: How often the poses are kept for viewers, in Hz of simulation time; 0 for never.
         flush_interval: For how long (s) a record may wait while others come in. With 0, `commit` waits for the disk.
-        about: Further metadata records by name: what the run was for.
+        about: Further metadata records by name: the purpose of the run.
 
     Raises:
         RecordingError: The file cannot be created, or the world has a past and cannot be saved. Every other method
@@ -140,10 +95,10 @@ class Recorder:
         self._world = world
         self._rate: int = world.config["tick_rate"]
         self._pose_every = max(1, round(self._rate / pose_rate)) if pose_rate > 0 else 0
-        self._painter = scene.Painter(world)
+        self._painter = Painter(world)
         self._boxed = 0  # how many cubes have a channel for their box
         self._writer = Writer(path, profile=PROFILE, library=f"nmes {VERSION}")
-        self._channels = _Channels(self._writer)
+        self._channels = Channels(self._writer)
         self._notes: list[_Note] = []
         self._run: list[bytes] = []  # digests of the ticks packed since the last record
         self._run_end = (0, 0)  # the frame and the wall time of the last of them
@@ -167,51 +122,51 @@ class Recorder:
 
     def joined(self, client: int) -> None:
         """Records that a client came."""
-        self._notes.append((_CLIENTS, self._world.frame, time_ns(), b'{"client":%d,"event":"joined"}' % client))
+        self._notes.append((CLIENTS, self._world.frame, time_ns(), b'{"client":%d,"event":"joined"}' % client))
         self._pack()
 
     def left(self, client: int) -> None:
         """Records that a client went."""
-        self._notes.append((_CLIENTS, self._world.frame, time_ns(), b'{"client":%d,"event":"left"}' % client))
+        self._notes.append((CLIENTS, self._world.frame, time_ns(), b'{"client":%d,"event":"left"}' % client))
         self._pack()
 
     # What happens for each command of each client is written for speed, and only notes.
 
     def received(self, client: int, request: Request) -> None:
         """Records a frame as it came; of a refused one no more than `REFUSED_LIMIT` bytes and a note."""
-        key = 4 * client + (_COMMAND if request.error is None else _REFUSED)
+        key = 4 * client + (COMMAND if request.error is None else REFUSED)
         self._notes.append((key, self._world.frame, time_ns(), request.raw))
 
     def replied(self, client: int, request: Request, reply: bytes) -> None:
         """Records a reply."""
         wall = time_ns()
-        self._notes.append((4 * client + _REPLY, self._world.frame, wall, reply))
+        self._notes.append((4 * client + REPLY, self._world.frame, wall, reply))
         if not 0 <= wall - self._flushed < self._flush_after or len(self._notes) > _MANY:
             self._pack()
 
     def ticked(self, frame: int, digest: bytes) -> None:
         """Records a tick, and the poses when it is their turn."""
         wall = time_ns()
-        self._notes.append((_TICKS, frame, wall, digest))
+        self._notes.append((TICKS, frame, wall, digest))
         if self._pose_every and frame % self._pose_every == 0:
-            self._notes.append((_POSES, frame, wall, self._painter.look()))
+            self._notes.append((POSES, frame, wall, self._painter.look()))
         if not 0 <= wall - self._flushed < self._flush_after or len(self._notes) > _MANY:
             self._pack()
 
     def keyframe(self, snapshot: bytes) -> None:
-        """Records what the world is. It begins a chunk, so that a reader can begin there."""
+        """Records a snapshot of the world. It begins a chunk, so that a reader can begin there."""
         self.flush()
-        self._notes.append((_KEYFRAMES, self._world.frame, time_ns(), snapshot))
+        self._notes.append((KEYFRAME, self._world.frame, time_ns(), snapshot))
         self._pack()
 
     def faulted(self, frame: int, code: str, message: str) -> None:
         """Records that the world stopped, and gives the file its end."""
-        what = orjson.dumps({"frame": frame, "code": code, "message": message})
-        self._notes.append((_FAULTS, frame, time_ns(), what))
+        fault = orjson.dumps({"frame": frame, "code": code, "message": message})
+        self._notes.append((FAULTS, frame, time_ns(), fault))
         self.flush()
 
     def _pack(self) -> None:
-        """Makes records of what was noted, and flushes when it is time to."""
+        """Makes records of the notes, and flushes when it is time to."""
         if self._error is not None:
             raise self._error
         try:
@@ -224,35 +179,40 @@ class Recorder:
 
     def _make_records(self) -> None:
         notes, self._notes = self._notes, []
-        for key, frame, wall, what in notes:
-            if key == _TICKS:
-                self._run.append(what)
+        for key, frame, wall, content in notes:
+            if key == TICKS:
+                self._run.append(content)
                 self._run_end = frame, wall
                 continue
             if self._run:
                 self._end_run()
-            if key == _POSES:
-                view = self._painter.draw(what)
-                for name, box in view.boxes.items():
-                    new = name not in self._channels
-                    if not new or self._boxed < _MANY_BOXES:
-                        self._boxed += new
-                        self._add(name, frame, wall, box)
-                if view.scene is not None:
-                    self._add(_SCENE, frame, wall, view.scene)
-                what = view.poses
-            elif key & 3 == _REFUSED and key > 0 and len(what) > REFUSED_LIMIT:
-                what = what[:REFUSED_LIMIT] + b"... (%d bytes in all)" % len(what)
-            self._add(key, frame, wall, what)
+            if key == POSES:
+                self._add_view(frame, wall, content)
+                continue
+            if key & 3 == REFUSED and key > 0 and len(content) > REFUSED_LIMIT:
+                content = content[:REFUSED_LIMIT] + b"... (%d bytes in all)" % len(content)
+            self._add(key, frame, wall, content)
         if len(self._run) > _LONG_RUN:
             self._end_run()
+
+    def _add_view(self, frame: int, wall: int, snapshot: Snapshot) -> None:
+        """Makes the records that show a snapshot to viewers: boxes and scene where they changed, and the poses."""
+        view = self._painter.draw(snapshot)
+        for name, box in view.boxes.items():
+            new = name not in self._channels
+            if not new or self._boxed < _MANY_BOXES:
+                self._boxed += new
+                self._add(name, frame, wall, box)
+        if view.scene is not None:
+            self._add(SCENE, frame, wall, view.scene)
+        self._add(POSES, frame, wall, view.poses)
 
     def _end_run(self) -> None:
         """Makes a record of the ticks since the last one."""
         (frame, wall), digests = self._run_end, '","'.join([digest.hex() for digest in self._run])
         first = frame - len(self._run) + 1
         self._run = []
-        self._add(_TICKS, frame, wall, f'{{"frame":{first},"digests":["{digests}"]}}'.encode())
+        self._add(TICKS, frame, wall, f'{{"frame":{first},"digests":["{digests}"]}}'.encode())
 
     def _add(self, key: int | str, frame: int, wall: int, data: bytes) -> None:
         if frame != self._frame:
@@ -313,7 +273,7 @@ class Recorder:
             self._end_run()
         if self._writer.open_chunk:
             # Both channels first, so that nothing stands between the two messages.
-            ends = (self._channels[_CHECKSUMS], self._checksums), (self._channels[_CHAIN], self._link)
+            ends = (self._channels[CHECKSUMS], self._checksums), (self._channels[CHAIN], self._link)
             for channel, describe in ends:
                 self._writer.add(channel, self._sequence & SEQUENCE_MASK, self._time, self._flushed, describe())
                 self._sequence += 1

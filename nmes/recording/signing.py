@@ -1,4 +1,4 @@
-"""Signatures of recordings: who vouches for one.
+"""Signatures of recordings: somebody vouches for one with a key.
 
 A signature stands in a file of its own beside the recording, so that signing changes nothing in what is signed and
 several may sign. What is signed is the recording's closing statement: the head of its hash chain, which covers the
@@ -29,9 +29,9 @@ from nmes.recording.reader import Recording
 
 __all__ = ["SUFFIX", "check_signature", "private_key", "public_key", "sign"]
 
-SUFFIX = ".sig"  # behind the recording's name
+SUFFIX = ".sig"  # added to the recording's name
 _VERSION = "nmes-signature-1"
-_MOST = 64 << 10  # bytes of a key or a signature that are read
+_LONGEST = 64 << 10  # bytes of a key or a signature that are read
 
 
 def private_key(path: str | os.PathLike[str]) -> Ed25519PrivateKey:
@@ -73,14 +73,14 @@ def sign(recording: Recording, key: Ed25519PrivateKey, path: str | os.PathLike[s
     statement = _statement(recording)
     target = Path(path) if path is not None else _beside(recording)
     raw = key.public_key().public_bytes(Encoding.Raw, PublicFormat.Raw)
-    told = {
+    document = {
         "signature": base64.b64encode(key.sign(statement)).decode(),
         "public_key": base64.b64encode(raw).decode(),
         "signed": orjson.loads(statement),
     }
     try:
         with open(target, "xb") as file:
-            file.write(orjson.dumps(told, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
+            file.write(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
     except FileExistsError:
         raise SigningError("signing_failed", f"{target} exists already") from None
     except OSError as error:
@@ -97,13 +97,13 @@ def check_signature(recording: Recording, key: Ed25519PublicKey, path: str | os.
         path: The signature, by default the file beside the recording.
 
     Raises:
-        SigningError: It is not so, and why (`bad_signature`).
+        SigningError: The owner did not, or the recording is damaged (`bad_signature`).
     """
     statement = _statement(recording)
     path = path if path is not None else _beside(recording)
     try:
-        told: Any = orjson.loads(_read(path))
-        signature = base64.b64decode(told["signature"], validate=True)
+        document: Any = orjson.loads(_read(path))
+        signature = base64.b64decode(document["signature"], validate=True)
     except (ValueError, KeyError, TypeError) as error:
         raise SigningError("bad_signature", f"{path} is no signature") from error
     try:
@@ -127,6 +127,6 @@ def _statement(recording: Recording) -> bytes:
 def _read(path: str | os.PathLike[str]) -> bytes:
     try:
         with open(path, "rb") as file:
-            return file.read(_MOST)
+            return file.read(_LONGEST)
     except OSError as error:
         raise SigningError("signing_failed", f"cannot read {path}: {error.strerror}") from error

@@ -3,7 +3,7 @@
 Each cube is a coordinate frame that moves in the frame `ROOT` and carries one box. Poses are rounded to float32:
 viewers draw no finer, and it halves what they take up. For what is exact there are digests.
 
-Rerun knows no scene updates. For it each box is said again, as a grid of one voxel in its cube's frame.
+Rerun knows no scene updates. For it each box is written once more, as a grid of one voxel in its cube's frame.
 """
 
 from __future__ import annotations
@@ -56,7 +56,13 @@ Shape = tuple[Vector, Color]  # edge lengths, colour
 
 
 class Snapshot(NamedTuple):
-    """What there is to see of a world at one frame: poses, and all shapes where they may have changed."""
+    """The cubes of a world at one frame, not made into messages yet.
+
+    Attributes:
+        frame: The frame.
+        states: The states of all cubes, an array (n, 13) as of `World.poses`.
+        shapes: The shapes of all cubes where they may have changed, else None.
+    """
 
     frame: int
     states: Array
@@ -69,7 +75,7 @@ class View(NamedTuple):
     Attributes:
         scene: The boxes that are new, changed or gone, or None.
         poses: All poses.
-        boxes: The boxes of `scene` once more, each by itself, by cube; one that is gone is a grid of nothing.
+        boxes: The boxes of `scene` once more, a message each, by cube; that of a cube that is gone is an empty grid.
     """
 
     scene: bytes | None
@@ -84,7 +90,7 @@ class Painter:
     """
 
     def __init__(self, world: World) -> None:
-        """Begins with nothing drawn."""
+        """Begins with no cubes drawn."""
         self._world = world
         self._rate: int = world.config["tick_rate"]
         self._version = -1
@@ -94,7 +100,7 @@ class Painter:
         self._handles: list[tuple[Any, Any, Any]] = []
 
     def look(self) -> Snapshot:
-        """Returns the world as it is now."""
+        """Takes a snapshot of the world as it is now."""
         world = self._world
         names, states = world.poses()
         if world.structure_version == self._version:
@@ -103,7 +109,7 @@ class Painter:
         return Snapshot(world.frame, states, {name: world.cube_shape(name) for name in names})
 
     def draw(self, snapshot: Snapshot) -> View:
-        """Returns the messages that show a snapshot to somebody who has seen all those before."""
+        """Makes the messages of a snapshot, for viewers that have those of all snapshots before."""
         seconds, ticks = divmod(snapshot.frame, self._rate)
         nanos = ticks * 1_000_000_000 // self._rate
         scene: bytes | None = None
@@ -145,7 +151,7 @@ class Painter:
 
 
 def _box(name: str, size: Vector, color: Color | None, seconds: int, nanos: int) -> bytes:
-    """Returns a cube's box as a grid of one voxel; of none where it has no colour."""
+    """Makes a cube's box as a grid of one voxel; an empty grid where it has no colour."""
     # A field that is zero is not written, and Rerun goes on with what it had; so of nothing only the data are empty.
     grid = VoxelGrid(frame_id=name, row_count=1, column_count=1, cell_stride=4, row_stride=4, slice_stride=4)
     grid.timestamp.seconds, grid.timestamp.nanos = seconds, nanos
@@ -200,15 +206,15 @@ def decode_shapes(data: bytes, known: Mapping[str, Shape]) -> dict[str, Shape]:
 
 @cache
 def descriptors(name: str) -> bytes:
-    """Returns the schema that an MCAP file carries for one of the messages: its descriptor and all it needs."""
-    result, seen = FileDescriptorSet(), set()
+    """Makes the schema that an MCAP file carries for one of the messages: its descriptor and all that it needs."""
+    files, names = FileDescriptorSet(), set()
 
     def add(file: FileDescriptor) -> None:
-        if file.name not in seen:
-            seen.add(file.name)
-            for needed in file.dependencies:
-                add(needed)
-            file.CopyToProto(result.file.add())
+        if file.name not in names:
+            names.add(file.name)
+            for dependency in file.dependencies:
+                add(dependency)
+            file.CopyToProto(files.file.add())
 
     add(_MESSAGES[name].DESCRIPTOR.file)
-    return bytes(result.SerializeToString())
+    return bytes(files.SerializeToString())

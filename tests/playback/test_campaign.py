@@ -162,14 +162,14 @@ def retold(path: Path, lines: list[Line], config: dict[str, Any]) -> list[Event]
                 world.tick()
     recorder.close()
     world.close()
-    told: list[Line] = []
+    history: list[Line] = []
 
     def keep(lines: list[Line]) -> list[Line]:
-        told.extend(lines)
+        history.extend(lines)
         return lines
 
     rewrite(path, path.with_suffix(".copy"), keep)
-    return [event for _, event in events_of(told)]
+    return [event for _, event in events_of(history)]
 
 
 def campaign(folder: Path, seed: int, cases: int) -> list[str]:
@@ -205,17 +205,19 @@ def campaign(folder: Path, seed: int, cases: int) -> list[str]:
             outcomes.append("true")
             continue
         at = parts[0] if parts else min(len(here), len(there))
-        found = report.divergence
-        assert report.verdict == "diverged" and found is not None, f"{what}: {kind} was not found"
+        divergence = report.divergence
+        assert report.verdict == "diverged" and divergence is not None, f"{what}: {kind} was not found"
         number, event = here[at]
-        assert found.record == number, f"{what}: {kind} found at {found}, not at record {number}: {event}, {there[at]}"
+        assert divergence.record == number, (
+            f"{what}: {kind} found at {divergence}, not at record {number}: {event}, {there[at]}"
+        )
         if event[0] == "tick" and there[at][0] == "tick":
-            assert (found.kind, found.frame) == ("digest", there[at][1]), what
+            assert (divergence.kind, divergence.frame) == ("digest", there[at][1]), what
         if kind == "digest":
             # Nothing but the digest is wrong, at the very tick, so there are no two states to show.
-            assert (found.kind, found.value) == ("digest", None), what
-        shown = "seen" if found.value is not None else "unseen"
-        outcomes.append(shown if found.kind == "digest" and kind != "digest" else found.kind)
+            assert (divergence.kind, divergence.value) == ("digest", None), what
+        shown = "seen" if divergence.value is not None else "unseen"
+        outcomes.append(shown if divergence.kind == "digest" and kind != "digest" else divergence.kind)
     return outcomes
 
 

@@ -60,9 +60,9 @@ def test_states_are_those_of_the_run(tmp_path: Path, backend: str) -> None:
     else:
         busy(world, client)
     recorder.close()
-    found = list(states(Recording(tmp_path / "x.mcap")))
-    assert len(found) == len(recorder.states) >= 40
-    for one, (frame, names, values) in zip(found, recorder.states, strict=True):
+    ticks = list(states(Recording(tmp_path / "x.mcap")))
+    assert len(ticks) == len(recorder.states) >= 40
+    for one, (frame, names, values) in zip(ticks, recorder.states, strict=True):
         assert (one.frame, one.names, one.time) == (frame, names, frame / 60)
         assert np.array_equal(one.values, values)  # to the last bit
 
@@ -135,8 +135,8 @@ def test_tables_hold_every_cube_after_every_tick(tmp_path: Path) -> None:
     for kind in ("csv", "parquet"):
         target = tmp_path / f"messages.{kind}"
         assert run("export", path, "--to", kind, "--what", "messages", "--output", target)[0] == 0
-    told = pyarrow.parquet.read_table(tmp_path / "messages.parquet").to_pylist()
-    assert [{**row, "message": json.loads(row["message"])} for row in told] == list(messages(Recording(path)))
+    rows = pyarrow.parquet.read_table(tmp_path / "messages.parquet").to_pylist()
+    assert [{**row, "message": json.loads(row["message"])} for row in rows] == list(messages(Recording(path)))
     code, output = run("export", path, "--to", "jsonl", "--what", "states")
     assert code == 0
     assert [list(json.loads(line).values()) for line in output.splitlines()] == expected

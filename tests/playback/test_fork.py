@@ -144,8 +144,8 @@ def run(*options: str | Path) -> Result:
 def test_forking_on_the_command_line(tmp_path: Path) -> None:
     recording, path = parent(tmp_path, "mujoco"), tmp_path / "fork.mcap"
     frame = recording.last_frame // 2
-    told = run("fork", recording.path, "--at", str(frame), "-o", path)
-    assert told.exit_code == 0 and f"frame {frame:,} of" in told.stdout
+    result = run("fork", recording.path, "--at", str(frame), "-o", path)
+    assert result.exit_code == 0 and f"frame {frame:,} of" in result.stdout
     assert Recording(path).last_frame == frame and world_at(Recording(path)).clients() == [1]
     about = json.loads(run("info", path, "--json").stdout)
     assert (about["first_frame"], about["keyframes"], about["ticks"]) == (frame, 1, 0)
@@ -153,8 +153,8 @@ def test_forking_on_the_command_line(tmp_path: Path) -> None:
     assert f"parent.mcap, frame {frame}" in run("info", path).stdout
     assert run("verify", path).exit_code == 0
     assert run("replay", path).exit_code == 0
-    told = run("export", path, "--to", "jsonl", "--output", tmp_path / "log.jsonl")
-    assert told.exit_code == 0 and run("replay", tmp_path / "log.jsonl").stdout.startswith("reproduced: ")
+    result = run("export", path, "--to", "jsonl", "--output", tmp_path / "log.jsonl")
+    assert result.exit_code == 0 and run("replay", tmp_path / "log.jsonl").stdout.startswith("reproduced: ")
     again = run("fork", path, "-o", tmp_path / "again.mcap", "--json")
     assert json.loads(again.stdout)["frame"] == frame
     for options, why in (
@@ -162,13 +162,13 @@ def test_forking_on_the_command_line(tmp_path: Path) -> None:
         ((recording.path, "--at", "99999999", "-o", tmp_path / "y"), "no frame"),
         ((recording.path, "-o", path), "exists already"),
     ):
-        told = run("fork", *options)
-        assert told.exit_code == 1 and why in told.stderr, told.stderr
-    told = run("replay", path, "--backend", "ballistic")
-    assert told.exit_code == 1 and "a running world of mujoco" in told.stderr
+        result = run("fork", *options)
+        assert result.exit_code == 1 and why in result.stderr, result.stderr
+    result = run("replay", path, "--backend", "ballistic")
+    assert result.exit_code == 1 and "a running world of mujoco" in result.stderr
     assert run("replay", path, "--backend", "mujoco").exit_code == 0
-    told = run("replay", path, "--against", "127.0.0.1:1", "--password", "password")
-    assert told.exit_code == 2 and "a running world of mujoco" in told.stderr
+    result = run("replay", path, "--against", "127.0.0.1:1", "--password", "password")
+    assert result.exit_code == 2 and "a running world of mujoco" in result.stderr
 
 
 def test_a_served_world_is_resumed(tmp_path: Path) -> None:
@@ -179,9 +179,9 @@ def test_a_served_world_is_resumed(tmp_path: Path) -> None:
     for at in ([], ["--at", str(frame)]):
         expected = frame if at else recording.last_frame
         with process("serve", *options, *at, NMES_PASSWORD="password") as server:
-            said = ready(server)
-            assert said["resumed"] == {"file": str(recording.path), "frame": expected}
-            with Client(port=said["port"], password="password") as client:
+            announcement = ready(server)
+            assert announcement["resumed"] == {"file": str(recording.path), "frame": expected}
+            with Client(port=announcement["port"], password="password") as client:
                 info = client.get_world_info()
                 assert info["counts"]["clients"] == 1 and info["mode"] == "lockstep"
                 if at:
@@ -190,7 +190,7 @@ def test_a_served_world_is_resumed(tmp_path: Path) -> None:
                 client.step(30)
             server.send_signal(signal.SIGTERM)
             assert server.wait(60) == 0
-        child = Recording(said["recording"])
+        child = Recording(announcement["recording"])
         assert child.complete and child.start().frame == expected and child.last_frame == expected + 30
         assert next(r.client for r in child if r.kind is Kind.LEFT) == 1
         assert [r.client for r in child if r.kind is Kind.JOINED] == [2]
@@ -205,10 +205,10 @@ def test_resuming_that_makes_no_sense_is_wrong_usage(tmp_path: Path) -> None:
         (["--at", "3"], "--resume"),
         (["--resume", tmp_path / "nothing.mcap"], "No such file"),
     ):
-        told = run("serve", "--port", "0", "--no-record", *options)
-        assert told.exit_code == 2 and why in told.stderr, told.stderr
-    told = run("serve", "--port", "0", "--no-record", "--resume", recording.path, "--at", "9999999")
-    assert told.exit_code == 1 and "no frame" in told.stderr
+        result = run("serve", "--port", "0", "--no-record", *options)
+        assert result.exit_code == 2 and why in result.stderr, result.stderr
+    result = run("serve", "--port", "0", "--no-record", "--resume", recording.path, "--at", "9999999")
+    assert result.exit_code == 1 and "no frame" in result.stderr
 
 
 def test_a_recorder_of_a_world_at_its_beginning_writes_no_keyframe(tmp_path: Path) -> None:

@@ -14,9 +14,9 @@ goldens = pytest.mark.parametrize("golden", CORPUS, ids=lambda golden: golden.na
 
 
 def twin(golden: Golden) -> dict[str, Any]:
-    told = json.loads(golden.twin.read_text())
-    assert isinstance(told, dict)
-    return told
+    values = json.loads(golden.twin.read_text())
+    assert isinstance(values, dict)
+    return values
 
 
 def drift(golden: Golden) -> float:
@@ -54,11 +54,11 @@ def test_every_part_of_one_with_keyframes_replays() -> None:
 
 @goldens
 def test_the_twin_says_what_it_holds(golden: Golden) -> None:
-    told = twin(golden)
-    assert told == {
+    values = twin(golden)
+    assert values == {
         "shows": golden.shows,
         **reproduces(golden),
-        "positions_at_the_end": told["positions_at_the_end"],
+        "positions_at_the_end": values["positions_at_the_end"],
     }
     assert Recording(golden.recording).config == golden.world().config
 
@@ -93,6 +93,6 @@ def test_it_is_made_anew(tmp_path_factory: pytest.TempPathFactory, monkeypatch: 
     before = json.loads((REPLAYS / golden.twin.name).read_text())
     for _ in range(2):
         make(golden)
-        told = twin(golden)
-        assert {**told, "last_digest": ""} == {**before, "last_digest": ""}
+        values = twin(golden)
+        assert {**values, "last_digest": ""} == {**before, "last_digest": ""}
         assert replay(golden.recording).verdict == "reproduced"

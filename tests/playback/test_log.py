@@ -82,9 +82,9 @@ def test_a_log_goes_on_from_where_its_world_did(tmp_path: Path) -> None:
     assert late.divergence is not None and late.divergence.kind == "client"
     late = replay_log(written(tmp_path / "x.jsonl", [*rows, rows[1]]))
     assert late.divergence is not None and late.divergence.kind == "order"
-    for snapshot, said in (("?", "is no keyframe"), ("e30=", "is no keyframe"), (3, "does not have the shape")):
+    for snapshot, message in (("?", "is no keyframe"), ("e30=", "is no keyframe"), (3, "does not have the shape")):
         rows[1]["message"] = {"snapshot": snapshot}
-        with pytest.raises(RecordingError, match=f"line 2 {said}"):
+        with pytest.raises(RecordingError, match=f"line 2 {message}"):
             replay_log(written(tmp_path / "x.jsonl", rows))
 
 
@@ -163,7 +163,7 @@ def test_answers_find_their_commands(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("text", "message"),
     [
         ('{"type":"ping"}\n{"type"\n', "line 2 is not JSON"),
         ('{"type":"ping"}\n\n[1]\n', "line 3 is no JSON object"),
@@ -174,13 +174,13 @@ def test_answers_find_their_commands(tmp_path: Path) -> None:
         ('{"kind":"recording","message":{"nmes.world":{}}}\n', "line 1 does not say how its world began"),
     ],
 )
-def test_what_is_no_log_is_refused(tmp_path: Path, text: str, said: str) -> None:
+def test_what_is_no_log_is_refused(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "x.jsonl"
     path.write_text(text)
-    with pytest.raises(RecordingError, match=said):
+    with pytest.raises(RecordingError, match=message):
         replay_log(Log(path))
     code, output = run("replay", path)
-    assert code == 2 and said in output and "Traceback" not in output
+    assert code == 2 and message in output and "Traceback" not in output
 
 
 # -- the command -----------------------------------------------------------------------------------------------------

@@ -81,14 +81,14 @@ def test_another_engine_differs_and_shows_where(busy_file: Path) -> None:
         report = against(busy_file, lambda: server.client().connect(), tolerance=1e-9)
         assert report.verdict == "different"
         assert 0 < report.equal < report.commands
-        found = {(item.command, item.field): item for item in report.fields}
-        place = found["get_cube_info", "position/1"]
+        fields = {(item.command, item.field): item for item in report.fields}
+        place = fields["get_cube_info", "position/1"]
         assert place.count == 8
         assert place.first.cube == "one" and place.first.frame == 1 and place.first.client == 1
         assert place.first.difference is not None and place.worst.difference is not None
         assert place.worst.difference >= place.first.difference > 0
         assert place.first.difference == abs(place.first.actual - place.first.expected)
-        assert ("step", "frame") not in found
+        assert ("step", "frame") not in fields
         # What is near enough is equal.
         near = against(busy_file, lambda: server.client().connect(), tolerance=10.0)
         assert not any("position" in item.field for item in near.fields)
@@ -173,10 +173,10 @@ def test_wrong_answers_are_found(
 ) -> None:
     report = against(busy_file, Stranger(spoil).connect, tolerance=1e-3)
     assert report.verdict == "different"
-    found = {(item.command, item.field): item for item in report.fields}
-    assert (command, field) in found
-    seen = found[command, field].first
-    assert (seen.expected, seen.actual) == (expected, actual)
+    fields = {(item.command, item.field): item for item in report.fields}
+    assert (command, field) in fields
+    mismatch = fields[command, field].first
+    assert (mismatch.expected, mismatch.actual) == (expected, actual)
 
 
 def test_equal_rotations_and_other_orders_are_equal(busy_file: Path) -> None:

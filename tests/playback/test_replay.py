@@ -148,8 +148,8 @@ def test_faults_are_reproduced_in_commands_and_by_the_clock(tmp_path: Path) -> N
         at = first(lines, "faults")
         return changed(lines, at, lines[at].data.replace(b"diverged", b"exploded"))
 
-    found = divergence(path, tmp_path, edit)
-    assert found.kind == "fault" and "exploded" in found.message
+    result = divergence(path, tmp_path, edit)
+    assert result.kind == "fault" and "exploded" in result.message
 
 
 def test_refused_frames_that_were_not_kept_whole_are_reproduced(tmp_path: Path) -> None:
@@ -206,10 +206,10 @@ def test_nobody_goes_on_where_a_recording_ends_in_a_command(
             assert there.cubes() == cubes
             np.testing.assert_array_equal(there.poses()[1], poses)
         there.close()
-    seen = []
-    for _ in watch(recording, lambda world: seen.append(world.frame)):
+    frames = []
+    for _ in watch(recording, lambda world: frames.append(world.frame)):
         pass
-    assert seen == [1, 2, 3, 4, 5, 6, 7]
+    assert frames == [1, 2, 3, 4, 5, 6, 7]
     for engine in ("ballistic", backend):
         drift = measure_drift(recording, engine)
         assert (drift.ticks, drift.commands, drift.ended) == (7, 1, None)
@@ -246,11 +246,11 @@ def test_a_mistake_of_the_replay_s_own_is_no_divergence(busy_file: Path, monkeyp
 
 
 def test_progress_goes_up_to_the_size(busy_file: Path) -> None:
-    told: list[tuple[int, int]] = []
-    replay(busy_file, progress=lambda done, total: told.append((done, total)))
+    calls: list[tuple[int, int]] = []
+    replay(busy_file, progress=lambda done, total: calls.append((done, total)))
     size = busy_file.stat().st_size
-    assert told and all(0 < done <= total == size for done, total in told)
-    assert told == sorted(told)
+    assert calls and all(0 < done <= total == size for done, total in calls)
+    assert calls == sorted(calls)
 
 
 # -- what was tampered with is found ---------------------------------------------------------------------------------
@@ -284,9 +284,9 @@ def test_a_changed_digest_is_found_at_its_tick(busy_file: Path, tmp_path: Path) 
         return changed(lines, at, orjson.dumps(ticks))
 
     frame: list[int] = []
-    found = divergence(busy_file, tmp_path, edit)
-    assert (found.kind, found.frame) == ("digest", frame[0])
-    assert found.value is None  # nothing else is different
+    result = divergence(busy_file, tmp_path, edit)
+    assert (result.kind, result.frame) == ("digest", frame[0])
+    assert result.value is None  # nothing else is different
 
 
 def test_a_changed_input_is_found_at_its_tick_and_shown(busy_file: Path, tmp_path: Path) -> None:
@@ -299,12 +299,12 @@ def test_a_changed_input_is_found_at_its_tick_and_shown(busy_file: Path, tmp_pat
         return changed(lines, at, orjson.dumps(command))
 
     frame: list[int] = []
-    found = divergence(busy_file, tmp_path, edit)
-    assert (found.kind, found.frame) == ("digest", frame[0])
-    assert found.value is not None and found.seen is not None and found.seen >= found.frame
-    assert found.value.cube == "one"
-    assert found.value.field in ("position/0", "linear_velocity/0")
-    assert found.value.amount is not None and 0 < found.value.amount < 1e-15
+    result = divergence(busy_file, tmp_path, edit)
+    assert (result.kind, result.frame) == ("digest", frame[0])
+    assert result.value is not None and result.seen is not None and result.seen >= result.frame
+    assert result.value.cube == "one"
+    assert result.value.field in ("position/0", "linear_velocity/0")
+    assert result.value.amount is not None and 0 < result.value.amount < 1e-15
 
 
 def test_a_changed_reply_is_found_with_both_values(busy_file: Path, tmp_path: Path) -> None:
@@ -316,12 +316,12 @@ def test_a_changed_reply_is_found_with_both_values(busy_file: Path, tmp_path: Pa
         return changed(lines, at, orjson.dumps(info))
 
     values: list[float] = []
-    found = divergence(busy_file, tmp_path, edit)
-    assert (found.kind, found.client, found.command) == ("reply", 1, "get_cube_info")
-    assert found.value is not None
-    assert (found.value.cube, found.value.field) == ("one", "position/1")
-    assert [found.value.actual, found.value.expected] == values
-    assert found.value.amount == pytest.approx(0.5)
+    result = divergence(busy_file, tmp_path, edit)
+    assert (result.kind, result.client, result.command) == ("reply", 1, "get_cube_info")
+    assert result.value is not None
+    assert (result.value.cube, result.value.field) == ("one", "position/1")
+    assert [result.value.actual, result.value.expected] == values
+    assert result.value.amount == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize(
@@ -348,10 +348,10 @@ def test_whatever_is_changed_in_a_reply_is_shown(
         at = next(i for i in commands_of(lines, "replies") if before in lines[i].data)
         return changed(lines, at, lines[at].data.replace(before, after))
 
-    found = divergence(busy_file, tmp_path, edit)
-    assert found.kind == "reply" and found.value is not None
-    assert (found.value.field, found.value.expected, found.value.actual) == (field, expected, actual)
-    assert found.value.amount is None
+    result = divergence(busy_file, tmp_path, edit)
+    assert result.kind == "reply" and result.value is not None
+    assert (result.value.field, result.value.expected, result.value.actual) == (field, expected, actual)
+    assert result.value.amount is None
 
 
 def test_a_missing_reply_is_told_by_what_comes_in_its_place(busy_file: Path, tmp_path: Path) -> None:
@@ -359,17 +359,17 @@ def test_a_missing_reply_is_told_by_what_comes_in_its_place(busy_file: Path, tmp
         at = commands_of(lines, "replies")[0]
         return [*lines[:at], *lines[at + 1 :]]
 
-    found = divergence(busy_file, tmp_path, edit)
-    assert (found.kind, found.value) == ("order", None)
-    assert "the recording has client 1's command" in found.message and "now comes: reply" in found.message
+    result = divergence(busy_file, tmp_path, edit)
+    assert (result.kind, result.value) == ("order", None)
+    assert "the recording has client 1's command" in result.message and "now comes: reply" in result.message
 
 
 def test_a_client_with_another_number_is_found(busy_file: Path, tmp_path: Path) -> None:
     def edit(lines: list[Line]) -> list[Line]:
         return changed(lines, first(lines, "clients"), b'{"client":7,"event":"joined"}')
 
-    found = divergence(busy_file, tmp_path, edit)
-    assert found.kind == "client" and "client 7 joined; now it has number 1" in found.message
+    result = divergence(busy_file, tmp_path, edit)
+    assert result.kind == "client" and "client 7 joined; now it has number 1" in result.message
 
 
 def test_a_changed_picture_is_found(busy_file: Path, tmp_path: Path) -> None:
@@ -427,8 +427,8 @@ def test_dropped_repeated_and_swapped_commands_are_found(busy_file: Path, tmp_pa
 
     for number in range(16):
         for edit in (drop, repeat, swap):
-            found = divergence(busy_file, tmp_path, partial(edit, number))
-            assert found.kind in ("digest", "reply")
+            result = divergence(busy_file, tmp_path, partial(edit, number))
+            assert result.kind in ("digest", "reply")
 
 
 def test_what_makes_no_sense_is_told(busy_file: Path, tmp_path: Path) -> None:
@@ -436,8 +436,8 @@ def test_what_makes_no_sense_is_told(busy_file: Path, tmp_path: Path) -> None:
         at = first(lines, "clients")
         return [*lines[:at], *lines[at + 1 :]]
 
-    found = divergence(busy_file, tmp_path, stranger)
-    assert found.kind == "order" and "client 1" in found.message
+    result = divergence(busy_file, tmp_path, stranger)
+    assert result.kind == "order" and "client 1" in result.message
 
     def fault(lines: list[Line]) -> list[Line]:
         at = first(lines, "ticks")

@@ -68,9 +68,9 @@ def crash(folder: Path, interval: float, seed: int) -> None:
         stderr=subprocess.DEVNULL,
     ) as server:
         assert server.stdout is not None
-        said = json.loads(server.stdout.readline())
+        announcement = json.loads(server.stdout.readline())
         # Where there is an interval, less than makes the host write because there is so much.
-        talkers = [Talker(said["port"], number, 0.02 * interval) for number in range(2)]
+        talkers = [Talker(announcement["port"], number, 0.02 * interval) for number in range(2)]
         for talker in talkers:
             talker.start()
         time.sleep(rng.uniform(0, 2.5 * interval + 0.5))
@@ -80,7 +80,7 @@ def crash(folder: Path, interval: float, seed: int) -> None:
     for talker in talkers:
         talker.join(PATIENCE)
         assert not talker.is_alive()
-    recording = Recording(said["recording"])
+    recording = Recording(announcement["recording"])
     kept = {str(protocol.parse(item.data).id) for item in recording if item.kind is Kind.COMMAND}
     assert recording.damage is not None and recording.damage.cut
     # A host flushes twice in each interval, so that it keeps it where it comes to that half an interval late.
@@ -122,8 +122,8 @@ def test_nothing_is_told_before_it_is_on_disk(tmp_path: Path, monkeypatch: pytes
             peer.hear()
             data = path.read_bytes()
             assert len(data) == synced[-1]  # nothing was written since the disk last had all
-            told = [protocol.parse(r.data).id for r in Recording(path) if r.kind is Kind.COMMAND]
-            assert told[-2:] == [i, -i]
+            ids = [protocol.parse(r.data).id for r in Recording(path) if r.kind is Kind.COMMAND]
+            assert ids[-2:] == [i, -i]
         count = len(synced)
         assert count <= 12  # once for all that one read brought
 

@@ -82,15 +82,15 @@ def cut(path: Path, target: Path) -> Path:
 def test_keyframes_are_recorded_and_each_begins_a_chunk(long_file: Path) -> None:
     recording = Recording(long_file)
     assert recording.complete
-    found, every = keyframes(recording), 15
-    assert len(found) >= 10
+    frames, every = keyframes(recording), 15
+    assert len(frames) >= 10
     heads = [orjson.loads(r.data.partition(b"\n")[0]) for r in recording if r.kind is Kind.KEYFRAME]
     places = [
         (head["ticks"] - head["frame"], head["frame"] // every) for head in heads
     ]  # since which reset, and how far
     assert places == sorted(set(places)) and len({reset for reset, _ in places}) == 2
     firsts = [records[0].kind for _, records in recording.chunks()]
-    assert firsts.count(Kind.KEYFRAME) == len(found)
+    assert firsts.count(Kind.KEYFRAME) == len(frames)
     assert replay(long_file).verdict == "reproduced"
 
 
@@ -102,8 +102,8 @@ def test_a_keyframe_that_is_another_is_found(long_file: Path, tmp_path: Path) ->
         return [*lines[:at], lines[at]._replace(data=what), *lines[at + 1 :]]
 
     # All in one chunk, the keyframes are no longer where they can be found; they are compared all the same.
-    found = replay(rewrite(long_file, tmp_path / "x.mcap", edit)).divergence
-    assert found is not None and found.kind == "keyframe"
+    divergence = replay(rewrite(long_file, tmp_path / "x.mcap", edit)).divergence
+    assert divergence is not None and divergence.kind == "keyframe"
 
 
 def test_a_keyframe_that_is_missing_or_too_many_is_found(long_file: Path, tmp_path: Path) -> None:
@@ -116,8 +116,8 @@ def test_a_keyframe_that_is_missing_or_too_many_is_found(long_file: Path, tmp_pa
         return [*lines[:at], lines[at], *lines[at:]]
 
     for number, edit in enumerate((without, twice)):
-        found = replay(rewrite(long_file, tmp_path / f"{number}.mcap", edit)).divergence
-        assert found is not None and found.kind == "order" and "keyframe" in found.message
+        divergence = replay(rewrite(long_file, tmp_path / f"{number}.mcap", edit)).divergence
+        assert divergence is not None and divergence.kind == "order" and "keyframe" in divergence.message
 
 
 # -- seeking ---------------------------------------------------------------------------------------------------------
@@ -283,8 +283,8 @@ def test_the_command_line_replays_a_part(long_file: Path) -> None:
     def run(*options: str) -> Result:
         return CliRunner().invoke(main, ["replay", str(long_file), *options])
 
-    told = run("--from", "100", "--to", "120")
-    assert told.exit_code == 0 and ", from frame 9" in told.stdout and " to frame 12" in told.stdout
+    result = run("--from", "100", "--to", "120")
+    assert result.exit_code == 0 and ", from frame 9" in result.stdout and " to frame 12" in result.stdout
     report = json.loads(run("--from", "100", "--json").stdout)
     assert report["verdict"] == "reproduced" and 90 <= report["frames"][0] <= 100
     for options, why in (
@@ -292,10 +292,10 @@ def test_the_command_line_replays_a_part(long_file: Path) -> None:
         (("--from", "9", "--backend", "pymunk"), "another engine"),
         (("--from", "-1"), "not in the range"),
     ):
-        told = run(*options)
-        assert told.exit_code == 2 and why in told.stderr
-    told = run("--from", "1000000")
-    assert told.exit_code == 1 and "it has no frame" in told.stderr
+        result = run(*options)
+        assert result.exit_code == 2 and why in result.stderr
+    result = run("--from", "1000000")
+    assert result.exit_code == 1 and "it has no frame" in result.stderr
 
 
 # -- recordings that begin in the midst --------------------------------------------------------------------------------

@@ -41,19 +41,19 @@ def busy_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def told_by(recording: Recording) -> list[tuple[Any, ...]]:
-    told: list[tuple[Any, ...]] = []
+    entries: list[tuple[Any, ...]] = []
     for item in recording:
         about = item.about or {}
         match item.kind:
             case Kind.TICKS:
-                told += [("tick", about["frame"] + i, digest) for i, digest in enumerate(about["digests"])]
+                entries += [("tick", about["frame"] + i, digest) for i, digest in enumerate(about["digests"])]
             case Kind.FAULT:
-                told.append(("fault", about["frame"], about["code"], about["message"]))
+                entries.append(("fault", about["frame"], about["code"], about["message"]))
             case Kind.JOINED | Kind.LEFT:
-                told.append((str(item.kind), item.client))
+                entries.append((str(item.kind), item.client))
             case Kind.COMMAND | Kind.REFUSED | Kind.REPLY:
-                told.append((str(item.kind), item.client, item.data))
-    return told
+                entries.append((str(item.kind), item.client, item.data))
+    return entries
 
 
 # -- what is kept ----------------------------------------------------------------------------------------------------
@@ -181,7 +181,7 @@ def test_mcap_readers_read_it(busy_file: Path) -> None:
 
 
 def test_viewers_get_poses_and_shapes(tmp_path: Path) -> None:
-    seen: dict[int, dict[str, list[float]]] = {}
+    positions: dict[int, dict[str, list[float]]] = {}
 
     def play(world: World, client: int) -> None:
         send(world, client, type="spawn_cube", cube_name="a", size=[1, 2, 3], color=[1, 0, 0.5, 1])
@@ -192,7 +192,7 @@ def test_viewers_get_poses_and_shapes(tmp_path: Path) -> None:
                 send(world, client, type="spawn_cube", cube_name="c")
             send(world, client, type="step")
             names, states = world.poses()
-            seen[world.frame] = {name: list(state[:3]) for name, state in zip(names, states, strict=True)}
+            positions[world.frame] = {name: list(state[:3]) for name, state in zip(names, states, strict=True)}
 
     path = record(tmp_path / "x.mcap", play, pose_rate=20)
     scenes: list[Any] = []
@@ -212,9 +212,9 @@ def test_viewers_get_poses_and_shapes(tmp_path: Path) -> None:
             assert stamp.seconds * 10**9 + stamp.nanos == pytest.approx(message.log_time, abs=1)
     assert sorted(transforms) == list(range(3, 31, 3))
     for frame, poses in transforms.items():
-        assert list(poses) == list(seen[frame])
+        assert list(poses) == list(positions[frame])
         for name, position in poses.items():
-            assert position == pytest.approx(seen[frame][name], rel=1e-6, abs=1e-6)
+            assert position == pytest.approx(positions[frame][name], rel=1e-6, abs=1e-6)
     first, second = scenes
     assert [entity.id for entity in first.entities] == ["a", "b"]
     box = first.entities[0].cubes[0]
@@ -665,11 +665,11 @@ def test_what_is_written_is_read(tmp_path_factory: pytest.TempPathFactory, progr
     writer.close()
     with path.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
-        found = [
+        contents = [
             (channel.topic, m.sequence, m.log_time, m.publish_time, m.data)
             for _, channel, m in reader.iter_messages(log_time_order=False)
         ]
-        assert found == expected
+        assert contents == expected
         assert [(item.name, item.metadata) for item in reader.iter_metadata()] == [
             ("first", {"a": "b"}),
             ("last", {"n": str(len(expected))}),

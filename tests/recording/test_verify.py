@@ -156,18 +156,18 @@ def test_checking_finds_what_reading_finds(busy_file: Path, tmp_path: Path) -> N
         paths.append(tmp_path / f"{i}.mcap")
         paths[-1].write_bytes(data[: rng.randrange(700, len(data))] if i % 3 == 0 else data)
         data[bit // 8] ^= 1 << bit % 8
-    told = []
+    damages = []
     for path in paths:
         try:
             read, checked = Recording(path), Recording(path)
         except RecordingError:
             continue
         list(read)
-        told.append(read.damage and (read.damage.message, read.damage.record, read.damage.cut))
-        assert told[-1] == (checked.damage and (checked.damage.message, checked.damage.record, checked.damage.cut))
+        damages.append(read.damage and (read.damage.message, read.damage.record, read.damage.cut))
+        assert damages[-1] == (checked.damage and (checked.damage.message, checked.damage.record, checked.damage.cut))
         assert read.end == checked.end
-    assert [what for what in told[:5] if what is None] == [None]
-    assert len({what for what in told if what is not None}) > 20
+    assert [damage for damage in damages[:5] if damage is None] == [None]
+    assert len({damage for damage in damages if damage is not None}) > 20
 
 
 def test_a_cut_recording_is_incomplete(busy_file: Path, tmp_path: Path) -> None:

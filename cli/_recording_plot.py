@@ -1,4 +1,4 @@
-"""How recordings came along, plotted: score, height, speed, work, and which cubes touched what when."""
+"""Recordings plotted over time: score, height, speed, work, and the contacts of each cube."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from nmes.playback.watch import watch
 from nmes.recording import Recording
 from nmes.view.time_series import TimeSeries
 
-__all__ = ["plot_courses"]
+__all__ = ["plot_recordings"]
 
 STEP = 3  # ticks between two points of a curve, which a plot of this size cannot show
 
 
-def plot_courses(recordings: Sequence[Recording], path: Path) -> None:
+def plot_recordings(recordings: Sequence[Recording], path: Path) -> None:
     """Runs recordings again and writes their curves, and the gait diagram of the first, to an SVG.
 
     Raises:
@@ -32,9 +32,9 @@ def plot_courses(recordings: Sequence[Recording], path: Path) -> None:
     with progress_bars() as progress:
         for recording in recordings:
             name = recording.path.stem
-            course = TimeSeries()
+            series = TimeSeries()
             total = recording.summary().ticks
-            for tick, _ in enumerate(watch(recording, course.note), start=1):
+            for tick, _ in enumerate(watch(recording, series.note), start=1):
                 progress(f"running {recording.path.name}", tick, total)
             try:
                 scores = scores_so_far(recording)
@@ -42,10 +42,10 @@ def plot_courses(recordings: Sequence[Recording], path: Path) -> None:
             except ProofError as error:
                 if error.code != "not_an_evaluation":
                     raise
-            for title, values in course.curves().items():
-                points = np.stack([course.times, values], axis=1)[::STEP]
+            for title, values in series.curves().items():
+                points = np.stack([series.times, values], axis=1)[::STEP]
                 curves.setdefault(title, {})[name] = list(map(tuple, points.tolist()))
-            gait = gait or Bars(f"contacts of each cube in {name}", course.gait())
+            gait = gait or Bars(f"contacts of each cube in {name}", series.gait())
     assert gait is not None
     title = recordings[0].path.stem if len(recordings) == 1 else f"{len(recordings)} recordings"
     write_plot(path, title, [*(Curves(title, lines) for title, lines in curves.items()), gait])

@@ -1,0 +1,85 @@
+"""The channels of a recording: their topics, schemas and numbers, registered when they are first needed."""
+
+from __future__ import annotations
+
+from functools import cache
+
+from nmes import protocol
+from nmes.recording import viewer_messages as scene
+from nmes.recording.mcap_writer import Writer
+from nmes.recording.records import BOXES, KEYFRAMES
+from nmes.schemas import load
+
+__all__ = [
+    "CHAIN",
+    "CHECKSUMS",
+    "CLIENTS",
+    "COMMAND",
+    "FAULTS",
+    "KEYFRAME",
+    "POSES",
+    "REFUSED",
+    "REPLY",
+    "SCENE",
+    "TICKS",
+    "Channels",
+]
+
+# The keys of channels: 4 * client + one of these for a client's, a negative number for the recorder's own, and the name
+# of a cube for that of its box.
+COMMAND, REPLY, REFUSED = 0, 1, 2
+TICKS, CLIENTS, FAULTS, POSES, SCENE, CHAIN, CHECKSUMS, KEYFRAME = -1, -2, -3, -4, -5, -6, -7, -8
+_VIEWS = {POSES: scene.POSES_SCHEMA, SCENE: scene.SCENE_SCHEMA}
+_TOPICS = {TICKS: "ticks", CLIENTS: "clients", FAULTS: "faults", POSES: "/tf", SCENE: "/scene", CHAIN: "chain"}
+_OCTETS = {CHECKSUMS: "checksums", KEYFRAME: KEYFRAMES}
+_CLIENT_TOPICS = {COMMAND: "commands", REPLY: "replies", REFUSED: "refused"}
+
+
+class Channels(dict[int | str, int]):
+    """The numbers of a file's channels by key; one is registered when it is first asked for."""
+
+    def __init__(self, writer: Writer) -> None:
+        """Begins without channels; they are registered with the writer."""
+        self._writer = writer
+        self._schemas: dict[str, int] = {}
+
+    def __missing__(self, key: int | str) -> int:
+        if isinstance(key, str):
+            channel = self._view(BOXES + key, scene.BOX_SCHEMA)
+        elif key >= 0:
+            client, kind = divmod(key, 4)
+            topic = f"client/{client}/{_CLIENT_TOPICS[kind]}"
+            channel = (
+                self._writer.channel(topic, "application/octet-stream")
+                if kind == REFUSED
+                else self._writer.channel(topic, "json", self._schema("command" if kind == COMMAND else "reply"))
+            )
+        elif key in _OCTETS:
+            channel = self._writer.channel(_OCTETS[key], "application/octet-stream")
+        elif key in _VIEWS:
+            channel = self._view(_TOPICS[key], _VIEWS[key])
+        else:
+            channel = self._writer.channel(_TOPICS[key], "json", self._schema(_TOPICS[key]))
+        self[key] = channel
+        return channel
+
+    def _view(self, topic: str, name: str) -> int:
+        """Registers a channel for viewers."""
+        if name not in self._schemas:
+            self._schemas[name] = self._writer.schema(name, "protobuf", scene.descriptors(name))
+        return self._writer.channel(topic, "protobuf", self._schemas[name])
+
+    def _schema(self, name: str) -> int:
+        if name not in self._schemas:
+            self._schemas[name] = self._writer.schema(f"nmes.{name}", "jsonschema", _schema(name))
+        return self._schemas[name]
+
+
+@cache  # a short episode takes no longer than making these
+def _schema(name: str) -> bytes:
+    match name:
+        case "command" | "reply":
+            schema = protocol.bundled_schema(name)
+        case _:
+            schema = load(f"recording/{name}.json")
+    return protocol.encode(schema)
