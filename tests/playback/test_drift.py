@@ -20,6 +20,8 @@ from nmes.recording import Recorder
 G = 9.81
 STEP = 1 / 240
 
+HEAD = {"verdict", "commands", "ticks", "wall_seconds", "differences", "damage"}  # keys of all reports of a replay
+
 
 class Session:
     """A recorded world with one client."""
@@ -54,6 +56,7 @@ def falling(tmp_path: Path) -> Path:
 def test_on_the_same_engine_nothing_drifts(falling: Path) -> None:
     report = measure_drift(falling, "ballistic")
     assert (report.ticks, report.commands, report.ended, report.refused) == (180, 3, None, {})
+    assert (report.verdict, report.differences, report.damage) == ("ran", {}, None)
     (drifts,) = report.cubes.values()
     assert len(drifts) > 25
     assert all(drift.distance < 1e-5 and drift.angle < 1e-6 for drift in drifts)
@@ -62,6 +65,7 @@ def test_on_the_same_engine_nothing_drifts(falling: Path) -> None:
 def test_the_drift_is_what_the_engines_integrate_differently(falling: Path) -> None:
     report = measure_drift(falling, "pymunk")
     assert (report.recorded, report.backend) == ("ballistic", "pymunk")
+    assert report.differences["backend"] == ("ballistic", "pymunk")
     assert list(report.cubes) == ["stone"]
     times = [drift.time for drift in report.cubes["stone"]]
     assert times == sorted(times) and times[-1] == 3.0
@@ -101,6 +105,7 @@ def test_it_ends_where_the_other_engine_stops(tmp_path: Path) -> None:
     session("step", ticks=30)
     report = measure_drift(session.close(), "pymunk")
     assert report.ended is not None and "pymunk stopped at frame 30" in report.ended
+    assert report.verdict == "incomplete"
     assert report.ticks == 30
 
 
@@ -148,6 +153,11 @@ def test_json(falling: Path) -> None:
     document = json.loads(run(falling, "--backend", "pymunk", "--json").output)
     assert document["cubes"]["stone"][-1]["time"] == 3.0
     assert math.isfinite(document["wall_seconds"])
+    assert HEAD <= set(document)
+    path = falling.with_suffix(".jsonl")
+    path.write_text('{"type":"ping"}\n')
+    for options in ([falling], [path]):
+        assert HEAD <= set(json.loads(run(*options, "--json").output))
 
 
 def test_without_poses_there_is_nothing_to_compare(tmp_path: Path) -> None:

@@ -183,6 +183,13 @@ def test_what_is_no_log_is_refused(tmp_path: Path, text: str, message: str) -> N
     assert code == 2 and message in output and "Traceback" not in output
 
 
+def test_the_lines_before_a_wrong_one_are_run(tmp_path: Path) -> None:
+    path = tmp_path / "x.jsonl"
+    path.write_text('{"type":"ping"}\n{"type":"stepped","frame":1}\n{"type"\n')
+    report = replay_log(Log(path))
+    assert report.divergence is not None and report.divergence.record == 2
+
+
 # -- the command -----------------------------------------------------------------------------------------------------
 
 

@@ -270,6 +270,7 @@ def test_nmes_replay_against_a_server(busy_file: Path) -> None:
         code, output = run("replay", busy_file, "--against", address, "--json", password=password)
         report = json.loads(output)
         assert (code, report["verdict"], report["kept_back"]) == (0, "equal", {"a frame that is no valid command": 9})
+        assert {"commands", "ticks", "wall_seconds", "differences", "damage"} <= set(report)
         code, output = run("replay", busy_file, "--against", address, "--backend", "x", password=password)
         assert code == 2 and "goes with none of" in output
         code, output = run("replay", busy_file, "--against", address, password="wrong")
