@@ -125,7 +125,7 @@ def test_every_option_is_documented(name: str) -> None:
     part = DOCUMENT.split(f"\n## nmes {name}\n")[1].split("\n## ")[0]
     said = set(re.findall(r"--[a-z-]+", part))
     parts = [command, *commands(command)] if isinstance(command, click.Group) else [command]
-    parameters = [parameter for part in parts for parameter in part.params]
+    parameters = [parameter for part in parts for parameter in part.params if not getattr(parameter, "hidden", False)]
     options = {option for parameter in parameters for option in parameter.opts if option.startswith("--")}
     assert options <= said
     assert {option for option in said if f"`{option}" in part} <= options
