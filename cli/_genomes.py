@@ -1,4 +1,4 @@
-"""Which genomes the arguments of a command mean."""
+"""The genomes that the arguments of a command mean."""
 
 from __future__ import annotations
 
@@ -13,24 +13,24 @@ from nmes.genome import Genome
 __all__ = ["find_genomes"]
 
 
-def find_genomes(named: Iterable[str]) -> list[str]:
+def find_genomes(arguments: Iterable[str]) -> list[str]:
     """Returns the files and shipped names that arguments mean, each once, in order.
 
     An argument is a file, a directory (its `*.json`), a pattern, or the name of a genome that ships with the package.
     One that means nothing is wrong usage.
     """
-    found: list[str] = []
-    for name in named:
+    names: list[str] = []
+    for name in arguments:
         if Path(name).is_dir():
             inside = sorted(str(path) for path in Path(name).glob("*.json"))
             if not inside:
                 raise click.UsageError(f"there is no .json file in {name}")
-            found += inside
+            names += inside
         elif Path(name).exists() or name in Genome.names():
-            found.append(name)
+            names.append(name)
         elif matching := sorted(glob(name, recursive=True)):
-            found += matching
+            names += matching
         else:
             shipped = ", ".join(Genome.names())
             raise click.UsageError(f"there is no file {name}, and no genome of that name ships (there are {shipped})")
-    return list(dict.fromkeys(found))
+    return list(dict.fromkeys(names))

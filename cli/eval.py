@@ -1,4 +1,4 @@
-"""`nmes eval`: what creatures score on a task."""
+"""`nmes eval`: the scores of creatures on a task."""
 
 from __future__ import annotations
 

@@ -201,11 +201,11 @@ def _joints(body: Body) -> Table:
         unit = "m" if joint.kind == "slide" else "rad"
         limits = "" if joint.limits is None else f"{joint.limits[0]:.3g} to {joint.limits[1]:.3g} {unit}"
         motor = joint.motor
-        said = ""
+        words = ""
         if motor is not None:
             speed, effort = ("/s" if motor.mode == "velocity" else ""), ("N" if joint.kind == "slide" else "N m")
-            said = f"{motor.mode}, {motor.low:.3g} to {motor.high:.3g} {unit}{speed}, {motor.max_effort:.3g} {effort}"
-        table.add_row(joint.id, joint.kind, f"{joint.cube1} - {joint.cube2}", limits, said)
+            words = f"{motor.mode}, {motor.low:.3g} to {motor.high:.3g} {unit}{speed}, {motor.max_effort:.3g} {effort}"
+        table.add_row(joint.id, joint.kind, f"{joint.cube1} - {joint.cube2}", limits, words)
     return table
 
 

@@ -1,4 +1,4 @@
-"""`nmes leaderboard`: who scored what, each entry standing on a recording that was run again here."""
+"""`nmes leaderboard`: scores, each proved by a recording that was run again here."""
 
 from __future__ import annotations
 
@@ -117,13 +117,13 @@ def _lines(entries: list[Entry]) -> list[str]:
     rank, of = 0, ""
     for entry in entries:
         rank, of = (rank + 1 if entry.task_hash == of else 1), entry.task_hash
-        told = entry.name if entry.refused is None else f"{entry.name} (refused: {entry.refused})"
+        name = entry.name if entry.refused is None else f"{entry.name} (refused: {entry.refused})"
         rows.append(
             (
                 f"{entry.task} {of[:6]}",
                 str(rank),
                 f"{entry.score:.6g}",
-                told,
+                name,
                 entry.genome_hash[:12],
                 entry.author,
                 entry.recording_hash[:12],
@@ -160,19 +160,19 @@ def verify(file: Path, jobs: int | None, as_json: bool) -> None:
     """
     board = _open(file)
     total = len(board.entries(refused=True))
-    found: list[tuple[Entry, str | None]] = []
+    verdicts: list[tuple[Entry, str | None]] = []
     with progress_bars(total > 1) as progress:
         progress("verifying", 0, total)
         for each in board.verify(jobs=jobs or os.cpu_count() or 1):
-            found.append(each)
-            progress("verifying", len(found), total)
-    found.sort(key=lambda each: each[0].id)
-    bad = [(entry, refused) for entry, refused in found if refused is not None]
+            verdicts.append(each)
+            progress("verifying", len(verdicts), total)
+    verdicts.sort(key=lambda each: each[0].id)
+    bad = [(entry, refused) for entry, refused in verdicts if refused is not None]
     if as_json:
-        told = [
-            {"id": entry.id, "name": entry.name, "task": entry.task, "refused": refused} for entry, refused in found
+        rows = [
+            {"id": entry.id, "name": entry.name, "task": entry.task, "refused": refused} for entry, refused in verdicts
         ]
-        click.echo(orjson.dumps(told, option=orjson.OPT_INDENT_2))
+        click.echo(orjson.dumps(rows, option=orjson.OPT_INDENT_2))
     else:
         for entry, refused in bad:
             click.echo(f"refused: {entry.name} ({entry.genome_hash[:12]}), task {entry.task}: {refused}")

@@ -75,16 +75,16 @@ def lines(*shape: int) -> Array:
 
 
 class Findings:
-    """Collects all that is wrong with a document, and matches its names and wildcards."""
+    """Collects the problems of a document, and matches its names and wildcards."""
 
     def __init__(self, where: str) -> None:
-        """Begins with nothing wrong; `where` is where the document itself is found."""
+        """Begins without problems; `where` is the JSON Pointer of the document itself."""
         self._where = where
         self._found: list[tuple[str, str]] = []
 
-    def add(self, pointer: str, said: str) -> None:
-        """Notes what is wrong with the value at a pointer."""
-        self._found.append(("/".join(filter(None, (self._where, pointer))), said))
+    def add(self, pointer: str, message: str) -> None:
+        """Notes a problem with the value at a pointer."""
+        self._found.append(("/".join(filter(None, (self._where, pointer))), message))
 
     def check(self) -> None:
         """Raises DocumentError if anything was wrong."""
@@ -96,10 +96,10 @@ class Findings:
         if entry in names:
             return [names.index(entry)]
         pattern = re.compile(re.escape(entry).replace(r"\*", ".*").replace(r"\?", "."), re.DOTALL)
-        found = [i for i, name in enumerate(names) if pattern.fullmatch(name)]
-        if not found:
+        indices = [i for i, name in enumerate(names) if pattern.fullmatch(name)]
+        if not indices:
             self.unknown(entry, names, what, pointer)
-        return found
+        return indices
 
     def unknown(self, name: str, names: Sequence[str], what: str, pointer: str) -> None:
         """Notes that there is no such name."""
@@ -225,12 +225,12 @@ class OpenLoop(Kernel):
 
     def controls(self, ticks: int) -> Array:
         """Goes many steps on; returns the outputs (ticks, *lead, motors)."""
-        begun = self._block[self._next : self._next + ticks]
-        self._next += len(begun)
-        rest = ticks - len(begun)
+        head = self._block[self._next : self._next + ticks]
+        self._next += len(head)
+        rest = ticks - len(head)
         if rest == 0:
-            return begun.copy()
-        return np.concatenate([begun, self._more(rest)]) if len(begun) else self._more(rest)
+            return head.copy()
+        return np.concatenate([head, self._more(rest)]) if len(head) else self._more(rest)
 
 
 # -- brains -----------------------------------------------------------------------------------------------------------
@@ -247,8 +247,8 @@ class Brain(ABC):
     kind: ClassVar[str]
     shape: ClassVar[CompiledSchema]
 
-    def __init_subclass__(cls, **named: Any) -> None:
-        super().__init_subclass__(**named)
+    def __init_subclass__(cls, **keywords: Any) -> None:
+        super().__init_subclass__(**keywords)
         cls.shape = compile_schema(f"brain-{cls.kind}.json")
 
     def __init__(
@@ -257,40 +257,40 @@ class Brain(ABC):
         """Checks a document; see `load_brain`."""
         self.inputs = tuple(inputs)
         self.outputs = tuple(outputs)
-        found = Findings(where)
+        findings = Findings(where)
         for names, most, what in ((self.inputs, _SENSORS, "sensors"), (self.outputs, _MOTORS, "motors")):
             if len(names) > most:
-                found.add("", f"the body has {len(names):,} {what}; a brain can have {most:,}")
+                findings.add("", f"the body has {len(names):,} {what}; a brain can have {most:,}")
         try:
             self._given: JsonObject = plain(document)
         except DocumentError as error:
             raise DocumentError([(where, error.message)]) from None
         for problem in problems(self.shape, self._given):
-            found.add(problem.pointer, problem.message)
-        found.check()
-        self._check_rows(found, self.shape.schema, self._given, "")
-        found.check()
+            findings.add(problem.pointer, problem.message)
+        findings.check()
+        self._check_rows(findings, self.shape.schema, self._given, "")
+        findings.check()
         self._document = _with_arrays(self.shape.schema, complete(self.shape.schema, self._given))
-        self._resolve(self._document, found)
-        found.check()
+        self._resolve(self._document, findings)
+        findings.check()
         self._kernel: Kernel | None = None
 
-    def _check_rows(self, found: Findings, schema: Schema, value: JsonObject, path: str) -> None:
+    def _check_rows(self, findings: Findings, schema: Schema, value: JsonObject, path: str) -> None:
         """Finds rows of unequal length."""
         for name, part in schema["properties"].items():
             here = path + name
             if name in value and _is_row(part) and part["items"].get("type") == "array":
                 for number, row in enumerate(value[name]):
                     if len(row) != len(value[name][0]):
-                        found.add(f"{here}/{number}", f"has {len(row)} numbers, the first row {len(value[name][0])}")
+                        findings.add(f"{here}/{number}", f"has {len(row)} numbers, the first row {len(value[name][0])}")
             elif part.get("items", {}).get("type") == "object":
                 for number, item in enumerate(value.get(name, ())):
-                    self._check_rows(found, part["items"], item, f"{here}/{number}/")
+                    self._check_rows(findings, part["items"], item, f"{here}/{number}/")
 
     # What a kind of brain provides:
 
     @abstractmethod
-    def _resolve(self, document: JsonObject, found: Findings) -> None:
+    def _resolve(self, document: JsonObject, findings: Findings) -> None:
         """Looks names up and compares lengths; keeps what follows from them and not from the parameters."""
 
     @abstractmethod
@@ -339,7 +339,7 @@ class Brain(ABC):
         return self._kernel.step(inputs)
 
     def controls(self, ticks: int) -> Array:
-        """Returns what as many steps would give, shape (ticks, motors), bit for bit, and goes on by as many.
+        """Goes many steps on; returns their outputs, shape (ticks, motors), bit for bit as `step` would give them.
 
         Raises:
             ValueError: The brain is not `open_loop`.
@@ -366,10 +366,10 @@ class Brain(ABC):
             DocumentError: There are too few or too many numbers, or some are not finite.
         """
         vector = np.asarray(vector, np.float64)
-        twin = copy.copy(self)
-        twin._kernel = None
-        twin._document = copy.deepcopy(self._document)
-        places = list(self._parameters(twin._document))
+        other = copy.copy(self)
+        other._kernel = None
+        other._document = copy.deepcopy(self._document)
+        places = list(self._parameters(other._document))
         count = sum(np.size(where[key]) for where, key, _, _ in places)
         if vector.shape != (count,):
             raise DocumentError([("", f"this brain has {count} parameters; the vector has shape {vector.shape}")])
@@ -381,14 +381,14 @@ class Brain(ABC):
             part = np.clip(vector[at : at + size], low, high)
             where[key] = part.reshape(where[key].shape) if isinstance(where[key], np.ndarray) else float(part[0])
             at += size
-        twin._given = _plain(twin._document)
-        return twin
+        other._given = _plain(other._document)
+        return other
 
     def _parameters(self, document: JsonObject) -> Iterator[Parameter]:
         return _parameters(self.shape.schema, document)
 
     def form(self) -> str:
-        """Says all about the brain but its parameters: brains of the same form can be stacked."""
+        """Returns everything about the brain but its parameters, as text: brains of the same form can be stacked."""
         bare = copy.deepcopy(self._document)
         for where, key, _, _ in self._parameters(bare):
             where[key] = np.zeros(np.shape(where[key]))
@@ -436,7 +436,7 @@ class BrainBatch:
         return self._kernel.step(inputs)
 
     def controls(self, ticks: int) -> Array:
-        """Returns what as many steps would give, shape (ticks, brains, motors), and goes on by as many.
+        """Goes many steps on; returns their outputs, shape (ticks, brains, motors).
 
         Raises:
             ValueError: The brains are not `open_loop`.

@@ -56,7 +56,7 @@ _Field = tuple[int, int, int, int]  # number, value if it is a whole number, whe
 
 @dataclass
 class _Contents:
-    """What was found in a model."""
+    """The contents of a model that matter here."""
 
     weights: list[tuple[int, int, str]] = field(default_factory=list)  # where numbers begin and end, and their type
     random: set[str] = field(default_factory=set)
@@ -95,7 +95,7 @@ def _fields(model: bytes, start: int, end: int) -> Iterator[_Field]:
         yield number, value, begin, at
 
 
-def _look(model: bytes, kind: str, start: int, end: int, found: _Contents, weights: bool, depth: int) -> None:
+def _look(model: bytes, kind: str, start: int, end: int, contents: _Contents, weights: bool, depth: int) -> None:
     """Looks through a message; `weights` if its tensors are the main graph's, which are parameters."""
     if depth > _DEEPEST:
         raise ValueError("messages are nested too deeply")
@@ -104,18 +104,18 @@ def _look(model: bytes, kind: str, start: int, end: int, found: _Contents, weigh
         if number in _INSIDE[kind]:
             inner = _INSIDE[kind][number]
             main = (kind, inner) == ("model", "graph") or (weights and inner == "tensor" and kind == "graph")
-            _look(model, inner, begin, stop, found, main, depth + 1)
+            _look(model, inner, begin, stop, contents, main, depth + 1)
     if kind == "node":
         names = {model[begin:stop].decode(errors="replace") for number, _, begin, stop in fields if number == _OP_TYPE}
-        found.random |= names & _RANDOM
+        contents.random |= names & _RANDOM
     if kind == "tensor":
-        found.external |= any(
+        contents.external |= any(
             number == _EXTERNAL_DATA or (number == _DATA_LOCATION and value) for number, value, _, _ in fields
         )
         data_type = max((value for number, value, _, _ in fields if number == _DATA_TYPE), default=0)
         for number, _, begin, stop in fields:
             if weights and (data_type, number) in _NUMBERS:
-                found.weights.append((begin, stop, _NUMBERS[data_type, number]))
+                contents.weights.append((begin, stop, _NUMBERS[data_type, number]))
 
 
 class _Weights(dict[str, Any]):
@@ -190,7 +190,7 @@ class OnnxKernel(Kernel):
         self._seen = np.zeros((*lead, count))
         self._fed = np.zeros((len(self._sessions), *_sizes(ins[0], count)), _TYPES[ins[0].type])
         self._feeds = [{ins[0].name: fed} for fed in self._fed]
-        self._said = np.zeros((*lead, entries.counts["outputs"]))
+        self._raw = np.zeros((*lead, entries.counts["outputs"]))
         self._outputs = Outputs(entries.owners["outputs"], unbounded=True)
 
     def reset(self, seeds: Sequence[int], dt: float) -> None:
@@ -201,11 +201,11 @@ class OnnxKernel(Kernel):
         self._inputs.read(inputs)
         np.vecdot(self._sums, self._row, out=self._seen)
         self._fed[...] = self._seen.reshape(self._fed.shape)
-        said = self._said.reshape(len(self._sessions), -1)
-        for session, feed, row in zip(self._sessions, self._feeds, said, strict=True):
+        rows = self._raw.reshape(len(self._sessions), -1)
+        for session, feed, row in zip(self._sessions, self._feeds, rows, strict=True):
             row[...] = session.run(self._names, feed)[0].reshape(-1)
-        np.nan_to_num(said, copy=False, nan=0.0)
-        return self._outputs.pick(self._said)
+        np.nan_to_num(rows, copy=False, nan=0.0)
+        return self._outputs.pick(self._raw)
 
 
 class OnnxBrain(Brain):
@@ -213,49 +213,50 @@ class OnnxBrain(Brain):
 
     kind = "onnx"
 
-    def _resolve(self, document: JsonObject, found: Findings) -> None:
-        self._entries = Entries(self, document, found)
+    def _resolve(self, document: JsonObject, findings: Findings) -> None:
+        self._entries = Entries(self, document, findings)
         self._places: list[tuple[int, int, str]] = []
         try:
             model = base64.b64decode(document["model"], validate=True)
         except binascii.Error as error:
-            found.add("model", f"is not base64: {error}")
+            findings.add("model", f"is not base64: {error}")
             return
         contents = _Contents()
         try:
             _look(model, "model", 0, len(model), contents, False, 0)
         except ValueError as error:
-            found.add("model", f"is no ONNX model: {error}")
+            findings.add("model", f"is no ONNX model: {error}")
             return
         if contents.random:
-            found.add("model", f"draws random numbers ({', '.join(sorted(contents.random))})")
+            findings.add("model", f"draws random numbers ({', '.join(sorted(contents.random))})")
         if contents.external:
-            found.add("model", "keeps numbers in other files; a brain must hold all of its own")
+            findings.add("model", "keeps numbers in other files; a brain must hold all of its own")
         self._places = contents.weights
         if not (contents.random or contents.external):
-            self._try(model, found)
+            self._try(model, findings)
 
-    def _try(self, model: bytes, found: Findings) -> None:
+    def _try(self, model: bytes, findings: Findings) -> None:
         try:
             session = _session(model)
         except ValueError as error:
-            found.add("model", f"onnxruntime refuses it: {error}")
+            findings.add("model", f"onnxruntime refuses it: {error}")
             return
         sides = {"inputs": session.get_inputs(), "outputs": session.get_outputs()}
         for side, nodes in sides.items():
             if len(nodes) != 1 or nodes[0].type not in _TYPES:
-                told = ", ".join(f"{node.name}: {node.type}" for node in nodes)
-                found.add("model", f"must have one tensor of floats or doubles for its {side}, has {told or 'none'}")
+                tensors = ", ".join(f"{node.name}: {node.type}" for node in nodes)
+                message = f"must have one tensor of floats or doubles for its {side}, has {tensors or 'none'}"
+                findings.add("model", message)
                 return
-        self._entries.expect(found, "model", int(np.prod(self._shape_of(session))), "inputs", "inputs")
+        self._entries.expect(findings, "model", int(np.prod(self._shape_of(session))), "inputs", "inputs")
         (node,) = sides["inputs"]
         fed = np.zeros(self._shape_of(session), _TYPES[node.type])
         try:
-            (said,) = session.run(None, {node.name: fed})
+            (output,) = session.run(None, {node.name: fed})
         except Exception as error:  # its exceptions have no base of their own
-            found.add("model", f"fails on inputs of 0: {error}")
+            findings.add("model", f"fails on inputs of 0: {error}")
             return
-        self._entries.expect(found, "model", said.size, "outputs", "outputs")
+        self._entries.expect(findings, "model", output.size, "outputs", "outputs")
 
     def _shape_of(self, session: Any) -> list[int]:
         return _sizes(session.get_inputs()[0], self._entries.counts["inputs"])

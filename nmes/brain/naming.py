@@ -51,27 +51,27 @@ class Outputs:
 class Entries:
     """The entries of `inputs` and `outputs`, dealt out to a body's sensors and motors."""
 
-    def __init__(self, brain: Brain, document: JsonObject, found: Findings) -> None:
-        self.given = {side: side in document for side in ("inputs", "outputs")}
+    def __init__(self, brain: Brain, document: JsonObject, findings: Findings) -> None:
+        self.listed = {side: side in document for side in ("inputs", "outputs")}
         self.counts: dict[str, int] = {}
         self.owners: dict[str, list[int]] = {}
         for side, names, what in (("inputs", brain.inputs, "sensor"), ("outputs", brain.outputs, "motor")):
             entries = document.get(side, list(names))
             pointers = [f"{side}/{number}" for number in range(len(entries))]
             self.counts[side] = len(entries)
-            self.owners[side] = found.owners(entries, names, what, pointers)
+            self.owners[side] = findings.owners(entries, names, what, pointers)
 
-    def expect(self, found: Findings, pointer: str, got: int, side: str, each: str) -> None:
+    def expect(self, findings: Findings, pointer: str, got: int, side: str, each: str) -> None:
         """Compares a length with the number of entries of one side."""
         wanted = self.counts[side]
         if got == wanted:
             return
         what = "sensors" if side == "inputs" else "motors"
-        if self.given[side]:
-            found.add(pointer, f"has {got} {each}, and there must be {wanted}, one for each entry of {side}")
+        if self.listed[side]:
+            findings.add(pointer, f"has {got} {each}, and there must be {wanted}, one for each entry of {side}")
         else:
-            said = f"has {got} {each}, and the body has {wanted} {what}: a list {side!r} would say which are meant"
-            found.add(pointer, said)
+            message = f"has {got} {each}, and the body has {wanted} {what}: a list {side!r} would say which are meant"
+            findings.add(pointer, message)
 
     def spread(self, matrix: Array) -> Array:
         """Returns a matrix with a column for each entry as one with a column for each sensor."""

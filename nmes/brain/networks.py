@@ -87,9 +87,9 @@ _UNBOUNDED: Final = {"relu", "abs", "identity"}
 # -- lengths ---------------------------------------------------------------------------------------------------------
 
 
-def _same_length(found: Findings, pointer: str, got: int, wanted: int, each: str, other: str) -> None:
+def _same_length(findings: Findings, pointer: str, got: int, wanted: int, each: str, other: str) -> None:
     if got != wanted:
-        found.add(pointer, f"has {got} {each}, and there must be {wanted}, one for each {other}")
+        findings.add(pointer, f"has {got} {each}, and there must be {wanted}, one for each {other}")
 
 
 # -- layers -----------------------------------------------------------------------------------------------------------
@@ -135,21 +135,21 @@ class MlpBrain(Brain):
 
     kind = "mlp"
 
-    def _resolve(self, document: JsonObject, found: Findings) -> None:
-        self._entries = Entries(self, document, found)
+    def _resolve(self, document: JsonObject, findings: Findings) -> None:
+        self._entries = Entries(self, document, findings)
         layers = document["layers"]
         for number, layer in enumerate(layers):
             here = f"layers/{number}/"
             columns = layer["weights"].shape[1]
             if number == 0:
-                self._entries.expect(found, here + "weights", columns, "inputs", "columns")
+                self._entries.expect(findings, here + "weights", columns, "inputs", "columns")
             else:
                 before = len(layers[number - 1]["weights"])
-                _same_length(found, here + "weights", columns, before, "columns", "unit of the layer before")
+                _same_length(findings, here + "weights", columns, before, "columns", "unit of the layer before")
             units = len(layer["weights"])
-            _same_length(found, here + "biases", len(layer["biases"]), units, "numbers", "row of the weights")
+            _same_length(findings, here + "biases", len(layer["biases"]), units, "numbers", "row of the weights")
         last = f"layers/{len(layers) - 1}/weights"
-        self._entries.expect(found, last, len(layers[-1]["weights"]), "outputs", "rows")
+        self._entries.expect(findings, last, len(layers[-1]["weights"]), "outputs", "rows")
 
     def _arrays(self) -> tuple[Array, ...]:
         layers = self._document["layers"]
@@ -211,19 +211,19 @@ class CtrnnBrain(Brain):
 
     kind = "ctrnn"
 
-    def _resolve(self, document: JsonObject, found: Findings) -> None:
-        self._entries = Entries(self, document, found)
+    def _resolve(self, document: JsonObject, findings: Findings) -> None:
+        self._entries = Entries(self, document, findings)
         n = len(document["time_constants"])
         other = "neuron, of which there are as many as time_constants"
-        _same_length(found, "biases", len(document["biases"]), n, "numbers", other)
-        _same_length(found, "weights", len(document["weights"]), n, "rows", other)
-        _same_length(found, "weights", document["weights"].shape[1], n, "columns", other)
-        _same_length(found, "input_weights", len(document["input_weights"]), n, "rows", other)
+        _same_length(findings, "biases", len(document["biases"]), n, "numbers", other)
+        _same_length(findings, "weights", len(document["weights"]), n, "rows", other)
+        _same_length(findings, "weights", document["weights"].shape[1], n, "columns", other)
+        _same_length(findings, "input_weights", len(document["input_weights"]), n, "rows", other)
         columns = document["input_weights"].shape[1]
-        self._entries.expect(found, "input_weights", columns, "inputs", "columns")
+        self._entries.expect(findings, "input_weights", columns, "inputs", "columns")
         motors = self._entries.counts["outputs"]
         if n < motors:
-            found.add("time_constants", f"has {n} neurons, too few for {motors} outputs")
+            findings.add("time_constants", f"has {n} neurons, too few for {motors} outputs")
 
     def _arrays(self) -> tuple[Array, ...]:
         document = self._document
@@ -280,19 +280,19 @@ class GraphBrain(Brain):
 
     kind = "graph"
 
-    def _resolve(self, document: JsonObject, found: Findings) -> None:
+    def _resolve(self, document: JsonObject, findings: Findings) -> None:
         nodes = document["nodes"]
         ids: dict[str, int] = {}
         for number, node in enumerate(nodes):
             if ids.setdefault(node["id"], number) != number:
-                found.add(f"nodes/{number}/id", f"there is another node {node['id']!r}")
+                findings.add(f"nodes/{number}/id", f"there is another node {node['id']!r}")
         motored = [number for number, node in enumerate(nodes) if "motor" in node]
         if not motored:
-            found.add("nodes", "no node drives a motor: give one a 'motor'")
+            findings.add("nodes", "no node drives a motor: give one a 'motor'")
         entries, pointers = [nodes[number]["motor"] for number in motored], [f"nodes/{n}/motor" for n in motored]
-        owners = found.owners(entries, self.outputs, "motor", pointers)
-        self._links = self._resolve_links(document, ids, found)
-        found.check()
+        owners = findings.owners(entries, self.outputs, "motor", pointers)
+        self._links = self._resolve_links(document, ids, findings)
+        findings.check()
         order, self._groups, delayed = _flow(
             [node["activation"] for node in nodes], [(source, target) for source, target, _ in self._links]
         )
@@ -303,7 +303,7 @@ class GraphBrain(Brain):
         self._delayed = delayed
 
     def _resolve_links(
-        self, document: JsonObject, ids: Mapping[str, int], found: Findings
+        self, document: JsonObject, ids: Mapping[str, int], findings: Findings
     ) -> list[tuple[int, int, list[int]]]:
         """Returns of each link the node that it comes from (or -1), the node that it leads to, and its sensors."""
         links = []
@@ -311,16 +311,18 @@ class GraphBrain(Brain):
         for number, link in enumerate(document["links"]):
             here = f"links/{number}"
             if ("from" in link) == ("sensor" in link):
-                found.add(here, "must have either 'from' or 'sensor'")
+                findings.add(here, "must have either 'from' or 'sensor'")
                 continue
             side = "from" if "from" in link else "sensor"
             first = seen.setdefault((side, link[side], link["to"]), number)
             if first != number:
-                found.add(here, f"links what link {first} does")
+                findings.add(here, f"links what link {first} does")
             for end in ("from", "to"):
                 if link.get(end, link["to"]) not in ids:
-                    found.unknown(link[end], list(ids), "node", f"{here}/{end}")
-            sensors = found.match(link["sensor"], self.inputs, "sensor", here + "/sensor") if "sensor" in link else []
+                    findings.unknown(link[end], list(ids), "node", f"{here}/{end}")
+            sensors: list[int] = []
+            if "sensor" in link:
+                sensors = findings.match(link["sensor"], self.inputs, "sensor", f"{here}/sensor")
             links.append((ids.get(link.get("from", ""), -1), ids.get(link["to"], -1), sensors))
         return links
 

@@ -28,10 +28,10 @@ _EDGES = 4096  # links between oscillators at most, once wildcards are resolved
 class _Oscillators:
     """Which oscillator drives which motor, and as which of its motors."""
 
-    def __init__(self, document: JsonObject, outputs: Sequence[str], found: Findings) -> None:
+    def __init__(self, document: JsonObject, outputs: Sequence[str], findings: Findings) -> None:
         entries = [oscillator["motor"] for oscillator in document["oscillators"]]
         pointers = [f"oscillators/{number}/motor" for number in range(len(entries))]
-        self.owner = found.owners(entries, outputs, "motor", pointers)
+        self.owner = findings.owners(entries, outputs, "motor", pointers)
         self.rank = [self.owner[:i].count(owner) for i, owner in enumerate(self.owner)]
         self.driven = [i for i, owner in enumerate(self.owner) if owner >= 0]
 
@@ -78,8 +78,8 @@ class SineBrain(Brain):
 
     kind = "sine"
 
-    def _resolve(self, document: JsonObject, found: Findings) -> None:
-        self._oscillators = _Oscillators(document, self.outputs, found)
+    def _resolve(self, document: JsonObject, findings: Findings) -> None:
+        self._oscillators = _Oscillators(document, self.outputs, findings)
 
     def _arrays(self) -> tuple[Array, ...]:
         return (self._oscillators.waves(self._document),)
@@ -243,13 +243,13 @@ class CpgBrain(Brain):
 
     kind = "cpg"
 
-    def _resolve(self, document: JsonObject, found: Findings) -> None:
-        self._oscillators = _Oscillators(document, self.outputs, found)
+    def _resolve(self, document: JsonObject, findings: Findings) -> None:
+        self._oscillators = _Oscillators(document, self.outputs, findings)
         driven = self._oscillators.driven
         names = [self.outputs[i] for i in driven]
 
         def oscillators(entry: str, pointer: str) -> list[int]:
-            return [driven[i] for i in found.match(entry, names, "motor with an oscillator", pointer)]
+            return [driven[i] for i in findings.match(entry, names, "motor with an oscillator", pointer)]
 
         edges: list[tuple[int, int, int, float]] = []  # from, to, which link or chain, sign of its lag
         for number, link in enumerate(document["links"]):
@@ -257,20 +257,20 @@ class CpgBrain(Brain):
             targets = oscillators(link["to"], f"links/{number}/to")
             pairs = [(source, target) for target in targets for source in sources if source != target]
             if sources and targets and not pairs:
-                found.add(f"links/{number}", "links an oscillator with itself")
+                findings.add(f"links/{number}", "links an oscillator with itself")
             edges += [(source, target, number, 1.0) for source, target in pairs]
         for number, chain in enumerate(document["chains"], len(document["links"])):
             row = oscillators(chain["motors"], f"chains/{number - len(document['links'])}/motors")
             for before, after in pairwise(row):
                 edges += [(before, after, number, 1.0), (after, before, number, -1.0)]
         if len(edges) > _EDGES:
-            found.add("links", f"makes {len(edges):,} links between two oscillators, at most {_EDGES:,}")
+            findings.add("links", f"makes {len(edges):,} links between two oscillators, at most {_EDGES:,}")
         self._edges = np.array([edge[:2] for edge in edges], np.intp).reshape(-1, 2).T
         self._edge_entries = np.array([edge[2] for edge in edges], np.intp)
         self._edge_signs = np.array([edge[3] for edge in edges])
         self._feedback = [
             (
-                found.match(term["sensor"], self.inputs, "sensor", f"feedback/{number}/sensor"),
+                findings.match(term["sensor"], self.inputs, "sensor", f"feedback/{number}/sensor"),
                 oscillators(term["motor"], f"feedback/{number}/motor"),
             )
             for number, term in enumerate(document["feedback"])

@@ -1,4 +1,4 @@
-"""Who scored what: a SQLite file of scores, and beside it the recordings that prove them.
+"""Leaderboards: a SQLite file of scores, and beside it the recordings that prove them.
 
 It hides the tables and where the recordings lie: `board.sqlite` has its recordings in `board.recordings`, each under
 the SHA-256 of its content.
@@ -96,7 +96,7 @@ class Entry:
         return sha256("".join(f"{each}\n" for each in self.recordings).encode()).hexdigest()
 
     def to_json(self) -> dict[str, Any]:
-        """Returns it as plain data."""
+        """Returns the entry as plain data."""
         return {**{name: getattr(self, name) for name in self.__slots__}, "recording_hash": self.recording_hash}
 
 
@@ -148,7 +148,7 @@ class Leaderboard:
         self._db.close()
 
     def add(self, proofs: Sequence[Proof], author: str | None = None) -> Entry:
-        """Lists what recordings prove, and keeps copies of them.
+        """Lists the score that recordings prove, and keeps copies of them.
 
         Args:
             proofs: Of one genome on one task: one for each of its seeds, in any order.
@@ -202,13 +202,13 @@ class Leaderboard:
         return entry
 
     def _keep(self, proof: Proof) -> None:
-        kept = self.recording(proof.recording_hash)
-        part = kept.with_suffix(".part")
+        copy = self.recording(proof.recording_hash)
+        part = copy.with_suffix(".part")
         shutil.copyfile(proof.path, part)
         with part.open("rb") as file:
             if file_digest(file, "sha256").hexdigest() != proof.recording_hash:
                 raise LeaderboardError("changed", f"{proof.path} was changed while it was looked at")
-        part.replace(kept)
+        part.replace(copy)
 
     def entries(self, *, task: str | None = None, top: int | None = None, refused: bool = False) -> list[Entry]:
         """Returns the entries task by task, the highest score first.
@@ -235,7 +235,7 @@ class Leaderboard:
         return bytes(document)
 
     def recording(self, recording_hash: str) -> Path:
-        """Returns where the recording with this hash lies."""
+        """Returns the path of the recording with this hash."""
         return self.recordings / f"{recording_hash}.mcap"
 
     def verify(self, *, jobs: int = 1) -> Iterator[tuple[Entry, str | None]]:
@@ -249,8 +249,8 @@ class Leaderboard:
         """
         entries = self.entries(refused=True)
         work = [(entry, [str(self.recording(each)) for each in entry.recordings]) for entry in entries]
-        for index, found in in_processes(_examine, work, jobs):
-            refused = found.reason if isinstance(found, Lost) else found
+        for index, verdict in in_processes(_examine, work, jobs):
+            refused = verdict.reason if isinstance(verdict, Lost) else verdict
             with self._trouble(), self._db:
                 self._db.execute("UPDATE entries SET refused = ? WHERE id = ?", (refused, entries[index].id))
             yield entries[index], refused
@@ -275,7 +275,7 @@ class Leaderboard:
 
 
 def _examine(work: tuple[Entry, list[str]]) -> str | None:
-    """Returns why recordings do not prove an entry, or None."""
+    """Returns the reason why recordings do not prove an entry, or None."""
     from nmes.evaluation.proof import prove  # here, since whoever looks at a list needs no engine: that takes seconds
 
     entry, paths = work

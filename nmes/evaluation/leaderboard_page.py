@@ -79,10 +79,10 @@ def write_page(
 
 def _item(entry: Entry, rank: int, document: bytes) -> str:
     by = f" by {escape(entry.author)}" if entry.author else ""
-    told = f"genome <code>{entry.genome_hash[:12]}</code>, recording <code>{entry.recording_hash[:12]}</code>"
+    hashes = f"genome <code>{entry.genome_hash[:12]}</code>, recording <code>{entry.recording_hash[:12]}</code>"
     return (
         f'<li>{_picture(entry, document)}<div><span class="score">{entry.score:.6g}</span>'
-        f"<b>{rank}. {escape(entry.name)}</b>{by}<br><small>{told}<br>{escape(entry.added[:10])}</small></div></li>\n"
+        f"<b>{rank}. {escape(entry.name)}</b>{by}<br><small>{hashes}<br>{escape(entry.added[:10])}</small></div></li>\n"
     )
 
 

@@ -139,23 +139,23 @@ def _work(function: Callable[[Any], Any], pipe: Connection) -> None:
         except EOFError:
             return
         try:
-            told = "", function(item)
+            answer = "", function(item)
         except Exception:
-            told = traceback.format_exc(), None
-        pipe.send(told)
+            answer = traceback.format_exc(), None
+        pipe.send(answer)
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """What is started meanwhile uses one thread, cannot draw, and does not hear of Ctrl-C."""
-    held = {name: os.environ.get(name) for name in _LEAN}
+    """Lets processes that are started meanwhile use one thread, load no renderer, and ignore Ctrl-C."""
+    before = {name: os.environ.get(name) for name in _LEAN}
     os.environ.update(_LEAN)
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        for name, value in held.items():
+        for name, value in before.items():
             if value is None:
                 del os.environ[name]
             else:

@@ -1,7 +1,7 @@
-"""Tasks: what creatures are asked to do, as documents.
+"""Tasks: worlds, objectives and limits for creatures, as documents.
 
 Hides how a document and a seed become a world, a place for a creature in it, the commands that set the scene, and the
-row at which an episode ends. A task runs nothing: `nmes.evaluation` does, by what is said here.
+row at which an episode ends. A task runs nothing: `nmes.evaluation.episode` does.
 
 Invariants: all that differs between two episodes of a task follows from their seeds, drawn by hashing and so the same
 everywhere; a task that could be loaded has only expressions that can be run.
@@ -51,7 +51,7 @@ CREATURE: Final = "creature"
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a creature may be and use; None is no limit.
+    """The limits of a creature's body and energy; None is no limit.
 
     Attributes:
         cubes: How many cubes.
@@ -140,24 +140,24 @@ class Task:
         """Ticks before the start, in which the creature comes to rest."""
         return round(float(self.document["settle"]) * self.tick_rate)
 
-    def ended(self, trace: Trajectory, begin: int, end: int) -> tuple[int, str] | None:
-        """Returns the first row at which an episode is ended early, and what has happened then.
+    def ended(self, trajectory: Trajectory, begin: int, end: int) -> tuple[int, str] | None:
+        """Returns the first row at which a condition ends the episode early, and its name; None if none does.
 
         Conditions are looked at ten times a second; those about contacts at every tick, for a touch may be short.
 
         Args:
-            trace: The episode so far.
+            trajectory: The episode so far.
             begin: The first row to look at.
             end: The row after the last.
         """
-        found = []
+        stops = []
         for name, condition in self._stops:
             touchy = any(quantity.name == "contacts" for quantity in condition.needs)
-            row = trace.first(condition, begin, end, 1 if touchy else max(1, self.tick_rate // _LOOKS))
+            row = trajectory.first(condition, begin, end, 1 if touchy else max(1, self.tick_rate // _LOOKS))
             if row is not None:
-                found.append((row, name))
+                stops.append((row, name))
         # Of two at the same row, the one that comes first in the document.
-        return min(found, key=lambda stop: stop[0], default=None)
+        return min(stops, key=lambda stop: stop[0], default=None)
 
     @cached_property
     def _stops(self) -> tuple[tuple[str, Condition], ...]:
@@ -166,7 +166,7 @@ class Task:
 
     @property
     def needs(self) -> tuple[Quantity, ...]:
-        """What its objective and its conditions need to know."""
+        """The quantities that the objective and the conditions name."""
         return tuple(
             dict.fromkeys([*self.objective.needs, *(q for _, condition in self._stops for q in condition.needs)])
         )
@@ -189,7 +189,7 @@ class Task:
         return config
 
     def target(self, seed: int) -> Vector | str | None:
-        """Returns where the target is, m, or which prop it is, if there is one."""
+        """Returns the point of the target, m, or the id of the prop that is it; None if there is no target."""
         target = self.document.get("target")
         if target is None:
             return next((prop["id"] for prop in self.document["props"] if prop["target"]), None)
@@ -259,32 +259,32 @@ class Task:
         return commands
 
     def check(self, body: Body) -> list[str]:
-        """Returns why a body may not take part, in words; nothing if it may."""
+        """Returns the reasons why a body may not take part, in words; none if it may."""
         limits, low, high = self.limits, *body.bounds()
         size = max(b - a for a, b in zip(low, high, strict=True))
-        found = []
-        for limit, value, said in (
+        reasons = []
+        for limit, value, words in (
             (limits.cubes, len(body.cubes), "{} cubes, at most {} are allowed"),
             (limits.mass, body.mass, "{:g} kg, at most {:g} are allowed"),
             (limits.size, size, "{:g} m from end to end, at most {:g} are allowed"),
         ):
             if limit is not None and value > limit * (1.0 + 1e-9):
-                found.append(f"the body has {said.format(value, limit)}")
+                reasons.append(f"the body has {words.format(value, limit)}")
         ids, props = {cube.id for cube in body.cubes}, self.prop_ids()
-        found += [
+        reasons += [
             f"the task puts a cube {name!r} there, and the body has one of that id" for name in props if name in ids
         ]
-        found += [
+        reasons += [
             f"the task puts {name!r} on the root, where the cube {part!r} is" for name, part in self._covered(body)
         ]
-        named = {quantity.cube for quantity in self.needs if quantity.cube is not None}
-        found += [
-            f"the task is about a cube {name!r}, which the body has not" for name in sorted(named - ids - {*props})
+        cubes = {quantity.cube for quantity in self.needs if quantity.cube is not None}
+        reasons += [
+            f"the task is about a cube {name!r}, which the body has not" for name in sorted(cubes - ids - {*props})
         ]
-        return found
+        return reasons
 
     def _covered(self, body: Body) -> Iterator[tuple[str, str]]:
-        """Yields props and the cubes of a body at rest that are where they are to stand."""
+        """Yields pairs of a prop and a cube of the body at rest that is in its place."""
         root = body.cubes[0]
         x, top, z = _top(np.array([*root.position, *root.quaternion]), root.size)
         for prop in self.document["props"]:

@@ -1,7 +1,7 @@
 """A creature's body at rest: its cubes, joints, motors and sensors, read from a genome's document and judged.
 
-Hides what a document may leave out, how patterns and vectors of sensors become single sensors, and the geometry by
-which cubes are found to overlap. A body is plain data; the creature that lives in a world is `nmes.creature`'s.
+Hides the defaults of a body, how patterns and vectors of sensors become single sensors, and the geometry by which
+cubes are found to overlap. A body is plain data; a creature that lives in a world is `nmes.world.creature`'s.
 
 Invariants: cubes and joints are in the document's order (a graph's in the order in which it grows), motors in that of
 their joints; every id is unique among its kind; a body is connected, stands on or above y = 0, and no two of its cubes
@@ -31,7 +31,7 @@ Indices = npt.NDArray[np.intp]
 
 _TOUCHING = 1e-4  # m that cubes may overlap, and reach into the ground, by rounding
 _SIGNS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])  # of a box's corners
-_TOLD = 20  # overlaps that are named one by one
+_LISTED = 20  # overlaps that are listed one by one
 _PARALLEL = 1e-6  # sine of the angle below which edges count as parallel
 _DRIVEN = ("hinge", "slide")
 _ROOT = ("height", "up", "velocity", "spin")  # what the root senses where a document names no sensors
@@ -88,7 +88,7 @@ class BodyJoint:
 
 @dataclass(frozen=True, slots=True)
 class Sensor:
-    """One number that a body feels.
+    """One reading of a body.
 
     Attributes:
         id: Its name, unique in the body.
@@ -107,7 +107,7 @@ class Sensor:
 
 @dataclass(frozen=True, slots=True)
 class Body:
-    """A whole body; see the module."""
+    """A whole body: cubes, joints and sensors, in the order that the module promises."""
 
     cubes: tuple[BodyCube, ...]
     joints: tuple[BodyJoint, ...]
@@ -156,33 +156,33 @@ def read_body(body: JsonObject, sensors: Sequence[JsonObject] | None, place: str
 
 
 class _Reader:
-    """Reads one body, and notes what is wrong with it."""
+    """Reads one body, and notes its problems."""
 
     def __init__(self, place: str | None) -> None:
         self.problems: list[tuple[str, str]] = []
         self.place = place
 
-    def note(self, path: str, said: str) -> None:
-        self.problems.append((self.place if self.place is not None and path.startswith("body/") else path, said))
+    def note(self, path: str, message: str) -> None:
+        self.problems.append((self.place if self.place is not None and path.startswith("body/") else path, message))
 
     def read(self, body: JsonObject, sensors: Sequence[JsonObject] | None) -> Body:
-        cubes = [_cube(given) for given in body["cubes"]]
+        cubes = [_cube(entry) for entry in body["cubes"]]
         self.unique([f"body/cubes/{i}/id" for i in range(len(cubes))], [cube.id for cube in cubes], "cube")
-        joints = [_joint(given) for given in body.get("joints", ())]
+        joints = [_joint(entry) for entry in body.get("joints", ())]
         self.unique([f"body/joints/{i}/id" for i in range(len(joints))], [joint.id for joint in joints], "joint")
         for i, joint in enumerate(joints):
             self.joint(joint, f"body/joints/{i}")
         self.structure(cubes, joints)
         self.geometry(cubes, joints)
-        paths, felt = [], []
-        for i, given in enumerate(_default_sensors(cubes, joints) if sensors is None else sensors):
-            found = self.sensor(given, f"sensors/{i}", cubes, joints)
-            paths += [f"sensors/{i}"] * len(found)
-            felt += found
-        self.unique(paths, [sensor.id for sensor in felt], "sensor")
+        paths, all_sensors = [], []
+        for i, entry in enumerate(_default_sensors(cubes, joints) if sensors is None else sensors):
+            single = self.sensor(entry, f"sensors/{i}", cubes, joints)
+            paths += [f"sensors/{i}"] * len(single)
+            all_sensors += single
+        self.unique(paths, [sensor.id for sensor in all_sensors], "sensor")
         if self.problems:
             raise DocumentError(self.problems)
-        return Body(tuple(cubes), tuple(joints), tuple(felt))
+        return Body(tuple(cubes), tuple(joints), tuple(all_sensors))
 
     def unique(self, paths: Iterable[str], ids: Iterable[str], what: str) -> None:
         seen: set[str] = set()
@@ -192,28 +192,28 @@ class _Reader:
             seen.add(name)
 
     def joint(self, joint: BodyJoint, path: str) -> None:
-        """Judges a joint by itself."""
+        """Notes problems of one joint by itself."""
         kind, limits, motor = joint.kind, joint.limits, joint.motor
-        said = f"joint {joint.id!r}"
+        who = f"joint {joint.id!r}"
         if kind not in _DRIVEN:
             if motor is not None:
-                self.note(f"{path}/motor", f"{said} is a {kind}; only a hinge or a slide can have a motor")
+                self.note(f"{path}/motor", f"{who} is a {kind}; only a hinge or a slide can have a motor")
             for name, value in (("stiffness", joint.stiffness), ("damping", joint.damping)):
                 if value:
-                    self.note(f"{path}/{name}", f"{said} is a {kind}; only a hinge or a slide can have {name}")
+                    self.note(f"{path}/{name}", f"{who} is a {kind}; only a hinge or a slide can have {name}")
         if limits is not None:
             if kind in ("fixed", "pin"):
-                self.note(f"{path}/limits", f"{said} is a {kind}, which has no limits")
+                self.note(f"{path}/limits", f"{who} is a {kind}, which has no limits")
             elif kind == "conetwist" and min(limits) < 0.0:
-                self.note(f"{path}/limits", f"the swing and twist of {said} must not be negative")
+                self.note(f"{path}/limits", f"the swing and twist of {who} must not be negative")
             elif kind != "conetwist" and limits[0] > limits[1]:
                 low, high = limits
-                self.note(f"{path}/limits", f"the lower limit of {said}, {low:g}, is above the upper, {high:g}")
+                self.note(f"{path}/limits", f"the lower limit of {who}, {low:g}, is above the upper, {high:g}")
         if motor is not None and motor.low == motor.high:
-            self.note(f"{path}/motor/range", f"both ends of the motor of {said} are {motor.low:g}: it could do nothing")
+            self.note(f"{path}/motor/range", f"both ends of the motor of {who} are {motor.low:g}: it could do nothing")
 
     def structure(self, cubes: Sequence[BodyCube], joints: Sequence[BodyJoint]) -> None:
-        """Judges who is joined to whom."""
+        """Notes joints that lead nowhere, and cubes that no joint ties to the rest."""
         names = [cube.id for cube in cubes]
         leader = {name: name for name in names}
 
@@ -245,38 +245,38 @@ class _Reader:
                 self.note(f"body/cubes/{i}", f"{name!r} is not joined to the rest of the body{with_them}")
 
     def geometry(self, cubes: Sequence[BodyCube], joints: Sequence[BodyJoint]) -> None:
-        """Judges where the cubes are."""
+        """Notes cubes that overlap, or reach into the ground."""
         pairs = {frozenset((joint.cube1, joint.cube2)) for joint in joints}
         centres = np.array([cube.position for cube in cubes])
         axes = np.array([_axes(cube) for cube in cubes])
         halves = np.array([cube.size for cube in cubes]) / 2.0
         one, other = _near_pairs(centres, halves)
         depths = _depths(centres[other] - centres[one], axes[one], axes[other], halves[one], halves[other])
-        found = 0
+        overlaps = 0
         for i, j, depth in zip(one.tolist(), other.tolist(), depths.tolist(), strict=True):
             if depth <= _TOUCHING or frozenset((cubes[i].id, cubes[j].id)) in pairs:
                 continue
-            found += 1
-            if found <= _TOLD:
-                said = f"{cubes[i].id!r} and {cubes[j].id!r} overlap by {depth:.3g} m, and no joint joins them"
-                self.note(f"body/cubes/{j}", said)
-        if found > _TOLD:
-            self.note("body/cubes", f"{found - _TOLD} more pairs of cubes overlap")
+            overlaps += 1
+            if overlaps <= _LISTED:
+                message = f"{cubes[i].id!r} and {cubes[j].id!r} overlap by {depth:.3g} m, and no joint joins them"
+                self.note(f"body/cubes/{j}", message)
+        if overlaps > _LISTED:
+            self.note("body/cubes", f"{overlaps - _LISTED} more pairs of cubes overlap")
         lowest = centres[:, 1] - (halves * abs(axes[:, :, 1])).sum(axis=1)
         for i, low in enumerate(lowest.tolist()):
             if low < -_TOUCHING:
-                said = f"{cubes[i].id!r} reaches {-low:.3g} m below the ground, y = 0"
-                self.note(f"body/cubes/{i}/position", said)
+                message = f"{cubes[i].id!r} reaches {-low:.3g} m below the ground, y = 0"
+                self.note(f"body/cubes/{i}/position", message)
 
     def sensor(
-        self, given: JsonObject, path: str, cubes: Sequence[BodyCube], joints: Sequence[BodyJoint]
+        self, entry: JsonObject, path: str, cubes: Sequence[BodyCube], joints: Sequence[BodyJoint]
     ) -> list[Sensor]:
         """Reads one sensor of the document, which may stand for many."""
-        kind, axis = given["type"], given.get("axis")
-        if ("joint" in given) == ("cube" in given):
+        kind, axis = entry["type"], entry.get("axis")
+        if ("joint" in entry) == ("cube" in entry):
             self.note(path, "must have either a joint or a cube that it is on")
             return []
-        of: Literal["joint", "cube"] = "joint" if "joint" in given else "cube"
+        of: Literal["joint", "cube"] = "joint" if "joint" in entry else "cube"
         kinds = OF_JOINT if of == "joint" else OF_CUBE
         if kind not in kinds:
             self.note(f"{path}/type", f"a {of} has no sensor {kind!r}, only {', '.join(kinds)}")
@@ -285,18 +285,18 @@ class _Reader:
         if axis is not None and not vector:
             self.note(f"{path}/axis", f"{kind} is one number and has no axis")
             return []
-        found = self.targets(given[of], of, kind, f"{path}/{of}", cubes, joints)
-        if "id" in given and len(found) > 1:
-            said = f"{given[of]!r} fits {len(found)} {of}s, so that one id is not enough: leave it out"
-            self.note(f"{path}/id", said)
+        targets = self.targets(entry[of], of, kind, f"{path}/{of}", cubes, joints)
+        if "id" in entry and len(targets) > 1:
+            message = f"{entry[of]!r} fits {len(targets)} {of}s, so that one id is not enough: leave it out"
+            self.note(f"{path}/id", message)
             return []
         result = []
-        for target in found:
-            name = given.get("id", f"{target}.{kind}")
+        for target in targets:
+            name = entry.get("id", f"{target}.{kind}")
             if not vector:
                 result.append(Sensor(name, kind, of, target, None))
             elif axis is not None:
-                result.append(Sensor(given.get("id", f"{name}.{axis}"), kind, of, target, axis))
+                result.append(Sensor(entry.get("id", f"{name}.{axis}"), kind, of, target, axis))
             else:
                 result += [Sensor(f"{name}.{each}", kind, of, target, each) for each in "xyz"]
         return result
@@ -310,59 +310,59 @@ class _Reader:
         cubes: Sequence[BodyCube],
         joints: Sequence[BodyJoint],
     ) -> list[str]:
-        """Returns the ids that a pattern fits; of joints, only those that have such a reading."""
+        """Returns the ids of the cubes or joints that fit a pattern and have such a reading."""
         names = [thing.id for thing in (joints if of == "joint" else cubes)]
-        found = [name for name in names if fnmatchcase(name, pattern)]
-        if not found:
+        fitting = [name for name in names if fnmatchcase(name, pattern)]
+        if not fitting:
             plain = not set(pattern) & set("*?")
             missing = f"there is no {of} {pattern!r}{did_you_mean(pattern, names)}"
             self.note(path, missing if plain else f"no {of} fits {pattern!r}")
         if of == "cube":
-            return found
+            return fitting
         able = {
             joint.id for joint in joints if (joint.motor is not None if kind == "effort" else joint.kind in _DRIVEN)
         }
-        read = [name for name in found if name in able]
-        if found and not read:
+        readable = [name for name in fitting if name in able]
+        if fitting and not readable:
             what = "have a motor" if kind == "effort" else "are hinges or slides"
-            self.note(path, f"{kind} is only of joints that {what}; of {', '.join(map(repr, found[:5]))} none is one")
-        return read
+            self.note(path, f"{kind} is only of joints that {what}; of {', '.join(map(repr, fitting[:5]))} none is one")
+        return readable
 
 
-def _cube(given: JsonObject) -> BodyCube:
-    size, color = given["size"], given.get("color")
+def _cube(entry: JsonObject) -> BodyCube:
+    size, color = entry["size"], entry.get("color")
     x, y, z = size if isinstance(size, Sequence) else (size, size, size)
     return BodyCube(
-        id=given["id"],
+        id=entry["id"],
         size=(float(x), float(y), float(z)),
-        mass=float(given["mass"]),
-        position=_vector(given["position"]),
-        quaternion=_quaternion(given.get("rotation", (0.0, 0.0, 0.0))),
-        friction=None if "friction" not in given else float(given["friction"]),
-        restitution=None if "restitution" not in given else float(given["restitution"]),
+        mass=float(entry["mass"]),
+        position=_vector(entry["position"]),
+        quaternion=_quaternion(entry.get("rotation", (0.0, 0.0, 0.0))),
+        friction=None if "friction" not in entry else float(entry["friction"]),
+        restitution=None if "restitution" not in entry else float(entry["restitution"]),
         color=None if color is None else tuple(map(float, color)),
     )
 
 
-def _joint(given: JsonObject) -> BodyJoint:
-    limits, motor = given.get("limits"), given.get("motor")
+def _joint(entry: JsonObject) -> BodyJoint:
+    limits, motor = entry.get("limits"), entry.get("motor")
     return BodyJoint(
-        id=given["id"],
-        cube1=given["cube1"],
-        cube2=given["cube2"],
-        kind=given["type"],
-        anchor=_vector(given["anchor"]),
-        axis=_vector(given["axis"]) if "axis" in given else None,
+        id=entry["id"],
+        cube1=entry["cube1"],
+        cube2=entry["cube2"],
+        kind=entry["type"],
+        anchor=_vector(entry["anchor"]),
+        axis=_vector(entry["axis"]) if "axis" in entry else None,
         limits=None if limits is None else (float(limits[0]), float(limits[1])),
-        stiffness=float(given.get("stiffness", 0.0)),
-        damping=float(given.get("damping", 0.0)),
-        motor=None if motor is None else _motor(given["id"], motor),
+        stiffness=float(entry.get("stiffness", 0.0)),
+        damping=float(entry.get("damping", 0.0)),
+        motor=None if motor is None else _motor(entry["id"], motor),
     )
 
 
-def _motor(name: str, given: JsonObject) -> Motor:
-    low, high = given["range"]
-    return Motor(name, given["mode"], float(low), float(high), float(given["max_effort"]))
+def _motor(name: str, entry: JsonObject) -> Motor:
+    low, high = entry["range"]
+    return Motor(name, entry["mode"], float(low), float(high), float(entry["max_effort"]))
 
 
 def _stays_in_plane(joint: BodyJoint) -> bool:

@@ -1,13 +1,13 @@
 """Generative bodies: a directed graph of parts grows into cubes and joints, in the manner of Sims.
 
 After K. Sims, "Evolving Virtual Creatures" (SIGGRAPH 1994): parts may be grown again and again along the cycles of the
-graph, up to a limit; connections say where on the parent and how turned and scaled a part grows, whether it has a
-mirrored twin, and whether it grows only at the end of a chain.
+graph, up to a limit; connections say where on the parent and how turned and scaled a part grows, whether it is
+reflected, and whether it grows only at the end of a chain.
 
-Hides frames: each part grows along its own +x, away from the face that it stands on, and a twin is the reflection of
-all that grows with the first. Invariants: growth is a function of the graph alone, in plain floats rounded to 1e-9, so
-that what is written out is what was grown; it stops, with an error, before it has more cubes than a body may have; the
-lowest corner of what has grown is at y = 0.
+Hides frames: each part grows along its own +x, away from the face that it stands on, and a reflection has all that
+grows with the first. Invariants: growth is a function of the graph alone, in plain floats rounded to 1e-9, so that the
+body written out is the body grown; it stops, with an error, before it has more cubes than a body may have; the lowest
+corner of the body is at y = 0.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ _DIGITS = 9
 
 @dataclass(frozen=True, slots=True)
 class _Name:
-    """Who a grown cube is: the `number`-th of a part, or that one's mirrored twin."""
+    """The name of a grown cube: the `number`-th of a part, or that one's reflection."""
 
     part: str
     number: int = 1
@@ -58,7 +58,7 @@ class _Name:
 
 @dataclass(frozen=True, slots=True)
 class _Grown:
-    """One cube and the joint by which it hangs on its parent, in the frame of whoever holds it."""
+    """One cube and the joint by which it hangs on its parent, in the frame of the part that grows now."""
 
     name: _Name
     part: JsonObject
@@ -70,7 +70,7 @@ class _Grown:
     parent: _Name | None = None
 
     def carried(self, shift: Vector, turn: Quaternion) -> _Grown:
-        """Returns the same seen from a frame in which this one's is shifted and turned."""
+        """Returns the same cube, seen from a frame in which this one's is shifted and turned."""
         return replace(
             self,
             position=plus(rotate(turn, self.position), shift),
@@ -80,11 +80,11 @@ class _Grown:
         )
 
     def reflected(self, axis: int) -> _Grown:
-        """Returns its mirror image across the plane through the origin that an axis is normal to."""
+        """Returns the mirror image across the plane through the origin that an axis is normal to."""
         x, y, z, w = self.quaternion
         turned = [-x, -y, -z]
         turned[axis] = -turned[axis]
-        # A hinge's axis is that of a turn, which a mirror turns round: then twins move as each other's mirror images.
+        # A hinge's axis is that of a turn, which a mirror turns round: then reflections move as mirror images.
         about = [-part for part in self.axis] if self._kind == "hinge" else list(self.axis)
         about[axis] = -about[axis]
         parent = self.parent
@@ -103,7 +103,7 @@ class _Grown:
         return str(self.part.get("joint", {"type": "fixed"})["type"])
 
     def renamed(self, shifts: Mapping[str, int]) -> _Grown:
-        """Returns the same with the numbers of some parts shifted."""
+        """Returns the same cube with the numbers of some parts shifted."""
 
         def shifted(name: _Name) -> _Name:
             return replace(name, number=name.number + shifts.get(name.part, 0))
@@ -169,9 +169,9 @@ class _Plant:
         way = {**before, name: before.get(name, 0) + 1}
         half = tuple(edge * scale / 2.0 for edge in _edges(part))
         middle = (half[0], 0.0, 0.0)
-        held = part.get("joint", {"type": "fixed"})
-        axis = tuple(map(float, held.get("axis", _DEFAULT_AXIS.get(held["type"], (1.0, 0.0, 0.0)))))
-        found = [_Grown(_Name(name), part, scale, middle, UPRIGHT, ZERO, (axis[0], axis[1], axis[2]))]
+        joint = part.get("joint", {"type": "fixed"})
+        axis = tuple(map(float, joint.get("axis", _DEFAULT_AXIS.get(joint["type"], (1.0, 0.0, 0.0)))))
+        grown = [_Grown(_Name(name), part, scale, middle, UPRIGHT, ZERO, (axis[0], axis[1], axis[2]))]
         ended = way[name] >= part.get("recursive_limit", 1)
         for connection in self.growing[name]:
             child = connection["to"]
@@ -182,30 +182,30 @@ class _Plant:
             branch = self.grow(child, scale * float(connection.get("scale", 1.0)), way)
             place, turn = _place(connection, (half[0], half[1], half[2]))
             branch = [each.carried(place, turn) for each in branch]  # now as seen from the middle of this part
-            twins = []
+            reflections = []
             if "mirror" in connection:
                 self.count += len(branch)
                 self._bound(name)
-                twins = [each.reflected("xyz".index(connection["mirror"])) for each in branch]
-            shifts = _free(found, branch)
-            for side in (branch, twins):
+                reflections = [each.reflected("xyz".index(connection["mirror"])) for each in branch]
+            shifts = _free(grown, branch)
+            for side in (branch, reflections):
                 side = [each.renamed(shifts) for each in side]
-                further = _free(found, side)
+                further = _free(grown, side)
                 side = [each.renamed(further).carried(middle, UPRIGHT) for each in side]
-                found += [replace(side[0], parent=found[0].name), *side[1:]] if side else []
-        return found
+                grown += [replace(side[0], parent=grown[0].name), *side[1:]] if side else []
+        return grown
 
     def _bound(self, name: str) -> None:
         if self.count > MOST_CUBES:
-            said = f"grows into more than {MOST_CUBES} cubes, by way of part {name!r}: lower a recursive_limit"
-            raise DocumentError([("body/graph", said)])
+            message = f"grows into more than {MOST_CUBES} cubes, by way of part {name!r}: lower a recursive_limit"
+            raise DocumentError([("body/graph", message)])
 
 
-def _free(found: Sequence[_Grown], branch: Sequence[_Grown]) -> dict[str, int]:
-    """Returns by how much to shift the numbers of a branch's parts so that each name is still free."""
-    taken = {each.name for each in found}
+def _free(grown: Sequence[_Grown], branch: Sequence[_Grown]) -> dict[str, int]:
+    """Returns the shifts of the numbers of a branch's parts that keep every name unique."""
+    taken = {each.name for each in grown}
     clashing = {each.name.part: None for each in branch if each.name in taken}
-    return {part: max(each.name.number for each in found if each.name.part == part) for part in clashing}
+    return {part: max(each.name.number for each in grown if each.name.part == part) for part in clashing}
 
 
 def _place(connection: JsonObject, half: Vector) -> tuple[Vector, Quaternion]:
@@ -234,7 +234,7 @@ def _cube(grown: _Grown) -> dict[str, Any]:
 
 
 def _joint(grown: _Grown) -> dict[str, Any]:
-    given, kind, scale = grown.part.get("joint", {"type": "fixed"}), grown._kind, grown.scale
+    document, kind, scale = grown.part.get("joint", {"type": "fixed"}), grown._kind, grown.scale
     joint: dict[str, Any] = {
         "id": str(grown.name),
         "cube1": str(grown.parent),
@@ -248,13 +248,13 @@ def _joint(grown: _Grown) -> dict[str, Any]:
     # grown at another scale can move itself as well.
     length = scale if kind == "slide" else 1.0
     effort = scale**3 if kind == "slide" else scale**4
-    if "limits" in given:
-        joint["limits"] = _rounded([length * float(limit) for limit in given["limits"]])
+    if "limits" in document:
+        joint["limits"] = _rounded([length * float(limit) for limit in document["limits"]])
     for name in ("stiffness", "damping"):
-        if name in given:
-            joint[name] = round(effort * float(given[name]), _DIGITS)
-    if "motor" in given:
-        motor = given["motor"]
+        if name in document:
+            joint[name] = round(effort * float(document[name]), _DIGITS)
+    if "motor" in document:
+        motor = document["motor"]
         joint["motor"] = {
             "mode": motor["mode"],
             "range": _rounded([length * float(end) for end in motor["range"]]),

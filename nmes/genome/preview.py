@@ -89,15 +89,15 @@ def text_portrait(body: Body, columns: int = 72, rows: int = 22) -> list[str]:
 
 
 def grid_step(body: Body) -> float:
-    """Returns how far the lines on the ground are from each other, m: 1, 2 or 5 times a power of ten."""
+    """Returns the distance between the lines on the ground, m: 1, 2 or 5 times a power of ten."""
     low, high = body.bounds()
-    wanted = max(high[0] - low[0], high[2] - low[2], high[1] - low[1]) / 4.0
-    power = 10.0 ** floor(log10(wanted))
-    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= wanted * (1.0 + 1e-9)))
+    target = max(high[0] - low[0], high[2] - low[2], high[1] - low[1]) / 4.0
+    power = 10.0 ** floor(log10(target))
+    return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= target * (1.0 + 1e-9)))
 
 
 class _Canvas:
-    """One picture in the making. `seen` says which face of which cube (6 * cube + face) is at a pixel, or -1."""
+    """One picture in the making; `seen` is the face (6 * cube + face) at each pixel, or -1."""
 
     def __init__(self, body: Body, width: int, height: int) -> None:
         self._width, self._height, self._body = width, height, body
@@ -122,7 +122,7 @@ class _Canvas:
         return image
 
     def _origins(self, area: tuple[slice, slice]) -> Array:
-        """Returns where the rays of an area begin, shape (h, w, 3)."""
+        """Returns the points where the rays of an area begin, shape (h, w, 3)."""
         rows, columns = area
         upward = self._top - (np.arange(rows.start, rows.stop) + 0.5) * self._pixel
         across = self._left + (np.arange(columns.start, columns.stop) + 0.5) * self._pixel
@@ -187,19 +187,19 @@ def _normals(cube: BodyCube) -> Array:
 
 
 def _meet(cube: BodyCube, origins: Array, direction: Array) -> tuple[Array, Array, Array]:
-    """Returns where rays enter and leave a cube (none where they enter after leaving), and by which face they enter."""
+    """Returns the distances at which rays enter and leave a cube (a miss leaves first), and the faces they enter by."""
     axes = _normals(cube)[1::2]
     start = (origins - np.array(cube.position)) @ axes.T
-    course = axes @ direction
-    course = np.where(abs(course) < 1e-9, 1e-9, course)
+    slope = axes @ direction
+    slope = np.where(abs(slope) < 1e-9, 1e-9, slope)
     half = np.array(cube.size) / 2.0
-    first, second = (-half - start) / course, (half - start) / course
+    first, second = (-half - start) / slope, (half - start) / slope
     entries = np.minimum(first, second)
     axis = entries.argmax(axis=-1)
-    face = 2 * axis + (course < 0.0)[axis]
+    face = 2 * axis + (slope < 0.0)[axis]
     return entries.max(axis=-1), np.maximum(first, second).min(axis=-1), face
 
 
 def _on_ground(points: Array) -> Array:
-    """Returns where the shadows of points fall."""
+    """Returns the shadows of points on the ground, shape (n, 3)."""
     return np.asarray(points - (points[:, 1] / _LAMP[1])[:, None] * _LAMP)
