@@ -6,7 +6,6 @@ by a name or a path. What a kind of document means beyond its schema, its own pa
 
 from __future__ import annotations
 
-import copy
 import difflib
 import hashlib
 import json
@@ -248,7 +247,9 @@ def complete(schema: Schema, value: Mapping[str, Any]) -> JsonObject:
         if name in full:
             full[name] = _completed(part, full[name])
         elif "default" in part:
-            full[name] = _completed(part, copy.deepcopy(part["default"]))
+            full[name] = _completed(
+                part, orjson.loads(orjson.dumps(part["default"]))
+            )  # several times faster than deepcopy
     return full
 
 
