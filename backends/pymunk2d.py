@@ -69,7 +69,7 @@ Point = tuple[float, float]
 
 @dataclass(slots=True, eq=False)
 class _Body:
-    """A body, and what pushes it during the next step."""
+    """A body, and the wrench that acts on it during the next step."""
 
     number: int
     spec: BodySpec
@@ -85,7 +85,7 @@ class _Body:
 
 @dataclass(slots=True, eq=False)
 class _Joint:
-    """A joint, and the constraints it is made of: those that are always there, and those that its parameters need.
+    """A joint and its constraints: those that are always there, and those that its parameters need.
 
     Position is `sign * (angle2 - angle1 - zero)` about z, or the way of `anchor2` from `anchor1` along `axis`; anchors
     and axis are in the bodies' frames (`anchor1` and `axis` in that of the first).
@@ -110,7 +110,7 @@ class _Joint:
         return [*self.structure, *(c for c in (self.spring, self.motor) if c is not None)]
 
     def needs(self) -> tuple[bool, bool, bool]:
-        """Tells which of limit, spring and motor the parameters need."""
+        """Tells whether the parameters need a limit, a spring and a motor."""
         p = self.params
         return p.limits is not None, p.stiffness != 0.0 or p.damping != 0.0, p.motor != "off"
 
@@ -175,11 +175,11 @@ class _Joint:
         return self.anchor1[0] + self.axis[0] * distance, self.anchor1[1] + self.axis[1] * distance
 
     def where(self) -> tuple[pymunk.Vec2d, pymunk.Vec2d]:
-        """Returns anchor and axis in world coordinates."""
+        """Returns the anchor and the axis in world coordinates."""
         return self.one.body.local_to_world(self.anchor1), pymunk.Vec2d(*self.axis).rotated(self.one.body.angle)
 
     def measure(self) -> tuple[float, float]:
-        """Returns position and velocity."""
+        """Returns the joint's position and velocity, rad and rad/s or m and m/s."""
         a, b = self.one.body, self.two.body
         if self.kind != "slide":
             return self.sign * (b.angle - a.angle - self.zero), self.sign * (b.angular_velocity - a.angular_velocity)
@@ -188,7 +188,7 @@ class _Joint:
         velocity = b.velocity_at_world_point(here) - a.velocity_at_world_point(here)
         return axis.dot(here - anchor), axis.dot(velocity)
 
-    def drives(self) -> bool:
+    def is_driving(self) -> bool:
         """Tells whether the motor still has something to do, so that the bodies must not fall asleep."""
         if self.params.motor == "velocity":
             return self.params.target_velocity != 0.0
@@ -214,7 +214,7 @@ class PymunkSimulation(Simulation):
         self._order: npt.NDArray[np.intp] = np.zeros(0, dtype=np.intp)  # for each body its place in the engine's order
         self._ranks: dict[int, int] | None = None  # each body's row; None: to be found
         self._rows: Array | None = None  # x, y, angle, vx, vy, w of each body; None: to be read
-        self._making: bytes | None = None  # what the digest says of specs and parameters; None: to be packed
+        self._packed_specs: bytes | None = None  # what the digest says of specs and parameters; None: to be packed
         for option, value in scene.options.items():
             if option != "iterations":
                 raise WorldError("invalid", f"pymunk has no setting {option!r}", f"engine/{option}")
@@ -244,7 +244,7 @@ class PymunkSimulation(Simulation):
         self._space.add(b, shape)
         self._bodies[body] = self._placed[body] = _Body(body, spec, b, shape, spec.frozen)
         self._numbers[shape] = body
-        self._ranks = self._rows = self._making = None
+        self._ranks = self._rows = self._packed_specs = None
 
     def remove_body(self, body: int) -> None:
         b = self._bodies.pop(body)
@@ -252,7 +252,7 @@ class PymunkSimulation(Simulation):
         self._pushed.pop(body, None)
         del self._numbers[b.shape]
         self._space.remove(b.shape, b.body)
-        self._ranks = self._rows = self._making = None
+        self._ranks = self._rows = self._packed_specs = None
 
     def add_joint(self, joint: int, spec: JointSpec) -> None:
         one, two = self._bodies[spec.body1], self._bodies[spec.body2]
@@ -277,13 +277,13 @@ class PymunkSimulation(Simulation):
             params=spec.params,
         )
         self._joints[joint] = one.joints[joint] = two.joints[joint] = j
-        self._hang(j)
+        self._attach(j)
 
     def remove_joint(self, joint: int) -> None:
         j = self._joints.pop(joint)
-        self._unhang(j)
+        self._detach(j)
         del j.one.joints[joint], j.two.joints[joint]
-        self._making = None
+        self._packed_specs = None
 
     def set_joint_params(self, joint: int, params: JointParams) -> None:
         j = self._joints[joint]
@@ -292,9 +292,9 @@ class PymunkSimulation(Simulation):
         if j.needs() == needed:
             j.adjust()  # what stays remembers the impulse that it needed last
         else:
-            self._unhang(j)
-            self._hang(j)
-        self._making = None
+            self._detach(j)
+            self._attach(j)
+        self._packed_specs = None
 
     def set_frozen(self, body: int, frozen: bool) -> None:
         b = self._bodies[body]
@@ -302,7 +302,7 @@ class PymunkSimulation(Simulation):
             return
         # Taken apart and put together again: only that wakes what sleeps on it or hangs on it, either way.
         for j in b.joints.values():
-            self._unhang(j)
+            self._detach(j)
         self._space.remove(b.shape)
         b.frozen = frozen
         b.body.body_type = pymunk.Body.STATIC if frozen else pymunk.Body.DYNAMIC
@@ -310,20 +310,20 @@ class PymunkSimulation(Simulation):
             b.body.mass, b.body.moment = b.spec.mass, _moment(b.spec)
         self._space.add(b.shape)
         for j in b.joints.values():
-            self._hang(j)
-        self._calm(b)
-        self._rows = self._making = None
+            self._attach(j)
+        self._clear_wrench(b)
+        self._rows = self._packed_specs = None
 
-    def _hang(self, j: _Joint) -> None:
+    def _attach(self, j: _Joint) -> None:
         """Makes a joint's constraints, unless both bodies are frozen, which Chipmunk cannot solve for."""
         if not (j.one.frozen and j.two.frozen):
             j.build()
             for constraint in j.structure:
                 constraint.error_bias = (1.0 - CORRECTION) ** (1.0 / self._timestep)
             self._space.add(*j.constraints())
-        self._making = None
+        self._packed_specs = None
 
-    def _unhang(self, j: _Joint) -> None:
+    def _detach(self, j: _Joint) -> None:
         self._space.remove(*j.constraints())
         j.structure, j.spring, j.motor = [], None, None
 
@@ -360,7 +360,7 @@ class PymunkSimulation(Simulation):
         return BodyState(tuple(row[:3]), tuple(row[3:7]), tuple(row[7:10]), tuple(row[10:]))
 
     def states(self, bodies: Sequence[int]) -> Array:
-        ranks = self._find_ranks()
+        ranks = self._rank_bodies()
         rows = self._read()[[ranks[body] for body in bodies]]
         states = np.zeros((len(bodies), 13))
         states[:, 0:2] = rows[:, 0:2]
@@ -381,29 +381,29 @@ class PymunkSimulation(Simulation):
         return JointState(position, velocity, effort, (anchor.x, anchor.y, 0.0), world_axis)
 
     def contacts(self, body: int) -> list[Contact]:
-        found: list[Contact] = []
+        contacts: list[Contact] = []
 
-        def note(arbiter: pymunk.Arbiter) -> None:
+        def add_contact(arbiter: pymunk.Arbiter) -> None:
             points, away = arbiter.contact_point_set.points, arbiter.normal
             if points:
                 x, y = sum((p.point_a + p.point_b for p in points), pymunk.Vec2d(0, 0)) / (2 * len(points))
                 force = max(0.0, -arbiter.total_impulse.dot(away) / self._timestep)
                 other = self._numbers.get(arbiter.shapes[1])
-                found.append(Contact(other, (x, y, 0.0), (-away.x, -away.y, 0.0), force))
+                contacts.append(Contact(other, (x, y, 0.0), (-away.x, -away.y, 0.0), force))
 
-        self._bodies[body].body.each_arbiter(note)
-        return sorted(found, key=lambda contact: (contact.other is None, contact.other or 0, contact.position))
+        self._bodies[body].body.each_arbiter(add_contact)
+        return sorted(contacts, key=lambda contact: (contact.other is None, contact.other or 0, contact.position))
 
     # -- time ---------------------------------------------------------------------------------------------------
 
     def step(self, substeps: int) -> None:
         before = self._read()
-        self._part_the_concentric()
+        self._separate_coincident()
         for b in self._pushed.values():
             b.body.velocity += pymunk.Vec2d(*b.impulse) / b.spec.mass
             b.body.angular_velocity += b.spin / b.body.moment
         for j in self._joints.values():
-            if j.motor is not None and j.drives():
+            if j.motor is not None and j.is_driving():
                 j.motor.activate_bodies()
         for _ in range(substeps):
             for b in self._pushed.values():
@@ -417,12 +417,12 @@ class PymunkSimulation(Simulation):
                 worst = list(self._bodies)[int(np.argmax(extent))]
                 raise SimulationFault("diverged", "a body moves too fast or is too far away", worst)
         for b in list(self._pushed.values()):
-            self._calm(b)
+            self._clear_wrench(b)
 
     def digest(self) -> bytes:
-        if self._making is None:
-            self._making = b"".join(self._pack_making())
-        state = blake2b(self._making, digest_size=16)
+        if self._packed_specs is None:
+            self._packed_specs = b"".join(self._pack_specs())
+        state = blake2b(self._packed_specs, digest_size=16)
         state.update(self._read().tobytes())
         # The order in which the engine solves; what falls asleep goes to its end.
         state.update(self._order.tobytes())
@@ -447,30 +447,30 @@ class PymunkSimulation(Simulation):
         self._placed.clear()
         self._pushed.clear()
 
-    def _part_the_concentric(self) -> None:
-        """Moves bodies that were put exactly onto others a little: Chipmunk knows no way out for those."""
+    def _separate_coincident(self) -> None:
+        """Moves bodies that were put exactly onto others a little, which Chipmunk cannot part."""
         if not self._placed:
             return
-        taken = {tuple(b.body.position) for number, b in self._bodies.items() if number not in self._placed}
+        occupied = {tuple(b.body.position) for number, b in self._bodies.items() if number not in self._placed}
         for b in self._placed.values():
             place = start = b.body.position
             turn = 0.0
-            while tuple(place) in taken:
+            while tuple(place) in occupied:
                 turn += 2.4  # the golden angle: no two ways out are alike
                 place = start + pymunk.Vec2d(NUDGE * turn, 0.0).rotated(turn)
             if place is not start and not b.frozen:
                 b.body.position = place
-            taken.add(tuple(place))
+            occupied.add(tuple(place))
         self._placed.clear()
         self._rows = None
 
-    def _calm(self, b: _Body) -> None:
-        """Forgets what acts on a body."""
+    def _clear_wrench(self, b: _Body) -> None:
+        """Drops the wrench that acts on a body."""
         self._pushed.pop(b.number, None)
         b.force = b.impulse = (0.0, 0.0)
         b.torque = b.spin = 0.0
 
-    def _find_ranks(self) -> dict[int, int]:
+    def _rank_bodies(self) -> dict[int, int]:
         if self._ranks is None:
             self._ranks = {number: rank for rank, number in enumerate(self._bodies)}
             self._order_key = b""
@@ -487,7 +487,7 @@ class PymunkSimulation(Simulation):
         if self._rows is None:
             rows = self._fetch()
             ids = bytes(self._buffer.int_buf())
-            self._find_ranks()
+            self._rank_bodies()
             if ids != self._order_key:
                 place = {id: i for i, id in enumerate(np.frombuffer(ids, dtype=np.uintp).tolist())}
                 self._order = np.array([place[b.body.id] for b in self._bodies.values()], dtype=np.intp)
@@ -495,16 +495,16 @@ class PymunkSimulation(Simulation):
             self._rows = rows[self._order]
         return self._rows
 
-    def _pack_making(self) -> Iterator[bytes]:
+    def _pack_specs(self) -> Iterator[bytes]:
         for b in self._bodies.values():
             spec = b.spec
             yield struct.pack("<8d", b.number, *spec.size, spec.mass, spec.friction, spec.restitution, b.frozen)
         for number, j in self._joints.items():
             p = j.params
-            made = (number, j.one.number, j.two.number, *j.anchor1, *j.anchor2, *j.axis, j.sign, j.twists, j.zero)
+            fields = (number, j.one.number, j.two.number, *j.anchor1, *j.anchor2, *j.axis, j.sign, j.twists, j.zero)
             limits = p.limits or (math.nan, math.nan)
             effort = (p.target_velocity, p.target_position, p.max_effort, p.stiffness, p.damping, *limits)
-            yield f"{j.kind} {p.motor}".encode() + struct.pack("<19d", *made, *effort)
+            yield f"{j.kind} {p.motor}".encode() + struct.pack("<19d", *fields, *effort)
 
 
 class PymunkBackend(Backend):

@@ -184,15 +184,15 @@ def _sky() -> Image:
 
 @cache
 def opengl_context() -> Any:
-    """Returns this thread's OpenGL context, or None if there is none to be had; to be asked on the drawing thread."""
+    """Returns this thread's OpenGL context, or None if the machine has none; called on the drawing thread."""
     logging.getLogger("OpenGL.acceleratesupport").setLevel(logging.WARNING)  # tells everybody what it could do without
-    wanted = os.environ.get("MUJOCO_GL", "").lower()
-    for platform in (wanted,) if wanted in _PLATFORMS else _PLATFORMS:
-        chosen = os.environ.get("PYOPENGL_PLATFORM")
+    chosen = os.environ.get("MUJOCO_GL", "").lower()
+    for platform in (chosen,) if chosen in _PLATFORMS else _PLATFORMS:
+        before = os.environ.get("PYOPENGL_PLATFORM")
         try:
             return importlib.import_module(f"mujoco.{platform}").GLContext(1, 1)
         except Exception as error:  # whatever a library that is not quite there does
             logger.debug("no OpenGL through %s: %s", platform, error)
-            if chosen is None:
+            if before is None:
                 os.environ.pop("PYOPENGL_PLATFORM", None)
     return None

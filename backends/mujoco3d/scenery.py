@@ -1,4 +1,4 @@
-"""What stands still in a MuJoCo scene, what pulls at bodies there, and how the solver is set.
+"""The static surroundings of a MuJoCo scene, the gravity of planets, and the settings of the solver.
 
 It hides MuJoCo's own way up: its planes and heightfields face z, ours face y. The model is built anew whenever its
 structure changes, so all that can be known before is computed once, in a Scenery, and adding it is cheap.
@@ -52,7 +52,7 @@ class Scenery:
     """
 
     def __init__(self, scene: SceneSpec) -> None:
-        made = [*_ground(scene), *_obstacles(scene), *(parts(scene.arena) if scene.arena is not None else ())]
+        static = [*_ground(scene), *_obstacles(scene), *(parts(scene.arena) if scene.arena is not None else ())]
         # What is converted here is not converted at every build.
         self._geoms = [
             {
@@ -62,11 +62,11 @@ class Scenery:
                 "quat": [part.quaternion[3], *part.quaternion[:3]],
                 "rgba": list(part.color),
             }
-            for part in made
+            for part in static
         ]
         self._fields = {
             i: (part.size, part.heights.shape, part.heights.astype(np.float32).ravel())
-            for i, part in enumerate(made)
+            for i, part in enumerate(static)
             if part.heights is not None
         }
         self.attracts = bool(scene.planets)
@@ -76,7 +76,7 @@ class Scenery:
         digest = hashlib.blake2b(repr((self._geoms, scene.planets)).encode(), digest_size=16)
         for _, _, heights in self._fields.values():
             digest.update(heights.tobytes())
-        plain = scene.ground and len(made) == 1
+        plain = scene.ground and len(static) == 1
         self.identity = 0 if plain else int.from_bytes(digest.digest(), "little")
 
     def __eq__(self, other: object) -> bool:
@@ -86,7 +86,7 @@ class Scenery:
         return self.identity
 
     def add(self, spec: mujoco.MjSpec) -> None:
-        """Adds all of it to the world body of a model that is being built."""
+        """Adds the scenery to the world body of a model that is being built."""
         if self._fields:
             # Nothing but landscapes is met by this algorithm, and it finds one point where a face lies on a triangle:
             # a cube smaller than the grid's cells would tumble for ever. Its predecessor finds the face's corners.
@@ -102,7 +102,7 @@ class Scenery:
             spec.worldbody.add_geom(**{**geom, "size": [0.0, 0.0, 0.0]}, hfieldname=name)
 
     def free_fall(self, position: Vector) -> Vector:
-        """Returns the acceleration with which a body falls at some place."""
+        """Returns the acceleration of free fall at a place, m/s^2."""
         if not self.attracts:
             return self._gravity
         away = np.array(position) - self._centres
@@ -128,13 +128,13 @@ class Scenery:
 
 
 def _ground(scene: SceneSpec) -> list[Part]:
-    found = []
+    ground = []
     if scene.ground:
         plane = mujoco.mjtGeom.mjGEOM_PLANE
-        found.append(Part(plane, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), _FACE_UP, _GREY))
+        ground.append(Part(plane, (0.0, 0.0, 1.0), (0.0, 0.0, 0.0), _FACE_UP, _GREY))
     if scene.heightfield is not None:
-        found.append(_landscape(scene.heightfield))
-    return found
+        ground.append(_landscape(scene.heightfield))
+    return ground
 
 
 def _landscape(field: Heightfield) -> Part:
@@ -170,7 +170,7 @@ def _obstacles(scene: SceneSpec) -> list[Part]:
 
 
 def set_options(option: Any, settings: Mapping[str, Any]) -> None:
-    """Sets a model's options as the world config's `engine` object says; docs/scenes.md lists what may be in it.
+    """Sets a model's options as the world config's `engine` object says; docs/engines.md lists what may be in it.
 
     Raises:
         WorldError: `invalid`, with the path of the value.

@@ -1,4 +1,4 @@
-"""What a running model's bodies feel: contacts, proper acceleration, distances along rays.
+"""Sensors of a running model: contacts, proper acceleration, distances along rays.
 
 It hides what MuJoCo keeps of a step and what it drops. Readings are those of the last engine step. A sleeping tree
 has none, since the engine passes over it and drops its contacts; so they are computed when somebody asks, in a second
@@ -27,7 +27,7 @@ STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
 _BODY = int(mujoco.mjtObj.mjOBJ_BODY)
 
 
-class _Touches:
+class _Contacts:
     """The contacts of one MjData at one moment, by body."""
 
     def __init__(self, owners: Sequence[int], data: mujoco.MjData, edges: int) -> None:
@@ -66,16 +66,16 @@ class Senses:
         self._asleep = self._now_asleep.copy()  # as of the last step: an edit may wake a tree before the next one
         # The normal force is the first of an elliptic cone's constraint forces, and the sum of a pyramid's four edges'.
         self._edges = 1 if compiled.model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC else 4
-        self._touches: _Touches | None = None
+        self._step_contacts: _Contacts | None = None
         self._accelerated = False
         self._scratch: mujoco.MjData | None = None
-        self._resting: dict[int, tuple[bytes, _Touches]] = {}  # by sleeping tree: the coordinates that it is for
+        self._resting: dict[int, tuple[bytes, _Contacts]] = {}  # by sleeping tree: the coordinates that it is for
         self._checked: set[int] = set()  # the trees of which that is known to be up to date
 
     def forget(self) -> None:
-        """Takes notice that the engine stepped, or that a state was installed."""
+        """Forgets the readings, since the engine stepped or a state was installed."""
         self._asleep[:] = self._now_asleep
-        self._touches = None
+        self._step_contacts = None
         self._accelerated = False
         self._checked.clear()
 
@@ -85,24 +85,24 @@ class Senses:
         """Returns the contacts of a body of the model."""
         tree = self._trees[index]
         if tree >= 0 and self._asleep[tree] >= 0:
-            self._rest([tree])
+            self._compute_missing([tree])
             return self._resting[tree][1].of(index, self._numbers)
-        if self._touches is None:
-            self._touches = _Touches(self._owners, self._data, self._edges)
+        if self._step_contacts is None:
+            self._step_contacts = _Contacts(self._owners, self._data, self._edges)
         if tree >= 0:
-            return self._touches.of(index, self._numbers)
+            return self._step_contacts.of(index, self._numbers)
         # Whatever sleeps on an immovable body touches it still.
         near = self._sleepers_near(index)
         if not near:
-            return self._touches.of(index, self._numbers)
-        self._rest(near)
+            return self._step_contacts.of(index, self._numbers)
+        self._compute_missing(near)
         awake = {i for i, tree in enumerate(self._trees) if tree < 0 or self._asleep[tree] < 0}
-        found = self._touches.of(index, self._numbers, awake)
+        contacts = self._step_contacts.of(index, self._numbers, awake)
         for tree in near:
             first = int(self._model.tree_bodyadr[tree])
             bodies = range(first, first + int(self._model.tree_bodynum[tree]))
-            found += self._resting[tree][1].of(index, self._numbers, bodies)
-        return found
+            contacts += self._resting[tree][1].of(index, self._numbers, bodies)
+        return contacts
 
     @property
     def resting(self) -> bool:
@@ -110,13 +110,13 @@ class Senses:
         return bool((self._asleep >= 0).any())
 
     def touching(self, indices: list[int]) -> Array:
-        """Returns a new array: 1 for each of these bodies that has contacts, else 0. Only where nothing sleeps."""
+        """Returns a new array (n,): 1 for each of these bodies that has contacts, else 0. Only where nothing sleeps."""
         contact, touched = self._data.contact, np.zeros(self._model.nbody)
         touched[self._model.geom_bodyid[contact.geom[contact.efc_address >= 0]]] = 1.0
         return np.asarray(touched[indices])
 
     def _sleepers_near(self, index: int) -> list[int]:
-        """Returns the sleeping trees of which a bounding sphere meets one of the body's."""
+        """Returns the sleeping trees that may touch a body: a bounding sphere of theirs meets one of the body's."""
         model, data = self._model, self._data
         if not (self._asleep >= 0).any():
             return []
@@ -129,8 +129,8 @@ class Senses:
             near.update(model.body_treeid[close].tolist())
         return sorted(tree for tree in near if tree >= 0 and self._asleep[tree] >= 0)
 
-    def _rest(self, trees: Iterable[int]) -> None:
-        """Sees to it that the contacts of sleeping trees are known."""
+    def _compute_missing(self, trees: Iterable[int]) -> None:
+        """Computes the contacts of sleeping trees where they are not known."""
         missing = [tree for tree in trees if not self._known(tree)]
         if missing:
             if self._checked:
@@ -141,11 +141,11 @@ class Senses:
     def _known(self, tree: int) -> bool:
         if tree in self._checked:
             return True
-        held = self._resting.get(tree)
-        if held is None:
+        entry = self._resting.get(tree)
+        if entry is None:
             return False
         island = self._island(tree)
-        if held[0] != self._coordinates(island):
+        if entry[0] != self._coordinates(island):
             return False
         self._checked.update(island)
         return True
@@ -188,10 +188,10 @@ class Senses:
         scratch.tree_asleep[:] = [AWAKE if tree in awake else tree for tree in range(model.ntree)]
         count_awake(model, scratch)
         mujoco.mj_forward(model, scratch)
-        touches = _Touches(self._owners, scratch, self._edges)
+        computed = _Contacts(self._owners, scratch, self._edges)
         for island in islands:
-            held = self._coordinates(island), touches
-            self._resting.update((tree, held) for tree in island)
+            entry = self._coordinates(island), computed
+            self._resting.update((tree, entry) for tree in island)
         self._checked |= awake
 
     # -- acceleration and distance ------------------------------------------------------------------------------

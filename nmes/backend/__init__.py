@@ -1,4 +1,4 @@
-"""What a physics engine must provide, how one is found, and what an engine's author needs besides.
+"""The interface of physics engines, how one is found, and what an engine's author needs besides.
 
 A Backend is an installed engine adapter: a name, a version, capabilities and a factory of Simulations. A Simulation
 is one running scene: bodies and joints known by the integers that the World chose, in SI units, Y up, quaternions

@@ -35,7 +35,7 @@ class Backend(ABC):
 
     @abstractmethod
     def fingerprint(self) -> dict[str, str]:
-        """Returns what decides whether two runs are comparable: the engine's version, the SHA-256 of its binary."""
+        """Returns the facts that make two runs comparable: the engine's version, the SHA-256 of its binary."""
 
     @abstractmethod
     def create(self, scene: SceneSpec) -> Simulation:
@@ -44,7 +44,7 @@ class Backend(ABC):
 
 def entry_points_by_name() -> dict[str, EntryPoint]:
     """Returns the installed backends' entry points, sorted by name; none of them is loaded."""
-    return {point.name: point for point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda p: p.name)}
+    return {point.name: point for point in sorted(entry_points(group=ENTRY_POINT_GROUP), key=lambda point: point.name)}
 
 
 @cache  # looking through all that is installed takes as long as compiling a model

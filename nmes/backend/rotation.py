@@ -61,27 +61,27 @@ def multiply(a: Quaternion, b: Quaternion) -> Quaternion:
 
 
 def plus(a: Vector, b: Vector) -> Vector:
-    """Returns the sum."""
+    """Returns the sum of two vectors."""
     return (a[0] + b[0], a[1] + b[1], a[2] + b[2])
 
 
 def minus(a: Vector, b: Vector) -> Vector:
-    """Returns the difference."""
+    """Returns the difference of two vectors."""
     return (a[0] - b[0], a[1] - b[1], a[2] - b[2])
 
 
 def dot(a: Vector, b: Vector) -> float:
-    """Returns the dot product."""
+    """Returns the dot product of two vectors."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
 def cross(a: Vector, b: Vector) -> Vector:
-    """Returns the cross product."""
+    """Returns the cross product of two vectors."""
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
 def angle_between(a: Sequence[float], b: Sequence[float]) -> float:
-    """Returns by what angle two rotations differ, 0 to pi."""
+    """Returns the angle between two rotations, rad, 0 to pi."""
     # By the chord, which is exact for small angles; q and -q are the same rotation.
     return 4.0 * asin(min(1.0, min(dist(a, b), dist(a, [-x for x in b])) / 2.0))
 

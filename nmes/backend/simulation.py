@@ -1,4 +1,4 @@
-"""What a running scene of a physics engine must provide.
+"""The interface of a running scene in a physics engine.
 
 Invariants that every Simulation keeps (and that the contract tests check):
 
@@ -33,15 +33,15 @@ __all__ = ["Simulation", "Track"]
 
 
 class Track(ABC):
-    """What bodies and joints did, row by row: kept at little cost while a scene runs, computed with afterwards.
+    """A record of bodies and joints, row by row: kept at little cost while a scene runs, computed with afterwards.
 
     Args:
         simulation: The scene.
-        bodies: Whose states are kept.
-        joints: Whose readings are kept: hinges and slides with motors.
+        bodies: The bodies whose states are kept.
+        joints: The joints whose readings are kept: hinges and slides with motors.
 
     Attributes:
-        rows: How many are kept.
+        rows: The number of rows that are kept.
     """
 
     def __init__(self, simulation: Simulation, bodies: Sequence[int], joints: Sequence[int]) -> None:
@@ -51,7 +51,7 @@ class Track(ABC):
 
     @abstractmethod
     def note(self) -> None:
-        """Keeps how things are now as the next row."""
+        """Keeps the present states and readings as the next row."""
 
     @abstractmethod
     def states(self, begin: int, end: int) -> Array:
@@ -63,7 +63,7 @@ class Track(ABC):
 
 
 class _PlainTrack(Track):
-    """Asks the simulation for every row; does for every engine."""
+    """A track that asks the simulation for every row, which works for every engine."""
 
     def __init__(self, simulation: Simulation, bodies: Sequence[int], joints: Sequence[int], rows: int) -> None:
         super().__init__(simulation, bodies, joints)
@@ -144,15 +144,15 @@ class Simulation(ABC):
         """Returns one joint's reading. For `fixed` and `pin` position, velocity and effort are 0."""
 
     def set_motor_targets(self, joints: Sequence[int], params: Sequence[JointParams], targets: Array) -> None:
-        """Sets what motors aim at, as `set_joint_params` of each in turn would. Engines may have a faster way.
+        """Sets the targets of motors, as `set_joint_params` of each in turn would. Engines may have a faster way.
 
         Args:
             joints: Hinges and slides.
-            params: What each of them has now, but for its target; no motor is off.
+            params: The present parameters of each, but for its target; no motor is off.
             targets: Shape (n,): a velocity (rad/s or m/s) or a position (rad or m), whichever the motor drives towards.
         """
-        for joint, held, target in zip(joints, params, targets.tolist(), strict=True):
-            self.set_joint_params(joint, held.with_target(target))
+        for joint, own, target in zip(joints, params, targets.tolist(), strict=True):
+            self.set_joint_params(joint, own.with_target(target))
 
     def joint_readings(self, joints: Sequence[int]) -> Array:
         """Returns a new array (n, 3): position, velocity and effort of hinges and slides, as `joint_state` has them."""
@@ -176,13 +176,13 @@ class Simulation(ABC):
 
     @abstractmethod
     def contacts(self, body: int) -> list[Contact]:
-        """Returns what a body touched in the last step, in a deterministic order.
+        """Returns the contacts of a body in the last step, in a deterministic order.
 
         A sleeping body touches what it rests on, and is touched by what rests on it.
         """
 
     def proper_accelerations(self, bodies: Sequence[int]) -> Array:
-        """Returns a new array (n, 3): what accelerometers at the bodies' centres felt in the last engine step.
+        """Returns a new array (n, 3): the readings of accelerometers at the bodies' centres in the last engine step.
 
         In world coordinates, m/s^2: the acceleration less that of free fall. It is zero in free fall, and gravity's
         opposite at rest, also of frozen and sleeping bodies; zero before a body's first step. Only with capability
@@ -191,7 +191,7 @@ class Simulation(ABC):
         raise NotImplementedError
 
     def ranges(self, body: int, directions: Array, limit: float) -> list[float | None]:
-        """Returns how far it is from a body's centre to the first surface in each direction, but not its own.
+        """Returns the distances from a body's centre to the first surface in each direction, but not its own.
 
         Other bodies are where they were after the last step, edits since then unseen. A surface that the ray leaves
         through counts too. Only with capability `sensors.range`.
@@ -210,7 +210,7 @@ class Simulation(ABC):
         `camera`.
 
         Args:
-            camera: From where it is drawn.
+            camera: The view.
             colors: RGBA of the bodies, each from 0 to 1.
 
         Raises:
@@ -219,7 +219,7 @@ class Simulation(ABC):
         raise NotImplementedError
 
     def track(self, bodies: Sequence[int], joints: Sequence[int], rows: int) -> Track:
-        """Returns what keeps up to so many rows of bodies' states, and of joints' with motors, as the scene runs.
+        """Returns a Track that keeps up to `rows` rows of states of bodies and readings of joints with motors.
 
         An engine overrides it where it can keep a row at less cost than by being asked for it.
         """
@@ -238,7 +238,7 @@ class Simulation(ABC):
 
     @abstractmethod
     def digest(self) -> bytes:
-        """Returns 16 bytes of BLAKE2b over everything on which the future depends, as float64 bytes."""
+        """Returns the 16 bytes of BLAKE2b over everything that decides the future, as float64 bytes."""
 
     def snapshot(self) -> bytes:
         """Returns the whole state, such that `restore` goes on bit for bit. Only with capability `snapshot`."""

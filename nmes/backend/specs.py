@@ -182,7 +182,7 @@ class JointParams:
     limits: tuple[float, float] | None = None
 
     def with_target(self, target: float) -> JointParams:
-        """Returns the same with another target of the motor, in the unit of its mode."""
+        """Returns these parameters with another target of the motor, in the unit of its mode."""
         if self.motor == "velocity":
             return replace(self, target_velocity=target)
         return replace(self, target_position=target)

@@ -15,7 +15,7 @@ import pytest
 from layout import ROOT, SUPPORT
 from nmes import World
 from nmes.backend import BodyState, Heightfield, JointParams, JointSpec, SceneSpec, StaticBox
-from nmes.backend.contract.base import TIMESTEP, UPRIGHT, ZERO, about_z, box, close, run
+from nmes.backend.contract.base import TIMESTEP, UPRIGHT, ZERO, about_z, assert_close, box, run
 from nmes.backends.pymunk2d import PymunkBackend, PymunkSimulation
 from nmes.errors import RejectedMessage, WorldError
 
@@ -40,7 +40,7 @@ def test_it_lives_in_the_plane() -> None:
     state = sim.body_state(0)
     assert state.position[2] == 0.0 and state.linear_velocity[2] == 0.0
     assert state.angular_velocity == ZERO
-    close(state.quaternion, about_z(math.pi / 2), 1e-9, "its rotation about z")
+    assert_close(state.quaternion, about_z(math.pi / 2), 1e-9, "its rotation about z")
 
 
 @pytest.mark.parametrize(("kind", "axis"), [("hinge", X), ("slide", Z)])
@@ -62,7 +62,7 @@ def test_a_conetwist_swings_or_twists_as_far_as_it_may(axis: tuple[float, float,
     sim.add_body(1, box((1.0, 5.0, 0.0)))
     sim.add_joint(0, JointSpec("conetwist", 0, 1, (0.5, 5.0, 0.0), axis, JointParams(limits=(0.3, 0.7))))
     run(sim, 3.0)
-    close(sim.body_state(1).quaternion, about_z(-stop), 0.01, "how far it hangs")
+    assert_close(sim.body_state(1).quaternion, about_z(-stop), 0.01, "how far it hangs")
 
 
 def test_a_joint_between_frozen_bodies_waits() -> None:
@@ -76,7 +76,7 @@ def test_a_joint_between_frozen_bodies_waits() -> None:
     sim.set_joint_params(0, JointParams("velocity", target_velocity=2.0, max_effort=100.0))
     sim.set_frozen(1, False)
     run(sim, 0.5)
-    close([sim.joint_state(0).velocity], [2.0], 0.01, "speed once one of them is free")
+    assert_close([sim.joint_state(0).velocity], [2.0], 0.01, "speed once one of them is free")
     sim.set_frozen(1, True)
     sim.remove_joint(0)
     sim.remove_body(0)
@@ -100,7 +100,7 @@ def test_a_structure_that_is_moved_keeps_its_turns() -> None:
         position = sim.joint_state(0).position
         sim.set_body_state(0, BodyState(ZERO, about_z(base), ZERO, ZERO))
         sim.set_body_state(1, BodyState(centre, about_z(angle), ZERO, ZERO))
-        close([sim.joint_state(0).position], [position], 1e-6, "position after the move")
+        assert_close([sim.joint_state(0).position], [position], 1e-6, "position after the move")
         run(sim, 0.1)
         assert abs(sim.joint_state(0).position - position) < 1.0
 
@@ -113,10 +113,10 @@ def test_a_motor_keeps_its_bodies_awake_until_it_is_there() -> None:
     sim.add_joint(0, JointSpec("slide", 0, 1, (0.5, 0.0, 0.0), X, slow))
     run(sim, 5.0)
     assert not sim.sleeping(1)
-    close([sim.joint_state(0).position], [0.005], 1e-4, "way at 1 mm/s")
+    assert_close([sim.joint_state(0).position], [0.005], 1e-4, "way at 1 mm/s")
     sim.set_joint_params(0, JointParams("position", target_position=0.2, max_effort=10.0))
     run(sim, 5.0)
-    close([sim.joint_state(0).position], [0.2], 1e-3, "the servo's position")
+    assert_close([sim.joint_state(0).position], [0.2], 1e-3, "the servo's position")
     assert sim.sleeping(1)
 
 
@@ -131,7 +131,7 @@ def test_obstacles_and_a_heightfield_carry_what_falls_on_them() -> None:
     for body, x in enumerate((-25.0, -15.0, -10.0, 25.0)):
         sim.add_body(body, box((x, 8.0, 0.0)))
     run(sim, 4.0)
-    close(sim.states([0, 1, 3])[:, 1], (5.0, 1.5, 3.5), 0.01, "heights at rest")
+    assert_close(sim.states([0, 1, 3])[:, 1], (5.0, 1.5, 3.5), 0.01, "heights at rest")
     for body in (0, 1, 3):
         assert [contact.other for contact in sim.contacts(body)][:1] == [None]
     assert sim.body_state(2).position[1] > 1.5, "fell through the box that stands on its edge"
@@ -143,7 +143,7 @@ def test_a_box_glides_over_the_seams_of_a_heightfield() -> None:
     sim.add_body(0, box((0.0, 1.5, 0.0), friction=0.0, linear_velocity=(4.0, 0.0, 0.0)))
     run(sim, 5.0)
     row = sim.states([0])[0]
-    close(row[[0, 1, 7]], (20.0, 1.5, 4.0), 0.01, "where it is, and how fast")
+    assert_close(row[[0, 1, 7]], (20.0, 1.5, 4.0), 0.01, "where it is, and how fast")
 
 
 @pytest.mark.parametrize("options", [{"solver": "newton"}, {"iterations": 0}, {"iterations": True}])

@@ -1,4 +1,4 @@
-"""What all checks of the contract use: tolerances, scenes, and the physics to compare with."""
+"""The common ground of all checks of the contract: tolerances, scenes, and the physics to compare with."""
 
 from __future__ import annotations
 
@@ -129,11 +129,11 @@ class Checks:
         else:
             sim.apply(1, ZERO, ZERO, (amount, 0.0, 0.0), ZERO)
 
-    def swings(self, sim: Simulation, reading: Callable[[], float], wanted: float, what: str) -> None:
+    def swings(self, sim: Simulation, reading: Callable[[], float], expected: float, what: str) -> None:
         """Compares a period, measured between upward passes through zero."""
         passes: list[float] = []
         last = reading()
-        for tick in range(1, round(6 * wanted / TICK)):
+        for tick in range(1, round(6 * expected / TICK)):
             sim.step(SUBSTEPS)
             now = reading()
             if last < 0.0 <= now:
@@ -141,13 +141,13 @@ class Checks:
             last = now
         assert len(passes) > 2, f"{what}: does not swing"
         period = (passes[-1] - passes[0]) / (len(passes) - 1)
-        close([period], [wanted], self.period_error * wanted, f"{what}: period")
+        assert_close([period], [expected], self.period_error * expected, f"{what}: period")
 
-    def expect(self, sim: Simulation, body: int, wanted: BodySpec | BodyState) -> None:
-        """Compares a body's state with what it was given."""
+    def expect(self, sim: Simulation, body: int, expected: BodySpec | BodyState) -> None:
+        """Compares a body's state with the expected one."""
         state = sim.body_state(body)
         for name in ("position", "quaternion", "linear_velocity", "angular_velocity"):
-            close(getattr(state, name), getattr(wanted, name), 1e-9, f"{name} of body {body}")
+            assert_close(getattr(state, name), getattr(expected, name), 1e-9, f"{name} of body {body}")
 
 
 def box(position: Vector, **changes: Any) -> BodySpec:
@@ -157,13 +157,13 @@ def box(position: Vector, **changes: Any) -> BodySpec:
 
 
 def joint(kind: str, height: float = 3.0, limits: tuple[float, float] | None = None) -> JointSpec:
-    """Returns a joint between the two cubes of `_pair`, or of a like pair at another height."""
+    """Returns a joint between the two cubes of `pair`, or of a like pair at another height."""
     axis = (1.0, 0.0, 0.0) if kind == "slide" else (0.0, 0.0, 1.0)
     return JointSpec(kind, 0, 1, (0.0, height, 0.0), axis, JointParams(limits=limits))
 
 
 def run(sim: Simulation, seconds: float) -> None:
-    """Ticks."""
+    """Advances a scene by a time, in ticks."""
     for _ in range(round(seconds / TICK)):
         sim.step(SUBSTEPS)
 
@@ -179,11 +179,11 @@ def vector(values: Any) -> Vector:
     return float(x), float(y), float(z)
 
 
-def close(got: Any, wanted: Any, error: float, what: str) -> None:
+def assert_close(values: Any, expected: Any, error: float, what: str) -> None:
     """Fails, with the numbers, where any differs by more than `error`."""
-    difference = float(np.abs(np.subtract(got, wanted)).max())
+    difference = float(np.abs(np.subtract(values, expected)).max())
     if not difference <= error:
-        plain = np.asarray(got).tolist(), np.asarray(wanted).tolist()
+        plain = np.asarray(values).tolist(), np.asarray(expected).tolist()
         raise AssertionError(f"{what}: {plain[0]}, not {plain[1]} (off by {difference:.3g}; {error:.3g} is allowed)")
 
 
@@ -218,17 +218,17 @@ def inertia(row: Array, spec: BodySpec) -> Array:
     return np.asarray(turn @ np.diag((y + z, x + z, x + y)) @ turn.T * spec.mass / 12)
 
 
-def carried(start: BodyState, now: BodyState, point: Vector) -> Array:
-    """Returns where a body has carried a world point that was fixed to it at the start."""
+def carried_point(start: BodyState, now: BodyState, point: Vector) -> Array:
+    """Returns the present place of a world point that was fixed to a body at the start."""
     local = rotation(start.quaternion).T @ np.subtract(point, start.position)
     return np.asarray(now.position + rotation(now.quaternion) @ local)
 
 
-def parted(sim: Simulation, kind: str) -> float:
-    """Returns how far apart the halves of the joint of two cubes at (-0.5, 0, 0) and (0.5, 0, 0) are."""
+def joint_gap(sim: Simulation, kind: str) -> float:
+    """Returns the gap, m, between the halves of the joint of two cubes that began at (-0.5, 0, 0) and (0.5, 0, 0)."""
     one, two = sim.body_state(0), sim.body_state(1)
     starts = [BodyState((x, 0.0, 0.0), UPRIGHT, ZERO, ZERO) for x in (-0.5, 0.5)]
-    between = carried(starts[1], two, ZERO) - carried(starts[0], one, ZERO)
+    between = carried_point(starts[1], two, ZERO) - carried_point(starts[0], one, ZERO)
     turned = rotation(one.quaternion).T @ rotation(two.quaternion)
     if kind == "slide":
         between = rotation(one.quaternion).T @ between * (0.0, 1.0, 1.0)

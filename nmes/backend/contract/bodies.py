@@ -18,8 +18,8 @@ from nmes.backend.contract.base import (
     Checks,
     G,
     about_z,
+    assert_close,
     box,
-    close,
     kinetic,
     momenta,
     run,
@@ -28,7 +28,7 @@ from nmes.backend.contract.base import (
 
 
 class BodyChecks(Checks):
-    """Bodies, what acts on them, the ground, and bodies among themselves."""
+    """Checks of bodies, of what acts on them, of the ground, and of bodies among themselves."""
 
     def test_shows_a_new_body_at_once(self) -> None:
         """Pose and velocity of a new body are what its spec says, before any step."""
@@ -55,32 +55,32 @@ class BodyChecks(Checks):
     def test_gives_arrays_away(self) -> None:
         """An answer is the caller's: writing to it changes nothing, and it does not change by itself."""
         sim, bodies = self.mixed(), (0, 1, 2)
-        kept = sim.states(bodies)
-        copy, digest = kept.copy(), sim.digest()
+        answer = sim.states(bodies)
+        copy, digest = answer.copy(), sim.digest()
         sim.states(bodies)[:] = 1e3
         assert np.array_equal(sim.states(bodies), copy), "writing to an answer changed the next one"
         assert sim.digest() == digest, "writing to an answer changed the world"
         sim.step(SUBSTEPS)
         assert not np.array_equal(sim.states(bodies), copy), "a step changed nothing: a stale answer?"
-        assert np.array_equal(kept, copy), "an answer that was given before has changed"
+        assert np.array_equal(answer, copy), "an answer that was given before has changed"
 
     def test_queries_change_nothing(self) -> None:
         """Of two equal worlds one is asked everything between any two ticks; they stay equal."""
-        asked, left_alone = self.mixed(), self.mixed()
+        queried, undisturbed = self.mixed(), self.mixed()
         if self.can("joint.fixed"):
-            for sim in (asked, left_alone):
+            for sim in (queried, undisturbed):
                 sim.add_joint(0, JointSpec("fixed", 0, 1, ZERO, (0.0, 0.0, 1.0)))
         for _ in range(60):
             for body in (0, 1, 2):
-                asked.body_state(body), asked.sleeping(body), asked.contacts(body)
-            asked.states([0, 1, 2]), asked.digest(), asked.digest()
+                queried.body_state(body), queried.sleeping(body), queried.contacts(body)
+            queried.states([0, 1, 2]), queried.digest(), queried.digest()
             if self.can("joint.fixed"):
-                asked.joint_state(0)
+                queried.joint_state(0)
             if self.can("snapshot"):
-                asked.snapshot()
-            asked.step(SUBSTEPS)
-            left_alone.step(SUBSTEPS)
-        assert asked.digest() == left_alone.digest()
+                queried.snapshot()
+            queried.step(SUBSTEPS)
+            undisturbed.step(SUBSTEPS)
+        assert queried.digest() == undisturbed.digest()
 
     def test_moves_a_body_where_it_is_told(self) -> None:
         """`set_body_state` shows at once, and the motion goes on from there."""
@@ -92,8 +92,8 @@ class BodyChecks(Checks):
         self.expect(sim, 0, state)
         run(sim, 0.5)
         after = sim.body_state(0)
-        close(after.position, (3.0, -1.5, 0.0), 0.01, "position")
-        close(after.quaternion, about_z(-0.5), 0.01, "quaternion")
+        assert_close(after.position, (3.0, -1.5, 0.0), 0.01, "position")
+        assert_close(after.quaternion, about_z(-0.5), 0.01, "quaternion")
 
     def test_forgets_a_removed_body(self) -> None:
         """The others stay, bit for bit, and nothing touches what is gone."""
@@ -121,7 +121,7 @@ class BodyChecks(Checks):
         assert np.array_equal(sim.states([5]), before), "an edit elsewhere changed the body"
         run(sim, 0.1)
         expected = before[0, 0] + 0.1 * before[0, 7]
-        close([sim.states([5])[0, 0]], [expected], 1e-9, "its flight after the edit")
+        assert_close([sim.states([5])[0, 0]], [expected], 1e-9, "its flight after the edit")
 
     def test_freezes(self) -> None:
         """A frozen body does not move for anything, can be put elsewhere, and starts from rest when it is released."""
@@ -137,11 +137,11 @@ class BodyChecks(Checks):
         assert np.array_equal(sim.states([0, 1]), stopped), "a frozen body moved"
         sim.set_body_state(0, BodyState((0.0, 7.0, 0.0), UPRIGHT, ZERO, ZERO))
         run(sim, 0.1)
-        close(sim.body_state(0).position, (0.0, 7.0, 0.0), 1e-9, "where the frozen body was put")
+        assert_close(sim.body_state(0).position, (0.0, 7.0, 0.0), 1e-9, "where the frozen body was put")
         sim.set_frozen(0, False)
         assert not sim.states([0])[0, 7:].any(), "a released body has a velocity before the step"
         run(sim, 1.0)
-        close(sim.body_state(0).position, (0.0, 7.0 - G / 2, 0.0), self.fall_error, "fall after release")
+        assert_close(sim.body_state(0).position, (0.0, 7.0 - G / 2, 0.0), self.fall_error, "fall after release")
 
     def test_applies_forces_and_impulses(self) -> None:
         """They change the momentum by what they should, add up, act in the next step only, and are not seen before."""
@@ -168,7 +168,7 @@ class BodyChecks(Checks):
             sim.step(SUBSTEPS)
             expected = np.zeros(6)
             expected[at - 7] = 2 * amount * time / inertia
-            close(sim.states([0])[0, 7:], expected, 1e-9, f"velocity by a {name}, {when}")
+            assert_close(sim.states([0])[0, 7:], expected, 1e-9, f"velocity by a {name}, {when}")
         assert not sim.states([1])[0, 7:].any(), f"{name}: acts on another body too"
 
     def test_turns_bodies_by_their_inertia(self) -> None:
@@ -178,10 +178,10 @@ class BodyChecks(Checks):
         sim.apply(0, ZERO, ZERO, ZERO, (0.0, 0.0, 1.0))
         sim.step(SUBSTEPS)
         inertia = 3.0 * (0.5**2 + 2.0**2) / 12
-        close([sim.states([0])[0, 12]], [1 / inertia], 1e-9, "angular velocity")
+        assert_close([sim.states([0])[0, 12]], [1 / inertia], 1e-9, "angular velocity")
         run(sim, 1.0)
         angle = sim.states([0])[0, 12] * (1.0 + TICK)
-        close(sim.body_state(0).quaternion, about_z(angle), 0.02, "rotation after 1 s")
+        assert_close(sim.body_state(0).quaternion, about_z(angle), 0.02, "rotation after 1 s")
 
     def test_keeps_momentum_in_free_flight(self) -> None:
         """A tumbling box keeps velocity and angular momentum, and gains no energy."""
@@ -193,8 +193,8 @@ class BodyChecks(Checks):
         energy = kinetic(sim, {0: spec})
         run(sim, 2.0)
         after = momenta(sim, {0: spec})
-        close(after[:3], before[:3], 1e-9, "momentum")
-        close(after[3:], before[3:], 0.02 * float(np.linalg.norm(before[3:])), "angular momentum")
+        assert_close(after[:3], before[:3], 1e-9, "momentum")
+        assert_close(after[3:], before[3:], 0.02 * float(np.linalg.norm(before[3:])), "angular momentum")
         assert kinetic(sim, {0: spec}) <= energy * (1 + self.energy_error), "gained energy in free flight"
 
     def test_falls_along_the_parabola(self) -> None:
@@ -204,14 +204,14 @@ class BodyChecks(Checks):
         sim.add_body(1, box((5.0, 20.0, 0.0), mass=50.0, linear_velocity=(3.0, 2.0, 0.0)))
         run(sim, 1.0)
         rows = sim.states([0, 1])
-        close(rows[0, :3], (0.0, 20.0 - G / 2, 0.0), self.fall_error, "free fall")
-        close(rows[1, :3], (8.0, 22.0 - G / 2, 0.0), self.fall_error, "projectile")
-        close(rows[:, 8], (-G, 2.0 - G), 1e-6, "velocity of fall")
+        assert_close(rows[0, :3], (0.0, 20.0 - G / 2, 0.0), self.fall_error, "free fall")
+        assert_close(rows[1, :3], (8.0, 22.0 - G / 2, 0.0), self.fall_error, "projectile")
+        assert_close(rows[:, 8], (-G, 2.0 - G), 1e-6, "velocity of fall")
         if self.dims == 3:
             sim = self.sim(gravity=(0.0, 0.0, -2.0), ground=False)
             sim.add_body(0, box(ZERO))
             run(sim, 1.0)
-            close(sim.body_state(0).position, (0.0, 0.0, -1.0), self.fall_error, "fall along z")
+            assert_close(sim.body_state(0).position, (0.0, 0.0, -1.0), self.fall_error, "fall along z")
 
     def test_rests_on_the_ground(self) -> None:
         """A dropped box comes to rest on its lower face; without a ground it falls on."""
@@ -221,8 +221,8 @@ class BodyChecks(Checks):
             run(sim, 4.0)
             row = sim.states([0])[0]
             if ground:
-                close(row[:3], (0.0, 0.3, 0.0), self.rest_error, "where it rests")
-                close(row[7:], np.zeros(6), 0.01, "velocity at rest")
+                assert_close(row[:3], (0.0, 0.3, 0.0), self.rest_error, "where it rests")
+                assert_close(row[7:], np.zeros(6), 0.01, "velocity at rest")
             else:
                 assert row[1] < -50.0, f"stopped at {row[1]} m without a ground"
 
@@ -239,9 +239,9 @@ class BodyChecks(Checks):
             bounce = max(heights[lowest:]) - 0.5
             assert bounce <= 1.0 + 0.05, f"bounces to {bounce} m from 1 m"
             if self.can("restitution"):
-                wanted = restitution**2
-                allowed = self.bounce_error * wanted + self.rest_error
-                close([bounce], [wanted], allowed, f"height of bounce, e = {restitution}")
+                expected = restitution**2
+                allowed = self.bounce_error * expected + self.rest_error
+                assert_close([bounce], [expected], allowed, f"height of bounce, e = {restitution}")
 
     def test_slides_only_beyond_the_critical_slope(self) -> None:
         """Friction holds below the critical slope, and above it the body slides as the formula says."""
@@ -256,11 +256,11 @@ class BodyChecks(Checks):
             run(sim, 1.0)
             way = sim.states([0])[0, 0] - start[0]
             if holds:
-                close([way], [0.0], 0.02, "way on a slope below the critical one")
+                assert_close([way], [0.0], 0.02, "way on a slope below the critical one")
             else:
                 pull = G * (math.sin(angle) - 0.5 * math.cos(angle))
-                wanted = start[7] + pull / 2
-                close([way], [wanted], self.slide_error * wanted, "way on a slope above the critical one")
+                expected = start[7] + pull / 2
+                assert_close([way], [expected], self.slide_error * expected, "way on a slope above the critical one")
 
     def test_stands_on_scenery(self) -> None:
         """What falls on an obstacle, a landscape or a planet comes to rest on it, and touches no body."""
@@ -278,15 +278,17 @@ class BodyChecks(Checks):
             sim.add_body(0, box((0.0, 4.0, 0.0)))
             run(sim, 3.0)
             state = sim.body_state(0)
-            close(state.position, (0.0, tops[name] + 0.5, 0.0), 0.02, f"where it rests on {name}")
-            close(state.linear_velocity, ZERO, 0.05, f"velocity at rest on {name}")
+            assert_close(state.position, (0.0, tops[name] + 0.5, 0.0), 0.02, f"where it rests on {name}")
+            assert_close(state.linear_velocity, ZERO, 0.05, f"velocity at rest on {name}")
             if self.can("contacts"):
                 partners = {contact.other for contact in sim.contacts(0)}
                 assert partners == {None}, f"touches {partners} on {name}"
             if name == "planets":
                 sim.add_body(1, box((13.0, -9.0, 0.0)))
                 run(sim, 0.5)
-                close(sim.body_state(1).position, (13.0 - G / 8, -9.0, 0.0), self.fall_error, "fall from the side")
+                assert_close(
+                    sim.body_state(1).position, (13.0 - G / 8, -9.0, 0.0), self.fall_error, "fall from the side"
+                )
 
     def test_feels_accelerations(self) -> None:
         """An accelerometer feels nothing in free fall, gravity's opposite at rest, and what pushes the body."""
@@ -301,10 +303,10 @@ class BodyChecks(Checks):
         sim.apply(3, (6.0, 0.0, 0.0), ZERO, ZERO, ZERO)
         sim.step(SUBSTEPS)
         felt = sim.proper_accelerations([0, 1, 2, 3])
-        close(felt[0], (0.0, G, 0.0), 0.05 * G, "at rest")
-        close(felt[1], ZERO, 1e-6, "in free fall")
-        close(felt[2], (0.0, G, 0.0), 1e-6, "frozen")
-        close(felt[3], (3.0, 0.0, 0.0), 1e-6, "pushed in free fall")
+        assert_close(felt[0], (0.0, G, 0.0), 0.05 * G, "at rest")
+        assert_close(felt[1], ZERO, 1e-6, "in free fall")
+        assert_close(felt[2], (0.0, G, 0.0), 1e-6, "frozen")
+        assert_close(felt[3], (3.0, 0.0, 0.0), 1e-6, "pushed in free fall")
         felt[:] = 7.0
         assert sim.proper_accelerations([1])[0, 0] != 7.0, "writing to an answer changed the next one"
 
@@ -319,7 +321,7 @@ class BodyChecks(Checks):
         before = sim.digest()
         ahead, below, above, behind = sim.ranges(0, directions, 20.0)
         assert ahead is not None and below is not None
-        close([ahead, below], [3.0, 5.0], 1e-6, "distances to a body and to the ground")
+        assert_close([ahead, below], [3.0, 5.0], 1e-6, "distances to a body and to the ground")
         assert above is None and behind is None
         assert sim.ranges(0, directions[:1], 2.5) == [None], "sees beyond its limit"
         assert sim.digest() == before, "looking changed the world"
@@ -338,17 +340,17 @@ class BodyChecks(Checks):
         weight = G * (5.0 if self.can("collisions") else 2.0)
         below = [contact for contact in sim.contacts(0) if contact.other is None]
         assert below, "a body at rest touches nothing"
-        close([sum(c.force for c in below)], [weight], 0.05 * weight, "force on the ground")
+        assert_close([sum(c.force for c in below)], [weight], 0.05 * weight, "force on the ground")
         for contact in below:
-            close(contact.normal, (0.0, 1.0, 0.0), 1e-3, "normal")
-            close([contact.position[1]], [0.0], 2 * self.rest_error, "height of the contact")
+            assert_close(contact.normal, (0.0, 1.0, 0.0), 1e-3, "normal")
+            assert_close([contact.position[1]], [0.0], 2 * self.rest_error, "height of the contact")
         if self.can("collisions"):
             lower = [contact for contact in sim.contacts(2) if contact.other == 0]
             upper = [contact for contact in sim.contacts(0) if contact.other == 2]
             assert lower and upper, "stacked bodies do not touch"
-            close([sum(c.force for c in lower)], [3.0 * G], 0.05 * 3.0 * G, "force between bodies")
-            close(lower[0].normal, (0.0, 1.0, 0.0), 1e-3, "normal at the upper body")
-            close(upper[0].normal, (0.0, -1.0, 0.0), 1e-3, "normal at the lower body")
+            assert_close([sum(c.force for c in lower)], [3.0 * G], 0.05 * 3.0 * G, "force between bodies")
+            assert_close(lower[0].normal, (0.0, 1.0, 0.0), 1e-3, "normal at the upper body")
+            assert_close(upper[0].normal, (0.0, -1.0, 0.0), 1e-3, "normal at the lower body")
 
     def test_keeps_momentum_in_collisions(self) -> None:
         """Two bodies meet off centre: momenta stay, energy does not grow, and neither passes through."""
@@ -364,8 +366,8 @@ class BodyChecks(Checks):
         run(sim, 3.0)
         after = momenta(sim, specs)
         scale = float(np.linalg.norm(before))
-        close(after[:3], before[:3], self.momentum_error * scale, "momentum")
-        close(after[3:], before[3:], max(self.momentum_error, 0.02) * scale, "angular momentum")
+        assert_close(after[:3], before[:3], self.momentum_error * scale, "momentum")
+        assert_close(after[3:], before[3:], max(self.momentum_error, 0.02) * scale, "angular momentum")
         assert kinetic(sim, specs) <= energy * (1 + self.energy_error), "gained energy in a collision"
         left, right = sim.states([0, 1])[:, 0]
         assert left < right, "the bodies passed through each other"
@@ -378,8 +380,8 @@ class BodyChecks(Checks):
             sim.add_body(i, box((0.0, i + 0.5, 0.0)))
         run(sim, self.stand)
         rows = sim.states(range(10))
-        close(rows[:, 1], np.arange(10) + 0.5, 10 * self.rest_error, "heights in the stack")
-        close(rows[:, 0], np.zeros(10), 0.05, "lean of the stack")
+        assert_close(rows[:, 1], np.arange(10) + 0.5, 10 * self.rest_error, "heights in the stack")
+        assert_close(rows[:, 0], np.zeros(10), 0.05, "lean of the stack")
 
     def test_parts_a_crowd(self) -> None:
         """Bodies that appear in one point part without exploding."""

@@ -18,13 +18,13 @@ from nmes.backend.contract.base import (
     Checks,
     G,
     about_z,
+    assert_close,
     box,
-    carried,
-    close,
+    carried_point,
     joint,
+    joint_gap,
     kinetic,
     momenta,
-    parted,
     run,
     vector,
 )
@@ -33,7 +33,7 @@ Joints = dict[int, JointParams]
 
 
 class JointChecks(Checks):
-    """Joints: held, read, driven, cut."""
+    """Checks of joints: how they hold, are read, driven and cut."""
 
     def test_holds_joints_together(self) -> None:
         """A thrown pair stays joined, keeps its momenta and gains no energy, for each kind of joint."""
@@ -53,12 +53,12 @@ class JointChecks(Checks):
             before = np.array((0.5, -1.0, 0.0, 0.0, 0.0, -0.5 * 1.0 - 0.5 * 2.0 + 0.2))
             for _ in range(round(5.0 / TICK)):
                 sim.step(SUBSTEPS)
-                gap = parted(sim, kind)
+                gap = joint_gap(sim, kind)
                 assert gap <= self.joint_error, f"{kind}: the halves are {gap} m apart"
             after = momenta(sim, specs)
             scale = float(np.linalg.norm(before))
-            close(after[:3], before[:3], self.joint_momentum_error * scale, f"{kind}: momentum")
-            close(after[3:], before[3:], 0.02 * scale, f"{kind}: angular momentum")
+            assert_close(after[:3], before[:3], self.joint_momentum_error * scale, f"{kind}: momentum")
+            assert_close(after[3:], before[3:], 0.02 * scale, f"{kind}: angular momentum")
             assert kinetic(sim, specs) <= energy * (1 + self.energy_error), f"{kind}: gained energy"
 
     def test_keeps_momentum_when_joined(self) -> None:
@@ -77,8 +77,8 @@ class JointChecks(Checks):
             sim.add_joint(0, joint(kind, 0.0))
             run(sim, 0.2)
             after, scale = momenta(sim, specs), float(np.linalg.norm(before))
-            close(after[:3], before[:3], self.joint_momentum_error * scale, f"{kind}: momentum")
-            close(after[3:], before[3:], 0.02 * scale, f"{kind}: angular momentum")
+            assert_close(after[:3], before[:3], self.joint_momentum_error * scale, f"{kind}: momentum")
+            assert_close(after[3:], before[3:], 0.02 * scale, f"{kind}: angular momentum")
             assert kinetic(sim, specs) <= energy * (1 + self.energy_error), f"{kind}: gained energy"
 
     def test_keeps_momentum_when_cut(self) -> None:
@@ -97,9 +97,9 @@ class JointChecks(Checks):
             run(sim, 0.25)
             before, rows = momenta(sim, specs), sim.states([0, 1])
             sim.remove_joint(0)
-            close(sim.states([0, 1]).ravel(), rows.ravel(), 1e-9, f"{kind}: states right after the cut")
+            assert_close(sim.states([0, 1]).ravel(), rows.ravel(), 1e-9, f"{kind}: states right after the cut")
             sim.step(1)
-            close(momenta(sim, specs), before, 1e-6 * float(np.linalg.norm(before)), f"{kind}: momenta")
+            assert_close(momenta(sim, specs), before, 1e-6 * float(np.linalg.norm(before)), f"{kind}: momenta")
             run(sim, 2.0)
             apart = float(np.linalg.norm(np.diff(sim.states([0, 1])[:, :3], axis=0)))
             assert apart > 1.5, f"{kind}: {apart} m from each other 2 s after the cut"
@@ -112,7 +112,7 @@ class JointChecks(Checks):
         sim.add_body(1, box((0.5, 0.0, 0.0)))
         sim.add_joint(0, JointSpec(kind, 0, 1, (0.25, 0.0, 0.0), (0.0, 0.0, 1.0)))
         run(sim, 1.0)
-        close(sim.states([0, 1])[:, 0], (0.0, 0.5), 1e-6, "places of overlapping joined bodies")
+        assert_close(sim.states([0, 1])[:, 0], (0.0, 0.5), 1e-6, "places of overlapping joined bodies")
 
     def test_reads_joints(self) -> None:
         """Position and velocity of hinge and slide: zero where they are made, signed by their axis, wherever rooted."""
@@ -124,8 +124,8 @@ class JointChecks(Checks):
             sim.set_frozen(0, True)
             sim.add_joint(0, replace(joint(kind), axis=axis))
             reading = sim.joint_state(0)
-            close(reading.anchor, (0.0, 3.0, 0.0), 1e-6, f"{kind}: anchor")
-            close(reading.axis, axis, 1e-6, f"{kind}: axis")
+            assert_close(reading.anchor, (0.0, 3.0, 0.0), 1e-6, f"{kind}: anchor")
+            assert_close(reading.axis, axis, 1e-6, f"{kind}: axis")
             assert reading.position == 0.0 and reading.velocity == 0.0 and reading.effort == 0.0, reading
             push = (0.0, 0.4, 0.0) if kind == "hinge" else (0.4, 0.0, 0.0)
             sim.apply(1, ZERO, ZERO, push, ZERO)
@@ -133,13 +133,13 @@ class JointChecks(Checks):
             reading, row = sim.joint_state(0), sim.states([1])[0]
             motion, speed = (2 * math.asin(row[5]), row[12]) if kind == "hinge" else (row[0] - 0.5, row[7])
             assert motion > 0.05, f"{kind}: hardly moves"
-            close([reading.position], [sign * motion], 1e-3, f"{kind}: position")
-            close([reading.velocity], [sign * speed], 1e-3, f"{kind}: velocity")
+            assert_close([reading.position], [sign * motion], 1e-3, f"{kind}: position")
+            assert_close([reading.velocity], [sign * speed], 1e-3, f"{kind}: velocity")
             sim.set_frozen(1, True)
             sim.set_frozen(0, False)
-            close([sim.joint_state(0).position], [sign * motion], 1e-3, f"{kind}: position, rooted elsewhere")
+            assert_close([sim.joint_state(0).position], [sign * motion], 1e-3, f"{kind}: position, rooted elsewhere")
             sim.step(SUBSTEPS)
-            close([sim.joint_state(0).position], [sign * motion], 1e-2, f"{kind}: position, rooted elsewhere")
+            assert_close([sim.joint_state(0).position], [sign * motion], 1e-2, f"{kind}: position, rooted elsewhere")
 
     def test_swings_a_pendulum(self) -> None:
         """A pendulum's period is that of its inertia."""
@@ -151,8 +151,8 @@ class JointChecks(Checks):
         sim.add_body(1, replace(arm, quaternion=about_z(lean)))
         sim.add_joint(0, JointSpec("hinge", 0, 1, (0.0, 9.5, 0.0), (0.0, 0.0, 1.0)))
         inertia = (0.2**2 + 1.0**2) / 12 + 0.5**2
-        wanted = math.tau * math.sqrt(inertia / (G * 0.5)) * (1 + lean**2 / 16)
-        self.swings(sim, lambda: sim.states([1])[0, 0], wanted, "pendulum")
+        expected = math.tau * math.sqrt(inertia / (G * 0.5)) * (1 + lean**2 / 16)
+        self.swings(sim, lambda: sim.states([1])[0, 0], expected, "pendulum")
 
     def test_hangs_a_mass_on_a_spring(self) -> None:
         """A known mass on a known spring, along a slide and about a hinge, swings as it should; damping damps it."""
@@ -169,7 +169,7 @@ class JointChecks(Checks):
             self.drive(sim, kind, 0.5 * inertia)
             run(sim, 0.5)
             speed = sim.joint_state(0).velocity
-            close([speed], [0.5 * math.exp(-1.0)], 0.02, f"{kind}: velocity after damping")
+            assert_close([speed], [0.5 * math.exp(-1.0)], 0.02, f"{kind}: velocity after damping")
 
     def test_drives_motors(self) -> None:
         """A motor accelerates as its effort allows, reaches its velocity, and never applies more than its bound."""
@@ -183,20 +183,22 @@ class JointChecks(Checks):
                 run(sim, 0.1)
                 reading = sim.joint_state(0)
                 sign = math.copysign(1.0, target)
-                close([reading.velocity], [sign * 1.2], 1.2 * 2 * self.motor_error, f"{kind}: speed on the way")
-                close([reading.effort], [sign * effort], effort * self.motor_error, f"{kind}: effort on the way")
+                assert_close([reading.velocity], [sign * 1.2], 1.2 * 2 * self.motor_error, f"{kind}: speed on the way")
+                assert_close([reading.effort], [sign * effort], effort * self.motor_error, f"{kind}: effort on the way")
                 for _ in range(60):
                     sim.step(SUBSTEPS)
                     applied = abs(sim.joint_state(0).effort)
                     assert applied <= effort * 1.000001, f"{kind}: applies {applied} of at most {effort}"
                 reading = sim.joint_state(0)
-                close([reading.velocity], [target], 3.0 * self.motor_error, f"{kind}: speed reached")
+                assert_close([reading.velocity], [target], 3.0 * self.motor_error, f"{kind}: speed reached")
                 row = sim.states([1])[0]
-                close([row[12] if kind == "hinge" else row[7]], [target], 3.0 * self.motor_error, f"{kind}: motion")
+                assert_close(
+                    [row[12] if kind == "hinge" else row[7]], [target], 3.0 * self.motor_error, f"{kind}: motion"
+                )
                 sim.set_joint_params(0, JointParams())
                 run(sim, 0.2)
                 after = sim.joint_state(0)
-                close([after.velocity, after.effort], [reading.velocity, 0.0], 1e-3, f"{kind}: coasting")
+                assert_close([after.velocity, after.effort], [reading.velocity, 0.0], 1e-3, f"{kind}: coasting")
 
     def test_tells_power(self) -> None:
         """The power of motors is effort times velocity, of as many joints as are asked for, motors or not."""
@@ -211,19 +213,19 @@ class JointChecks(Checks):
             axis = (0.0, 0.0, 1.0) if kind == "hinge" else (1.0, 0.0, 0.0)
             spec = JointSpec(kind, 10 * number, 10 * number + 1, (x + 2.0, 0.0, 0.0), axis, params)
             sim.add_joint(number, spec)
-        seen = []
+        all_powers = []
         for tick, joints in enumerate([(0, 1, 2)] * 4 + [(2,), (1,), (2, 0), (), (0, 1, 2)]):
             if tick == 3:
                 sim.set_joint_params(0, JointParams())
             sim.step(SUBSTEPS)
-            wanted = [(state := sim.joint_state(number)).effort * state.velocity for number in joints]
+            expected = [(state := sim.joint_state(number)).effort * state.velocity for number in joints]
             powers = np.full(len(joints), np.nan)
             sim.powers(joints, powers)
-            assert powers.tolist() == wanted, f"tick {tick}: joints {joints}"
-            seen += wanted
+            assert powers.tolist() == expected, f"tick {tick}: joints {joints}"
+            all_powers += expected
             if 0 in joints and tick < 3:
                 assert powers[0] > 0.0, "a motor that accelerates has power"
-        assert 0.0 in seen
+        assert 0.0 in all_powers
 
     def test_keeps_track(self) -> None:
         """A track holds what states and readings said when its rows were kept, also while the structure changes."""
@@ -231,7 +233,7 @@ class JointChecks(Checks):
         kind = next(kind for kind in ("hinge", "slide") if self.can(f"joint.{kind}"))
         sim = self.machine(kind, JointParams("velocity", target_velocity=2.0, max_effort=5.0), gravity=(0.0, -G, 0.0))
         bodies = [1, 0]
-        track, said = sim.track(bodies, [0], 9), []
+        track, records = sim.track(bodies, [0], 9), []
         for row in range(9):
             if row == 4:
                 sim.set_body_state(1, replace(sim.body_state(1), linear_velocity=(0.0, 0.1, 0.0)))
@@ -239,11 +241,11 @@ class JointChecks(Checks):
                 sim.add_body(7, box((30.0, 0.5, 0.0)))
             track.note()
             reading = sim.joint_state(0)
-            said.append((sim.states(bodies), reading.velocity, reading.effort))
+            records.append((sim.states(bodies), reading.velocity, reading.effort))
             sim.step(SUBSTEPS)
         assert track.rows == 9
         states, (velocities, efforts) = track.states(0, 9), track.drives(2, 9)
-        for row, (state, velocity, effort) in enumerate(said):
+        for row, (state, velocity, effort) in enumerate(records):
             assert np.array_equal(states[row], state), f"row {row}: states"
             if row >= 2:
                 assert (velocities[row - 2, 0], efforts[row - 2, 0]) == (velocity, effort), f"row {row}: readings"
@@ -260,10 +262,10 @@ class JointChecks(Checks):
                 sim.set_joint_params(0, JointParams("position", target_position=target, max_effort=60.0))
                 run(sim, 3.0)
                 reading = sim.joint_state(0)
-                close([reading.position], [target], max(self.motor_error, 0.02), f"{kind}: position held")
-                close([reading.velocity], [0.0], 0.01, f"{kind}: velocity while holding")
+                assert_close([reading.position], [target], max(self.motor_error, 0.02), f"{kind}: position held")
+                assert_close([reading.velocity], [0.0], 0.01, f"{kind}: velocity while holding")
                 weight = G * 0.5 * math.cos(target) if kind == "hinge" else G
-                close([reading.effort], [weight], 0.05 * G, f"{kind}: effort while holding")
+                assert_close([reading.effort], [weight], 0.05 * G, f"{kind}: effort while holding")
 
     def test_drives_and_reads_many_joints_at_once(self) -> None:
         """Many targets set, many joints read and many touches felt in one call are what one by one gives."""
@@ -279,8 +281,8 @@ class JointChecks(Checks):
                 targets = np.array([0.4 * math.sin(0.3 * tick + joint) for joint in joints])
                 if tick % 5 != 4:
                     many[0].set_motor_targets(joints, params, targets)
-                    for joint, held, target in zip(joints, params, targets.tolist(), strict=True):
-                        one[0].set_joint_params(joint, held.with_target(target))
+                    for joint, own, target in zip(joints, params, targets.tolist(), strict=True):
+                        one[0].set_joint_params(joint, own.with_target(target))
                 if tick == 20:  # a change of another kind finds the targets that were set
                     params[0] = replace(params[0], max_effort=3.0).with_target(float(targets[0]))
                     for sim in (one[0], many[0]):
@@ -293,8 +295,8 @@ class JointChecks(Checks):
                     sim.step(SUBSTEPS)
                 assert one[0].digest() == many[0].digest(), f"{motor}: another digest after tick {tick}"
                 states = [many[0].joint_state(joint) for joint in reversed(joints)]
-                wanted = [(state.position, state.velocity, state.effort) for state in states]
-                assert many[0].joint_readings(joints[::-1]).tolist() == [list(row) for row in wanted]
+                expected = [(state.position, state.velocity, state.effort) for state in states]
+                assert many[0].joint_readings(joints[::-1]).tolist() == [list(row) for row in expected]
                 bodies = [3, 0, 1]
                 assert many[0].touching(bodies).tolist() == [bool(many[0].contacts(body)) for body in bodies]
             if self.can("snapshot"):
@@ -303,20 +305,20 @@ class JointChecks(Checks):
                 for sim in (one[0], again):
                     sim.set_joint_params(joints[0], params[0].with_target(0.1))
                     sim.step(SUBSTEPS)
-                close(again.joint_readings(joints), one[0].joint_readings(joints), 1e-9, f"{motor}: restored")
+                assert_close(again.joint_readings(joints), one[0].joint_readings(joints), 1e-9, f"{motor}: restored")
 
     def chain(self, kinds: Sequence[str], motor: Literal["position", "velocity"]) -> tuple[Simulation, Joints]:
         """Returns four cubes on the ground in a row, and the parameters of the motors between them."""
         sim = self.sim()
         for i in range(4):
             sim.add_body(i, box((1.2 * i, 0.5 + (i == 3), 0.0)))
-        made = {}
+        params = {}
         for i in range(3):
             kind = kinds[i % len(kinds)]
             axis = (0.0, 0.0, 1.0) if kind == "hinge" else (1.0, 0.0, 0.0)
-            made[i] = JointParams(motor, max_effort=20.0)
-            sim.add_joint(i, JointSpec(kind, i, i + 1, (1.2 * i + 0.6, 0.5, 0.0), axis, made[i]))
-        return sim, made
+            params[i] = JointParams(motor, max_effort=20.0)
+            sim.add_joint(i, JointSpec(kind, i, i + 1, (1.2 * i + 0.6, 0.5, 0.0), axis, params[i]))
+        return sim, params
 
     def test_stops_at_limits(self) -> None:
         """What falls stops at the joint's limit; lifting the limit lets it go on."""
@@ -326,10 +328,10 @@ class JointChecks(Checks):
                 continue
             sim = self.machine(kind, JointParams(limits=(-0.4, 0.3)), gravity=(0.0, -G, 0.0), hanging=True)
             run(sim, 4.0)
-            close([sim.joint_state(0).position], [-0.4], 0.02, f"{kind}: position at the limit")
+            assert_close([sim.joint_state(0).position], [-0.4], 0.02, f"{kind}: position at the limit")
             sim.set_joint_params(0, JointParams(limits=(-0.4, -0.4)))
             run(sim, 1.0)
-            close([sim.joint_state(0).position], [-0.4], 0.02, f"{kind}: position between equal limits")
+            assert_close([sim.joint_state(0).position], [-0.4], 0.02, f"{kind}: position between equal limits")
             sim.set_joint_params(0, JointParams())
             run(sim, 0.3)
             assert sim.joint_state(0).position < -0.5, f"{kind}: held by a limit that is gone"
@@ -344,7 +346,7 @@ class JointChecks(Checks):
             sim.add_body(1, box((1.0, 5.0, 0.0)))
             sim.add_joint(0, JointSpec("conetwist", 0, 1, (0.5, 5.0, 0.0), axis, JointParams(limits=(0.3, 0.7))))
             run(sim, 4.0)
-            close(sim.body_state(1).quaternion, about_z(-stop), 0.02, f"how far it hangs about {axis}")
+            assert_close(sim.body_state(1).quaternion, about_z(-stop), 0.02, f"how far it hangs about {axis}")
 
     def test_holds_loops(self) -> None:
         """A 3x3 grid of cubes with 12 hinges drops, holds together and comes to rest."""
@@ -361,8 +363,8 @@ class JointChecks(Checks):
         run(sim, 10.0)
         worst = 0.0
         for (one, two), (start1, start2, anchor) in zip(pairs, arms, strict=True):
-            here = carried(start1, sim.body_state(one), anchor)
-            there = carried(start2, sim.body_state(two), anchor)
+            here = carried_point(start1, sim.body_state(one), anchor)
+            there = carried_point(start2, sim.body_state(two), anchor)
             worst = max(worst, float(np.linalg.norm(here - there)))
         assert worst <= self.joint_error, f"the halves of a hinge are {worst} m apart"
         fastest = float(np.abs(sim.states(range(9))[:, 7:]).max())

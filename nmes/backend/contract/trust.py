@@ -22,7 +22,7 @@ from nmes.errors import SimulationFault, WorldError
 
 
 class TrustChecks(Checks):
-    """What recordings and replays build on."""
+    """Checks of what recordings and replays build on."""
 
     def test_introduces_itself(self) -> None:
         """Name, version, dims, capabilities and fingerprint are there, and stay."""
@@ -111,9 +111,9 @@ class TrustChecks(Checks):
         runs = []
         for settings in ({"PYTHONHASHSEED": "1"}, {"PYTHONHASHSEED": "2", "PYTHONMALLOC": "malloc"}):
             environment = {**os.environ, "PYTHONPATH": paths, **settings}
-            done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
-            assert done.returncode == 0, f"{' '.join(command)}\n{done.stderr}"
-            runs.append(done.stdout.splitlines())
+            process = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
+            assert process.returncode == 0, f"{' '.join(command)}\n{process.stderr}"
+            runs.append(process.stdout.splitlines())
         assert len(runs[0]) == count, runs[0]
         different = [first + i for i, (one, two) in enumerate(zip(*runs, strict=True)) if one != two]
         assert not different, f"programs {different} give other digests in another process"
@@ -161,7 +161,7 @@ class TrustChecks(Checks):
 
     def test_faults_when_it_diverges(self) -> None:
         """A world that cannot go on says so, shows the state before, and takes no other world with it."""
-        sim, other, twin = self.mixed(), self.mixed(), self.mixed()
+        sim, other, reference = self.mixed(), self.mixed(), self.mixed()
         for push in (1e15, 1e30, 1e60):
             before = sim.states([0, 1, 2])
             sim.apply(1, ZERO, ZERO, (push, push, 0.0), ZERO)
@@ -181,8 +181,8 @@ class TrustChecks(Checks):
         assert sim.body_state(0).position == tuple(before[0, :3])
         for _ in range(30):
             other.step(SUBSTEPS)
-            twin.step(SUBSTEPS)
-        assert other.digest() == twin.digest()
+            reference.step(SUBSTEPS)
+        assert other.digest() == reference.digest()
 
     def test_releases_what_it_holds(self) -> None:
         """Worlds that come and go leave no memory, files or threads behind."""
@@ -203,7 +203,7 @@ class TrustChecks(Checks):
         assert grown < 40 * 100_000, f"40 worlds left {grown / 1e6:.1f} MB"
 
     def _variants(self) -> Iterator[tuple[str, Simulation]]:
-        """Yields worlds, each of which differs from the first in one bit."""
+        """Yields worlds by name; each differs from the first in one bit."""
         flat = self.dims == 2
         spec = box((1.0, 2.0, 0.0 if flat else 3.0), linear_velocity=(0.1, 0.2, 0.0 if flat else 0.3))
         spec = replace(spec, angular_velocity=(0.0, 0.0, 0.4) if flat else (0.2, 0.3, 0.4))
