@@ -47,7 +47,7 @@ class Part:
 
 @functools.lru_cache(maxsize=16)
 def parts(arena: Arena) -> tuple[Part, ...]:
-    """Makes an arena. Where it begins is the origin: a corridor's start, a bowl's middle, a free cell of a maze."""
+    """Returns an arena's parts. Its beginning is the origin: a corridor's start, a bowl's middle, a maze's free cell."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # it looks for a display, which we do not need
@@ -60,30 +60,30 @@ def parts(arena: Arena) -> tuple[Part, ...]:
     corridor = {"corridor_length": arena.length, "corridor_width": arena.width}
     start = (0.0, 0.0)
     if arena.name == "bowl":
-        made = bowl.Bowl(size=(20, 20))
+        dm_arena = bowl.Bowl(size=(20, 20))
     elif arena.name == "corridor":
-        made = corridors.EmptyCorridor(**corridor)
+        dm_arena = corridors.EmptyCorridor(**corridor)
     elif arena.name == "gaps":
         lengths = distributions.Uniform(1.0, 3.0), distributions.Uniform(0.5, 1.5)
-        made = corridors.GapsCorridor(platform_length=lengths[0], gap_length=lengths[1], **corridor)
+        dm_arena = corridors.GapsCorridor(platform_length=lengths[0], gap_length=lengths[1], **corridor)
         start = (_START, 0.0)
     elif arena.name == "walls":
         widths = distributions.Uniform(0.25 * arena.width, 0.75 * arena.width)
         gaps = distributions.Uniform(2.5, 5.0)
-        made = corridors.WallsCorridor(wall_width=widths, wall_gap=gaps, **corridor)
+        dm_arena = corridors.WallsCorridor(wall_width=widths, wall_gap=gaps, **corridor)
     else:
         side = arena.cells | 1
         maze = labmaze.RandomMaze(
             height=side, width=side, max_rooms=4, room_min_size=3, room_max_size=5,
             random_seed=int(draw.randint(2**31 - 1)),
         )  # fmt: skip
-        made = mazes.MazeWithTargets(maze, xy_scale=_CELL)
-    made.regenerate(draw)
-    root = made.mjcf_model
+        dm_arena = mazes.MazeWithTargets(maze, xy_scale=_CELL)
+    dm_arena.regenerate(draw)
+    root = dm_arena.mjcf_model
     model = mujoco.MjModel.from_xml_string(root.to_xml_string(), assets=root.get_assets())
-    made.initialize_episode(_Physics(model), draw)
+    dm_arena.initialize_episode(_Physics(model), draw)
     if arena.name == "maze":
-        start = _free_cell(made)
+        start = _free_cell(dm_arena)
     return tuple(_touchable(model, start))
 
 
@@ -133,7 +133,7 @@ def _touchable(model: Any, start: tuple[float, float]) -> Iterator[Part]:
 
 
 def _free_cell(maze: Any) -> tuple[float, float]:
-    """Returns where the free cell nearest to the middle of a maze is, in its own frame."""
+    """Returns the place (x, y), m, of the free cell nearest to the middle of a maze, in its own frame."""
     layer = maze.maze.entity_layer
     free = [(row, column) for row, line in enumerate(layer) for column, cell in enumerate(line) if cell != "*"]
     rows, columns = layer.shape

@@ -38,7 +38,7 @@ _AT_ORIGIN = BodyState((0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0), (
 
 
 def apply_edits(running: RunningModel, structure: Structure, scene: SceneSpec, state_of: StateOf) -> None:
-    """Takes up all edits since the last step, of which there are some.
+    """Brings the model up to date with the edits since the last step.
 
     Args:
         running: The model until now; it runs the new one afterwards.

@@ -276,9 +276,9 @@ class KeepsItsWorlds(Planted):
     kept: ClassVar[list[Any]] = []
 
     def create(self, scene: SceneSpec) -> BallisticSimulation:
-        kept = mmap.mmap(-1, 1 << 20)  # memory of its own: none that earlier tests freed and did not give back
-        kept.write(bytes([1]) * len(kept))
-        self.kept.append(kept)
+        memory = mmap.mmap(-1, 1 << 20)  # memory of its own: none that earlier tests freed and did not give back
+        memory.write(bytes([1]) * len(memory))
+        self.kept.append(memory)
         return BallisticSimulation(scene)
 
 

@@ -81,8 +81,8 @@ def test_it_is_listed_and_the_broken_ones_say_why(environment: Mapping[str, str]
 
 
 def test_it_keeps_the_contract(environment: Mapping[str, str]) -> None:
-    said = run(environment, sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(SOURCE))
-    assert re.search(r"^\d\d passed", said, flags=re.MULTILINE), said
+    output = run(environment, sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(SOURCE))
+    assert re.search(r"^\d\d passed", output, flags=re.MULTILINE), output
 
 
 def test_it_is_served_recorded_and_replayed(environment: Mapping[str, str], tmp_path: Path) -> None:
@@ -106,5 +106,5 @@ def test_it_is_served_recorded_and_replayed(environment: Mapping[str, str], tmp_
             assert server.wait(PATIENCE) == 0
         finally:
             server.kill()
-    said = run(environment, NMES, "replay", ready["recording"])
-    assert said.startswith("reproduced: 120 ticks"), said
+    output = run(environment, NMES, "replay", ready["recording"])
+    assert output.startswith("reproduced: 120 ticks"), output

@@ -695,9 +695,9 @@ def test_a_restored_world_goes_on_like_the_one_it_was_taken_from(number: int) ->
     programs.play(first, program[:40])
     programs.play(second, program[:40])
     assert first.fault is None
-    held = first.simulation.snapshot()
+    snapshot = first.simulation.snapshot()
     second.simulation.snapshot()
-    second.simulation.restore(held)
+    second.simulation.restore(snapshot)
     assert first.digest() == second.digest()
     assert programs.play(first, program[40:]) == programs.play(second, program[40:])
 
@@ -777,9 +777,9 @@ def test_parked_bodies_change_nothing_that_can_be_seen(number: int, monkeypatch:
     first, second = world(number), world(number)
     played = programs.play(first, program[:40])
     assert programs.play(second, program[:40]) == played
-    held = first.simulation.snapshot()
+    snapshot = first.simulation.snapshot()
     second.simulation.snapshot()
-    second.simulation.restore(held)
+    second.simulation.restore(snapshot)
     assert programs.play(first, program[40:]) == programs.play(second, program[40:])
 
 

@@ -621,9 +621,9 @@ def test_a_restored_world_goes_on_like_the_one_it_was_taken_from(name: str) -> N
     first, second = World(config), World(config)
     for world in (first, second):
         programs.play(world, program[:30])
-    held = first.simulation.snapshot()
+    snapshot = first.simulation.snapshot()
     second.simulation.snapshot()
-    second.simulation.restore(held)
+    second.simulation.restore(snapshot)
     assert first.digest() == second.digest()
     assert programs.play(first, program[30:]) == programs.play(second, program[30:])
 
@@ -778,8 +778,8 @@ def test_worlds_that_never_ticked_are_each_in_their_own_scene() -> None:
         drive.drop("a", 0, height, 0)
 
     def below(drive: Driver) -> float:
-        (found,) = drive("get_cube_info", cube_name="a", sensors=True, rays=[[0, -1, 0]])["ranges"]
-        return float(found)
+        (distance,) = drive("get_cube_info", cube_name="a", sensors=True, rays=[[0, -1, 0]])["ranges"]
+        return float(distance)
 
     assert [below(drive) for drive in drives] == [5, 3, 9, 7]
     drives[0]("step")

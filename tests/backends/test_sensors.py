@@ -234,9 +234,9 @@ def test_looking_changes_nothing_and_a_restored_world_feels_the_same() -> None:
     looked("step", ticks=3)
     left_alone("step", ticks=3)
     assert looked.world.digest() == left_alone.world.digest()
-    held = looked.world.simulation.snapshot()
+    snapshot = looked.world.simulation.snapshot()
     left_alone.world.simulation.snapshot()
-    left_alone.world.simulation.restore(held)
+    left_alone.world.simulation.restore(snapshot)
     assert look(looked) == look(left_alone)
     for place in (looked, left_alone):
         place("apply_physics", cube_name="7.1", impulse=[1, 2, 0])

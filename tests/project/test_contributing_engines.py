@@ -92,8 +92,8 @@ def test_a_backend_is_added(copy: Path) -> None:
     assert run(copy, sys.executable, "-c", find) == "nmes.backends.example\n"
     tests = ["tests/backends/test_backends.py", "tests/backends/test_capabilities.py"]
     checks = "TestExample or (capabilit and example) or row"
-    said = run(copy, sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests, "-k", checks)
-    assert re.search(r"^[3-9]\d passed", said, flags=re.MULTILINE), said
+    output = run(copy, sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *tests, "-k", checks)
+    assert re.search(r"^[3-9]\d passed", output, flags=re.MULTILINE), output
 
 
 def test_a_sensor_is_added(copy: Path) -> None:
