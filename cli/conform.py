@@ -109,12 +109,7 @@ def command(
     if as_list:
         _list(cases, as_json)
         return
-    if address is None:
-        raise click.UsageError("give the server's HOST:PORT")
-    chosen = choose_password(password, password_file)
-    if chosen is None:
-        raise click.UsageError(f"give the server's password, in {PASSWORD_VARIABLE} or with --password-file")
-    target = Target(*address, chosen[0], timeout)
+    target = _target(address, password, password_file, timeout)
     try:
         if script is not None:
             sys.exit(_replay(target, _load(script)))
@@ -122,7 +117,7 @@ def command(
     except NmesError as error:
         click.echo(f"Error: {error.message}", err=True)
         sys.exit(2)
-    saved = _save(report)
+    scripts = _save(report)
     if page is not None:
         page.write_text(to_html(report), "utf-8")
     if junit is not None:
@@ -130,8 +125,20 @@ def command(
     if as_json:
         click.echo(orjson.dumps(to_json(report), option=orjson.OPT_INDENT_2))
     else:
-        _print(report, saved)
+        _print(report, scripts)
     sys.exit(report.exit_status)
+
+
+def _target(
+    address: tuple[str, int] | None, password: str | None, password_file: Path | None, timeout: float
+) -> Target:
+    """Returns the server to judge; raises UsageError where its address or password is missing."""
+    if address is None:
+        raise click.UsageError("give the server's HOST:PORT")
+    choice = choose_password(password, password_file)
+    if choice is None:
+        raise click.UsageError(f"give the server's password, in {PASSWORD_VARIABLE} or with --password-file")
+    return Target(*address, choice[0], timeout)
 
 
 def _list(cases: Any, as_json: bool) -> None:
@@ -165,23 +172,23 @@ def _run(target: Target, options: Options, count: int) -> Report:
     def take(result: Result) -> None:
         nonlocal failures
         failures += result.verdict in (Verdict.FAILED, Verdict.FAULT)
-        said = f"[red]{failures} failed[/]" if failures else "judging"
-        progress.update(task, advance=1, description=said)
+        description = f"[red]{failures} failed[/]" if failures else "judging"
+        progress.update(task, advance=1, description=description)
 
     with progress if errors.is_terminal else nullcontext():
         return run(target, options, take)
 
 
 def _save(report: Report) -> dict[str, Path]:
-    """Writes the conversations that searches have found wrong; returns the files by case."""
-    saved = {}
+    """Writes the conversations that searches have found wrong; returns the files by case number."""
+    paths = {}
     for result in report.results:
         if result.script is not None:
             path = Path(f"conform-{result.case.number.replace(':', '-')}-{report.options.seed}.json")
             about = {"suite": suite_hash(), "expected": result.expected, "received": result.received}
             path.write_text(write_script(result.script, case=result.case.number, seed=report.options.seed, **about))
-            saved[result.case.number] = path
-    return saved
+            paths[result.case.number] = path
+    return paths
 
 
 def _load(path: Path) -> Script:
@@ -204,14 +211,14 @@ def _replay(target: Target, script: Script) -> int:
     return 2 if result.verdict is Verdict.FAULT else 1
 
 
-def _print(report: Report, saved: dict[str, Path]) -> None:
+def _print(report: Report, scripts: dict[str, Path]) -> None:
     console = Console(highlight=False, soft_wrap=True)
     for result in report.results:
         if result.verdict in (Verdict.FAILED, Verdict.FAULT, Verdict.NON_STRICT):
             _print_result(console, result)
-            if result.case.number in saved:
+            if result.case.number in scripts:
                 where = f"{report.target.host}:{report.target.port}"
-                console.print(f"  again     nmes conform {where} --replay {saved[result.case.number]}")
+                console.print(f"  again     nmes conform {where} --replay {scripts[result.case.number]}")
     table = Table("category", *(verdict.value for verdict in Verdict))
     for category in CATEGORIES:
         verdicts = [result.verdict for result in report.results if result.case.category == category.name]

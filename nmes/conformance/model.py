@@ -1,9 +1,9 @@
-"""What a world must answer, as far as the protocol alone decides it: names, joints, ownership, frozen, frame.
+"""A model of a world, as far as the protocol alone decides its answers: names, joints, ownership, frozen, frame.
 
-It hides no connection: commands with their replies go in, `Finding`s come out. A `Script` is what was said, and by
-which client, with names that stand for those of one play (`{c0}` a cube named by the script, `{u0}` one that the server
-named, `{j0}` a joint), so that it can be played again in any world. Invariant: what the protocol leaves open (another's
-cubes, whether a name can be had again, all motion) makes no finding.
+Commands with their replies go in, `Finding`s come out. A `Script` is a list of commands, each with the client that
+sends it; its names are symbols (`{c0}` a cube that the script names, `{u0}` one that the server named, `{j0}` a joint),
+so that it can be played again in any world. Invariant: what the protocol leaves open (the cubes of others, whether a
+name can be used again, all motion) makes no finding.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ class _Cube:
 
 
 class Player:
-    """Says a script's commands one by one, and judges the answers by the model."""
+    """Sends the commands of a script one by one, and judges the replies by the model."""
 
     def __init__(self, trial: Trial, wires: Sequence[Wire]) -> None:
         self._trial = trial
@@ -68,37 +68,37 @@ class Player:
         self._owned: dict[int, str | None] = dict.fromkeys(range(CLIENTS))
         self._frame: int | None = None
         self._judges: dict[str, Callable[[int, dict[str, Any], Message], None]] = {
-            "spawn_cube": self._spawned,
-            "despawn_cube": self._despawned,
-            "create_joint": self._joined,
-            "remove_joint": self._cut,
-            "apply_physics": self._applied,
-            "set_cube_state": self._about_cube,
-            "freeze_cube": self._froze,
-            "get_cube_info": self._told,
-            "get_cube_state": self._about_own_cube,
-            "get_cube_list": self._listed,
-            "get_joint_list": self._joints_listed,
-            "get_world_state": self._state_told,
-            "step": self._stepped,
+            "spawn_cube": self._judge_spawn,
+            "despawn_cube": self._judge_despawn,
+            "create_joint": self._judge_joint,
+            "remove_joint": self._judge_cut,
+            "apply_physics": self._judge_own_cube,
+            "set_cube_state": self._judge_own_cube,
+            "freeze_cube": self._judge_freeze,
+            "get_cube_info": self._judge_info,
+            "get_cube_state": self._judge_own_cube,
+            "get_cube_list": self._judge_list,
+            "get_joint_list": self._judge_joint_list,
+            "get_world_state": self._judge_world_state,
+            "step": self._judge_step,
         }
 
     def say(self, client: int, command: Mapping[str, Any]) -> None:
-        """Says one command.
+        """Sends one command and judges its reply.
 
         Raises:
             Finding: The answer is not one that the world must give.
         """
-        said = self._resolve(dict(command))
-        reply = self._wires[client].ask(said)
-        error = request_from({**said, "id": 0}).error
+        resolved = self._resolve(dict(command))
+        reply = self._wires[client].ask(resolved)
+        error = request_from({**resolved, "id": 0}).error
         if error is not None:
-            # Where two things are wrong, either may be told.
+            # Where two things are wrong, the error may tell of either.
             self._error(reply, error.code, "cube_not_found", "joint_not_found", "nothing_owned")
-        elif said["type"] in self._judges:
-            self._judges[said["type"]](client, said, reply)
+        elif resolved["type"] in self._judges:
+            self._judges[resolved["type"]](client, resolved, reply)
         else:
-            self._ok(said, reply)
+            self._ok(resolved, reply)
 
     # -- names -----------------------------------------------------------------------------------------------------
 
@@ -119,7 +119,7 @@ class Player:
         return self._named[symbol]
 
     def _remember(self, kind: str, name: str) -> None:
-        """Gives a name of the server's the next symbol of its kind."""
+        """Gives a name that the server chose the next symbol of its kind."""
         number = 0
         while f"{{{kind}{number}}}" in self._named:
             number += 1
@@ -131,19 +131,19 @@ class Player:
         if reply["type"] != "error" or reply["code"] not in codes:
             raise Finding(f"error {' or '.join(codes)}", clip(reply))
 
-    def _ok(self, said: Mapping[str, Any], reply: Message) -> None:
-        wanted = COMMANDS[said["type"]].reply
-        if reply["type"] != wanted:
-            raise Finding(f"{wanted} in reply to {clip(said)}", clip(reply))
+    def _ok(self, command: Mapping[str, Any], reply: Message) -> None:
+        expected = COMMANDS[command["type"]].reply
+        if reply["type"] != expected:
+            raise Finding(f"{expected} in reply to {clip(command)}", clip(reply))
 
-    def _spawned(self, client: int, said: dict[str, Any], reply: Message) -> None:
-        given = said.get("cube_name")
-        name = None if given is None else given + ("_BASE" if said.get("is_base") else "")
+    def _judge_spawn(self, client: int, command: dict[str, Any], reply: Message) -> None:
+        stem = command.get("cube_name")
+        name = None if stem is None else stem + ("_BASE" if command.get("is_base") else "")
         if name in self._cubes:
             return self._error(reply, "cube_exists")
-        if name in self._used and reply["type"] == "error":  # a server need not let a name be had again
+        if name in self._used and reply["type"] == "error":  # a server need not accept a name again
             return self._error(reply, "cube_exists")
-        self._ok(said, reply)
+        self._ok(command, reply)
         spawned = str(reply["spawned"])
         self._trial.adopt(spawned)
         if name is None:
@@ -151,17 +151,17 @@ class Player:
             self._remember("u", spawned)
         else:
             self._trial.equal(spawned, name, "spawned")
-        self._cubes[spawned] = _Cube(bool(said.get("is_base")))
+        self._cubes[spawned] = _Cube(bool(command.get("is_base")))
         self._used.add(spawned)
         self._owned[client] = spawned
         if "cubes" in reply:
             self._order(reply["cubes"])
 
-    def _despawned(self, client: int, said: dict[str, Any], reply: Message) -> None:
-        name = said["cube_name"]
+    def _judge_despawn(self, client: int, command: dict[str, Any], reply: Message) -> None:
+        name = command["cube_name"]
         if name not in self._cubes:
             return self._error(reply, "cube_not_found")
-        self._ok(said, reply)
+        self._ok(command, reply)
         joints = self._cubes[name].joints
         self._trial.equal(sorted(reply["joints"]), sorted(joints), "the joints that went with the cube")
         for joint in list(joints):
@@ -172,15 +172,15 @@ class Player:
         for cube in self._joints.pop(joint):
             self._cubes[cube].joints.remove(joint)
 
-    def _joined(self, client: int, said: dict[str, Any], reply: Message) -> None:
-        one, two = said["cube1"], said["cube2"]
+    def _judge_joint(self, client: int, command: dict[str, Any], reply: Message) -> None:
+        one, two = command["cube1"], command["cube2"]
         codes = [] if {one, two} <= self._cubes.keys() else ["cube_not_found"]
         codes += ["self_joint"] if one == two else []
         if not codes and any({one, two} == set(pair) for pair in self._joints.values()):
             codes.append("joint_exists")
         if codes:
             return self._error(reply, *codes)
-        self._ok(said, reply)
+        self._ok(command, reply)
         joint = str(reply["joint_name"])
         self._trial.true(joint not in self._used, "a name that was never used", joint)
         self._used.add(joint)
@@ -189,53 +189,47 @@ class Player:
         for cube in (one, two):
             self._cubes[cube].joints.append(joint)
 
-    def _cut(self, client: int, said: dict[str, Any], reply: Message) -> None:
-        if said["joint_name"] not in self._joints:
+    def _judge_cut(self, client: int, command: dict[str, Any], reply: Message) -> None:
+        if command["joint_name"] not in self._joints:
             return self._error(reply, "joint_not_found")
-        self._ok(said, reply)
-        self._forget(said["joint_name"])
+        self._ok(command, reply)
+        self._forget(command["joint_name"])
 
-    def _own(self, client: int, said: dict[str, Any], reply: Message) -> str | None:
-        """Returns the cube that a command means, or None where there is none and the error was right."""
-        name: str | None = said.get("cube_name", self._owned[client])
+    def _own(self, client: int, command: dict[str, Any], reply: Message) -> str | None:
+        """Judges a reply about the command's cube, or the client's own; returns its name, None after a right error."""
+        name: str | None = command.get("cube_name", self._owned[client])
         if name in self._cubes:
-            self._ok(said, reply)
+            self._ok(command, reply)
             self._trial.equal(reply["cube_name"], name, "cube_name")
             return name
-        self._error(reply, "cube_not_found" if "cube_name" in said else "nothing_owned")
+        self._error(reply, "cube_not_found" if "cube_name" in command else "nothing_owned")
         return None
 
-    def _applied(self, client: int, said: dict[str, Any], reply: Message) -> None:
-        self._own(client, said, reply)
+    def _judge_own_cube(self, client: int, command: dict[str, Any], reply: Message) -> None:
+        self._own(client, command, reply)
 
-    def _about_own_cube(self, client: int, said: dict[str, Any], reply: Message) -> None:
-        self._own(client, said, reply)
-
-    def _about_cube(self, client: int, said: dict[str, Any], reply: Message) -> None:
-        self._own(client, said, reply)
-
-    def _froze(self, client: int, said: dict[str, Any], reply: Message) -> None:
-        name = self._own(client, said, reply)
+    def _judge_freeze(self, client: int, command: dict[str, Any], reply: Message) -> None:
+        name = self._own(client, command, reply)
         if name is not None:
-            self._trial.equal(reply["freeze"], said["freeze"], "freeze")
-            self._cubes[name].frozen = said["freeze"]
+            self._trial.equal(reply["freeze"], command["freeze"], "freeze")
+            self._cubes[name].frozen = command["freeze"]
 
-    def _told(self, client: int, said: dict[str, Any], reply: Message) -> None:
-        name = self._own(client, said, reply)
+    def _judge_info(self, client: int, command: dict[str, Any], reply: Message) -> None:
+        name = self._own(client, command, reply)
         if name is not None:
             self._trial.equal(reply["frozen"], self._cubes[name].frozen, "frozen")
             self._trial.equal(sorted(reply["joints"]), sorted(self._cubes[name].joints), "joints")
 
-    def _listed(self, client: int, said: dict[str, Any], reply: Message) -> None:
-        self._ok(said, reply)
+    def _judge_list(self, client: int, command: dict[str, Any], reply: Message) -> None:
+        self._ok(command, reply)
         self._order(reply["cubes"])
 
     def _order(self, cubes: list[str]) -> None:
         mine = [name for name in cubes if name in self._used]
         self._trial.equal(mine, list(self._cubes), "the script's cubes in the list")
 
-    def _joints_listed(self, client: int, said: dict[str, Any], reply: Message) -> None:
-        self._ok(said, reply)
+    def _judge_joint_list(self, client: int, command: dict[str, Any], reply: Message) -> None:
+        self._ok(command, reply)
         mine = {
             joint["joint_name"]: (joint["cube1"], joint["cube2"])
             for joint in reply["joints"]
@@ -243,21 +237,21 @@ class Player:
         }
         self._trial.equal(mine, self._joints, "the script's joints in the list")
 
-    def _state_told(self, client: int, said: dict[str, Any], reply: Message) -> None:
-        names = said.get("cubes")
+    def _judge_world_state(self, client: int, command: dict[str, Any], reply: Message) -> None:
+        names = command.get("cubes")
         if names is not None and not set(names) <= self._cubes.keys():
             return self._error(reply, "cube_not_found")
-        self._ok(said, reply)
-        told = [cube["cube_name"] for cube in reply["cubes"]]
+        self._ok(command, reply)
+        cubes = [cube["cube_name"] for cube in reply["cubes"]]
         if names is None:
-            self._order(told)
+            self._order(cubes)
         else:
-            self._trial.equal(told, names, "the cubes that were asked for")
+            self._trial.equal(cubes, names, "the cubes that were asked for")
 
-    def _stepped(self, client: int, said: dict[str, Any], reply: Message) -> None:
-        self._ok(said, reply)
+    def _judge_step(self, client: int, command: dict[str, Any], reply: Message) -> None:
+        self._ok(command, reply)
         if self._frame is not None:
-            self._trial.equal(reply["frame"], self._frame + said.get("ticks", 1), "frame")
+            self._trial.equal(reply["frame"], self._frame + command.get("ticks", 1), "frame")
         self._frame = reply["frame"]
 
 
@@ -287,7 +281,7 @@ def load_script(text: bytes) -> Script:
     """Reads a CASE file.
 
     Raises:
-        NmesError: It is none.
+        NmesError: `invalid`: it is no such file.
     """
     try:
         case = parse_json(text)

@@ -1,4 +1,4 @@
-"""What a run found out, as a page for people, and as JSON and JUnit XML for programs.
+"""The report of a run: a page for people, JSON and JUnit XML for programs.
 
 It hides the three forms. All hold the same: the suite's version and hash, the server's banner, seed, duration, every
 verdict with its clause, and why a case was skipped. The page is one file that needs nothing else.
@@ -73,16 +73,16 @@ def _entry(entry: Entry) -> dict[str, Any]:
 
 
 def _text(data: bytes) -> str:
-    """Returns bytes as text in which every byte can still be told."""
+    """Returns bytes as text that shows every byte, those that cannot be printed as escapes."""
     if len(data) > SHOWN:
         half = SHOWN // 2
         return f"{_text(data[:half])} ...[{len(data) - SHOWN:,} bytes left out]... {_text(data[-half:])}"
     text = data.decode("utf-8", "backslashreplace")
-    return "".join(c if c.isprintable() or c == " " else c.encode("unicode_escape").decode() for c in text)
+    return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
 
 
 def describe(result: Result) -> str:
-    """Returns what went wrong with a case as text, with all that went over its wires."""
+    """Returns a case's failure as text: expected, received, clause, and the log of its connections."""
     lines = [f"{result.verdict}: {result.case.number} {result.case.title}"]
     if result.verdict is Verdict.FAULT:
         return "\n".join([*lines, result.reason or ""])
@@ -128,7 +128,7 @@ def to_junit(report: Report) -> str:
 
 def _xml(text: str) -> str:
     """Replaces what XML cannot hold."""
-    return "".join(c if c in "\t\n" or c.isprintable() else "\ufffd" for c in text)
+    return "".join(char if char in "\t\n" or char.isprintable() else "\ufffd" for char in text)
 
 
 def _lines(log: Iterable[Entry]) -> Iterator[str]:
@@ -225,7 +225,7 @@ def _case_section(result: Result) -> str:
         f"<span class='{entry.kind}'>{_e(line)}</span>"
         for entry, line in zip(result.log, _lines(result.log), strict=True)
     )
-    said = (
+    outcome = (
         f"<pre>{_e(result.reason or '')}</pre>"
         if result.verdict is Verdict.FAULT
         else f"<p><b>Expected</b> {_e(result.expected or '')}<p><b>Received</b> {_e(result.received or '')}"
@@ -233,7 +233,7 @@ def _case_section(result: Result) -> str:
     return (
         f"<section class='case' id='c{_e(case.number)}'><h3>{_e(case.number)} {_e(case.title)}</h3>"
         f"<p>{_tag(result.verdict)} {case.level}, clause {_e(case.clause)}<blockquote>{_e(result.clause)}</blockquote>"
-        f"{said}<p><b>Connections</b> {_e(endings)}<pre>{log}</pre></section>"
+        f"{outcome}<p><b>Connections</b> {_e(endings)}<pre>{log}</pre></section>"
     )
 
 

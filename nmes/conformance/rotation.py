@@ -28,7 +28,7 @@ def euler(x: float, y: float, z: float) -> list[float]:
     return times(times(about_y, about_x), about_z)
 
 
-def same_turn(t: Trial, got: list[float], wanted: list[float]) -> None:
+def same_turn(t: Trial, got: list[float], expected: list[float]) -> None:
     """Makes sure that two quaternions mean the same rotation."""
-    sign = 1.0 if sum(a * b for a, b in zip(got, wanted, strict=True)) >= 0 else -1.0
-    t.close(got, [sign * value for value in wanted], 1e-5, "quaternion")
+    sign = 1.0 if sum(a * b for a, b in zip(got, expected, strict=True)) >= 0 else -1.0
+    t.close(got, [sign * value for value in expected], 1e-5, "quaternion")

@@ -144,9 +144,9 @@ def select(options: Options) -> list[Case]:
     """
     unknown = set(options.categories) - {category.name for category in CATEGORIES}
     if unknown:
-        known = ", ".join(category.name for category in CATEGORIES)
-        raise NmesError("invalid", f"there is no category {', '.join(sorted(unknown))}; there are {known}")
-    chosen = [
+        names = ", ".join(category.name for category in CATEGORIES)
+        raise NmesError("invalid", f"there is no category {', '.join(sorted(unknown))}; there are {names}")
+    cases = [
         case
         for case in CASES
         if (not options.categories or case.category in options.categories)
@@ -155,9 +155,9 @@ def select(options: Options) -> list[Case]:
             or any(case.number == pattern or fnmatchcase(case.number, pattern) for pattern in options.only)
         )
     ]
-    if not chosen:
+    if not cases:
         raise NmesError("invalid", "no case fits; `nmes conform --list` shows them all")
-    return chosen
+    return cases
 
 
 def run(target: Target, options: Options | None = None, on_result: Callable[[Result], None] | None = None) -> Report:
@@ -240,10 +240,10 @@ def replay(target: Target, script: Script) -> Result:
 
 
 def _collect(
-    pending: dict[Future[Result], Case], take: Callable[[Result], None], wanted: Callable[[Case], bool]
+    pending: dict[Future[Result], Case], take: Callable[[Result], None], awaited: Callable[[Case], bool]
 ) -> None:
     """Takes results as they come, until no wanted case is pending."""
-    while any(map(wanted, pending.values())):
+    while any(map(awaited, pending.values())):
         done, _ = wait(pending, return_when=FIRST_COMPLETED)
         for future in done:
             del pending[future]
@@ -264,7 +264,7 @@ def examine(target: Target) -> Probe:
             "unreachable", f"nothing answers at {target.host}:{target.port}: {finding.received}"
         ) from finding
     info: dict[str, Any] = {}
-    taken: set[str] = set()
+    used: set[str] = set()
     trouble: str | None = None
     with wire:
         try:
@@ -278,14 +278,14 @@ def examine(target: Target) -> Probe:
             info = read_json(wire.frame(what="a reply to get_world_info"))
             wire.say({"type": "get_cube_list"})
             cubes = read_json(wire.frame(what="a reply to get_cube_list")).get("cubes")
-            taken = {name for name in cubes if isinstance(name, str)} if isinstance(cubes, list) else set()
+            used = {name for name in cubes if isinstance(name, str)} if isinstance(cubes, list) else set()
         except Finding as finding:
             trouble = str(finding)
     info = {} if info.get("type") != "world_info" else info
-    claimed = info.get("capabilities")
-    capabilities = frozenset(name for name in claimed if isinstance(name, str)) if isinstance(claimed, list) else ()
+    claims = info.get("capabilities")
+    capabilities = frozenset(name for name in claims if isinstance(name, str)) if isinstance(claims, list) else ()
     tag = f"r{welcome['client']}"
-    while any(name.startswith(f"{tag}-") for name in taken):
+    while any(name.startswith(f"{tag}-") for name in used):
         tag += "x"
     return Probe(welcome, info, frozenset(capabilities), tag, trouble)
 

@@ -26,9 +26,9 @@ def results(request: pytest.FixtureRequest) -> Mapping[str, Result]:
     password = config.getoption("--nmes-password") or os.environ.get("NMES_PASSWORD")
     if not host or not port.isdecimal() or password is None:
         raise pytest.UsageError("give --nmes-target HOST:PORT, and a password in NMES_PASSWORD")
-    chosen = [case.number for item in request.session.items if (case := case_of(item)) is not None]
+    numbers = [case.number for item in request.session.items if (case := case_of(item)) is not None]
     target = Target(host.strip("[]"), int(port), password, config.getoption("--nmes-timeout"))
-    report = run(target, Options(only=chosen, seed=config.getoption("--nmes-seed")))
+    report = run(target, Options(only=numbers, seed=config.getoption("--nmes-seed")))
     return {result.case.number: result for result in report.results}
 
 

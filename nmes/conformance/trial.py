@@ -219,12 +219,12 @@ class Trial:
         command = {"type": "create_joint", "cube1": one, "cube2": two, "joint_type": kind, **fields}
         return str(self.ask(wire, command, "joint_created")["joint_name"])
 
-    def ask(self, wire: Wire, command: Mapping[str, Any], wanted: str) -> Message:
+    def ask(self, wire: Wire, command: Mapping[str, Any], expected: str) -> Message:
         """Sends a command and returns its reply, which must be of the wanted type."""
         reply = wire.ask(command)
-        if reply["type"] == wanted:
+        if reply["type"] == expected:
             return reply
-        raise Finding(f"{wanted} in reply to {clip(command)}", clip(reply))
+        raise Finding(f"{expected} in reply to {clip(command)}", clip(reply))
 
     # -- time ------------------------------------------------------------------------------------------------------
 
@@ -244,14 +244,14 @@ class Trial:
             self.advance(wire, seconds / looks)
             yield self.info(wire, name)
 
-    def until(self, wire: Wire, name: str, seconds: float, done: Callable[[Message], bool], wanted: str) -> Message:
+    def until(self, wire: Wire, name: str, seconds: float, done: Callable[[Message], bool], expected: str) -> Message:
         """Returns the first info of a cube that is as wanted; by the clock it may come later."""
         slack = 1.0 if self.probe.stepping else CLOCK_SLACK
         info: Message | None = None
         for info in self.watch(wire, name, seconds * slack):
             if done(info):
                 return info
-        raise Finding(f"{wanted} within {seconds:g} s of the world's time", clip(info))
+        raise Finding(f"{expected} within {seconds:g} s of the world's time", clip(info))
 
     # -- judging ---------------------------------------------------------------------------------------------------
 
@@ -260,17 +260,17 @@ class Trial:
         if not condition:
             raise Finding(expected, clip(received))
 
-    def equal(self, got: Any, wanted: Any, what: str) -> None:
+    def equal(self, got: Any, expected: Any, what: str) -> None:
         """Makes sure that two values are the same, true and 1 not being so."""
-        if got != wanted or isinstance(got, bool) != isinstance(wanted, bool):
-            raise Finding(f"{what}: {clip(wanted)}", clip(got))
+        if got != expected or isinstance(got, bool) != isinstance(expected, bool):
+            raise Finding(f"{what}: {clip(expected)}", clip(got))
 
-    def close(self, got: Sequence[float] | float, wanted: Sequence[float] | float, error: float, what: str) -> None:
+    def close(self, got: Sequence[float] | float, expected: Sequence[float] | float, error: float, what: str) -> None:
         """Makes sure that numbers differ by no more than `error`."""
-        ours = list(wanted) if isinstance(wanted, Sequence) else [wanted]
+        ours = list(expected) if isinstance(expected, Sequence) else [expected]
         theirs = list(got) if isinstance(got, Sequence) else [got]
         if len(ours) != len(theirs) or not all(abs(a - b) <= error for a, b in zip(ours, theirs, strict=True)):
-            raise Finding(f"{what}: {wanted}, {error:g} more or less", clip(got))
+            raise Finding(f"{what}: {expected}, {error:g} more or less", clip(got))
 
     def should(self, condition: bool, expected: str, received: Any) -> None:
         """Notes something that a strict server would do; the case goes on."""
@@ -280,9 +280,9 @@ class Trial:
     def error(self, reply: Message, codes: str | Collection[str], field: str | None = None) -> Message:
         """Makes sure that a reply is an error with that code; a wrong or missing `field` is not strict."""
         allowed = {codes} if isinstance(codes, str) else set(codes)
-        wanted = " or ".join(sorted(allowed))
+        expected = " or ".join(sorted(allowed))
         if reply["type"] != "error" or reply["code"] not in allowed:
-            raise Finding(f"error {wanted}" + (f" with field {field}" if field else ""), clip(reply))
+            raise Finding(f"error {expected}" + (f" with field {field}" if field else ""), clip(reply))
         if field is not None:
             self.should(reply.get("field") == field, f"field {field!r}", reply)
         return reply

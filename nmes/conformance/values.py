@@ -13,7 +13,7 @@ import jsonschema_rs
 from nmes.protocol import COMMANDS
 from nmes.schemas import Schema
 
-__all__ = ["FIELD_NEEDS", "edges", "fields", "wrong"]
+__all__ = ["FIELD_NEEDS", "command_needs", "edges", "fields", "wrong"]
 
 _HUGE = 1e300
 # What a field needs that not every server which has the command must have: elsewhere it is an unknown field.
@@ -33,6 +33,11 @@ FIELD_NEEDS: dict[tuple[str, str], tuple[str, ...]] = {
         for name in names
     },
 }
+
+
+def command_needs(kind: str) -> tuple[str, ...]:
+    """Returns the needs of a case about a command: the command itself, where a server may leave it out."""
+    return () if COMMANDS[kind].required else (kind,)
 
 
 def fields(kind: str) -> Iterator[tuple[str, Schema]]:
@@ -64,17 +69,17 @@ def wrong(part: Schema) -> list[Any]:
 
 def edges(part: Schema) -> list[Any]:
     """Returns values at the bounds of a field."""
-    found: list[Any] = []
+    values: list[Any] = []
     for choice in (part, *part.get("anyOf", ())):
         items = choice.get("items", {})
         if choice.get("type") in ("number", "integer"):
-            found += [choice[bound] for bound in ("minimum", "maximum") if bound in choice]
+            values += [choice[bound] for bound in ("minimum", "maximum") if bound in choice]
         elif choice.get("type") == "boolean":
-            found += [True, False]
+            values += [True, False]
         elif items.get("type") == "number" and "minimum" in items:
             for count in {choice["minItems"], choice["maxItems"]}:
-                found += [[items["minimum"]] * count, [items["maximum"]] * count]
+                values += [[items["minimum"]] * count, [items["maximum"]] * count]
         elif items.get("enum"):
-            found += [[value] for value in items["enum"]] + [items["enum"]]
+            values += [[value] for value in items["enum"]] + [items["enum"]]
     validator = jsonschema_rs.Draft202012Validator(part)
-    return [value for value in found if validator.is_valid(value)]
+    return [value for value in values if validator.is_valid(value)]

@@ -169,8 +169,8 @@ class Wire:
                 if frame:
                     return frame
             elif not self._receive(until, what):
-                held = f" with {bytes(self._buffer[:SHOWN])!r} and no delimiter" if self._buffer else ""
-                raise Finding(what, f"the end of the connection{held} ({self.ending})")
+                rest = f" with {bytes(self._buffer[:SHOWN])!r} and no delimiter" if self._buffer else ""
+                raise Finding(what, f"the end of the connection{rest} ({self.ending})")
 
     def hear(self, timeout: float | None = None, what: str = "a message") -> Message:
         """Returns the next message, strict JSON that its schema allows."""
@@ -254,8 +254,8 @@ class Wire:
                 return True
         self._log.add(self.name, "note", b"time is up")
         self.ending = "timed out" if self.ending == "open" else self.ending
-        held = f"only {clip(bytes(self._buffer))}" if self._buffer else "nothing"
-        raise Finding(f"{what} in time", held)
+        rest = f"only {clip(bytes(self._buffer))}" if self._buffer else "nothing"
+        raise Finding(f"{what} in time", rest)
 
     def _take(self, data: bytes) -> None:
         self._log.add(self.name, "received", data)

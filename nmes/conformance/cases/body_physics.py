@@ -287,13 +287,13 @@ def contacts(t: Trial) -> None:
     wire = t.join()
     name = t.spawn(wire, position=t.at(y=0.5), mass=2.0)
     t.advance(wire, 0.5)
-    found = t.info(wire, name)["contacts"]
-    t.true(bool(found), "a contact", found)
-    t.equal({contact["face"] for contact in found}, {"-y"}, "the faces that touch")
-    t.equal([contact["cube_name"] for contact in found], [None] * len(found), "what is touched")
-    for contact in found:
+    touches = t.info(wire, name)["contacts"]
+    t.true(bool(touches), "a contact", touches)
+    t.equal({contact["face"] for contact in touches}, {"-y"}, "the faces that touch")
+    t.equal([contact["cube_name"] for contact in touches], [None] * len(touches), "what is touched")
+    for contact in touches:
         t.close(contact["normal"], [0.0, 1.0, 0.0], 0.05, "normal")
-    t.close(sum(contact["force"] for contact in found), 2 * G, 0.2 * 2 * G, "the force of all contacts")
+    t.close(sum(contact["force"] for contact in touches), 2 * G, 0.2 * 2 * G, "the force of all contacts")
 
 
 @case(23, "4.get_cube_info", needs=("time", "contacts"), scope=Scope.TIME)

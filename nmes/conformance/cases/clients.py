@@ -64,8 +64,8 @@ def a_race_for_a_name(t: Trial) -> None:
     for wire in wires:
         wire.say({"type": "spawn_cube", "cube_name": name, "position": t.at(), "list": False})
     replies = [wire.reply("a reply") for wire in wires]
-    said = sorted(reply["code"] if reply["type"] == "error" else reply["type"] for reply in replies)
-    t.equal(said, ["cube_exists"] * 5 + ["cube_list"], "the replies")
+    outcomes = sorted(reply["code"] if reply["type"] == "error" else reply["type"] for reply in replies)
+    t.equal(outcomes, ["cube_exists"] * 5 + ["cube_list"], "the replies")
 
 
 @case(6, "4.create_joint", needs=("joint.fixed",))
@@ -133,11 +133,11 @@ def clients_are_counted(t: Trial) -> None:
 
     def count() -> int:
         """Waits until those that have left are gone: a server hears of it in its own time."""
-        seen = [now()]
-        while len(seen) < 5 or len(set(seen[-5:])) > 1:
+        counts = [now()]
+        while len(counts) < 5 or len(set(counts[-5:])) > 1:
             time.sleep(0.05)
-            seen.append(now())
-        return seen[-1]
+            counts.append(now())
+        return counts[-1]
 
     before = count()
     others = [t.join() for _ in range(3)]

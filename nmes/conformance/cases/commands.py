@@ -117,10 +117,10 @@ def world_state(t: Trial) -> None:
     wire = t.join()
     names = [t.base(wire, position=t.at(n), rotation=[0, 0, 0.1 * n]) for n in range(3)]
     state = t.ask(wire, {"type": "get_world_state"}, "world_state")
-    t.equal([c["cube_name"] for c in state["cubes"] if c["cube_name"] in names], names, "the case's cubes")
-    wanted = [names[2], names[0]]
-    some = t.ask(wire, {"type": "get_world_state", "cubes": wanted}, "world_state")
-    t.equal([cube["cube_name"] for cube in some["cubes"]], wanted, "the cubes that were asked for")
+    t.equal([cube["cube_name"] for cube in state["cubes"] if cube["cube_name"] in names], names, "the case's cubes")
+    selection = [names[2], names[0]]
+    some = t.ask(wire, {"type": "get_world_state", "cubes": selection}, "world_state")
+    t.equal([cube["cube_name"] for cube in some["cubes"]], selection, "the cubes that were asked for")
     for cube in some["cubes"]:
         info = t.info(wire, cube["cube_name"])
         for part in MOVING:
@@ -218,8 +218,8 @@ def batches_that_fail_in_part(t: Trial) -> None:
         {**cube, "cube_name": two},
     ]
     results = t.ask(wire, {"type": "batch", "commands": commands}, "batch_result")["results"]
-    said = [result["code"] if result["type"] == "error" else result["type"] for result in results]
-    t.equal(said, ["cube_list", "cube_not_found", "cube_exists", "cube_list"], "results")
+    outcomes = [result["code"] if result["type"] == "error" else result["type"] for result in results]
+    t.equal(outcomes, ["cube_list", "cube_not_found", "cube_exists", "cube_list"], "results")
     t.true({one, two} <= set(t.cubes(wire)), "both cubes", results)
 
 
@@ -257,9 +257,9 @@ def subscribing(t: Trial) -> None:
     """The reply to subscribe tells what was asked for, with the defaults of what was not."""
     wire = t.join()
     command = {"type": "subscribe", "events": ["tick"], "every": 1000, "position_threshold": 0.5}
-    wanted = {"events": ["tick"], "every": 1000, "position_threshold": 0.5, "rotation_threshold": 0}
+    fields = {"events": ["tick"], "every": 1000, "position_threshold": 0.5, "rotation_threshold": 0}
     reply = t.ask(wire, command, "subscribed")
-    t.equal({name: reply[name] for name in wanted}, wanted, "the reply")
+    t.equal({name: reply[name] for name in fields}, fields, "the reply")
     reply = t.ask(wire, {"type": "subscribe", "every": 1000}, "subscribed")
     t.equal(sorted(reply["events"]), ["state", "tick"], "events where none are named")
     t.ask(wire, {"type": "unsubscribe"}, "unsubscribed")
@@ -313,10 +313,10 @@ def a_reply_for_each_command(t: Trial) -> None:
         {"type": "nothing"},
     ]
     wire.say(*({**kinds[n % len(kinds)], "id": n} for n in range(200)))
-    wanted = ["pong", "cube_info", "cube_list", "physics_applied", "error"]
+    types = ["pong", "cube_info", "cube_list", "physics_applied", "error"]
     for n in range(200):
         reply = wire.reply(f"reply {n}")
-        t.equal([reply.get("id"), reply["type"]], [n, wanted[n % len(kinds)]], f"reply {n}")
+        t.equal([reply.get("id"), reply["type"]], [n, types[n % len(kinds)]], f"reply {n}")
     t.fence(wire)
 
 
@@ -346,9 +346,9 @@ def listing(t: Trial) -> None:
     reply = t.ask(wire, {"type": "spawn_cube", "cube_name": t.name(), "position": t.at()}, "cube_list")
     mine = [name for name in reply["cubes"] if name.startswith(f"{t.probe.tag}-{t.plot}-")]
     for _ in range(2):
-        listed = t.ask(wire, {"type": "get_cube_list"}, "cube_list")
-        t.true("spawned" not in listed, "nothing spawned by looking", listed)
-        t.equal([name for name in listed["cubes"] if name.startswith(f"{t.probe.tag}-{t.plot}-")], mine, "the list")
+        reply = t.ask(wire, {"type": "get_cube_list"}, "cube_list")
+        t.true("spawned" not in reply, "nothing spawned by looking", reply)
+        t.equal([name for name in reply["cubes"] if name.startswith(f"{t.probe.tag}-{t.plot}-")], mine, "the list")
 
 
 @case(45, "4.get_world_info", needs=("get_world_info",), level=Level.SHOULD)

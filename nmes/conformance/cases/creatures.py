@@ -65,7 +65,7 @@ def spawned(t: Trial, wire: Wire, genome: dict[str, Any] = GENOME) -> Message:
 
 
 def senses(t: Trial, wire: Wire, creature: str) -> dict[str, float]:
-    """Returns what the sensors of the genome above read, by their ids."""
+    """Reads the sensors of a creature of the genome above; returns their values by id."""
     values = t.ask(wire, {"type": "sense", "creature": creature}, "senses")["values"]
     t.equal(len(values), len(SENSORS), "the number of values")
     return dict(zip(SENSORS, values, strict=True))
@@ -85,8 +85,8 @@ def a_creature_is_its_cubes_and_joints(t: Trial) -> None:
     name = reply["creature"]
     t.equal(reply["cubes"], {"torso": f"{name}.torso", "arm": f"{name}.arm"}, "cubes")
     t.equal(reply["joints"], {"shoulder": f"{name}.shoulder"}, "joints")
-    listed = [cube for cube in t.cubes(wire) if cube.startswith(f"{name}.")]
-    t.equal(listed, [f"{name}.torso", f"{name}.arm"], "its cubes in the list")
+    parts = [cube for cube in t.cubes(wire) if cube.startswith(f"{name}.")]
+    t.equal(parts, [f"{name}.torso", f"{name}.arm"], "its cubes in the list")
     origin = t.at(y=0)
     for cube in GENOME["body"]["cubes"]:
         info = t.info(wire, f"{name}.{cube['id']}")
@@ -251,8 +251,8 @@ def a_creature_that_lost_a_part(t: Trial, command: dict[str, Any]) -> None:
     """When a part of it is taken away a creature is one no more, and what is left stays."""
     wire = t.join()
     name = spawned(t, wire)["creature"]
-    taken = {key: value if key == "type" else f"{name}.{value}" for key, value in command.items()}
-    t.ask(wire, taken, "cube_despawned" if command["type"] == "despawn_cube" else "joint_removed")
+    removal = {key: value if key == "type" else f"{name}.{value}" for key, value in command.items()}
+    t.ask(wire, removal, "cube_despawned" if command["type"] == "despawn_cube" else "joint_removed")
     t.refused(wire, {"type": "sense", "creature": name}, "creature_not_found", "creature")
     t.refused(wire, {"type": "drive", "creature": name, "controls": [0]}, "creature_not_found", "creature")
     t.info(wire, f"{name}.torso")

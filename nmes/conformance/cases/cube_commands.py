@@ -60,11 +60,11 @@ def spawning_without_the_list(t: Trial) -> None:
         Row("color-with-opacity", {"color": [0.25, 0.5, 0.75, 0.5]}),
     ],
 )
-def what_is_spawned_is_seen(t: Trial, given: dict[str, Any]) -> None:
+def what_is_spawned_is_seen(t: Trial, fields: dict[str, Any]) -> None:
     """What a cube is spawned with, get_cube_info tells."""
     wire = t.join()
-    info = t.info(wire, t.base(wire, **given))
-    ((name, value),) = given.items()
+    info = t.info(wire, t.base(wire, **fields))
+    ((name, value),) = fields.items()
     if name == "size" and not isinstance(value, list):
         value = [value] * 3
     if name == "color" and len(value) == 3:

@@ -123,10 +123,10 @@ def looking_changes_nothing(t: Trial) -> None:
     commands = script(t, 30)
     plain = played(t, commands, 9)
     looked = [part for command in commands for part in (command, {"type": "get_cube_info", "cube_name": "d0"})]
-    seen = played(t, looked, 9)[::2]
-    for n, (one, two) in enumerate(zip(plain, seen, strict=True)):
-        said = [{key: value for key, value in reply.items() if key != "id"} for reply in (one, two)]
-        t.equal(said[1], said[0], f"the answer to command {n}, {commands[n]['type']}, with much looking")
+    others = played(t, looked, 9)[::2]
+    for n, (one, two) in enumerate(zip(plain, others, strict=True)):
+        answers = [{key: value for key, value in reply.items() if key != "id"} for reply in (one, two)]
+        t.equal(answers[1], answers[0], f"the answer to command {n}, {commands[n]['type']}, with much looking")
 
 
 @case(8, "3.4.4", needs=NEEDS, scope=Scope.WORLD)

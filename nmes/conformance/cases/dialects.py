@@ -8,6 +8,7 @@ from typing import Any
 from nmes.conformance.case import Category, Row
 from nmes.conformance.cases.auth import AUTH_DELAY, only_error
 from nmes.conformance.trial import Trial
+from nmes.conformance.values import command_needs
 from nmes.conformance.wire import Wire, frame_of, read_json
 from nmes.protocol import COMMANDS, DELIMITER
 
@@ -15,11 +16,6 @@ DIALECTS = Category(3, "dialects")
 case, table = DIALECTS.case, DIALECTS.table
 
 SILENT = [kind for kind, command in COMMANDS.items() if command.silent]
-
-
-def needs(kind: str) -> tuple[str, ...]:
-    """Returns what a command needs of a server."""
-    return () if COMMANDS[kind].required else (kind,)
 
 
 def silent_command(t: Trial, kind: str, cube: str) -> dict[str, Any]:
@@ -82,7 +78,7 @@ def json_that_is_no_object_is_a_bare_password(t: Trial, form: bytes) -> None:
     t.equal(wire.rest(t.target.timeout + AUTH_DELAY), [b"auth_failed"], "all that is said")
 
 
-@table(6, "2.2.4", [Row(kind, kind, needs(kind)) for kind in SILENT])
+@table(6, "2.2.4", [Row(kind, kind, command_needs(kind)) for kind in SILENT])
 def silence_after_success(t: Trial, kind: str) -> None:
     """A command that the raw dialect keeps silent about gets no reply when it succeeds."""
     json_wire, wire = t.join(), t.raw()
@@ -91,7 +87,7 @@ def silence_after_success(t: Trial, kind: str) -> None:
     pong(t, wire, "next")
 
 
-@table(7, "2.2.4", [Row(kind, kind, needs(kind)) for kind in SILENT])
+@table(7, "2.2.4", [Row(kind, kind, command_needs(kind)) for kind in SILENT])
 def silence_after_failure(t: Trial, kind: str) -> None:
     """A command that the raw dialect keeps silent about gets no error when it fails."""
     wire = t.raw()
@@ -102,7 +98,7 @@ def silence_after_failure(t: Trial, kind: str) -> None:
     pong(t, wire, "next")
 
 
-@table(8, "2.2.4", [Row(kind, kind, needs(kind)) for kind in SILENT])
+@table(8, "2.2.4", [Row(kind, kind, command_needs(kind)) for kind in SILENT])
 def silence_after_an_invalid_command(t: Trial, kind: str) -> None:
     """A command that the raw dialect keeps silent about gets no error when its fields are not valid."""
     wire = t.raw()
@@ -110,7 +106,7 @@ def silence_after_an_invalid_command(t: Trial, kind: str) -> None:
     pong(t, wire, "next")
 
 
-@table(9, "2.2.4", [Row(kind, kind, needs(kind)) for kind in SILENT if kind != "apply_physics"])
+@table(9, "2.2.4", [Row(kind, kind, command_needs(kind)) for kind in SILENT if kind != "apply_physics"])
 def what_is_silent_is_done(t: Trial, kind: str) -> None:
     """A command without a reply has its effect."""
     json_wire, wire = t.join(), t.raw()

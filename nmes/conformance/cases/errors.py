@@ -6,15 +6,10 @@ from typing import Any
 
 from nmes.conformance.case import Category, Row
 from nmes.conformance.trial import Trial
-from nmes.protocol import COMMANDS
+from nmes.conformance.values import command_needs
 
 ERRORS = Category(7, "errors")
 case, table = ERRORS.case, ERRORS.table
-
-
-def optional(kind: str) -> tuple[str, ...]:
-    """Returns what a command needs of a server."""
-    return () if COMMANDS[kind].required else (kind,)
 
 
 ABOUT_A_CUBE: dict[str, dict[str, Any]] = {
@@ -33,7 +28,7 @@ ABOUT_A_JOINT: dict[str, dict[str, Any]] = {
 }
 
 
-@table(1, "4.error.cube_not_found", [Row(kind, kind, optional(kind)) for kind in ABOUT_A_CUBE])
+@table(1, "4.error.cube_not_found", [Row(kind, kind, command_needs(kind)) for kind in ABOUT_A_CUBE])
 def cubes_that_there_are_not(t: Trial, kind: str) -> None:
     """A command about a cube that there is not gets cube_not_found."""
     wire = t.join()
@@ -41,7 +36,7 @@ def cubes_that_there_are_not(t: Trial, kind: str) -> None:
     t.fence(wire)
 
 
-@table(2, "4.error.cube_not_found", [Row(kind, kind, optional(kind)) for kind in ABOUT_A_CUBE])
+@table(2, "4.error.cube_not_found", [Row(kind, kind, command_needs(kind)) for kind in ABOUT_A_CUBE])
 def cubes_that_are_gone(t: Trial, kind: str) -> None:
     """A command about a cube that was despawned gets cube_not_found."""
     wire = t.join()
@@ -50,7 +45,7 @@ def cubes_that_are_gone(t: Trial, kind: str) -> None:
     t.refused(wire, {"type": kind, "cube_name": name, **ABOUT_A_CUBE[kind]}, "cube_not_found", "cube_name")
 
 
-@table(3, "4.error.joint_not_found", [Row(kind, kind, optional(kind)) for kind in ABOUT_A_JOINT])
+@table(3, "4.error.joint_not_found", [Row(kind, kind, command_needs(kind)) for kind in ABOUT_A_JOINT])
 def joints_that_there_are_not(t: Trial, kind: str) -> None:
     """A command about a joint that there is not gets joint_not_found."""
     wire = t.join()
@@ -111,7 +106,7 @@ def joints_that_are_gone(t: Trial) -> None:
     t.true(again != joint, "a new name", again)
 
 
-@table(9, "4.error.nothing_owned", [Row(kind, kind, optional(kind)) for kind in ("apply_physics", "apply_force")])
+@table(9, "4.error.nothing_owned", [Row(kind, kind, command_needs(kind)) for kind in ("apply_physics", "apply_force")])
 def forces_on_nothing(t: Trial, kind: str) -> None:
     """A force without a cube's name, on a connection that has spawned none, gets nothing_owned."""
     wire = t.join()
@@ -169,9 +164,9 @@ def errors_in_a_row_of_commands(t: Trial) -> None:
     )
     replies = [wire.reply(f"reply {n}") for n in range(9)]
     t.equal([reply.get("id") for reply in replies], list(range(9)), "the ids in order")
-    wanted = ["pong", "unknown_type", "cube_list", "cube_exists", "invalid", "cube_info", "cube_despawned"]
-    said = [reply["code"] if reply["type"] == "error" else reply["type"] for reply in replies]
-    t.equal(said, [*wanted, "cube_not_found", "pong"], "the replies")
+    expected = ["pong", "unknown_type", "cube_list", "cube_exists", "invalid", "cube_info", "cube_despawned"]
+    outcomes = [reply["code"] if reply["type"] == "error" else reply["type"] for reply in replies]
+    t.equal(outcomes, [*expected, "cube_not_found", "pong"], "the replies")
 
 
 @case(13, "3.3.1")

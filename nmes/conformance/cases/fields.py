@@ -7,7 +7,7 @@ from typing import Any
 
 from nmes.conformance.case import Category, Finding, Row
 from nmes.conformance.trial import Trial
-from nmes.conformance.values import FIELD_NEEDS, edges, fields, wrong
+from nmes.conformance.values import FIELD_NEEDS, command_needs, edges, fields, wrong
 from nmes.conformance.wire import Wire, clip
 from nmes.protocol import COMMANDS
 
@@ -20,10 +20,9 @@ SEEN = frozenset({"position", "size", "mass", "friction", "restitution", "color"
 
 
 def needs(kind: str, field: str) -> tuple[str, ...]:
-    """Returns what a field needs of a server."""
-    claimed = () if COMMANDS[kind].required else (kind,)
+    """Returns the needs of a case about a field of a command."""
     joint = ("joint.fixed",) if "joint_name" in COMMANDS[kind].schema["properties"] or kind == "create_joint" else ()
-    return (*claimed, *joint, *FIELD_NEEDS.get((kind, field), ()))
+    return (*command_needs(kind), *joint, *FIELD_NEEDS.get((kind, field), ()))
 
 
 def rows_of_wrong_values() -> Iterator[Row]:
@@ -53,14 +52,14 @@ def rows_of_bounds() -> Iterator[Row]:
 def valid(t: Trial, wire: Wire, kind: str) -> dict[str, Any]:
     """Returns a command of that type, about cubes and joints that there are."""
     command: dict[str, Any] = dict(COMMANDS[kind].schema["examples"][0])
-    known = COMMANDS[kind].schema["properties"]
+    properties = COMMANDS[kind].schema["properties"]
     if kind == "spawn_cube":
         return {"type": kind, "cube_name": t.name(), "position": t.at(y=HIGH), "is_base": True, "list": False}
-    if "cube_name" in known:
+    if "cube_name" in properties:
         command["cube_name"] = t.base(wire)
-    if "cube1" in known:
+    if "cube1" in properties:
         command |= {"cube1": t.base(wire), "cube2": t.base(wire, position=t.at(1.5))}
-    if "joint_name" in known:
+    if "joint_name" in properties:
         command["joint_name"] = t.join_cubes(wire, t.base(wire), t.base(wire, position=t.at(1.5)))
     if kind == "create_joint":
         command |= {"joint_type": "hinge" if t.probe.claims("joint.hinge") else "fixed"}
@@ -118,14 +117,14 @@ def bounds_are_taken(t: Trial, row: tuple[str, str, Any]) -> None:
         if kind == "spawn_cube" and name in SEEN:
             t.adopt(reply["spawned"])
             info = t.info(wire, reply["spawned"])
-            wanted = value if isinstance(value, list) else [value] * 3 if name == "size" else value
+            expected = value if isinstance(value, list) else [value] * 3 if name == "size" else value
             if name == "color" and len(value) == 3:
-                wanted = [*value, 1.0]
+                expected = [*value, 1.0]
             if t.probe.planar and name in ("position", "linear_velocity"):
-                wanted = [*wanted[:2], 0.0]
+                expected = [*expected[:2], 0.0]
             if name != "linear_velocity":  # a frozen cube has none
-                size = max(map(abs, wanted)) if isinstance(wanted, list) else abs(wanted)
-                t.close(info[name], wanted, 1e-6 * max(size, 1e-6), name)
+                size = max(map(abs, expected)) if isinstance(expected, list) else abs(expected)
+                t.close(info[name], expected, 1e-6 * max(size, 1e-6), name)
         elif kind == "spawn_cube":
             t.adopt(reply["spawned"])
     t.fence(wire)

@@ -50,8 +50,8 @@ def joint_info(t: Trial, kind: str) -> None:
     t.close(info["anchor"], t.at(1, 3.5), 0.01, "anchor")
     t.close([info["position"], info["velocity"]], [0.0, 0.0], 0.01, "position and velocity")
     if kind in ("hinge", "slide", "slider"):
-        wanted = [0.0, 0.0, 1.0] if kind == "hinge" else [1.0, 0.0, 0.0]
-        t.close(info["axis"], wanted, 1e-4, "axis")
+        axis = [0.0, 0.0, 1.0] if kind == "hinge" else [1.0, 0.0, 0.0]
+        t.close(info["axis"], axis, 1e-4, "axis")
 
 
 @case(14, "4.create_joint", needs=("joint.hinge", "get_joint_info"))
@@ -94,17 +94,17 @@ def joint_list(t: Trial) -> None:
     wire = t.join()
     cubes = [t.base(wire, position=t.at(n - 2)) for n in range(4)]
     joints = [t.join_cubes(wire, one, two) for one, two in itertools.pairwise(cubes)]
-    listed = t.ask(wire, {"type": "get_joint_list"}, "joint_list")["joints"]
-    mine = [joint for joint in listed if joint["joint_name"] in joints]
-    wanted = [
+    joint_list = t.ask(wire, {"type": "get_joint_list"}, "joint_list")["joints"]
+    mine = [joint for joint in joint_list if joint["joint_name"] in joints]
+    expected = [
         {"joint_name": joint, "joint_type": "fixed", "cube1": one, "cube2": two}
         for joint, one, two in zip(joints, cubes, cubes[1:], strict=False)
     ]
-    said = [{name: joint[name] for name in wanted[0]} for joint in mine]
-    t.equal(said, wanted, "the case's joints in the list")
+    summaries = [{name: joint[name] for name in expected[0]} for joint in mine]
+    t.equal(summaries, expected, "the case's joints in the list")
     t.ask(wire, {"type": "despawn_cube", "cube_name": cubes[1]}, "cube_despawned")
-    listed = t.ask(wire, {"type": "get_joint_list"}, "joint_list")["joints"]
-    left = [joint["joint_name"] for joint in listed if joint["joint_name"] in joints]
+    joint_list = t.ask(wire, {"type": "get_joint_list"}, "joint_list")["joints"]
+    left = [joint["joint_name"] for joint in joint_list if joint["joint_name"] in joints]
     t.equal(left, joints[2:], "what is left of them")
 
 

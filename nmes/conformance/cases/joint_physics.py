@@ -185,10 +185,10 @@ def hinge_motors(t: Trial, row: tuple[list[float], float]) -> None:
     base, name = t.base(wire, position=t.at(-3, 10)), t.spawn(wire, position=t.at(0, 10))
     joint = t.join_cubes(wire, base, name, "hinge", position=t.at(0, 10), axis=axis)
     set_params(t, wire, joint, motor_max_force=1000, motor_target_velocity=speed)
-    wanted = [speed * value for value in axis]
-    t.until(wire, name, 1.0, lambda info: math.dist(info["angular_velocity"], wanted) < 0.1, f"turns with {wanted}")
+    velocity = [speed * value for value in axis]
+    t.until(wire, name, 1.0, lambda info: math.dist(info["angular_velocity"], velocity) < 0.1, f"turns with {velocity}")
     for info in t.watch(wire, name, 0.3):
-        t.close(info["angular_velocity"], wanted, 0.15, "angular velocity")
+        t.close(info["angular_velocity"], velocity, 0.15, "angular velocity")
         t.close(info["position"], t.at(0, 10), GIVE, "position")
 
 

@@ -157,8 +157,8 @@ def a_new_connection_owns_nothing(t: Trial) -> None:
 def the_order_of_creation(t: Trial) -> None:
     """The list of cubes is in order of creation, whoever creates them and whatever they are called."""
     wires = [t.join(), t.join()]
-    given = sorted((t.name(hint) for hint in "zayb"), reverse=True)  # neither names nor clients are in that order
-    names = [t.base(wires[n % 2], cube_name=name, position=t.at(n)) for n, name in enumerate(given)]
+    requests = sorted((t.name(hint) for hint in "zayb"), reverse=True)  # neither names nor clients are in that order
+    names = [t.base(wires[n % 2], cube_name=name, position=t.at(n)) for n, name in enumerate(requests)]
     t.ask(wires[0], {"type": "despawn_cube", "cube_name": names.pop(1)}, "cube_despawned")
     names.append(t.base(wires[1], position=t.at(4)))
     mine = [name for name in t.cubes(wires[0]) if name in names]

@@ -22,7 +22,7 @@ def aim(t: Trial, wire: Wire, expression: str, **fields: Any) -> None:
 
 
 def worth(t: Trial, wire: Wire, **fields: Any) -> float:
-    """Returns what an objective or a metric is worth."""
+    """Asks for the value of an objective or a metric."""
     return float(t.ask(wire, {"type": ASK, **fields}, "reward")["value"])
 
 
@@ -191,8 +191,8 @@ def over_time(t: Trial) -> None:
     for y in (6.0, 2.0, 5.0):
         put(t, wire, cube, position=t.at(y=y))
         t.ask(wire, {"type": "step"}, "stepped")
-    wanted = {"start": 3.0, "min": 2.0, "max": 6.0, "mean": 4.0, "final": 5.0, "time": 3 / t.probe.tick_rate}
-    for name, value in wanted.items():
+    expected = {"start": 3.0, "min": 2.0, "max": 6.0, "mean": 4.0, "final": 5.0, "time": 3 / t.probe.tick_rate}
+    for name, value in expected.items():
         t.close(worth(t, wire, objective=name), value, CLOSE, name)
 
 
@@ -226,14 +226,14 @@ def asking_changes_nothing(t: Trial) -> None:
 def metrics(t: Trial, row: tuple[dict[str, Any], float]) -> None:
     """A metric is what the state of its cube says, counted from where it was spawned."""
     wire = t.join()
-    asked, value = row
+    fields, value = row
     cube = t.base(wire, position=t.at(0, 3))
     put(t, wire, cube, position=t.at(3, 7), rotation=[0, 0, 0.5])
-    if "target" in asked:
-        asked = {**asked, "target": t.at(*asked["target"])}
-    reply = t.ask(wire, {"type": ASK, "cube": cube, **asked}, "reward")
-    t.close(reply["value"], value, 1e-3, asked["metric"])
-    t.should(reply.get("metric") == asked["metric"] and reply.get("cube_name") == cube, "metric and cube_name", reply)
+    if "target" in fields:
+        fields = {**fields, "target": t.at(*fields["target"])}
+    reply = t.ask(wire, {"type": ASK, "cube": cube, **fields}, "reward")
+    t.close(reply["value"], value, 1e-3, fields["metric"])
+    t.should(reply.get("metric") == fields["metric"] and reply.get("cube_name") == cube, "metric and cube_name", reply)
 
 
 @case(14, "4.compute_reward", needs=(ASK, "stepping"), scope=Scope.TIME)

@@ -65,8 +65,8 @@ def restitution(t: Trial) -> None:
     names = [t.spawn(wire, position=t.at(x, 1.5), restitution=much) for x, much in ((-2, 0.0), (2, 0.8))]
     heights: list[list[float]] = [[], []]
     for _ in t.watch(wire, names[0], 1.5):
-        for name, seen in zip(names, heights, strict=True):
-            seen.append(t.info(wire, name)["position"][1])
-    rises = [max(seen[seen.index(min(seen)) :]) - min(seen) for seen in heights]
+        for name, curve in zip(names, heights, strict=True):
+            curve.append(t.info(wire, name)["position"][1])
+    rises = [max(curve[curve.index(min(curve)) :]) - min(curve) for curve in heights]
     t.true(rises[0] < 0.1, "the cube without restitution on the ground", f"it rises by {rises[0]:.2f} m")
     t.true(rises[1] > 0.2, "the other one rising by more than 0.2 m", f"it rises by {rises[1]:.2f} m")

@@ -171,8 +171,8 @@ def many_cubes_come_and_go(t: Trial) -> None:
         wire.say({"type": "spawn_cube", "cube_name": name, "position": t.at(y=1000 + 2 * n), "list": False})
     for name in names:
         wire.say({"type": "despawn_cube", "cube_name": name})
-    said = [wire.reply("a reply")["type"] for _ in range(600)]
-    t.equal(said, ["cube_list"] * 300 + ["cube_despawned"] * 300, "the replies")
+    types = [wire.reply("a reply")["type"] for _ in range(600)]
+    t.equal(types, ["cube_list"] * 300 + ["cube_despawned"] * 300, "the replies")
     t.true(not set(names) & set(t.cubes(wire)), "none of them left", before)
 
 

@@ -49,8 +49,8 @@ def values(part: Schema) -> st.SearchStrategy[Any]:
         case "array":
             least, most = part.get("minItems", 0), part.get("maxItems", 3)
             items = values(part.get("items", {}))
-            drawn = st.lists(items, min_size=least, max_size=most)
-            return drawn.filter(lambda value: any(abs(x) > 0.1 for x in value)) if "contains" in part else drawn
+            lists = st.lists(items, min_size=least, max_size=most)
+            return lists.filter(lambda value: any(abs(x) > 0.1 for x in value)) if "contains" in part else lists
     return st.sampled_from(part.get("enum", ["x"]))
 
 
@@ -192,7 +192,7 @@ def machine(t: Trial, scripts: list[Script], findings: list[Finding]) -> type[Co
     """Returns the machine of one server, which adds the rules that depend on what the server claims."""
     probe = t.probe
     kinds = [kind for kind in ("fixed", "hinge", "slide", "pin") if probe.claims(f"joint.{kind}")]
-    known = [kind for kind in COMMANDS if probe.claims(kind) and kind not in ("reset", "set_mode", "step", "batch")]
+    commands = [kind for kind in COMMANDS if probe.claims(kind) and kind not in ("reset", "set_mode", "step", "batch")]
 
     class World(Conversation):
         """Two clients in the server's world."""
@@ -202,7 +202,7 @@ def machine(t: Trial, scripts: list[Script], findings: list[Finding]) -> type[Co
         def join(self, client: int, one: str, two: str, kind: str) -> None:
             self.say(client, {"type": "create_joint", "cube1": one, "cube2": two, "joint_type": kind})
 
-        @rule(client=CLIENT, kind=st.sampled_from(known), data=st.data())
+        @rule(client=CLIENT, kind=st.sampled_from(commands), data=st.data())
         def mistake(self, client: int, kind: str, data: st.DataObject) -> None:
             bad = [
                 (name, value)
@@ -225,7 +225,7 @@ def search(t: Trial, seed: int) -> tuple[Script, Finding] | None:
     def explore(phases: Sequence[Phase]) -> bool:
         factory = machine(t, scripts, findings)
         hypothesis.seed(seed)(factory)
-        chosen = settings(
+        profile = settings(
             max_examples=EXAMPLES,
             stateful_step_count=STEPS,
             phases=phases,
@@ -235,7 +235,7 @@ def search(t: Trial, seed: int) -> tuple[Script, Finding] | None:
             suppress_health_check=list(HealthCheck),
         )
         try:
-            run_state_machine_as_test(factory, settings=chosen)
+            run_state_machine_as_test(factory, settings=profile)
         except (Finding, FlakyFailure) as error:
             if not findings:  # it failed before anything was said
                 raise Finding("two connections", str(error)) from error
@@ -254,9 +254,9 @@ def search(t: Trial, seed: int) -> tuple[Script, Finding] | None:
 @table(1, "3.3.1", [Row(str(n), n) for n in range(4)], scope=Scope.TIME)
 def random_conversations(t: Trial, number: int) -> None:
     """Two clients that say anything, legal and not, get the answers that a world must give."""
-    found = search(t, t.seed * 1000 + number)
-    if found is not None:
-        script, finding = found
+    failure = search(t, t.seed * 1000 + number)
+    if failure is not None:
+        script, finding = failure
         t.script = script
         play_script(t, script)
         raise Finding("the same answers to the same script", f"once {finding.received}, not {finding.expected}")

@@ -18,11 +18,11 @@ NEEDS = ("stepping", "step", "subscribe", "unsubscribe")
 def events(t: Trial, wire: Wire) -> list[Message]:
     """Returns the events that came before the server answers a ping."""
     wire.say({"type": "ping", "id": "now"})
-    found = []
+    messages = []
     while is_event(message := wire.hear(what="events and pong")):
-        found.append(message)
+        messages.append(message)
     t.equal(message.get("id"), "now", "the id of the pong")
-    return found
+    return messages
 
 
 def step(t: Trial, wire: Wire, ticks: int = 1) -> int:
@@ -94,7 +94,7 @@ def the_second_replaces_the_first(t: Trial) -> None:
 
 
 def states(messages: list[Message], name: str) -> list[dict[str, Any]]:
-    """Returns what state events said of a cube."""
+    """Returns the states of a cube in `state` events, in order."""
     return [
         cube
         for message in messages
@@ -111,13 +111,13 @@ def a_falling_cube(t: Trial) -> None:
     name = t.spawn(driver, position=t.at(y=30))
     t.ask(wire, {"type": "subscribe", "events": ["state"]}, "subscribed")
     step(t, driver, 5)
-    got = events(t, wire)
-    t.true(all(event["type"] == "state" for event in got), "states only", [event["type"] for event in got])
-    told = states(got, name)
-    t.equal(len(told), 5, "the number of times that the cube is told of")
-    heights = [cube["position"][1] for cube in told]
+    messages = events(t, wire)
+    t.true(all(event["type"] == "state" for event in messages), "states only", [event["type"] for event in messages])
+    updates = states(messages, name)
+    t.equal(len(updates), 5, "the number of times that the cube is told of")
+    heights = [cube["position"][1] for cube in updates]
     t.true(heights == sorted(heights, reverse=True) and len(set(heights)) == 5, "heights that fall", heights)
-    t.close(told[-1]["position"], t.info(driver, name)["position"], 1e-6, "the last position")
+    t.close(updates[-1]["position"], t.info(driver, name)["position"], 1e-6, "the last position")
 
 
 @case(7, "4.state", needs=NEEDS, scope=Scope.TIME)
@@ -153,8 +153,8 @@ def the_threshold_of_rotation(t: Trial) -> None:
     command = {"type": "subscribe", "events": ["state"], "position_threshold": 1000, "rotation_threshold": 0.5}
     t.ask(wire, command, "subscribed")
     step(t, driver, round(0.5 * t.probe.tick_rate))  # it turns some 2 rad
-    told = len(states(events(t, wire), name))
-    t.true(3 <= told <= 6, "3 to 6 times in 2 rad", told)
+    count = len(states(events(t, wire), name))
+    t.true(3 <= count <= 6, "3 to 6 times in 2 rad", count)
 
 
 @case(10, "4.state", needs=NEEDS, scope=Scope.TIME)
