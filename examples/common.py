@@ -1,4 +1,4 @@
-"""What the example clients share: where the server is, and how they say what they measured."""
+"""The common part of the example clients: the connection to the server, and the report of their measurements."""
 
 from __future__ import annotations
 

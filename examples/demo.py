@@ -1,4 +1,4 @@
-"""Serves, drives, records and reproduces the example worlds, one after the other, and tables what came of it.
+"""Serves, drives, records and reproduces the example worlds, one after the other, and prints a table of the results.
 
 Everything goes through the doors that users have: `nmes serve`, the example programs over TCP, `nmes replay`.
 """
@@ -32,12 +32,12 @@ TIMEOUT = 60.0  # s, for any one step
 
 
 class Failed(Exception):
-    """A step of the demo went wrong; says what the step printed."""
+    """A step of the demo failed; the message has its output."""
 
 
 @contextmanager
 def served(record_to: Path, *options: str) -> Iterator[dict[str, Any]]:
-    """Runs `nmes serve` on a free port; yields what it says when it is ready."""
+    """Runs `nmes serve` on a free port; yields its first message, which has address and recording, and the password."""
     password = secrets.token_urlsafe()
     command = [*NMES, "serve", "--json", "--port", "0", "--record", str(record_to), *options]
     with tempfile.TemporaryFile("w+") as log:
@@ -58,14 +58,14 @@ def served(record_to: Path, *options: str) -> Iterator[dict[str, Any]]:
 
 
 def run(command: list[str], **environment: str) -> Any:
-    """Runs a command that prints JSON and returns what it printed; a missed aim is no failure."""
-    done = subprocess.run(
+    """Runs a command that prints JSON, and returns the parsed output; a missed aim is no failure."""
+    process = subprocess.run(
         command, env={**os.environ, **environment}, capture_output=True, text=True, timeout=TIMEOUT, check=False
     )
     try:
-        return json.loads(done.stdout)
+        return json.loads(process.stdout)
     except ValueError:
-        raise Failed(f"{' '.join(command)} (exit {done.returncode})\n{done.stdout}{done.stderr}") from None
+        raise Failed(f"{' '.join(command)} (exit {process.returncode})\n{process.stdout}{process.stderr}") from None
 
 
 def drive(example: str, record_to: Path) -> tuple[Any, Path]:

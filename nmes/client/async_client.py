@@ -198,7 +198,7 @@ class AsyncClient(ClientBase, AsyncCommands):
 
 
 class _Link(asyncio.BufferedProtocol):
-    """The transport of an AsyncClient: it carries bytes between a socket and a conversation, and signals what came."""
+    """The transport of an AsyncClient: it carries bytes between a socket and a conversation, and signals arrivals."""
 
     transport: asyncio.Transport
 

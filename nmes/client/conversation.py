@@ -1,4 +1,4 @@
-"""What the blocking and the awaiting client share: one connection's conversation without I/O, settings, and errors.
+"""The common part of both clients: a connection's protocol without I/O, their settings, and their errors.
 
 Hides the json dialect: framing, authentication, numbering of commands and matching of replies.
 
@@ -100,7 +100,7 @@ class Conversation:
 
 
 class ClientBase:
-    """What the blocking and the awaiting client share: settings, the event queue, and errors."""
+    """The base of both clients: settings, the event queue, and errors."""
 
     def __init__(
         self,

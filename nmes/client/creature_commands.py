@@ -1,4 +1,4 @@
-"""Commands about creatures, and about objectives: what they are to do, and how well they do it.
+"""Commands about creatures, and about the objectives that score them.
 
 The docstrings of the methods are written by `make format` from the schemas (tools/client_docs.py).
 """

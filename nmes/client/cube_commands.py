@@ -1,4 +1,4 @@
-"""Commands about cubes: what they are, where they are, what acts on them, what they feel.
+"""Commands about cubes: their making, their motion, the forces on them, their sensors.
 
 The docstrings of the methods are written by `make format` from the schemas (tools/client_docs.py).
 """

@@ -1,4 +1,4 @@
-"""What a case is: a plain function with a number, a clause of the protocol, and what it needs of a server.
+"""Cases: plain functions with a number, a clause of the protocol, and the needs that a server must meet.
 
 It hides how cases are kept: a `Category` registers those of its file, a table of rows becomes one case a row. It knows
 nothing of sockets or of how cases are run. Invariants: numbers are unique and never reused for something else, so that
@@ -32,7 +32,7 @@ class Level(StrEnum):
 
 
 class Scope(Enum):
-    """What of the server a case has to itself.
+    """The part of the server that a case has to itself.
 
     Cases of CONNECTION use their own connections and cubes only, and run side by side. Those of TIME move the world's
     time on or watch it pass; those of WORLD change what all its clients share (mode, pause, seed); those of HOST count
@@ -46,7 +46,7 @@ class Scope(Enum):
 
 
 class Finding(AssertionError):
-    """Something that a server does not do as the protocol says."""
+    """A difference between a server and the protocol: the answer expected, and the one received."""
 
     def __init__(self, expected: str, received: str) -> None:
         super().__init__(f"expected {expected}, received {received}")
@@ -55,7 +55,7 @@ class Finding(AssertionError):
 
 
 class Unimplemented(Exception):
-    """The server says that it does not have something that it may leave out."""
+    """The server leaves out something optional, and says so."""
 
 
 class NotTried(Exception):
@@ -157,7 +157,7 @@ class Category:
         scope: Scope = Scope.CONNECTION,
         wait: float = 0.0,
     ) -> Callable[[Callable[[Trial, Any], None]], Callable[[Trial, Any], None]]:
-        """Registers the function below it once for each row, whose value it gets."""
+        """Registers the function below it once for each row; the function gets the row's value."""
 
         def register(function: Callable[[Trial, Any], None]) -> Callable[[Trial, Any], None]:
             for row in rows:

@@ -127,7 +127,7 @@ def to_junit(report: Report) -> str:
 
 
 def _xml(text: str) -> str:
-    """Replaces what XML cannot hold."""
+    """Replaces characters that XML cannot hold."""
     return "".join(char if char in "\t\n" or char.isprintable() else "\ufffd" for char in text)
 
 

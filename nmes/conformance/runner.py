@@ -43,7 +43,7 @@ class Unreachable(NmesError):
 
 
 class Verdict(StrEnum):
-    """What a case found out. `fault` is a mistake of the suite, none of the server's."""
+    """The outcome of a case. `fault` is a mistake of the suite, not of the server."""
 
     OK = "ok"
     NON_STRICT = "non-strict"
@@ -55,7 +55,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What to run.
+    """The choice of cases to run, and the seed.
 
     Attributes:
         only: Patterns of case numbers (`3.*`, `4.12:mass*`); all cases if empty.
@@ -70,7 +70,7 @@ class Options:
 
 @dataclass(slots=True)
 class Result:
-    """What became of one case.
+    """The result of one case.
 
     Attributes:
         case: The case.
@@ -102,7 +102,7 @@ class Result:
 
 @dataclass(slots=True)
 class Report:
-    """What a run found out about a server."""
+    """The results of a run against a server."""
 
     target: Target
     probe: Probe
@@ -242,7 +242,7 @@ def replay(target: Target, script: Script) -> Result:
 def _collect(
     pending: dict[Future[Result], Case], take: Callable[[Result], None], awaited: Callable[[Case], bool]
 ) -> None:
-    """Takes results as they come, until no wanted case is pending."""
+    """Takes results as they come, until no awaited case is pending."""
     while any(map(awaited, pending.values())):
         done, _ = wait(pending, return_when=FIRST_COMPLETED)
         for future in done:
@@ -251,7 +251,7 @@ def _collect(
 
 
 def examine(target: Target) -> Probe:
-    """Asks a server what it is.
+    """Probes a server: its banner, world and capabilities.
 
     Raises:
         Unreachable: Nothing listens there, or the password is refused in both dialects.
@@ -291,7 +291,7 @@ def examine(target: Target) -> Probe:
 
 
 def _refuses(target: Target, log: Log) -> bool:
-    """Whether a server says `auth_failed` in either dialect."""
+    """Whether a server answers `auth_failed` in both dialects."""
     frames = [frame_of({"type": "auth", "password": target.password}), target.password.encode() + DELIMITER]
     for first in frames:
         try:
@@ -308,22 +308,24 @@ def _stop_time(target: Target, probe: Probe) -> None:
     """Makes the world stand still between steps, where the suite can; a case will tell if it does not."""
     if probe.stepping and probe.mode != "lockstep":
         if {"pause", "resume"} <= probe.capabilities:
-            _tell(target, {"type": "pause"})
+            _set_time(target, {"type": "pause"})
         else:
-            _tell(target, {"type": "set_mode", "mode": "lockstep"})
+            _set_time(target, {"type": "set_mode", "mode": "lockstep"})
 
 
 def _release(target: Target, probe: Probe) -> None:
-    """Puts the world's mode, rate and pause back to what they were."""
+    """Restores the world's mode, rate and pause."""
     if "set_mode" in probe.capabilities:
         rate = probe.info.get("rate", 1)
-        _tell(target, {"type": "set_mode", "mode": probe.mode, "rate": rate if isinstance(rate, (int, float)) else 1})
+        _set_time(
+            target, {"type": "set_mode", "mode": probe.mode, "rate": rate if isinstance(rate, (int, float)) else 1}
+        )
     if "pause" in probe.capabilities:
-        _tell(target, {"type": "pause" if probe.info.get("paused") is True else "resume"})
+        _set_time(target, {"type": "pause" if probe.info.get("paused") is True else "resume"})
 
 
-def _tell(target: Target, command: dict[str, Any]) -> None:
-    """Says something about the world's time; that it works is judged by the cases, not here."""
+def _set_time(target: Target, command: dict[str, Any]) -> None:
+    """Sends a command about the world's time; the cases judge whether it works."""
     log = Log()
     try:
         with target.connect(log, "clock") as wire:

@@ -59,7 +59,7 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class Probe:
-    """What the server says of itself before any case is run.
+    """The server's own account of itself, before any case is run.
 
     Attributes:
         banner: Its `auth_success`, as far as it could be read.
@@ -82,7 +82,7 @@ class Probe:
 
     @property
     def mode(self) -> str:
-        """What made the world tick when it was found."""
+        """The world's mode before the run."""
         return str(self.info.get("mode", self.banner.get("mode", "realtime")))
 
     @property
@@ -99,7 +99,7 @@ class Probe:
         )
 
     def claims(self, capability: str) -> bool:
-        """Whether the server must have something: because all must, or because it says that it has."""
+        """Whether the server must have a capability: because all must, or because it claims it."""
         if capability in COMMANDS and COMMANDS[capability].required:
             return True
         if capability in _REQUIRED_JOINTS and not any(name.startswith("joint.") for name in self.capabilities):
@@ -107,7 +107,7 @@ class Probe:
         return capability in self.capabilities
 
     def lacks(self, need: str) -> str | None:
-        """Says why a case with that need cannot be run; None if it can.
+        """Returns why a case with that need cannot be run; None if it can.
 
         A need is a command, a capability of an engine, or one of: `3d`, `planar`; `stepping` (the suite can move the
         time on), `time` (that, or time passes by the clock), `lockstep` (the world was found in that mode, so that it
@@ -126,7 +126,7 @@ class Probe:
 
 
 class Trial:
-    """What a case gets: ways to connect, to name, to wait and to judge."""
+    """The context of one case: ways to connect, to name, to wait and to judge."""
 
     def __init__(self, target: Target, probe: Probe, case: Case, plot: int, seed: int) -> None:
         self.target = target
@@ -146,7 +146,7 @@ class Trial:
     # -- connections -----------------------------------------------------------------------------------------------
 
     def connect(self) -> Wire:
-        """Returns a connection that has said nothing yet."""
+        """Returns a connection on which nothing has been sent yet."""
         number = len(self.wires)
         wire = self.target.connect(self.log, chr(ord("a") + number) if number < 26 else f"w{number}")
         self.wires.append(wire)
@@ -191,7 +191,7 @@ class Trial:
         return [self._x + x, y, 0.0 if self.probe.planar else z]
 
     def spawn(self, wire: Wire, hint: str = "cube", **fields: Any) -> str:
-        """Spawns a cube (on the plot, if no position is given) and returns its name as the server tells it."""
+        """Spawns a cube (on the plot, if no position is given) and returns its name."""
         command = {"type": "spawn_cube", "cube_name": self.name(hint), "position": self.at(), "list": False, **fields}
         reply = self.ask(wire, command, "cube_list")
         name = reply["spawned"]
@@ -220,7 +220,7 @@ class Trial:
         return str(self.ask(wire, command, "joint_created")["joint_name"])
 
     def ask(self, wire: Wire, command: Mapping[str, Any], expected: str) -> Message:
-        """Sends a command and returns its reply, which must be of the wanted type."""
+        """Sends a command and returns its reply, which must be of the expected type."""
         reply = wire.ask(command)
         if reply["type"] == expected:
             return reply
@@ -245,7 +245,7 @@ class Trial:
             yield self.info(wire, name)
 
     def until(self, wire: Wire, name: str, seconds: float, done: Callable[[Message], bool], expected: str) -> Message:
-        """Returns the first info of a cube that is as wanted; by the clock it may come later."""
+        """Returns the first info of a cube for which `done` is true; by the clock it may come later."""
         slack = 1.0 if self.probe.stepping else CLOCK_SLACK
         info: Message | None = None
         for info in self.watch(wire, name, seconds * slack):
@@ -298,7 +298,7 @@ class Trial:
     # -- the end ---------------------------------------------------------------------------------------------------
 
     def clean_up(self) -> None:
-        """Despawns what the case spawned, or resets a world that may be.
+        """Despawns the case's cubes, or resets a world that may be reset.
 
         What goes wrong with that is no finding: the case has been judged.
         """

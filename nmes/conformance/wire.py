@@ -45,13 +45,13 @@ class Entry:
 
 @dataclass(slots=True)
 class Log:
-    """What happened on the wires of one case."""
+    """The log of all connections of one case."""
 
     entries: list[Entry] = field(default_factory=list)
     began: float = field(default_factory=time.monotonic)
 
     def add(self, wire: str, kind: str, data: bytes) -> None:
-        """Writes down what happens now."""
+        """Adds an entry of this moment."""
         self.entries.append(Entry(time.monotonic() - self.began, wire, kind, data))
 
 
@@ -93,7 +93,7 @@ class Wire:
     # -- out -------------------------------------------------------------------------------------------------------
 
     def send(self, data: bytes) -> None:
-        """Sends bytes. Where the server has hung up, that is noted, and the next read tells."""
+        """Sends bytes; that the server has hung up is noted, and the next read reports it."""
         self._log.add(self.name, "sent", data)
         self._socket.settimeout(self.timeout)
         try:
@@ -134,7 +134,7 @@ class Wire:
         return True
 
     def hang_up(self) -> None:
-        """Says that nothing more will be sent, and goes on reading."""
+        """Closes the sending side of the connection; reading goes on."""
         self._log.add(self.name, "note", b"nothing more will be sent")
         try:
             self._socket.shutdown(socket.SHUT_WR)
@@ -183,7 +183,7 @@ class Wire:
         return message
 
     def ask(self, command: Mapping[str, Any], timeout: float | None = None) -> Message:
-        """Sends a command and returns what comes next, whether reply or error. With an `id` of its own if it has none.
+        """Sends a command, with an `id` if it has none, and returns the next message, be it reply or error.
 
         Raises:
             Finding: Nothing comes, it is no valid message, or its `id` is not the command's.
@@ -275,7 +275,7 @@ def clip(value: Any) -> str:
 
 
 def read_message(frame: bytes) -> Message:
-    """Reads a frame of a server's: strict JSON, an object, of a known type, and as its schema says.
+    """Reads a frame of a server as a message: a JSON object of a known type that fits its schema.
 
     Raises:
         Finding: It is not.

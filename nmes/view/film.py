@@ -113,7 +113,7 @@ class _Take(NamedTuple):
 
 
 def _take(recording: Recording, cut: Cut, fps: int, size: tuple[int, int], progress: Progress) -> _Take:
-    """Runs a recording and chooses what of it is shown; `size` is that of its tile, pixels."""
+    """Runs a recording and chooses its moments and cameras; `size` is that of its tile, pixels."""
     parts = _choose(recording, cut, cut.speed / fps, partial(progress, f"running {recording.path.name}"))
     return _Take(recording.path.stem, recording.config, parts, cameras(parts, cut.camera, cut.target, fps, size))
 

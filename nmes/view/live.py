@@ -135,7 +135,7 @@ def _ask(client: Client, commands: Sequence[dict[str, Any]]) -> list[Any]:
 
 
 def _ask_shapes(client: Client, names: Sequence[str], count: int) -> dict[str, Shape]:
-    """Asks for the shapes of cubes; those whose colour the server does not tell get one of their own."""
+    """Asks for the shapes of cubes; a colour that the server leaves out is made up."""
     shapes: dict[str, Shape] = {}
     infos = _ask(client, [{"type": "get_cube_info", "cube_name": name} for name in names])
     for i, (name, info) in enumerate(zip(names, infos, strict=True), start=count):

@@ -65,7 +65,7 @@ class _Sight(NamedTuple):
 
 
 class _Observer:
-    """Looks at a world after every tick: notes its figures, and sees what is drawn of every so many ticks."""
+    """Looks at a world after every tick: notes its figures, and collects the data of the ticks that are drawn."""
 
     def __init__(self, every: int) -> None:
         self.series = TimeSeries()
