@@ -24,10 +24,10 @@ def measure(connect: Connect) -> list[Figure]:
         client.set_mode("lockstep")
         client.reset()
         name = client.spawn_cube(position=[0, 0.5, 0], friction=0.05, color=[0.2, 0.6, 1.0])["spawned"]
-        seen = client.get_cube_state(name)
-        start = TARGET - seen["position"]
+        state = client.get_cube_state(name)
+        start = TARGET - state["position"]
         for _ in range(TICKS):
-            force = STIFFNESS * (TARGET - seen["position"]) - DAMPING * np.array(seen["linear_velocity"])
+            force = STIFFNESS * (TARGET - state["position"]) - DAMPING * np.array(state["linear_velocity"])
             force[1] = 0.0  # along the ground
             force *= min(1.0, STRONGEST / max(float(np.linalg.norm(force)), 1e-9))
             # Three commands, one write, one tick: act, step, observe.
@@ -35,11 +35,11 @@ def measure(connect: Connect) -> list[Figure]:
                 together.apply_physics(name, force=force)
                 together.step()
                 observed = together.get_cube_state(name)
-            seen = observed.result()
+            state = observed.result()
     return [
         Figure("distance at the start", float(np.linalg.norm(start)), "m"),
-        Figure("final distance", float(np.linalg.norm(TARGET - seen["position"])), "m", at_most=0.1),
-        Figure("final speed", float(np.linalg.norm(seen["linear_velocity"])), "m/s", at_most=0.05),
+        Figure("final distance", float(np.linalg.norm(TARGET - state["position"])), "m", at_most=0.1),
+        Figure("final speed", float(np.linalg.norm(state["linear_velocity"])), "m/s", at_most=0.05),
     ]
 
 

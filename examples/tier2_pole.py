@@ -38,10 +38,10 @@ def measure(connect: Connect) -> list[Figure]:
         lowest = upright
         angles = [0.0] * len(joints)
         for tick in range(TICKS):
-            wanted = BEND * sin(2 * pi * tick / PERIOD)
+            target = BEND * sin(2 * pi * tick / PERIOD)
             with client.pipeline() as together:
                 for joint, angle in zip(joints, angles, strict=True):
-                    together.set_joint_param(joint, "motor_target_velocity", GAIN * (wanted - angle))
+                    together.set_joint_param(joint, "motor_target_velocity", GAIN * (target - angle))
                 together.step()
                 readings = [together.get_joint_info(joint) for joint in joints]
                 tip = together.get_cube_state(below)

@@ -39,9 +39,9 @@ def measure(connect: Connect) -> list[Figure]:
         ]
         crowded = spread(positions(leader, prey))
         for _ in range(FLEE):
-            seen = positions(leader, prey)
-            middle = seen.mean(axis=0)
-            for client, name, position in zip(swarm, prey, seen, strict=True):
+            places = positions(leader, prey)
+            middle = places.mean(axis=0)
+            for client, name, position in zip(swarm, prey, places, strict=True):
                 away = position - middle
                 radius = float(np.linalg.norm(away))
                 velocity = np.array(client.get_cube_state(name)["linear_velocity"])
@@ -63,8 +63,8 @@ def measure(connect: Connect) -> list[Figure]:
                 break
             here = np.array(info["position"])
             nearest = min(positions(hunter, left) - here, key=lambda way: float(np.linalg.norm(way)))
-            wanted = 6.0 * nearest / float(np.linalg.norm(nearest))
-            hunter.apply_physics(force=limited(40.0 * (wanted - np.array(info["linear_velocity"])), HUNTER_PUSH))
+            chase = 6.0 * nearest / float(np.linalg.norm(nearest))
+            hunter.apply_physics(force=limited(40.0 * (chase - np.array(info["linear_velocity"])), HUNTER_PUSH))
             hunter.step()
         hunter.step(60)
         knocked = np.linalg.norm(positions(leader, prey) - start, axis=1)

@@ -59,9 +59,9 @@ def ready(server: subprocess.Popen[str]) -> dict[str, Any]:
     assert server.stdout is not None
     line = server.stdout.readline()
     assert line, server.communicate(timeout=PATIENCE)
-    said = json.loads(line)
-    assert isinstance(said, dict)
-    return said
+    message = json.loads(line)
+    assert isinstance(message, dict)
+    return message
 
 
 # -- the command line as a whole --------------------------------------------------------------------------------------
@@ -89,9 +89,9 @@ def commands(group: click.Group) -> Iterator[click.Command]:
 
 def test_help_is_as_it_was_meant_to_be_read() -> None:
     for command in commands(main):
-        said = command.get_help(click.Context(command))
-        assert "\\" not in said and "\b" not in said, said  # marks for layout that came through
-        for line in said.splitlines():
+        text = command.get_help(click.Context(command))
+        assert "\\" not in text and "\b" not in text, text  # marks for layout that came through
+        for line in text.splitlines():
             assert line.count("nmes ") < 2, line  # examples that have run together
 
 
@@ -123,12 +123,12 @@ def test_every_option_is_documented(name: str) -> None:
     command = main.get_command(click.Context(main), name)
     assert command is not None
     part = DOCUMENT.split(f"\n## nmes {name}\n")[1].split("\n## ")[0]
-    said = set(re.findall(r"--[a-z-]+", part))
+    documented = set(re.findall(r"--[a-z-]+", part))
     parts = [command, *commands(command)] if isinstance(command, click.Group) else [command]
     parameters = [parameter for part in parts for parameter in part.params if not getattr(parameter, "hidden", False)]
     options = {option for parameter in parameters for option in parameter.opts if option.startswith("--")}
-    assert options <= said
-    assert {option for option in said if f"`{option}" in part} <= options
+    assert options <= documented
+    assert {option for option in documented if f"`{option}" in part} <= options
 
 
 FILES: list[tuple[str, ...]] = [
@@ -211,10 +211,10 @@ def test_a_file_that_cannot_be_written_is_said(arguments: tuple[str, ...], tmp_p
 def test_a_signal_ends_everything_properly(tmp_path: Path, number: int) -> None:
     options = ["--json", "--port", "0", "--backend", "ballistic", "--mode", "fast", "--seed", "7", "--record"]
     with process("serve", *options, str(tmp_path), NMES_PASSWORD="secret in the environment") as server:
-        said = ready(server)
-        port = said.pop("port")
-        recording = Path(said.pop("recording"))
-        assert said == {
+        message = ready(server)
+        port = message.pop("port")
+        recording = Path(message.pop("recording"))
+        assert message == {
             "host": "127.0.0.1",
             "password_source": "environment",
             "world": "main",
@@ -260,11 +260,11 @@ def test_a_config_file_and_options_that_win_over_it(tmp_path: Path) -> None:
     (tmp_path / "password").write_text("secret of a file\nsecond line\n")
     options = ["--config", str(tmp_path / "world.json"), "--password-file", str(tmp_path / "password")]
     with process("serve", "--json", "--port", "0", "--no-record", "--seed", "4", *options) as server:
-        said = ready(server)
-        assert said["recording"] is None
-        assert said["password_source"] == "file"
-        assert "password" not in said
-        with Client(port=said["port"], password="secret of a file", world="arena", timeout=PATIENCE) as client:
+        message = ready(server)
+        assert message["recording"] is None
+        assert message["password_source"] == "file"
+        assert "password" not in message
+        with Client(port=message["port"], password="secret of a file", world="arena", timeout=PATIENCE) as client:
             config = client.get_world_info()["config"]
         assert (config["name"], config["seed"], config["tick_rate"]) == ("arena", 4, 100)
         server.terminate()
@@ -278,10 +278,10 @@ def test_a_landscape_s_image_comes_from_beside_the_config(tmp_path: Path) -> Non
     (tmp_path / "below" / "world.json").write_text(json.dumps({"scene": scene, "mode": "lockstep"}))
     options = ["--config", str(tmp_path / "below" / "world.json"), "--password", "p", "--record", str(tmp_path)]
     with process("serve", "--json", "--port", "0", *options) as server:
-        said = ready(server)
+        message = ready(server)
         server.terminate()
         assert server.wait(PATIENCE) == 0
-    image = Recording(Path(said["recording"])).config["scene"]["heightfield"]["image"]
+    image = Recording(Path(message["recording"])).config["scene"]["heightfield"]["image"]
     assert base64.b64decode(image) == (tmp_path / "below" / "hills.png").read_bytes()
 
 
@@ -333,8 +333,8 @@ def test_an_unreadable_password_file(tmp_path: Path) -> None:
 
 
 def test_what_cannot_be_done_exits_1_with_one_line(tmp_path: Path) -> None:
-    with socket.create_server(("127.0.0.1", 0)) as taken:
-        port = str(taken.getsockname()[1])
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = str(listener.getsockname()[1])
         result = run("serve", "--no-record", "--backend", "ballistic", "--port", port)
     assert result.exit_code == 1
     assert re.fullmatch(rf"Error: cannot listen on 127\.0\.0\.1:{port}: .+\n", result.output)

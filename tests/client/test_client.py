@@ -165,54 +165,54 @@ class Checked(BlockingCommands):
 
 def test_every_command_works_once() -> None:
     with served({"backend": "mujoco"}) as server, server.client() as client:
-        c = Checked(client)
-        assert c.ping() == {"type": "pong"}
-        assert c.spawn_cube("a", position=[0, 2, 0], size=0.5, mass=2, is_base=True)["spawned"] == "a_BASE"
-        assert c.spawn_cube("b", position=np.array([1, 2, 0]), mass=None, list=False) == {
+        checked = Checked(client)
+        assert checked.ping() == {"type": "pong"}
+        assert checked.spawn_cube("a", position=[0, 2, 0], size=0.5, mass=2, is_base=True)["spawned"] == "a_BASE"
+        assert checked.spawn_cube("b", position=np.array([1, 2, 0]), mass=None, list=False) == {
             "type": "cube_list",
             "spawned": "b",
         }
-        joint = c.create_joint("a_BASE", "b", "hinge", axis=[0, 0, 1], limits=[-1, 1])["joint_name"]
-        assert c.set_joint_param(joint, "motor_target_velocity", np.float64(1.5))["value"] == 1.5
-        assert [j["joint_name"] for j in c.get_joint_list()["joints"]] == [joint]
-        assert c.get_joint_info(joint)["params"]["limit_upper"] == 1
-        assert c.apply_physics("b", torque=[0, 0, 1])["cube_name"] == "b"
-        assert c.apply_force(force=[0, 0, 1])["cube_name"] == "b"
-        assert c.step(2)["frame"] == 2
-        assert c.get_cube_state("b")["cube_name"] == "b"
-        assert c.get_cube_info("a_BASE")["frozen"]
-        seen = c.get_cube_info("b", sensors=True, rays=[[0, -1, 0]], max_range=9.5)
+        joint = checked.create_joint("a_BASE", "b", "hinge", axis=[0, 0, 1], limits=[-1, 1])["joint_name"]
+        assert checked.set_joint_param(joint, "motor_target_velocity", np.float64(1.5))["value"] == 1.5
+        assert [j["joint_name"] for j in checked.get_joint_list()["joints"]] == [joint]
+        assert checked.get_joint_info(joint)["params"]["limit_upper"] == 1
+        assert checked.apply_physics("b", torque=[0, 0, 1])["cube_name"] == "b"
+        assert checked.apply_force(force=[0, 0, 1])["cube_name"] == "b"
+        assert checked.step(2)["frame"] == 2
+        assert checked.get_cube_state("b")["cube_name"] == "b"
+        assert checked.get_cube_info("a_BASE")["frozen"]
+        seen = checked.get_cube_info("b", sensors=True, rays=[[0, -1, 0]], max_range=9.5)
         assert seen["ranges"] == [pytest.approx(2, abs=1)]
-        assert len(c.get_world_state()["cubes"]) == 2
-        assert [len(cube["gyro"]) for cube in c.get_world_state(sensors=True)["cubes"]] == [3, 3]
-        assert [cube["cube_name"] for cube in c.get_world_state(cubes=["b"])["cubes"]] == ["b"]
-        assert c.remove_joint(joint)["joint_name"] == joint
-        assert c.set_cube_state("b", position=[5, 5, 5])["cube_name"] == "b"
-        assert c.freeze_cube("a_BASE", False)["freeze"] is False
-        assert c.get_cube_list()["cubes"] == ["a_BASE", "b"]
-        assert c.despawn_cube("b") == {"type": "cube_despawned", "cube_name": "b", "joints": []}
-        assert c.get_world_info()["counts"] == {"cubes": 1, "joints": 0, "clients": 1}
-        assert c.get_planets()["planets"] == []
+        assert len(checked.get_world_state()["cubes"]) == 2
+        assert [len(cube["gyro"]) for cube in checked.get_world_state(sensors=True)["cubes"]] == [3, 3]
+        assert [cube["cube_name"] for cube in checked.get_world_state(cubes=["b"])["cubes"]] == ["b"]
+        assert checked.remove_joint(joint)["joint_name"] == joint
+        assert checked.set_cube_state("b", position=[5, 5, 5])["cube_name"] == "b"
+        assert checked.freeze_cube("a_BASE", False)["freeze"] is False
+        assert checked.get_cube_list()["cubes"] == ["a_BASE", "b"]
+        assert checked.despawn_cube("b") == {"type": "cube_despawned", "cube_name": "b", "joints": []}
+        assert checked.get_world_info()["counts"] == {"cubes": 1, "joints": 0, "clients": 1}
+        assert checked.get_planets()["planets"] == []
         rocker = protocol.COMMANDS["spawn_creature"].schema["examples"][0]["genome"]
-        assert c.spawn_creature(rocker, name="r", position=[3, 0, 0])["motors"] == ["shoulder"]
-        assert c.drive("r", [0.5])["creature"] == "r"
-        assert len(c.sense("r")["values"]) == 12
-        assert c.set_objective("height", creature="r", target=[1, 0, 0])["needs"] == ["height"]
-        assert c.set_objective("time", name="b", cubes=["a_BASE"])["cubes"] == ["a_BASE"]
-        assert c.compute_reward(objective="b")["value"] == 0.0
-        assert c.compute_reward(metric="displacement", cube="a_BASE", axis=[0, 0, 1])["metric"] == "displacement"
-        assert c.compute_reward(metric="distance", cube="a_BASE", target=[0, 0, 0])["value"] > 0.0
-        assert c.subscribe(events=["state"], every=2)["every"] == 2
-        assert c.unsubscribe()
-        assert c.batch([{"type": "ping"}, {"type": "step"}])["results"][1]["frame"] == 3
-        assert c.set_mode("realtime", rate=2) == {"type": "mode_set", "mode": "realtime", "rate": 2}
-        c.pause()
-        c.resume()
-        assert c.reset(seed=5)["seed"] == 5
+        assert checked.spawn_creature(rocker, name="r", position=[3, 0, 0])["motors"] == ["shoulder"]
+        assert checked.drive("r", [0.5])["creature"] == "r"
+        assert len(checked.sense("r")["values"]) == 12
+        assert checked.set_objective("height", creature="r", target=[1, 0, 0])["needs"] == ["height"]
+        assert checked.set_objective("time", name="b", cubes=["a_BASE"])["cubes"] == ["a_BASE"]
+        assert checked.compute_reward(objective="b")["value"] == 0.0
+        assert checked.compute_reward(metric="displacement", cube="a_BASE", axis=[0, 0, 1])["metric"] == "displacement"
+        assert checked.compute_reward(metric="distance", cube="a_BASE", target=[0, 0, 0])["value"] > 0.0
+        assert checked.subscribe(events=["state"], every=2)["every"] == 2
+        assert checked.unsubscribe()
+        assert checked.batch([{"type": "ping"}, {"type": "step"}])["results"][1]["frame"] == 3
+        assert checked.set_mode("realtime", rate=2) == {"type": "mode_set", "mode": "realtime", "rate": 2}
+        checked.pause()
+        checked.resume()
+        assert checked.reset(seed=5)["seed"] == 5
         optional = {"create_bone", "get_camera"}  # an engine, or the machine, may lack it
-        assert set(declared()) - c.used == optional
+        assert set(declared()) - checked.used == optional
         with pytest.raises(CommandFailed):
-            c.create_bone("a", "b", snake_id="s")
+            checked.create_bone("a", "b", snake_id="s")
 
 
 def test_arguments_are_checked_as_any_function_s(client: Client) -> None:

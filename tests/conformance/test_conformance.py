@@ -21,7 +21,7 @@ from click.testing import Result as Outcome
 
 from layout import ROOT
 from nmes.cli import main
-from nmes.conformance import CASES, Options, Report, Target, Verdict, run, select, suite_hash
+from nmes.conformance import CASES, Category, Options, Report, Target, Trial, Verdict, run, select, suite_hash
 from nmes.conformance.__main__ import page
 from nmes.conformance.clauses import CLAUSES, UNTESTED
 from nmes.protocol import DELIMITER
@@ -48,7 +48,7 @@ def cli(*arguments: str) -> Outcome:
 def listening(answer: Callable[[socket.socket], None]) -> Iterator[int]:
     """Runs a server that does with each connection what `answer` says."""
     with socket.create_server(("127.0.0.1", 0)) as server:
-        held = []
+        connections = []
 
         def serve() -> None:
             while True:
@@ -56,7 +56,7 @@ def listening(answer: Callable[[socket.socket], None]) -> Iterator[int]:
                     connection, _ = server.accept()
                 except OSError:
                     return
-                held.append(connection)
+                connections.append(connection)
                 with suppress(OSError):  # the suite has hung up
                     answer(connection)
 
@@ -65,7 +65,7 @@ def listening(answer: Callable[[socket.socket], None]) -> Iterator[int]:
         yield server.getsockname()[1]
         server.shutdown(socket.SHUT_RDWR)
         thread.join()
-        for connection in held:
+        for connection in connections:
             connection.close()
 
 
@@ -232,7 +232,7 @@ def test_the_reports_hold_it_all(tmp_path: Path) -> None:
     assert skipped["reason"] == "not claimed: get_planets"
     assert {entry["kind"] for entry in failed["log"]} >= {"sent", "received"}
     text = page.read_text()
-    for told in (
+    for part in (
         suite_hash(),
         "seed 7",
         html.escape(failed["expected"]),
@@ -240,7 +240,7 @@ def test_the_reports_hold_it_all(tmp_path: Path) -> None:
         "&lt;b&gt;",
         "does not conform",
     ):
-        assert told in text
+        assert part in text
     assert '<b>"' not in text and "http" not in text  # nothing unescaped, nothing from elsewhere
     suites = ElementTree.parse(junit).getroot()
     assert [(suite.get("failures"), suite.get("skipped")) for suite in suites] == [("1", "0"), ("0", "1")]
@@ -256,10 +256,10 @@ def test_the_cases_are_tests_too(spoken: bytes | None, status: int, tmp_path: Pa
             port = stack.enter_context(served()).port
         else:
             port = stack.enter_context(listening(lambda connection: connection.sendall(spoken + DELIMITER)))
-        chosen = ["--pyargs", "nmes.conformance", "-k", "1.14 or 3.14", "-p", "no:cacheprovider", "-p", "no:asyncio"]
+        selection = ["--pyargs", "nmes.conformance", "-k", "1.14 or 3.14", "-p", "no:cacheprovider", "-p", "no:asyncio"]
         target = ["--nmes-target", f"127.0.0.1:{port}", "--nmes-password", PASSWORD, "--nmes-timeout", "5"]
         plugin = ["-p", "nmes.conformance.plugin"]
-        command = [sys.executable, "-m", "pytest", "-q", *plugin, *chosen, *target]
+        command = [sys.executable, "-m", "pytest", "-q", *plugin, *selection, *target]
         done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == status, done.stdout + done.stderr
     count = sum("1.14" in case.number or "3.14" in case.number for case in CASES)
@@ -273,6 +273,24 @@ def test_numbers_are_unique_and_clauses_exist() -> None:
     assert len({case.number for case in CASES}) == len(CASES) >= 700
     assert {case.clause for case in CASES} <= CLAUSES.keys()
     assert select(Options(only=["4.3:null"]))[0].number == "4.3:null"
+
+
+def test_a_category_of_several_files_has_their_cases_first_and_none_twice() -> None:
+    part, other = Category(20, "parts"), Category(20, "parts")
+    for category, number in ((part, 2), (part, 1), (other, 3)):
+        category.case(number, "1.1.1")(ping)
+    whole = Category(20, "parts", parts=(part, other))
+    whole.case(4, "1.1.1")(ping)
+    assert [case.number for case in whole] == ["20.2", "20.1", "20.3", "20.4"]
+    with pytest.raises(ValueError, match=r"two cases 20\.3"):
+        whole.case(3, "1.1.1")(ping)
+    with pytest.raises(ValueError, match=r"two cases 20\.2"):
+        Category(20, "parts", parts=(part, part))
+
+
+def ping(trial: Trial) -> None:
+    """The server answers."""
+    trial.fence(trial.join())
 
 
 def test_every_sentence_has_a_case_or_a_reason() -> None:

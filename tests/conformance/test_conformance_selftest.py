@@ -47,7 +47,7 @@ def test_a_server_that_is_wrong_about_everything_shows_nothing() -> None:
         patch.setattr(Session, "accept", lambda session, welcome: b"{}" + DELIMITER)
 
     judgement = judge(dataclasses.replace(BROKEN["a_reply_too_many"], break_it=babble))
-    assert {said.verdict for said in judgement.named} == {"failed"}
+    assert {result.verdict for result in judgement.named} == {"failed"}
     assert not judgement.caught
 
 

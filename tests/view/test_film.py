@@ -52,7 +52,7 @@ def thrown(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 
 
 @pytest.fixture
-def drawn(thrown: Recording, tmp_path: Path) -> Recording:
+def recording(thrown: Recording, tmp_path: Path) -> Recording:
     """The same, where pictures can be drawn."""
     try:
         film([thrown], tmp_path / "try.png", Cut(end=0.1), size=(32, 32))
@@ -74,10 +74,10 @@ def alien(monkeypatch: pytest.MonkeyPatch, path: Path, pose_rate: float = 10.0) 
 def place(image: Pixels, channel: int) -> tuple[float, float] | None:
     """Where the middle of what has a colour is: column and row, as parts of the picture, or None."""
     others = [other for other in range(3) if other != channel]
-    shown = image[..., channel].astype(int) - image[..., others].max(axis=2) > 60
-    if not shown.any():
+    mask = image[..., channel].astype(int) - image[..., others].max(axis=2) > 60
+    if not mask.any():
         return None
-    rows, columns = np.nonzero(shown)
+    rows, columns = np.nonzero(mask)
     return (columns.mean() + 0.5) / image.shape[1], (rows.mean() + 0.5) / image.shape[0]
 
 
@@ -90,25 +90,25 @@ def frames(path: Path) -> list[Pixels]:
 
 
 def test_moments_are_the_ticks(thrown: Recording) -> None:
-    seen = list(moments(thrown))
-    assert [moment.time for moment in seen] == [tick / 60 for tick in range(1, 121)]
-    assert list(seen[59].shapes) == ["red", "green_BASE"]
-    assert list(seen[60].shapes) == [
+    ticks = list(moments(thrown))
+    assert [moment.time for moment in ticks] == [tick / 60 for tick in range(1, 121)]
+    assert list(ticks[59].shapes) == ["red", "green_BASE"]
+    assert list(ticks[60].shapes) == [
         "red",
         "green_BASE",
         "blue_BASE",
     ]
-    assert seen[60].shapes["blue_BASE"] == ((1.0, 1.0, 1.0), (0.0, 0.0, 1.0, 1.0))
-    for moment in seen:
+    assert ticks[60].shapes["blue_BASE"] == ((1.0, 1.0, 1.0), (0.0, 0.0, 1.0, 1.0))
+    for moment in ticks:
         assert moment.poses[0] == pytest.approx([2 * moment.time, 5, 0, 0, 0, 0, 1], abs=1e-9)
 
 
 def test_of_another_machine_recorded_poses_are_shown(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    seen = list(moments(alien(monkeypatch, tmp_path / "alien.mcap")))
-    assert [moment.time for moment in seen] == pytest.approx([tick / 60 for tick in range(6, 121)])
-    for moment in seen:
+    ticks = list(moments(alien(monkeypatch, tmp_path / "alien.mcap")))
+    assert [moment.time for moment in ticks] == pytest.approx([tick / 60 for tick in range(6, 121)])
+    for moment in ticks:
         assert moment.poses[0] == pytest.approx([2 * moment.time, 5, 0, 0, 0, 0, 1], abs=1e-5)
-    assert list(seen[-1].shapes) == ["red", "green_BASE", "blue_BASE"]
+    assert list(ticks[-1].shapes) == ["red", "green_BASE", "blue_BASE"]
     with pytest.raises(FilmError, match="holds no poses"):
         list(moments(alien(monkeypatch, tmp_path / "blind.mcap", pose_rate=0)))
 
@@ -119,20 +119,20 @@ def test_a_reset_does_not_turn_time_back(tmp_path: Path) -> None:
         send(world, client, type="reset", seed=9)
         send(world, client, type="step", ticks=2)
 
-    seen = list(moments(Recording(record(tmp_path / "x.mcap", play))))
-    assert [(moment.time, moment.seed) for moment in seen] == [
+    ticks = list(moments(Recording(record(tmp_path / "x.mcap", play))))
+    assert [(moment.time, moment.seed) for moment in ticks] == [
         (tick / 60, seed) for tick, seed in ((1, 0), (2, 0), (3, 0), (4, 9), (5, 9))
     ]
 
 
 @pytest.mark.parametrize("ending", ["mp4", "gif"])
-def test_a_film_shows_the_cubes_at_their_times(drawn: Recording, tmp_path: Path, ending: str) -> None:
+def test_a_film_shows_the_cubes_at_their_times(recording: Recording, tmp_path: Path, ending: str) -> None:
     path = tmp_path / f"film.{ending}"
-    film([drawn], path, Cut(camera="fixed", target="red"), fps=10, size=(160, 120))
-    shown = frames(path)
-    assert len(shown) == 21
-    assert all(image.shape == (120, 160, 3) for image in shown)
-    columns = [found[0] for image in shown if (found := place(image, 0)) is not None]
+    film([recording], path, Cut(camera="fixed", target="red"), fps=10, size=(160, 120))
+    images = frames(path)
+    assert len(images) == 21
+    assert all(image.shape == (120, 160, 3) for image in images)
+    columns = [spot[0] for image in images if (spot := place(image, 0)) is not None]
     assert len(columns) == 21
     assert all(before < after for before, after in pairwise(columns))
     if ending == "gif":
@@ -140,42 +140,42 @@ def test_a_film_shows_the_cubes_at_their_times(drawn: Recording, tmp_path: Path,
             assert image.info["duration"] == 100 and image.info["loop"] == 0
 
 
-def test_a_camera_that_follows_keeps_what_moves_in_the_middle(drawn: Recording, tmp_path: Path) -> None:
+def test_a_camera_that_follows_keeps_what_moves_in_the_middle(recording: Recording, tmp_path: Path) -> None:
     for camera in ("follow", "orbit"):
         path = tmp_path / "film.gif"
-        film([drawn], path, Cut(camera=camera, target="red"), fps=5, size=(120, 90))
+        film([recording], path, Cut(camera=camera, target="red"), fps=5, size=(120, 90))
         for image in frames(path)[1:-1]:
-            found = place(image, 0)
-            assert found is not None and abs(found[0] - 0.5) < 0.12 and abs(found[1] - 0.5) < 0.12
+            spot = place(image, 0)
+            assert spot is not None and abs(spot[0] - 0.5) < 0.12 and abs(spot[1] - 0.5) < 0.12
 
 
-def test_what_does_not_move_and_stands_far_off_is_not_looked_at(drawn: Recording, tmp_path: Path) -> None:
-    film([drawn], tmp_path / "red.png", Cut(end=0.5), size=(120, 90))
+def test_what_does_not_move_and_stands_far_off_is_not_looked_at(recording: Recording, tmp_path: Path) -> None:
+    film([recording], tmp_path / "red.png", Cut(end=0.5), size=(120, 90))
     image = frames(tmp_path / "red.png")[0]
-    found = place(image, 0)
-    assert found is not None and abs(found[0] - 0.5) < 0.1
+    spot = place(image, 0)
+    assert spot is not None and abs(spot[0] - 0.5) < 0.1
 
 
-def test_speed_and_cut(drawn: Recording, tmp_path: Path) -> None:
+def test_speed_and_cut(recording: Recording, tmp_path: Path) -> None:
     path = tmp_path / "film.gif"
-    film([drawn], path, Cut(begin=0.5, end=1.5, speed=0.5), fps=10, size=(32, 32))
+    film([recording], path, Cut(begin=0.5, end=1.5, speed=0.5), fps=10, size=(32, 32))
     assert len(frames(path)) == 21
-    film([drawn], path, Cut(speed=4), fps=10, size=(32, 32))
+    film([recording], path, Cut(speed=4), fps=10, size=(32, 32))
     assert len(frames(path)) == 6
     with pytest.raises(FilmError, match=r"ends at 2\.00 s"):
-        film([drawn], path, Cut(begin=3))
+        film([recording], path, Cut(begin=3))
 
 
-def test_several_are_put_side_by_side(drawn: Recording, tmp_path: Path) -> None:
+def test_several_are_put_side_by_side(recording: Recording, tmp_path: Path) -> None:
     path = tmp_path / "grid.png"
-    film([drawn, drawn, drawn], path, Cut(target="red"), size=(200, 100))
+    film([recording, recording, recording], path, Cut(target="red"), size=(200, 100))
     image = frames(path)[0]
     assert image.shape == (100, 200, 3)
     quarters = [image[:50, :100], image[:50, 100:], image[50:, :100], image[50:, 100:]]
     assert [place(quarter, 0) is not None for quarter in quarters] == [True, True, True, False]
 
 
-def test_a_planar_world_is_looked_at_from_its_front(tmp_path: Path, drawn: Recording) -> None:
+def test_a_planar_world_is_looked_at_from_its_front(tmp_path: Path, recording: Recording) -> None:
     def play(world: World, client: int) -> None:
         send(world, client, type="spawn_cube", cube_name="a", position=[-2, 2, 0], color=[1, 0, 0])
         send(world, client, type="spawn_cube", cube_name="b", position=[2, 2, 0], color=[0, 0, 1])
@@ -189,7 +189,7 @@ def test_a_planar_world_is_looked_at_from_its_front(tmp_path: Path, drawn: Recor
     assert red[0] == pytest.approx(1 - blue[0], abs=0.02) and red[1] == pytest.approx(blue[1], abs=0.02)
 
 
-def test_what_fails_leaves_the_old_file(drawn: Recording, tmp_path: Path) -> None:
+def test_what_fails_leaves_the_old_file(recording: Recording, tmp_path: Path) -> None:
     path = tmp_path / "film.gif"
     path.write_text("old")
 
@@ -198,7 +198,7 @@ def test_what_fails_leaves_the_old_file(drawn: Recording, tmp_path: Path) -> Non
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        film([drawn], path, fps=5, size=(32, 32), progress=interrupt)
+        film([recording], path, fps=5, size=(32, 32), progress=interrupt)
     assert path.read_text() == "old"
     assert list(tmp_path.glob(".*")) == []
 
@@ -209,10 +209,10 @@ def run(*arguments: object) -> tuple[int, str]:
     return result.exit_code, result.output
 
 
-def test_the_command(drawn: Recording, tmp_path: Path) -> None:
+def test_the_command(recording: Recording, tmp_path: Path) -> None:
     path = tmp_path / "film.gif"
-    status, told = run(drawn.path, "-o", path, "--size", "64x48", "--fps", 5, "--to", 1, "--camera", "orbit")
-    assert (status, told) == (0, f"wrote {path}\n")
+    status, output = run(recording.path, "-o", path, "--size", "64x48", "--fps", 5, "--to", 1, "--camera", "orbit")
+    assert (status, output) == (0, f"wrote {path}\n")
     assert len(frames(path)) == 6
 
 
@@ -221,15 +221,15 @@ def test_wrong_usage_is_explained(thrown: Recording, tmp_path: Path, monkeypatch
         1,
         f"Error: {tmp_path / 'x.avi'}: a film ends in .mp4 or .gif, a picture in .png\n",
     )
-    status, told = run(thrown.path, "-o", tmp_path / "x.gif", "--target", "purple")
-    assert status == 1 and "no cube's name begins with 'purple' (there are: red, green_BASE, blue_BASE)" in told
-    status, told = run(thrown.path, "-o", tmp_path / "none" / "x.gif")
-    assert status == 1 and "there is no folder" in told
-    status, told = run(thrown.path, "-o", tmp_path / "x.gif", "--size", "big")
-    assert status == 2 and "WIDTHxHEIGHT" in told
+    status, output = run(thrown.path, "-o", tmp_path / "x.gif", "--target", "purple")
+    assert status == 1 and "no cube's name begins with 'purple' (there are: red, green_BASE, blue_BASE)" in output
+    status, output = run(thrown.path, "-o", tmp_path / "none" / "x.gif")
+    assert status == 1 and "there is no folder" in output
+    status, output = run(thrown.path, "-o", tmp_path / "x.gif", "--size", "big")
+    assert status == 2 and "WIDTHxHEIGHT" in output
     monkeypatch.setitem(sys.modules, "av", None)
-    status, told = run(thrown.path, "-o", tmp_path / "x.mp4")
-    assert status == 1 and "nmes[film]" in told
+    status, output = run(thrown.path, "-o", tmp_path / "x.mp4")
+    assert status == 1 and "nmes[film]" in output
 
 
 def test_without_opengl_the_message_names_what_to_install(

@@ -32,10 +32,10 @@ def play(world: World, client: int) -> None:
             send(world, client, type="spawn_cube", cube_name="a", size=[4, 4, 4])
         send(world, client, type="step")
         names, states = world.poses()
-        seen[world.frame] = {name: state.tolist() for name, state in zip(names, states, strict=True)}
+        states_by_frame[world.frame] = {name: state.tolist() for name, state in zip(names, states, strict=True)}
 
 
-seen: dict[int, dict[str, list[float]]] = {}
+states_by_frame: dict[int, dict[str, list[float]]] = {}
 
 
 @pytest.fixture(scope="module")
@@ -52,7 +52,7 @@ def converted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Rows]:
         capture_output=True,
         timeout=120,
     )
-    found: dict[str, Rows] = {}
+    entities: dict[str, Rows] = {}
     for chunk in RrdReader(target).stream():
         batch = chunk.to_record_batch()
         times = batch.schema.get_field_index("timestamp")
@@ -61,8 +61,8 @@ def converted(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Rows]:
         columns = {name: batch.column(name).to_pylist() for name in batch.schema.names if ":" in name}
         for i, time in enumerate(batch.column(times)):
             row = {name: values[i] for name, values in columns.items()}
-            found.setdefault(chunk.entity_path, []).append(row | {"frame": round(time.value * 60 / 1e9)})
-    return found
+            entities.setdefault(chunk.entity_path, []).append(row | {"frame": round(time.value * 60 / 1e9)})
+    return entities
 
 
 def test_rerun_moves_every_cube(converted: dict[str, Rows]) -> None:
@@ -73,11 +73,11 @@ def test_rerun_moves_every_cube(converted: dict[str, Rows]) -> None:
             row[f"Transform3D:{part}"] for part in ("child_frame", "translation", "quaternion")
         )
         moved.setdefault(row["frame"], {})[name] = [*place, *turn]
-    assert moved.keys() == {frame for frame in seen if frame % (60 // RATE) == 0}
+    assert moved.keys() == {frame for frame in states_by_frame if frame % (60 // RATE) == 0}
     for frame, poses in moved.items():
-        assert poses.keys() == seen[frame].keys()
+        assert poses.keys() == states_by_frame[frame].keys()
         for name, pose in poses.items():
-            assert pose == pytest.approx(seen[frame][name][:7], abs=1e-6)
+            assert pose == pytest.approx(states_by_frame[frame][name][:7], abs=1e-6)
     assert len({tuple(poses["b"]) for poses in moved.values()}) == len(moved)
 
 

@@ -36,7 +36,7 @@ Rows = dict[str, list[dict[str, Any]]]
 
 def read(path: Path) -> Rows:
     """What an .rrd file holds: by entity a row for each message, with its components and `time` (s; None: always)."""
-    found: Rows = {}
+    entities: Rows = {}
     for chunk in RrdReader(path).stream():
         batch = chunk.to_record_batch()
         index = batch.schema.get_field_index("time")
@@ -44,10 +44,10 @@ def read(path: Path) -> Rows:
         for i in range(batch.num_rows):
             row = {name: values[i] for name, values in columns.items() if values[i] is not None}
             when = None if index < 0 else batch.column(index)[i].value / 1e9
-            found.setdefault(chunk.entity_path, []).append(row | {"time": when})
-    for rows in found.values():
+            entities.setdefault(chunk.entity_path, []).append(row | {"time": when})
+    for rows in entities.values():
         rows.sort(key=lambda row: (row["time"] is not None, row["time"]))
-    return found
+    return entities
 
 
 @pytest.fixture(scope="session")
@@ -132,10 +132,10 @@ def test_joints_show_axis_and_limits(shown: Rows) -> None:
 
 
 def test_forces_are_drawn_while_they_act(shown: Rows) -> None:
-    drawn, gone = shown["/forces"]
-    assert round(drawn["time"] * 60) == 41
-    assert drawn["Arrows3D:labels"] == ["green", "green"]
-    (at, middle), (push, knock) = drawn["Arrows3D:origins"], drawn["Arrows3D:vectors"]
+    arrows, gone = shown["/forces"]
+    assert round(arrows["time"] * 60) == 41
+    assert arrows["Arrows3D:labels"] == ["green", "green"]
+    (at, middle), (push, knock) = arrows["Arrows3D:origins"], arrows["Arrows3D:vectors"]
     assert at == [4, 0.5, 0.5]
     assert middle == pytest.approx(seen[40]["green"][:3], abs=1e-6)
     assert push == pytest.approx([0, 0, 0.6])
@@ -145,23 +145,23 @@ def test_forces_are_drawn_while_they_act(shown: Rows) -> None:
 
 
 def test_contacts_push_up_what_lies(shown: Rows) -> None:
-    drawn = [row for row in shown["/contacts"] if row.get("Arrows3D:origins")]
-    assert drawn
-    at = np.array(drawn[-1]["Arrows3D:origins"])
-    vectors = np.array(drawn[-1]["Arrows3D:vectors"])
+    rows = [row for row in shown["/contacts"] if row.get("Arrows3D:origins")]
+    assert rows
+    at = np.array(rows[-1]["Arrows3D:origins"])
+    vectors = np.array(rows[-1]["Arrows3D:vectors"])
     beneath = abs(at[:, 0] - seen[60]["green"][0]) < 0.6
     assert beneath.any()
     assert (vectors[beneath, 1] > 0).all()
 
 
 def test_what_was_said_stands_at_its_time(shown: Rows) -> None:
-    said = [(round(row["time"] * 60), row["TextLog:level"][0], row["TextLog:text"][0]) for row in shown["/log"]]
-    assert said[0] == (0, "INFO", "client 1 joined")
-    assert said[1][2].startswith('client 1: spawn_cube cube_name="red" position=[0,0.5,0]')
-    (refused,) = [line for line in said if line[1] == "WARN"]
+    lines = [(round(row["time"] * 60), row["TextLog:level"][0], row["TextLog:text"][0]) for row in shown["/log"]]
+    assert lines[0] == (0, "INFO", "client 1 joined")
+    assert lines[1][2].startswith('client 1: spawn_cube cube_name="red" position=[0,0.5,0]')
+    (refused,) = [line for line in lines if line[1] == "WARN"]
     assert refused[0] == 40
     assert "cube_not_found" in refused[2]
-    steps = [frame for frame, level, text in said if text == "client 1: step" and level == "TRACE"]
+    steps = [frame for frame, level, text in lines if text == "client 1: step" and level == "TRACE"]
     assert steps == list(range(60))
 
 
@@ -200,10 +200,10 @@ def test_a_divergence_is_marked_where_it_is(tmp_path: Path, environment: dict[st
     def spoil(lines: list[Line]) -> list[Line]:
         nonlocal good
         at = next(i for i, line in enumerate(lines) if line.topic == "ticks")
-        told = orjson.loads(lines[at].data)
-        good = len(told["digests"]) - 1
-        told["digests"][good] = "0" * 32
-        return [*lines[:at], lines[at]._replace(data=orjson.dumps(told)), *lines[at + 1 :]]
+        ticks = orjson.loads(lines[at].data)
+        good = len(ticks["digests"]) - 1
+        ticks["digests"][good] = "0" * 32
+        return [*lines[:at], lines[at]._replace(data=orjson.dumps(ticks)), *lines[at + 1 :]]
 
     spoiled = rewrite(record(tmp_path / "sound.mcap", fly), tmp_path / "spoiled.mcap", spoil)
     run = view(environment, spoiled, "--save", tmp_path / "spoiled.rrd")
@@ -257,7 +257,7 @@ def watch_live(running: Served, environment: dict[str, str], saved: Path) -> sub
     def looks_on() -> bool:
         assert process.poll() is None, process.communicate()
         world = running.hosted.world
-        return running.call(lambda: sum(c.subscription is not None for c in world._clients.values())) > 0
+        return running.call(lambda: sum(client.subscription is not None for client in world._clients.values())) > 0
 
     until(lambda: len(running.call(running.hosted.world.clients)) > clients)
     until(looks_on)
@@ -412,13 +412,13 @@ def listening(group: int) -> set[str]:
                 inodes |= {os.readlink(link) for link in (folder / "fd").iterdir()}
         except (ProcessLookupError, FileNotFoundError, PermissionError):
             continue
-    found = set()
+    addresses = set()
     for table in ("/proc/net/tcp", "/proc/net/tcp6"):
         for line in Path(table).read_text().splitlines()[1:]:
             fields = line.split()
             if fields[3] == "0A" and f"socket:[{fields[9]}]" in inodes:
-                found.add(fields[1].split(":")[0])
-    return found
+                addresses.add(fields[1].split(":")[0])
+    return addresses
 
 
 @pytest.fixture
@@ -481,13 +481,13 @@ def test_a_browser_shows_coloured_cubes(browsable: tuple[subprocess.Popen[str], 
 
 def colors(pixels: np.ndarray[Any, np.dtype[Any]]) -> set[str]:
     """The colours of which there is an area: the view of the world is the upper left part of the window."""
-    seen = pixels[40:320, :440]
-    found = set()
+    area = pixels[40:320, :440]
+    names = set()
     for channel, name in enumerate(("red", "green", "blue")):
         others = [other for other in range(3) if other != channel]
-        if (seen[..., channel] - seen[..., others].max(axis=2) > 25).sum() > 50:
-            found.add(name)
-    return found
+        if (area[..., channel] - area[..., others].max(axis=2) > 25).sum() > 50:
+            names.add(name)
+    return names
 
 
 def test_without_a_display_it_says_what_to_do(recording: Path, environment: dict[str, str]) -> None:
