@@ -1,7 +1,7 @@
-"""Shows that the conformance suite can fail: `make conform-selftest` has it judge every broken server of `broken`.
+"""Shows that the conformance suite can fail: `make conform-selftest` has it judge every broken server of `defects`.
 
-Prints the table of kills, one line a server: whether it was caught, which cases had to catch it, what they said, which
-of the control cases failed too, and what is wrong with it. Then the same cases judge the server without the defects,
+Prints a table, one line a server: whether it was caught, which cases had to catch it, their verdicts, which of the
+control cases failed too, and what is wrong with it. Then the same cases judge the server without the defects,
 over each engine and mode. The exit status is 1 if a defect survives, or anything is found wrong with the server itself.
 """
 
@@ -17,7 +17,7 @@ import broken_creatures
 import broken_times
 import broken_wires
 import broken_worlds
-from broken import DEFECTS, Defect, Judgement, judge, unbroken
+from defects import DEFECTS, Defect, Judgement, judge, unbroken
 
 __all__ = ["BROKEN", "main"]
 
@@ -41,21 +41,21 @@ def _judged() -> Iterator[tuple[Defect, Judgement]]:
 def main() -> int:
     """Prints the table; returns the exit status."""
     bad = caught = 0
-    wide = max(map(len, BROKEN))
-    print(f"{'':8} {'server':{wide}} {'must be caught by':34} {'verdict':10} {'also failed':24} what is wrong")
+    width = max(map(len, BROKEN))
+    print(f"{'':8} {'server':{width}} {'must be caught by':34} {'verdict':10} {'also failed':24} what is wrong")
     for defect, judgement in _judged():
-        verdicts = ", ".join(dict.fromkeys(str(said.verdict) for said in judgement.named))
+        verdicts = ", ".join(dict.fromkeys(str(outcome.verdict) for outcome in judgement.named))
         others = ", ".join(judgement.others) or "-"
         state = "caught" if judgement.caught else "SURVIVES"
-        print(f"{state:8} {defect.name:{wide}} {', '.join(defect.cases):34} {verdicts:10} {others:24} {defect.does}")
+        print(f"{state:8} {defect.name:{width}} {', '.join(defect.cases):34} {verdicts:10} {others:24} {defect.does}")
         caught += judgement.caught
     for config, judgement in unbroken(list(BROKEN.values())):
         count = len(judgement.named) + len(judgement.controls)
         state = "clean" if judgement.clean else "NOT CLEAN"
         print(f"{state:9} the server without defects, {config}: {count} cases")
-        for number, verdict, found in (*judgement.named, *judgement.controls):
+        for number, verdict, mistake in (*judgement.named, *judgement.controls):
             if verdict not in ("ok", "unimplemented"):
-                print(f"          {number} {verdict}: {found}")
+                print(f"          {number} {verdict}: {mistake}")
         bad += not judgement.clean
     print(f"{caught} of {len(BROKEN)} broken servers caught")
     return 1 if bad or caught < len(BROKEN) else 0

@@ -16,7 +16,7 @@ import pytest
 
 from layout import ROOT
 from nmes import Client
-from serving import PATIENCE
+from servers import PATIENCE
 
 NMES = str(Path(sys.executable).parent / "nmes")
 SOURCE = ROOT / "examples" / "example-backend"

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from brainmaking import DT, MOTORS, SENSORS, Made, brains, examples_of, load
+from brain_documents import DT, MOTORS, SENSORS, Made, brains, examples_of, load
 from nmes.brain import load_brain, stack
 from nmes.errors import DocumentError
 

@@ -10,10 +10,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from brainmaking import DT, MOTORS, SENSORS, load
+from brain_documents import DT, MOTORS, SENSORS, load
 from nmes.brain import Brain, load_brain
 from nmes.errors import DocumentError
-from onnxmodels import DOUBLE, FLOAT, INT64, field, layer, model, node, tensor, value_info
+from onnx_models import DOUBLE, FLOAT, INT64, field, layer, model, node, tensor, value_info
 
 W = np.array([[0.5, -1], [1, 0.25], [2, -0.125]])
 B = np.array([0.25, -0.5])

@@ -14,7 +14,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from brainmaking import ACTIVATIONS, DT, MAKERS, MOTORS, SENSORS, Made, bits, brains, episodes, examples_of, load, run
+from brain_documents import (
+    ACTIVATIONS,
+    DT,
+    MAKERS,
+    MOTORS,
+    SENSORS,
+    Made,
+    bits,
+    brains,
+    episodes,
+    examples_of,
+    load,
+    run,
+)
 from nmes import schemas
 from nmes.brain import KINDS, load_brain, stack
 from nmes.brain.base import lines

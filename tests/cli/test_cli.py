@@ -26,7 +26,7 @@ from nmes.errors import RecordingError
 from nmes.evaluation.leaderboard import Leaderboard
 from nmes.recording import Kind, Recording
 from recordings import busy, record
-from serving import PATIENCE
+from servers import PATIENCE
 
 NMES = str(Path(sys.executable).parent / "nmes")
 DOCUMENT = (ROOT / "docs" / "cli.md").read_text()

@@ -20,7 +20,7 @@ from nmes.client.conversation import EVENT_BACKLOG
 from nmes.client.replies import Event
 from nmes.errors import CommandFailed, Disconnected
 from nmes.protocol import DELIMITER
-from serving import PASSWORD, PATIENCE, Served, served
+from servers import PASSWORD, PATIENCE, Served, served
 
 
 @pytest.fixture

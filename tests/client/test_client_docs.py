@@ -14,7 +14,7 @@ from client_docs import MODULES, docstring, error_codes, rewrite
 from nmes.client import AsyncClient, Client
 from nmes.errors import CommandFailed
 from nmes.protocol import COMMANDS
-from serving import served
+from servers import served
 
 ROCKER = COMMANDS["spawn_creature"].schema["examples"][0]["genome"]  # two cubes and a joint
 CUBES = ("a", "b", "c", "taken.torso")

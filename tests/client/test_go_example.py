@@ -12,7 +12,7 @@ import pytest
 
 from layout import ROOT
 from nmes.playback.compare import replay
-from serving import PASSWORD, served
+from servers import PASSWORD, served
 
 GO = shutil.which("go", path=os.pathsep.join([os.environ.get("PATH", os.defpath), "/usr/local/go/bin"]))
 EXAMPLE = ROOT / "examples" / "go"

@@ -27,7 +27,7 @@ from nmes.conformance.clauses import CLAUSES, UNTESTED
 from nmes.protocol import DELIMITER
 from nmes.world import World
 from nmes.world.commands import COMMANDS
-from serving import PASSWORD, Served, served
+from servers import PASSWORD, Served, served
 
 BAD = {Verdict.FAILED, Verdict.FAULT, Verdict.NON_STRICT}
 

@@ -7,7 +7,7 @@ import dataclasses
 import pytest
 from pytest import MonkeyPatch
 
-from broken import Defect, judge, unbroken
+from defects import Defect, judge, unbroken
 from nmes.conformance import CASES, CATEGORIES
 from nmes.protocol import DELIMITER, Session
 from selftest import BROKEN
@@ -17,16 +17,16 @@ SAMPLE = list(BROKEN.values())[1::5]
 
 @pytest.mark.parametrize("defect", SAMPLE, ids=lambda defect: defect.name)
 def test_a_sample_is_caught(defect: Defect) -> None:
-    judged(defect)
+    check_caught(defect)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("defect", [d for d in BROKEN.values() if d not in SAMPLE], ids=lambda defect: defect.name)
 def test_all_are_caught(defect: Defect) -> None:
-    judged(defect)
+    check_caught(defect)
 
 
-def judged(defect: Defect) -> None:
+def check_caught(defect: Defect) -> None:
     judgement = judge(defect)
     assert judgement.caught, (judgement.named, judgement.others)
 

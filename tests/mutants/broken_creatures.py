@@ -1,10 +1,10 @@
-"""Servers that are wrong about rewards or creatures. See `broken`."""
+"""Servers that are wrong about rewards or creatures. See `defects`."""
 
 from __future__ import annotations
 
 from pytest import MonkeyPatch
 
-from broken import Answer, JsonObject, around, defect
+from defects import Answer, JsonObject, around, defect
 from nmes.errors import NmesError
 from nmes.world import World
 from nmes.world.clients import Client

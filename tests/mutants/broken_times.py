@@ -1,4 +1,4 @@
-"""Servers that are wrong about time, subscriptions, physics or determinism. See `broken`."""
+"""Servers that are wrong about time, subscriptions, physics or determinism. See `defects`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import pymunk
 from pytest import MonkeyPatch
 
-from broken import Answer, JsonObject, around, defect
+from defects import Answer, JsonObject, around, defect
 from nmes.backend import BodySpec, BodyState, JointParams, SceneSpec
 from nmes.server.barrier import StepBarrier
 from nmes.server.clock import Clock

@@ -1,4 +1,4 @@
-"""Servers that are wrong about bytes, auth, dialects, JSON, limits or connections. See `broken`."""
+"""Servers that are wrong about bytes, auth, dialects, JSON, limits or connections. See `defects`."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any, cast
 import orjson
 from pytest import MonkeyPatch
 
-from broken import defect
+from defects import defect
 from nmes import protocol
 from nmes.errors import NmesError, RejectedMessage
 from nmes.protocol import DELIMITER, NO_ID, Auth, FrameSplitter, Limits, Request, Session, messages, session
@@ -21,7 +21,7 @@ from nmes.schemas.documents import parse_json
 from nmes.server import Host
 from nmes.server.connection import Connection
 from nmes.server.hosted_world import HostedWorld
-from serving import PASSWORD
+from servers import PASSWORD
 
 # -- framing ----------------------------------------------------------------------------------------------------------
 

@@ -1,4 +1,4 @@
-"""Servers that are wrong about commands, names, ownership, errors, several clients or capabilities. See `broken`."""
+"""Servers that are wrong about commands, names, ownership, errors, several clients or capabilities. See `defects`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 from pytest import MonkeyPatch
 
-from broken import Answer, JsonObject, around, defect
+from defects import Answer, JsonObject, around, defect
 from nmes import protocol
 from nmes.backend import JointSpec
 from nmes.backend.rotation import multiply, quaternion_from_euler

@@ -18,7 +18,7 @@ from nmes.protocol import parse
 from nmes.recording import Recording
 from nmes.world import World
 from recordings import busy, record, send
-from serving import served
+from servers import served
 
 Spoil = Callable[[dict[str, Any], dict[str, Any]], dict[str, Any]]
 

@@ -20,7 +20,7 @@ from nmes.playback.compare import replay
 from nmes.recording import Kind, Recorder, Recording
 from nmes.world import World
 from recordings import record, send
-from serving import PATIENCE, Peer, served
+from servers import PATIENCE, Peer, served
 
 NMES = str(Path(sys.executable).parent / "nmes")
 

@@ -12,7 +12,7 @@ import pytest
 from nmes import World, protocol
 from nmes.playback.compare import replay
 from nmes.recording import Kind, Recording
-from serving import Peer, Served, served, until
+from servers import Peer, Served, served, until
 
 STEP = {"type": "step"}
 

@@ -14,7 +14,7 @@ import pytest
 from layout import ROOT
 from nmes.recording import Kind, Recording
 from nmes.server.connection import Connection
-from serving import served
+from servers import served
 
 MOST = 24
 PUSH = {"type": "apply_physics", "cube_name": "cube", "force": [1.5, 0, -0.5]}

@@ -21,7 +21,7 @@ from typing import Any
 
 import pytest
 
-from serving import PASSWORD, PATIENCE, Served, served, until
+from servers import PASSWORD, PATIENCE, Served, served, until
 
 END = b"<???DONE???---"
 WAIT = 0.25  # s; theirs is 1 to 3 s

@@ -21,7 +21,7 @@ from nmes.recording import Recording
 from nmes.server import Host
 from nmes.server.metrics import Metrics
 from recordings import busy, record
-from serving import PASSWORD, PATIENCE, served, until
+from servers import PASSWORD, PATIENCE, served, until
 
 Series = dict[tuple[str, tuple[tuple[str, str], ...]], float]
 

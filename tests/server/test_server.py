@@ -16,7 +16,7 @@ from nmes.playback.compare import replay
 from nmes.protocol import DELIMITER, Limits
 from nmes.recording import Kind, Recorder, Recording
 from nmes.server import Host
-from serving import PASSWORD, PATIENCE, Peer, Served, served, types, until
+from servers import PASSWORD, PATIENCE, Peer, Served, served, types, until
 
 PING = json.dumps({"type": "ping"}).encode() + DELIMITER
 

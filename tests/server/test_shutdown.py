@@ -15,7 +15,7 @@ from nmes.errors import Disconnected
 from nmes.playback import world_at
 from nmes.playback.compare import replay
 from nmes.recording import Recording
-from serving import PASSWORD, PATIENCE, Peer, types
+from servers import PASSWORD, PATIENCE, Peer, types
 
 
 def test_sigterm_under_load(tmp_path: Path, record_property: Callable[[str, object], None]) -> None:

@@ -29,12 +29,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import parsing
+import json_cases
 from nmes import protocol
 from nmes.protocol import COMMANDS, DELIMITER, Auth, Session
 from nmes.recording import Recording
 from nmes.server import Host
-from serving import PASSWORD, PATIENCE, Peer, served, until
+from servers import PASSWORD, PATIENCE, Peer, served, until
 
 Figures = Callable[[str, object], None]
 MIB = 1 << 20
@@ -368,14 +368,14 @@ def _check_answers(peer: Peer, frames: list[bytes], mark: str) -> list[bytes]:
 
 def test_what_tells_parsers_apart(tmp_path: Path) -> None:
     with victim(tmp_path) as host, Bystander(host), host.peer() as peer:
-        for name, value in parsing.VALID.items():
+        for name, value in json_cases.VALID.items():
             peer.send(b'{"type":"ping","id":' + value + b"}" + DELIMITER)
             assert peer.hear() == {"type": "pong", "id": json.loads(value)}, name
-        for name, value in parsing.INVALID.items():
+        for name, value in json_cases.INVALID.items():
             bare, inside, _ = _check_answers(peer, [value, b'{"type":"ping","id":' + value + b"}"], name)
             assert json.loads(bare)["code"] in ("bad_json", "bad_frame"), name
             assert json.loads(inside)["code"] in ("bad_json", "bad_frame"), name
-        for name, value in parsing.EITHER.items():
+        for name, value in json_cases.EITHER.items():
             assert len(_check_answers(peer, [value, b'{"type":"ping","id":' + value + b"}"], name)) == 3
 
 

@@ -19,7 +19,7 @@ from nmes.protocol import Limits
 from nmes.recording import Kind, Recorder, Recording
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.threads import Worker
-from serving import PASSWORD, PATIENCE, Peer, Served, served, until
+from servers import PASSWORD, PATIENCE, Peer, Served, served, until
 
 LONG = {"type": "step", "ticks": 10_000}
 STEP = {"type": "step"}

@@ -18,7 +18,7 @@ from nmes import AsyncClient, Client
 from nmes.cli import main
 from nmes.errors import Disconnected
 from nmes.protocol import DELIMITER, Limits
-from serving import PASSWORD, PATIENCE, Served, served, until
+from servers import PASSWORD, PATIENCE, Served, served, until
 
 
 @pytest.fixture(scope="module")

@@ -24,7 +24,7 @@ from nmes.recording import Kind, Recording
 from nmes.server import Host
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.threads import Worker
-from serving import PASSWORD, PATIENCE, Served, served, types, until
+from servers import PASSWORD, PATIENCE, Served, served, types, until
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ from nmes.server.metrics import Metrics
 from nmes.world import World
 from nmes.world.commands import COMMANDS
 from recordings import Line, record, rewrite, send
-from serving import PASSWORD, PATIENCE, Served, served, until
+from servers import PASSWORD, PATIENCE, Served, served, until
 
 NMES = str(Path(sys.executable).parent / "nmes")
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")  # as .ci/run looks for them

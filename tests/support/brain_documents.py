@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from nmes import schemas
 from nmes.brain import KINDS, Brain, load_brain
-from onnxmodels import DOUBLE, FLOAT, layer
+from onnx_models import DOUBLE, FLOAT, layer
 
 SENSORS = ("hip.position", "hip.velocity", "knee.position", "root.up.y", "foot.contact")
 MOTORS = ("hip", "hip_left", "hip_right", "knee", "tail")

@@ -22,22 +22,22 @@ def varint(value: int) -> bytes:
 def field(number: int, value: int | bytes | str) -> bytes:
     if isinstance(value, int):
         return varint(number << 3) + varint(value)
-    told = value.encode() if isinstance(value, str) else value
-    return varint(number << 3 | 2) + varint(len(told)) + told
+    data = value.encode() if isinstance(value, str) else value
+    return varint(number << 3 | 2) + varint(len(data)) + data
 
 
 def tensor(name: str, values: Any, kind: int = FLOAT, *, way: str = "raw") -> bytes:
     array = np.asarray(values, DTYPES[kind])
-    told = b"".join(field(1, size) for size in array.shape) + field(2, kind) + field(8, name)
+    head = b"".join(field(1, size) for size in array.shape) + field(2, kind) + field(8, name)
     match way:
         case "raw":
-            return told + field(9, array.tobytes())
+            return head + field(9, array.tobytes())
         case "packed":
-            return told + field(4, array.tobytes())
+            return head + field(4, array.tobytes())
         case "loose":
-            return told + b"".join(varint(4 << 3 | 5) + struct.pack("<f", x) for x in array.ravel())
+            return head + b"".join(varint(4 << 3 | 5) + struct.pack("<f", x) for x in array.ravel())
         case "external":
-            return told + field(13, field(1, "location") + field(2, "/etc/passwd")) + field(14, 1)
+            return head + field(13, field(1, "location") + field(2, "/etc/passwd")) + field(14, 1)
     raise ValueError(way)
 
 
@@ -61,7 +61,7 @@ def model(nodes: list[bytes], tensors: list[bytes], inputs: list[bytes], outputs
 def layer(
     weights: Any, biases: Any, *, shape: list[int | str] | None = None, way: str = "raw", kind: int = FLOAT
 ) -> bytes:
-    """Returns tanh(x . weights + biases), with weights (inputs, outputs)."""
+    """Returns a model of tanh(x . weights + biases), with weights (inputs, outputs)."""
     weights = np.asarray(weights)
     count, outputs = weights.shape
     return model(

@@ -1,7 +1,7 @@
 """Servers with one defect each, to show that the conformance suite finds it.
 
 A defect is a function that patches our own server before a host is started in this process; its docstring says what
-the server does wrong, its decorator which cases must say so. The defects stand in `broken_wires` (bytes, auth,
+the server does wrong, its decorator which cases must find it. The defects stand in `broken_wires` (bytes, auth,
 dialects, JSON, limits, connections), `broken_worlds` (commands, names, errors, clients, capabilities), `broken_times`
 (time, subscriptions, physics, determinism) and `broken_creatures` (rewards, creatures). Invariants: a defect is undone
 when its server has stopped; the suite, which runs in the same process, does not use what is patched; a server counts
@@ -25,7 +25,7 @@ from nmes.protocol import Limits
 from nmes.world import World
 from nmes.world.clients import Client
 from nmes.world.commands import COMMANDS
-from serving import PASSWORD, served
+from servers import PASSWORD, served
 
 __all__ = ["CONTROLS", "DEFECTS", "Defect", "Judgement", "Setup", "around", "defect", "judge", "unbroken"]
 
@@ -92,52 +92,53 @@ def defect(
 
 
 def around(patch: MonkeyPatch, kind: str, change: Callable[[Answer, World, Client, JsonObject], JsonObject]) -> None:
-    """Puts something round a command: `change` gets how it was answered before, and what that gets."""
+    """Wraps a command's function: `change` gets the function and its arguments, and returns the reply."""
     answer: Answer = COMMANDS[kind]
 
-    def changed(world: World, client: Client, c: JsonObject) -> JsonObject:
-        return change(answer, world, client, c)
+    def changed(world: World, client: Client, command: JsonObject) -> JsonObject:
+        return change(answer, world, client, command)
 
     patch.setitem(COMMANDS, kind, changed)
 
 
-class Said(NamedTuple):
-    """What a case said: its number, its verdict, and what it found."""
+class Outcome(NamedTuple):
+    """The outcome of one case: its number, its verdict, and the mistake that it reports, if any."""
 
     number: str
     verdict: Verdict
-    found: str | None
+    mistake: str | None
 
 
 @dataclass(frozen=True)
 class Judgement:
-    """What the suite says of one server.
+    """The suite's judgement of one server.
 
     Attributes:
-        named: What the cases said that must find the defect; of the unbroken server, those that any defect names.
-        controls: What the other cases said.
-        wanted: What the former must say.
+        named: Outcomes of the cases that must find the defect; for the unbroken server, of all that any defect names.
+        controls: Outcomes of the control cases.
+        expected: The verdict that the named cases must reach.
     """
 
-    named: Sequence[Said]
-    controls: Sequence[Said]
-    wanted: Verdict
+    named: Sequence[Outcome]
+    controls: Sequence[Outcome]
+    expected: Verdict
 
     @property
     def caught(self) -> bool:
         """Whether all named cases found the defect, and only it."""
-        alive = any(said.verdict is Verdict.OK for said in self.controls)
-        return alive and bool(self.named) and all(said.verdict is self.wanted for said in self.named)
+        alive = any(outcome.verdict is Verdict.OK for outcome in self.controls)
+        return alive and bool(self.named) and all(outcome.verdict is self.expected for outcome in self.named)
 
     @property
     def clean(self) -> bool:
-        """Whether everything was tried and is as it should be, or is said not to be there."""
-        return all(said.verdict in (Verdict.OK, Verdict.UNIMPLEMENTED) for said in (*self.named, *self.controls))
+        """Whether every case was run and passed, or tests something that the server does not claim to have."""
+        passed = (Verdict.OK, Verdict.UNIMPLEMENTED)
+        return all(outcome.verdict in passed for outcome in (*self.named, *self.controls))
 
     @property
     def others(self) -> list[str]:
-        """Numbers of the other cases that are not content."""
-        return [said.number for said in self.controls if said.verdict is not Verdict.OK]
+        """Numbers of the control cases that did not pass."""
+        return [outcome.number for outcome in self.controls if outcome.verdict is not Verdict.OK]
 
 
 @contextmanager
@@ -151,32 +152,32 @@ def _quietly() -> Iterator[None]:
         logging.disable(before)
 
 
-def _judge(setup: Setup, cases: Sequence[str], wanted: Verdict, timeout: float) -> Judgement:
+def _judge(setup: Setup, cases: Sequence[str], expected: Verdict, timeout: float) -> Judgement:
     with _quietly(), served(setup.config, limits=setup.limits, auth_delay=setup.auth_delay) as server:
         target = Target("127.0.0.1", server.port, PASSWORD, timeout)
         controls = run(target, Options(only=[number for number in CONTROLS if number not in cases]))
         named = run(target, Options(only=cases))
-    return Judgement(list(map(_said, named.results)), list(map(_said, controls.results)), wanted)
+    return Judgement(list(map(_outcome, named.results)), list(map(_outcome, controls.results)), expected)
 
 
-def _said(result: Result) -> Said:
-    found = result.reason or (result.expected and f"expected {result.expected}, received {result.received}")
-    return Said(result.case.number, result.verdict, found)
+def _outcome(result: Result) -> Outcome:
+    mistake = result.reason or (result.expected and f"expected {result.expected}, received {result.received}")
+    return Outcome(result.case.number, result.verdict, mistake)
 
 
 def judge(defect: Defect) -> Judgement:
     """Starts the broken server and has its cases judge it."""
-    wanted = Verdict.NON_STRICT if defect.only_strict else Verdict.FAILED
+    expected = Verdict.NON_STRICT if defect.only_strict else Verdict.FAILED
     with MonkeyPatch.context() as patch:
         defect.break_it(patch)
-        return _judge(defect.setup, defect.cases, wanted, IMPATIENT)
+        return _judge(defect.setup, defect.cases, expected, IMPATIENT)
 
 
 def unbroken(defects: Sequence[Defect]) -> Iterator[tuple[Mapping[str, Any], Judgement]]:
-    """Has all cases that these defects name judge the server without them, over each engine and mode of theirs."""
+    """Judges the server without defects by all cases that they name; yields each config and its judgement."""
     cases: dict[str, tuple[Mapping[str, Any], dict[str, None]]] = {}
-    for each in defects:
-        config = each.setup.config
-        cases.setdefault(json.dumps(config), (config, {}))[1].update(dict.fromkeys(each.cases))
+    for defect in defects:
+        config = defect.setup.config
+        cases.setdefault(json.dumps(config), (config, {}))[1].update(dict.fromkeys(defect.cases))
     for config, numbers in cases.values():
         yield config, _judge(Setup(config), list(numbers), Verdict.OK, PATIENT)
