@@ -47,7 +47,7 @@ class Part:
 
 @functools.lru_cache(maxsize=16)
 def parts(arena: Arena) -> tuple[Part, ...]:
-    """Returns an arena's parts. The origin is where it begins: a corridor's start, a bowl's middle, a maze's free cell."""
+    """Returns an arena's parts. It begins at the origin: a corridor's start, a bowl's middle, a maze's free cell."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # it looks for a display, which we do not need

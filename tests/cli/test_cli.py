@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import base64
 import json
-import os
 import random
 import re
 import signal
@@ -10,9 +9,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import click
 import pytest
@@ -25,43 +22,16 @@ from nmes.cli import SUBCOMMANDS, main
 from nmes.errors import RecordingError
 from nmes.evaluation.leaderboard import Leaderboard
 from nmes.recording import Kind, Recording
+from processes import process, ready
 from recordings import busy, record
 from servers import PATIENCE
 
-NMES = str(Path(sys.executable).parent / "nmes")
 DOCUMENT = (ROOT / "docs" / "cli.md").read_text()
 
 
 def run(*arguments: str, **environment: str | None) -> Result:
     """Runs a command in this process."""
     return CliRunner().invoke(main, arguments, env={"NMES_PASSWORD": None, **environment})
-
-
-@contextmanager
-def process(*arguments: str, **environment: str) -> Iterator[subprocess.Popen[str]]:
-    """Runs a command as users do."""
-    inherited = {name: value for name, value in os.environ.items() if name != "NMES_PASSWORD"}
-    with subprocess.Popen(
-        [NMES, *arguments],
-        env={**inherited, **environment},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as running:
-        try:
-            yield running
-        finally:
-            running.kill()
-
-
-def ready(server: subprocess.Popen[str]) -> dict[str, Any]:
-    """Returns what `nmes serve --json` says when it is ready."""
-    assert server.stdout is not None
-    line = server.stdout.readline()
-    assert line, server.communicate(timeout=PATIENCE)
-    message = json.loads(line)
-    assert isinstance(message, dict)
-    return message
 
 
 # -- the command line as a whole --------------------------------------------------------------------------------------

@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
-from test_cli import process, ready
 
 import programs
 from nmes import Client
@@ -21,6 +20,7 @@ from nmes.playback.diff import compare
 from nmes.playback.fork import fork
 from nmes.recording import Kind, Recorder, Recording
 from nmes.world import World
+from processes import process, ready
 from recordings import record, send
 
 BACKENDS = pytest.mark.parametrize("backend", ["mujoco", "ballistic", "pymunk"])

@@ -12,7 +12,6 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 from prometheus_client.parser import text_string_to_metric_families
-from test_cli import process, ready
 
 from nmes import Client
 from nmes.cli import _logs, main
@@ -20,6 +19,7 @@ from nmes.errors import CommandFailed
 from nmes.recording import Recording
 from nmes.server import Host
 from nmes.server.metrics import Metrics
+from processes import process, ready
 from recordings import busy, record
 from servers import PASSWORD, PATIENCE, served, until
 

@@ -8,13 +8,12 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-from test_cli import process, ready
-
 from nmes import Client
 from nmes.errors import Disconnected
 from nmes.playback import world_at
 from nmes.playback.compare import replay
 from nmes.recording import Recording
+from processes import process, ready
 from servers import PASSWORD, PATIENCE, Peer, types
 
 

@@ -12,12 +12,12 @@ from typing import Any, cast
 import pytest
 import trustme
 from click.testing import CliRunner
-from test_cli import process, ready
 
 from nmes import AsyncClient, Client
 from nmes.cli import main
 from nmes.errors import Disconnected
 from nmes.protocol import DELIMITER, Limits
+from processes import process, ready
 from servers import PASSWORD, PATIENCE, Served, served, until
 
 

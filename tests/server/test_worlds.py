@@ -13,7 +13,6 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
-from test_cli import process, ready
 
 from nmes import AsyncClient, Client
 from nmes.cli import main
@@ -24,6 +23,7 @@ from nmes.recording import Kind, Recording
 from nmes.server import Host
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.threads import Worker
+from processes import process, ready
 from servers import PASSWORD, PATIENCE, Served, served, types, until
 
 
