@@ -436,7 +436,7 @@ def test_the_checks_pass_where_nothing_is_planted(backend: type[Backend]) -> Non
         getattr(_contract(backend), f"test_{check}")()
 
 
-def test_an_engine_of_a_stranger_needs_no_more_than_one_line() -> None:
+def test_an_engine_is_checked_by_a_test_class_of_one_line() -> None:
     class TestMine(BackendContract):
         backend = BallisticBackend
 

@@ -58,7 +58,7 @@ def run(environment: Mapping[str, str], *command: str, cwd: Path | None = None) 
     return done.stdout
 
 
-def test_it_is_listed_and_the_broken_ones_say_why(environment: Mapping[str, str]) -> None:
+def test_the_example_engine_is_listed_and_broken_engines_say_why(environment: Mapping[str, str]) -> None:
     listed = {row["name"]: row for row in json.loads(run(environment, NMES, "backends", "--json"))}
     assert list(listed) == sorted(listed)
     assert {"ballistic", "mujoco", "pymunk", "example"} <= set(listed)
@@ -80,12 +80,12 @@ def test_it_is_listed_and_the_broken_ones_say_why(environment: Mapping[str, str]
         assert (row["version"] or "cannot be loaded") in line
 
 
-def test_it_keeps_the_contract(environment: Mapping[str, str]) -> None:
+def test_the_example_engine_keeps_the_contract(environment: Mapping[str, str]) -> None:
     output = run(environment, sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(SOURCE))
     assert re.search(r"^\d\d passed", output, flags=re.MULTILINE), output
 
 
-def test_it_is_served_recorded_and_replayed(environment: Mapping[str, str], tmp_path: Path) -> None:
+def test_the_example_engine_is_served_recorded_and_replayed(environment: Mapping[str, str], tmp_path: Path) -> None:
     command = [NMES, "serve", "--port", "0", "--json", "--backend", "example", "--mode", "lockstep"]
     with subprocess.Popen(
         [*command, "--record", str(tmp_path)], env=environment, stdout=subprocess.PIPE, text=True

@@ -341,7 +341,7 @@ def test_a_ball_that_gets_limits_stays_where_it_is() -> None:
         assert simulation.joint_state(1).position == pytest.approx(reading.position, abs=1e-9)
 
 
-def test_limits_hold() -> None:
+def test_joint_limits_hold() -> None:
     simulation = scene()
     simulation.add_body(1, box((0.0, 5.0, 0.0), frozen=True))
     simulation.add_body(2, box((1.2, 5.0, 0.0)))
@@ -625,7 +625,7 @@ def test_cubes_spawned_at_one_point_come_apart_at_bounded_speed(count: int) -> N
 @pytest.mark.parametrize(
     ("room", "code"), [(100, "contact_overflow"), (300, "constraint_overflow"), (500, "arena_exhausted")]
 )
-def test_an_engine_that_runs_out_of_room_faults(room: int, code: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_engine_out_of_memory_faults_its_world(room: int, code: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiler, "arena_bytes", lambda bodies: room << 10)
     crowded, quiet = World({"mode": "lockstep"}), World({"mode": "lockstep"})
     client, other = crowded.join(), quiet.join()
@@ -642,7 +642,7 @@ def test_an_engine_that_runs_out_of_room_faults(room: int, code: str, monkeypatc
     assert crowded.execute(client, {"type": "step"})["frame"] == 1
 
 
-def test_a_diverging_engine_names_the_body() -> None:
+def test_a_divergence_names_its_body() -> None:
     simulation = scene()
     simulation.add_body(1, box((0.0, 0.5, 0.0)))
     simulation.add_body(7, box((4.0, 0.5, 0.0)))
@@ -661,7 +661,7 @@ def world(number: int) -> World:
 
 
 @pytest.mark.parametrize("number", range(40))
-def test_a_program_gives_the_same_world_again_looked_at_or_not(number: int) -> None:
+def test_a_program_gives_the_same_world_again_with_or_without_queries(number: int) -> None:
     program = programs.draw(number, 60)
     replies, digests = programs.play(world(number), program)
     again = programs.play(world(number), program)
@@ -682,14 +682,14 @@ class Onlooker(Journal):
 
 
 @pytest.mark.parametrize("number", [*range(130, 150), 1527])  # 1527: a branch of a frozen root wakes between readings
-def test_looking_changes_nothing_that_is_seen_later(number: int) -> None:
+def test_queries_change_no_later_state(number: int) -> None:
     program, watched = programs.draw(number, 100), world(number)
     watched.journal = Onlooker(watched)
     assert programs.play(watched, program) == programs.play(world(number), program)
 
 
 @pytest.mark.parametrize("number", range(40, 70))
-def test_a_restored_world_goes_on_like_the_one_it_was_taken_from(number: int) -> None:
+def test_a_restored_world_continues_like_the_saved_one(number: int) -> None:
     program = programs.draw(number, 80)
     first, second = world(number), world(number)
     programs.play(first, program[:40])
@@ -703,7 +703,7 @@ def test_a_restored_world_goes_on_like_the_one_it_was_taken_from(number: int) ->
 
 
 @pytest.mark.parametrize("number", range(70, 90))
-def test_edits_grouped_otherwise_within_a_tick_give_the_same_world(number: int) -> None:
+def test_the_grouping_of_edits_within_a_tick_does_not_matter(number: int) -> None:
     """Whatever comes between two ticks may come in one message or in many."""
     alone, grouped = world(number), world(number)
     client, other = alone.join(), grouped.join()
@@ -750,7 +750,7 @@ print(digests[-1].hex(), len(replies), replies[-1])
 """
 
 
-def test_fresh_processes_agree() -> None:
+def test_fresh_processes_reach_the_same_digests() -> None:
     here = SUPPORT
 
     def run(number: int, seed: str) -> str:
@@ -770,7 +770,7 @@ def test_fresh_processes_agree() -> None:
 
 
 @pytest.mark.parametrize("number", range(100, 130))
-def test_parked_bodies_change_nothing_that_can_be_seen(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_parked_bodies_do_not_affect_the_world(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same programs with parked bodies from the second cube on: repeatable, and restored exactly."""
     monkeypatch.setattr(rebuild, "PARKING_FROM", 2)
     program = programs.draw(number, 80)
@@ -786,7 +786,7 @@ def test_parked_bodies_change_nothing_that_can_be_seen(number: int, monkeypatch:
 @given(
     st.tuples(*[st.floats(0.01, 10)] * 3), st.floats(0.001, 1000), st.floats(0, 2), st.floats(0, 1), st.integers(1, 3)
 )
-def test_a_body_in_a_parked_place_is_as_if_compiled_there(
+def test_a_body_that_takes_a_parked_place_acts_like_a_compiled_one(
     size: Vector, mass: float, friction: float, restitution: float, before: int
 ) -> None:
     flat = SceneSpec(timestep=STEP)
@@ -811,7 +811,7 @@ def test_a_body_in_a_parked_place_is_as_if_compiled_there(
     assert compiled.model.stat.meaninertia == filled.model.stat.meaninertia
 
 
-def test_free_cubes_come_and_go_without_compiling(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_free_cubes_are_added_and_removed_without_compiling(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(rebuild, "PARKING_FROM", 8)
     simulation = scene()
     for i in range(20):

@@ -31,7 +31,7 @@ def scene(**fields: Any) -> PymunkSimulation:
     return PymunkBackend().create(SceneSpec(TIMESTEP, **fields))
 
 
-def test_it_lives_in_the_plane() -> None:
+def test_bodies_stay_in_the_plane() -> None:
     sim = scene()
     tilted = (0.5, 0.5, 0.5, 0.5)
     sim.add_body(0, box((1.0, 5.0, 3.0), quaternion=tilted, linear_velocity=(1.0, 0.0, 2.0)))
@@ -56,7 +56,7 @@ def test_joints_that_leave_the_plane_are_unsupported(kind: str, axis: tuple[floa
 
 
 @pytest.mark.parametrize(("axis", "stop"), [(X, 0.3), (Z, 0.7)])
-def test_a_conetwist_swings_or_twists_as_far_as_it_may(axis: tuple[float, float, float], stop: float) -> None:
+def test_a_conetwist_swings_and_twists_within_its_limits(axis: tuple[float, float, float], stop: float) -> None:
     sim = scene(ground=False)
     sim.add_body(0, box((0.0, 5.0, 0.0), frozen=True))
     sim.add_body(1, box((1.0, 5.0, 0.0)))
@@ -65,7 +65,7 @@ def test_a_conetwist_swings_or_twists_as_far_as_it_may(axis: tuple[float, float,
     assert_close(sim.body_state(1).quaternion, about_z(-stop), 0.01, "how far it hangs")
 
 
-def test_a_joint_between_frozen_bodies_waits() -> None:
+def test_a_joint_between_frozen_bodies_acts_once_they_are_freed() -> None:
     sim = scene()
     sim.add_body(0, box((0.0, 5.0, 0.0), frozen=True))
     sim.add_body(1, box((1.0, 5.0, 0.0), frozen=True))
@@ -105,7 +105,7 @@ def test_a_structure_that_is_moved_keeps_its_turns() -> None:
         assert abs(sim.joint_state(0).position - position) < 1.0
 
 
-def test_a_motor_keeps_its_bodies_awake_until_it_is_there() -> None:
+def test_a_motor_keeps_its_bodies_awake_until_it_reaches_its_target() -> None:
     sim = scene(gravity=ZERO, ground=False)
     sim.add_body(0, box(ZERO, frozen=True))
     sim.add_body(1, box(X))
@@ -170,7 +170,7 @@ def test_a_released_obstacle_lets_what_slept_on_it_fall() -> None:
     assert sim.body_state(1).position[1] < 3.9
 
 
-def test_a_world_runs_on_it() -> None:
+def test_a_world_runs_on_the_planar_engine() -> None:
     """Every command that works in the plane works through the World, and the rest is `unsupported`."""
     world = World({"backend": "pymunk", "mode": "lockstep", "engine": {"iterations": 20}})
     client = world.join()

@@ -190,7 +190,7 @@ def test_an_image_becomes_heights(mode: str, white: int) -> None:
     assert drive.where("peak")[1] > 2.9
 
 
-def test_a_colour_image_counts_as_grey() -> None:
+def test_a_colour_image_is_read_as_grey() -> None:
     colours = np.zeros((2, 2, 3))
     colours[0, 0] = 255
     scene = {"type": "heightfield", "heightfield": {"height": 1, "image": png(colours)}}
@@ -213,7 +213,7 @@ HEADER = b"\x89PNG\r\n\x1a\n\0\0\0\rIHDR"
         png(np.zeros((1, 5))),
     ],
 )
-def test_what_is_no_image_is_refused(image: str) -> None:
+def test_an_invalid_image_is_refused(image: str) -> None:
     with pytest.raises(RejectedMessage) as refused:
         World({"scene": {"type": "heightfield", "heightfield": {"image": image}}})
     assert (refused.value.code, refused.value.path) == ("invalid", "scene/heightfield/image")
@@ -307,7 +307,7 @@ def test_a_wall_stops_what_runs_into_it() -> None:
     assert drive.where("past")[0] == pytest.approx(12, abs=0.1)
 
 
-def test_a_box_is_where_and_how_it_was_put() -> None:
+def test_a_box_has_the_position_and_rotation_of_its_config() -> None:
     drive = Driver({"obstacles": [{"type": "box", "position": [0, 2, 0], "size": [4, 1, 1], "rotation": [0, 0.5, 0]}]})
     drive.drop("on", 1.5 * math.cos(0.5), 3, -1.5 * math.sin(0.5), size=0.4)
     drive.drop("off", 1.5 * math.cos(0.5), 3, 1.5 * math.sin(0.5), size=0.4)
@@ -425,7 +425,7 @@ def test_a_cube_stands_on_the_far_side_of_a_planet() -> None:
     assert contact["cube_name"] is None and contact["normal"] == pytest.approx([0, -1, 0], abs=1e-3)
 
 
-def test_what_falls_towards_a_planet_falls_by_the_formula() -> None:
+def test_a_fall_towards_a_planet_follows_the_formula() -> None:
     drive = Driver({"type": "planets"}, gravity=[3, 0, 4])  # its strength alone counts
     drive.drop("a", -130, -100, 0)
     drive("step", ticks=60)
@@ -461,7 +461,7 @@ def test_a_push_acts_beside_a_planet_s_pull() -> None:
     assert drive("get_cube_state", cube_name="a")["linear_velocity"][1] == pytest.approx(-G / 60)
 
 
-def test_a_snapshot_leaves_a_planet_s_pull_to_be_read() -> None:
+def test_a_snapshot_does_not_change_contact_forces_on_a_planet() -> None:
     drive = Driver({"type": "planets"})
     drive.drop("a", 0, -200.5, 0)
     drive("step", ticks=60)
@@ -605,7 +605,7 @@ def test_reset_makes_the_scenery_of_its_seed() -> None:
 
 
 @pytest.mark.parametrize("name", SCENES)
-def test_a_program_gives_the_same_world_again_looked_at_or_not(name: str) -> None:
+def test_a_program_gives_the_same_world_again_with_or_without_queries(name: str) -> None:
     program = programs.draw(5, 60)
     config = {"mode": "lockstep", "seed": 3, "scene": SCENES[name]}
     replies, digests = programs.play(World(config), program)
@@ -615,7 +615,7 @@ def test_a_program_gives_the_same_world_again_looked_at_or_not(name: str) -> Non
 
 
 @pytest.mark.parametrize("name", ["heightfield", "obstacles", "planets"])
-def test_a_restored_world_goes_on_like_the_one_it_was_taken_from(name: str) -> None:
+def test_a_restored_world_continues_like_the_saved_one(name: str) -> None:
     program = programs.draw(11, 60)
     config = {"mode": "lockstep", "seed": 3, "scene": SCENES[name]}
     first, second = World(config), World(config)
@@ -638,7 +638,7 @@ for scene in test_scenes.SCENES.values():
 """
 
 
-def test_fresh_processes_agree() -> None:
+def test_fresh_processes_reach_the_same_digests() -> None:
     path = os.pathsep.join(map(str, (SUPPORT, ROOT / "tools", Path(__file__).parent)))
 
     def run(seed: str, hashes: str) -> list[str]:

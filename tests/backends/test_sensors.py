@@ -106,7 +106,7 @@ def test_a_resting_cube_is_pushed_at_the_face_that_is_down_by_its_weight(face: s
 
 @pytest.mark.parametrize("cone", ["elliptic", "pyramidal"])
 @pytest.mark.parametrize("asleep", [False, True])
-def test_in_a_stack_each_carries_what_is_above_it(asleep: bool, cone: str) -> None:
+def test_each_cube_of_a_stack_feels_the_weight_above_it(asleep: bool, cone: str) -> None:
     place = Place(engine={"sleep": asleep, "cone": cone})
     for i, name in enumerate("abc"):
         place.spawn(name, [0, 0.5 + i, 0], mass=i + 1)
@@ -123,7 +123,7 @@ def test_in_a_stack_each_carries_what_is_above_it(asleep: bool, cone: str) -> No
     assert pushes(place.info("c")) == {("-y", "b"): pytest.approx(3 * G, rel=0.01)}
 
 
-def test_both_sides_of_a_contact_tell_the_same() -> None:
+def test_both_cubes_of_a_contact_report_the_same_force() -> None:
     place = Place()
     place.spawn("base", [0, 2, 0], is_base=True, rotation=[0, 0.4, 0])
     place.spawn("a", [0.2, 3, 0.1])
@@ -149,7 +149,7 @@ def test_a_cube_that_hits_a_wall_is_pushed_back_from_there() -> None:
     assert seen == {("+x", "wall_BASE")}
 
 
-def test_an_edit_that_wakes_a_sleeper_does_not_take_its_contacts_away() -> None:
+def test_a_sleeping_cube_woken_by_an_edit_keeps_its_contacts() -> None:
     place = Place()
     place.spawn("a", [0, 0.5, 0])
     place.spawn("b", [1.1, 0.5, 0])
@@ -162,7 +162,7 @@ def test_an_edit_that_wakes_a_sleeper_does_not_take_its_contacts_away() -> None:
     assert after == before and all(cube["contacts"] for cube in after)
 
 
-def test_a_removed_partner_is_no_contact_any_more() -> None:
+def test_a_removed_cube_is_no_contact_any_more() -> None:
     place = Place()
     place.spawn("a", [0, 0.5, 0])
     place.spawn("b", [0, 1.5, 0])
@@ -191,7 +191,7 @@ def heaps(count: int = 12) -> Place:
     raise AssertionError("they do not come to rest")
 
 
-def test_what_sleepers_feel_does_not_depend_on_who_is_asked_first() -> None:
+def test_contacts_of_sleeping_cubes_do_not_depend_on_the_order_of_queries() -> None:
     places = [heaps(), heaps(), heaps()]
     names = places[0].world.cubes()
     together = {cube["cube_name"]: cube["contacts"] for cube in places[0]("get_world_state", sensors=True)["cubes"]}
@@ -206,7 +206,7 @@ def test_what_sleepers_feel_does_not_depend_on_who_is_asked_first() -> None:
     assert [name for name, contacts in forwards.items() if not contacts] == ["4.0_BASE"]
 
 
-def test_a_sleeper_that_was_moved_meanwhile_feels_where_it_is_now() -> None:
+def test_a_sleeping_cube_that_was_moved_has_the_contacts_of_its_new_place() -> None:
     place = Place()
     place.spawn("a", [0, 0.5, 0])
     place.spawn("b", [5, 0.5, 0])
@@ -222,7 +222,7 @@ def test_a_sleeper_that_was_moved_meanwhile_feels_where_it_is_now() -> None:
     )
 
 
-def test_looking_changes_nothing_and_a_restored_world_feels_the_same() -> None:
+def test_queries_change_nothing_and_a_restored_world_senses_the_same() -> None:
     looked, left_alone = heaps(), heaps()
     names = looked.world.cubes()
 
@@ -284,7 +284,7 @@ def test_an_accelerometer_reads_gravity_upwards_at_rest(asleep: bool) -> None:
     assert felt(place, "b_BASE") == pytest.approx(own(place, "b_BASE", [0, G, 0]))
 
 
-def test_on_an_arm_it_feels_what_keeps_it_on_its_circle() -> None:
+def test_an_accelerometer_on_an_arm_reads_the_centripetal_acceleration() -> None:
     place = Place(gravity=[0, 0, 0])
     place.spawn("hub", [0, 5, 0], is_base=True)
     place.spawn("a", [2, 5, 0], size=0.5)
@@ -311,7 +311,7 @@ def test_a_gyro_reads_the_rotation_along_the_cube_s_own_axes() -> None:
         place("step", ticks=20)
 
 
-def test_on_a_planet_up_is_away_from_it() -> None:
+def test_up_is_away_from_the_planet() -> None:
     place = Place(scene={"type": "planets", "planets": {"count": 1, "radius": 20}})
     (planet,) = place("get_planets")["planets"]
     x, y, z = (planet["Position"][axis] for axis in "xyz")
@@ -328,7 +328,7 @@ def test_on_a_planet_up_is_away_from_it() -> None:
 # -- range finder ----------------------------------------------------------------------------------------------------
 
 
-def test_ranges_are_measured_from_the_centre_to_what_is_in_the_way() -> None:
+def test_ranges_are_measured_from_the_centre_to_the_nearest_obstacle() -> None:
     place = Place(gravity=[0, 0, 0])
     turn = math.pi / 6
     place.spawn("a", [0, 3, 0], rotation=[0, 0, turn])
@@ -347,7 +347,7 @@ def test_ranges_are_measured_from_the_centre_to_what_is_in_the_way() -> None:
     assert place.refused("get_cube_info", cube_name="a", rays=[[0, 0, 0]]) == ("invalid", "rays/0")
 
 
-def test_a_ray_starts_where_the_cube_is_now_and_meets_others_where_they_were_last() -> None:
+def test_a_ray_starts_at_the_cube_s_new_place_and_meets_others_at_their_last_tick() -> None:
     place = Place(gravity=[0, 0, 0])
     place.spawn("a", [0, 3, 0])
     assert place.info("a", rays=[[0, -1, 0]])["ranges"] == [3]
@@ -374,7 +374,7 @@ directions = st.tuples(numbers, numbers, numbers).filter(lambda v: math.hypot(*v
     boxes=st.lists(st.tuples(directions, st.tuples(*[st.floats(0.2, 2)] * 3), directions), min_size=1, max_size=6),
     rays=st.lists(directions, min_size=1, max_size=12),
 )
-def test_ranges_are_those_of_geometry(
+def test_ranges_equal_those_computed_by_geometry(
     eye: tuple[float, float, float],
     turn: tuple[float, float, float],
     boxes: list[tuple[Any, Any, Any]],
@@ -423,7 +423,7 @@ def grazes(box: Reply, origin: Array, heading: Array) -> bool:
     return inner != outer
 
 
-def test_in_a_big_world_rays_meet_only_what_is_there() -> None:
+def test_rays_in_a_big_world_meet_only_bodies_on_their_way() -> None:
     place = Place(gravity=[0, 0, 0])
     for i in range(80):
         place.spawn(f"c{i}", [3.0 * i, 60, 0])
@@ -539,7 +539,7 @@ def test_a_camera_moves_with_its_cube(studio: Place) -> None:
     assert outside[16, 16].min() > 60  # the white cube itself, seen from behind
 
 
-def test_drawing_leaves_the_world_as_it_is(studio: Place) -> None:
+def test_drawing_does_not_change_the_world(studio: Place) -> None:
     digest = studio.world.digest()
     first = studio("get_camera", cube_name="eye")
     assert studio.world.digest() == digest
@@ -563,7 +563,7 @@ def test_a_picture_of_a_transparent_cube_does_not_hide_it_from_rays(studio: Plac
         assert studio.info("eye", rays=[[0, 0, -1]])["ranges"] == pytest.approx([1.5])
 
 
-def test_pictures_survive_changes_of_structure_and_other_worlds(studio: Place) -> None:
+def test_pictures_are_right_after_changes_of_structure_and_beside_other_worlds(studio: Place) -> None:
     other = Place()
     other.spawn("a", [0, 1, 0])
     for size in (16, 64, 24):
@@ -617,7 +617,7 @@ def test_a_replay_without_a_renderer_reproduces_all_the_same(tmp_path: Path, mon
     assert replay(source).verdict == "reproduced"
 
 
-def test_a_replay_compares_what_stands_beside_a_picture(tmp_path: Path) -> None:
+def test_a_replay_compares_the_other_fields_of_a_reply_with_a_picture(tmp_path: Path) -> None:
     source = record(tmp_path / "a.mcap", photograph, {"backend": "mujoco"})
     changed = rewrite(
         source,

@@ -42,7 +42,7 @@ def sine(*entries: str) -> dict[str, Any]:
         (["hip?right"], [0, 0, 1, 0, 0]),
     ],
 )
-def test_names_and_wildcards_deal_motors_out(entries: list[str], owners: list[int]) -> None:
+def test_motors_are_assigned_by_names_and_wildcards(entries: list[str], owners: list[int]) -> None:
     brain = load(sine(*entries))
     brain.reset(0, DT)
     assert [round(control * 10) for control in brain.step(np.zeros(5))] == owners
@@ -54,7 +54,7 @@ def test_a_name_may_look_like_a_pattern() -> None:
     assert [round(control * 10) for control in brain.step(np.zeros(0))] == [1, 2, 2]
 
 
-def test_a_body_that_grows_has_more_of_both() -> None:
+def test_a_wildcard_covers_the_sensors_and_motors_of_a_larger_body() -> None:
     wave = {"kind": "cpg", "oscillators": [{"motor": "seg*"}], "chains": [{"motors": "seg*", "lag": 0.5}]}
     mlp = {
         "kind": "mlp",
@@ -76,7 +76,7 @@ def test_a_body_that_grows_has_more_of_both() -> None:
 # -- what each kind computes ------------------------------------------------------------------------------------------
 
 
-def test_a_sine_is_one() -> None:
+def test_a_sine_brain_computes_a_sine() -> None:
     document = {
         "kind": "sine",
         "oscillators": [
@@ -94,7 +94,7 @@ def test_a_sine_is_one() -> None:
         np.testing.assert_allclose(brain.step(np.zeros(5)), wanted, atol=1e-12)
 
 
-def test_an_oscillator_without_links_is_a_sine_that_swells() -> None:
+def test_an_oscillator_without_links_is_a_sine_of_growing_amplitude() -> None:
     oscillators = [{"motor": "*", "frequency": 1.2, "amplitude": 0.8, "phase": 1, "offset": -0.1}]
     alone, plain = load({"kind": "cpg", "oscillators": oscillators}), load({"kind": "sine", "oscillators": oscillators})
     for brain in (alone, plain):
@@ -124,7 +124,7 @@ def phases(controls: Any, amplitude: float, frequency: float) -> Any:
 
 
 @pytest.mark.parametrize("jitter", [0, 1.5])
-def test_linked_oscillators_come_to_lag_as_they_are_told(jitter: float) -> None:
+def test_linked_oscillators_settle_at_the_lag_of_their_link(jitter: float) -> None:
     document = {
         "kind": "cpg",
         "oscillators": [{"motor": "*", "frequency": 1, "amplitude": 0.5}],
@@ -140,7 +140,7 @@ def test_linked_oscillators_come_to_lag_as_they_are_told(jitter: float) -> None:
     np.testing.assert_allclose(phases(brain.controls(1200), 0.5, 1.0), [0, 0.8, 1.6, 2, -1], atol=1e-6)
 
 
-def test_links_pull_together_what_runs_at_unequal_speed() -> None:
+def test_linked_oscillators_of_different_frequencies_run_in_step() -> None:
     def apart(weight: float) -> float:
         document = {
             "kind": "cpg",
@@ -156,7 +156,7 @@ def test_links_pull_together_what_runs_at_unequal_speed() -> None:
     assert apart(20) == pytest.approx(np.arcsin(0.4 * pi / 20), abs=0.01)
 
 
-def test_the_seed_draws_where_phases_begin_and_nothing_else() -> None:
+def test_the_seed_draws_the_initial_phases_and_nothing_else() -> None:
     document = {"kind": "cpg", "oscillators": [{"motor": "*", "frequency": 0, "phase": 0.1}], "start_jitter": 0.05}
     brain = load(document)
     ends = []
@@ -191,7 +191,7 @@ def test_feedback_turns_the_phase_and_shifts_the_control() -> None:
         np.testing.assert_allclose(out, wanted, atol=1e-9)
 
 
-def test_feedback_of_nothing_changes_nothing() -> None:
+def test_feedback_of_zero_changes_nothing() -> None:
     document = examples_of("cpg")[0]
     listening = {**document, "feedback": [{"sensor": "*", "motor": "*"}]}
     still, moved = load(document), load(listening)
@@ -215,7 +215,7 @@ FORMULAS: dict[str, Callable[[float], float]] = {
 
 
 @pytest.mark.parametrize("name", FORMULAS)
-def test_an_mlp_is_layers_of_weighted_sums(name: str) -> None:
+def test_an_mlp_computes_layers_of_weighted_sums(name: str) -> None:
     draw = np.random.default_rng(5)
     w1, b1, w2, b2 = (
         draw.normal(size=(4, 3)),
@@ -322,7 +322,7 @@ def test_a_link_in_a_loop_carries_the_value_of_the_step_before() -> None:
 
 
 @given(brains("graph"), st.randoms(use_true_random=False))
-def test_the_order_in_which_a_graph_is_written_means_nothing(made: Made, random: Any) -> None:
+def test_the_order_of_nodes_and_links_in_a_graph_does_not_matter(made: Made, random: Any) -> None:
     document, inputs, outputs = made
     for node in document["nodes"]:  # so that rounding, which the order may change, stays small
         node["activation"] = "tanh"
@@ -425,7 +425,7 @@ LAYER = {"weights": [[1, 2, 3, 4, 5]] * 5, "biases": [0] * 5}
         }),
     ],
 )  # fmt: skip
-def test_mistakes_are_all_told_with_their_places(document: Any, wanted: dict[str, str]) -> None:
+def test_all_mistakes_of_a_document_are_reported_with_their_paths(document: Any, wanted: dict[str, str]) -> None:
     with pytest.raises(DocumentError) as caught:
         load_brain(document, SENSORS, MOTORS)
     told = caught.value.problems
@@ -434,19 +434,19 @@ def test_mistakes_are_all_told_with_their_places(document: Any, wanted: dict[str
     assert (caught.value.code, caught.value.path) == ("invalid", caught.value.problems[0][0])
 
 
-def test_links_without_number_are_refused() -> None:
+def test_too_many_links_are_refused() -> None:
     names = [f"m{i}" for i in range(100)]
     document = {"kind": "cpg", "oscillators": [{"motor": "*"}], "links": [{"from": "*", "to": "*"}]}
     with pytest.raises(DocumentError, match="makes 9,900 links between two oscillators, at most 4,096"):
         load_brain(document, [], names)
 
 
-def test_a_body_may_be_too_large_for_a_brain() -> None:
+def test_a_body_too_large_for_a_brain_is_refused() -> None:
     with pytest.raises(DocumentError, match="has 5,000 sensors; a brain can have 4,096\nbrain: the body has 2,000"):
         load_brain(sine("*"), [f"s{i}" for i in range(5000)], [f"m{i}" for i in range(2000)])
 
 
-def test_a_vector_must_fit() -> None:
+def test_a_parameter_vector_of_another_length_is_refused() -> None:
     brain = load(sine("*"))
     for vector, words in (
         ([1.0] * 4, r"5 parameters; the vector has shape \(4,\)"),
@@ -456,7 +456,7 @@ def test_a_vector_must_fit() -> None:
             brain.with_vector(np.array(vector))
 
 
-def test_only_brains_of_one_form_are_stacked() -> None:
+def test_only_brains_of_the_same_structure_are_stacked() -> None:
     with pytest.raises(ValueError, match="no brains"):
         stack([])
     with pytest.raises(ValueError, match="brain 1 differs"):

@@ -41,7 +41,7 @@ def test_a_model_is_run_with_named_inputs_and_outputs(kind: int, shape: list[int
 
 
 @pytest.mark.parametrize("way", ["raw", "packed", "loose"])
-def test_its_weights_are_the_vector(way: str) -> None:
+def test_the_weights_of_a_model_are_the_parameter_vector(way: str) -> None:
     brain = onnx(layer(W, B, way=way))
     vector = brain.to_vector()
     np.testing.assert_array_equal(vector, [*W.ravel(), *B])
@@ -66,7 +66,7 @@ def test_whole_numbers_of_a_model_are_no_parameters() -> None:
     assert brain.step(np.array([0.5, 0, 0, -3, 0])).tolist() == [0, -1, -1, 0, 0.5]
 
 
-def test_what_is_not_a_number_becomes_0_and_what_is_too_large_is_cut_off() -> None:
+def test_outputs_that_are_nan_become_0_and_large_ones_are_clipped() -> None:
     made = model([node("Log", ["x"], ["y"])], [], [value_info("x", FLOAT, [1, 2])], [value_info("y", FLOAT, [1, 2])])
     brain = load(document(made, inputs=["hip.position", "root.up.y"]))
     brain.reset(0, DT)
@@ -111,7 +111,7 @@ NESTED = node("If", ["x"], ["y"], field(5, field(1, "then_branch") + field(6, fi
         ),
     ],
 )
-def test_what_cannot_be_a_brain_is_refused(made: bytes, words: str | None, capfd: pytest.CaptureFixture[str]) -> None:
+def test_an_unsuitable_model_is_refused(made: bytes, words: str | None, capfd: pytest.CaptureFixture[str]) -> None:
     if words is None:  # a message may come in parts
         load(document(made))
         return
@@ -121,7 +121,7 @@ def test_what_cannot_be_a_brain_is_refused(made: bytes, words: str | None, capfd
     assert capfd.readouterr() == ("", "")
 
 
-def test_nesting_without_end_is_refused() -> None:
+def test_a_deeply_nested_model_is_refused() -> None:
     inner = b""
     for _ in range(2000):
         inner = field(5, field(6, field(1, inner)))
@@ -134,7 +134,7 @@ def test_a_model_must_be_base64() -> None:
         load_brain({"kind": "onnx", "model": "***"}, SENSORS, MOTORS)
 
 
-def test_without_onnxruntime_a_model_names_the_extra() -> None:
+def test_without_onnxruntime_the_error_names_the_extra() -> None:
     program = f"""
 import sys
 sys.modules["onnxruntime"] = None

@@ -33,7 +33,7 @@ from nmes.brain import KINDS, load_brain, stack
 from nmes.brain.base import lines
 
 
-def test_every_kind_has_a_schema_with_its_name_a_maker_and_the_other_way_round() -> None:
+def test_every_kind_has_a_schema_and_every_schema_a_kind() -> None:
     files = {path for path in schemas._texts() if path.startswith("brain-")}
     assert files == {f"brain-{kind}.json" for kind in KINDS}
     assert set(MAKERS) == set(KINDS)
@@ -74,7 +74,7 @@ def test_a_document_is_as_it_was_given_and_a_copy(made: Made) -> None:
 
 
 @given(brains(), st.data())
-def test_a_row_of_a_batch_is_the_brain_alone(made: Made, data: st.DataObject) -> None:
+def test_a_row_of_a_batch_equals_the_brain_alone(made: Made, data: st.DataObject) -> None:
     _, inputs, outputs = made
     brain = load(*made)
     count = data.draw(st.integers(1, 9))
@@ -95,7 +95,7 @@ def test_a_row_of_a_batch_is_the_brain_alone(made: Made, data: st.DataObject) ->
 
 
 @pytest.mark.parametrize("activation", ACTIVATIONS)
-def test_rows_of_single_units_which_stand_far_apart_are_the_brain_alone(activation: str) -> None:
+def test_rows_of_single_units_far_apart_in_memory_equal_the_brain_alone(activation: str) -> None:
     layers = [{"weights": [[0.75]], "biases": [0.25], "activation": activation}] * 2
     brain = load_brain({"kind": "mlp", "layers": layers}, ["s"], ["m"])
     population = [brain.with_vector(brain.to_vector() - 0.1 * number) for number in range(9)]
@@ -123,7 +123,7 @@ def test_outputs_are_finite_and_within_bounds_for_any_finite_inputs_and_paramete
 
 
 @given(brains(), st.data(), st.integers(0, 2**63))
-def test_a_reset_begins_again_and_the_seed_is_all_that_is_drawn_from(
+def test_a_reset_starts_over_and_only_the_seed_decides_what_is_random(
     made: Made, data: st.DataObject, seed: int
 ) -> None:
     brain = load(*made)
@@ -134,7 +134,7 @@ def test_a_reset_begins_again_and_the_seed_is_all_that_is_drawn_from(
 
 
 @given(brains("sine", "cpg"), st.lists(st.integers(0, 90), min_size=1, max_size=4))
-def test_controls_are_what_steps_give_in_whatever_portions(made: Made, portions: list[int]) -> None:
+def test_controls_of_many_steps_do_not_depend_on_how_they_are_grouped(made: Made, portions: list[int]) -> None:
     brain = load(*made)
     ticks = sum(portions) + 10
     stepped = run(brain, np.zeros((ticks, len(made[1]))))
@@ -168,7 +168,7 @@ for document, inputs, outputs in json.load(sys.stdin):
 """
 
 
-def test_fresh_processes_agree_whatever_the_threads_and_rows_do_whatever_the_library() -> None:
+def test_results_do_not_depend_on_process_threads_or_math_library() -> None:
     made = [(example, SENSORS, MOTORS) for kind in KINDS for example in examples_of(kind)]
     draw = np.random.default_rng(3)
     wide = {
@@ -195,7 +195,7 @@ def test_fresh_processes_agree_whatever_the_threads_and_rows_do_whatever_the_lib
     told(OPENBLAS_CORETYPE="Prescott")
 
 
-def test_every_row_begins_on_a_line_of_64_bytes_and_is_filled_up_with_zeros() -> None:
+def test_every_row_is_aligned_to_64_bytes_and_padded_with_zeros() -> None:
     for shape in ((1,), (8,), (3, 9), (2, 3, 17)):
         made = [lines(*shape) for _ in range(5)]
         assert all(rows.ctypes.data % 64 == 0 and rows.strides[-1] == 8 for rows in made)
@@ -204,7 +204,7 @@ def test_every_row_begins_on_a_line_of_64_bytes_and_is_filled_up_with_zeros() ->
 
 
 @pytest.mark.parametrize("function", [np.sin, np.cos, np.tanh, np.exp], ids=lambda f: str(f.__name__))
-def test_numpy_gives_a_number_the_same_sine_wherever_it_stands(function: Any) -> None:
+def test_numpy_computes_the_same_sine_at_any_place_in_an_array(function: Any) -> None:
     # What batches rest on. Vectors are handled in registers, their ends otherwise.
     draw = np.random.default_rng(0)
     values = np.concatenate([draw.normal(size=2000) * size for size in (1e-8, 0.1, 1.0, 10.0, 1e3)])

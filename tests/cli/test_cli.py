@@ -37,7 +37,7 @@ def run(*arguments: str, **environment: str | None) -> Result:
 # -- the command line as a whole --------------------------------------------------------------------------------------
 
 
-def test_help_lists_all_and_loads_none_of_them() -> None:
+def test_help_lists_all_subcommands_and_loads_none() -> None:
     code = "import sys; from nmes.cli import main; main(['--help'], standalone_mode=False); print(*sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=PATIENCE)
     for name, about in SUBCOMMANDS.items():
@@ -57,7 +57,7 @@ def commands(group: click.Group) -> Iterator[click.Command]:
                 yield from commands(command)
 
 
-def test_help_is_as_it_was_meant_to_be_read() -> None:
+def test_help_shows_no_layout_marks() -> None:
     for command in commands(main):
         text = command.get_help(click.Context(command))
         assert "\\" not in text and "\b" not in text, text  # marks for layout that came through
@@ -65,7 +65,7 @@ def test_help_is_as_it_was_meant_to_be_read() -> None:
             assert line.count("nmes ") < 2, line  # examples that have run together
 
 
-def test_version() -> None:
+def test_version_is_printed() -> None:
     result = run("--version")
     assert result.exit_code == 0
     assert re.fullmatch(r"\S+ \d+\.\d+\.\d+\n", result.output)
@@ -133,7 +133,7 @@ FILES: list[tuple[str, ...]] = [
 
 
 @pytest.mark.parametrize("arguments", FILES, ids=" ".join)
-def test_a_file_of_nonsense_is_said_and_leaves_nothing(
+def test_a_file_of_nonsense_is_an_error_and_leaves_no_output(
     arguments: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -165,7 +165,7 @@ OUTPUTS: list[tuple[str, ...]] = [
 
 
 @pytest.mark.parametrize("arguments", OUTPUTS, ids=" ".join)
-def test_a_file_that_cannot_be_written_is_said(arguments: tuple[str, ...], tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_written_is_an_error(arguments: tuple[str, ...], tmp_path: Path) -> None:
     words = {"GOOD": tmp_path / "good.mcap", "BOARD": tmp_path / "board.sqlite", "FILE": tmp_path / "nowhere" / "x"}
     record(words["GOOD"], busy, {"backend": "ballistic"})
     Leaderboard(words["BOARD"], create=True).close()
@@ -207,7 +207,7 @@ def test_a_signal_ends_everything_properly(tmp_path: Path, number: int) -> None:
     assert b"secret" not in recording.read_bytes()
 
 
-def test_it_says_for_people_what_it_does(tmp_path: Path) -> None:
+def test_serve_prints_its_state_for_people(tmp_path: Path) -> None:
     with process("serve", "--port", "0", "--backend", "ballistic", "--record", str(tmp_path)) as server:
         assert server.stdout is not None
         lines = [server.stdout.readline() for _ in range(5)]
@@ -225,7 +225,7 @@ def test_it_says_for_people_what_it_does(tmp_path: Path) -> None:
         assert server.returncode == 0, log
 
 
-def test_a_config_file_and_options_that_win_over_it(tmp_path: Path) -> None:
+def test_options_win_over_the_config_file(tmp_path: Path) -> None:
     (tmp_path / "world.json").write_text('{"name": "arena", "backend": "ballistic", "seed": 3, "tick_rate": 100}')
     (tmp_path / "password").write_text("secret of a file\nsecond line\n")
     options = ["--config", str(tmp_path / "world.json"), "--password-file", str(tmp_path / "password")]
@@ -294,7 +294,7 @@ def test_wrong_usage_exits_2_and_names_what_is_wrong(
     assert result.exception is None or isinstance(result.exception, SystemExit)
 
 
-def test_an_unreadable_password_file(tmp_path: Path) -> None:
+def test_an_unreadable_password_file_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "password").write_bytes(b"\xff")
     result = run("serve", "--no-record", "--password-file", str(tmp_path / "password"))
     assert result.exit_code == 2
@@ -302,7 +302,7 @@ def test_an_unreadable_password_file(tmp_path: Path) -> None:
     assert run("serve", "--no-record", "--password-file", str(tmp_path / "password")).exit_code == 2
 
 
-def test_what_cannot_be_done_exits_1_with_one_line(tmp_path: Path) -> None:
+def test_failures_exit_1_with_one_line(tmp_path: Path) -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = str(listener.getsockname()[1])
         result = run("serve", "--no-record", "--backend", "ballistic", "--port", port)

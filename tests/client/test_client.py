@@ -137,7 +137,7 @@ def test_every_event_is_declared_as_its_schema_says(name: str) -> None:
     check_shape(kinds[name], protocol.EVENTS[name].schema)
 
 
-def test_the_welcome_and_the_choices_are_as_their_schemas_say() -> None:
+def test_the_welcome_and_the_choices_are_declared_as_their_schemas_say() -> None:
     check_shape(replies.AuthSuccess, protocol.REPLIES["auth_success"].schema)
     check_shape(replies.WorldList, protocol.REPLIES["world_list"].schema)
     create_joint, set_mode = protocol.COMMANDS["create_joint"].schema, protocol.COMMANDS["set_mode"].schema
@@ -215,7 +215,7 @@ def test_every_command_works_once() -> None:
             checked.create_bone("a", "b", snake_id="s")
 
 
-def test_arguments_are_checked_as_any_function_s(client: Client) -> None:
+def test_wrong_arguments_raise_a_type_error(client: Client) -> None:
     with pytest.raises(TypeError, match="cube_name"):
         client.despawn_cube()  # type: ignore[call-arg]
     with pytest.raises(TypeError, match="colour"):
@@ -238,7 +238,7 @@ def test_a_refused_command_raises_its_code(client: Client) -> None:
 # -- connecting -------------------------------------------------------------------------------------------------------
 
 
-def test_connecting(server: Served) -> None:
+def test_connecting_reads_the_welcome(server: Served) -> None:
     client = server.client()
     with pytest.raises(Disconnected) as lost:
         client.ping()
@@ -264,7 +264,7 @@ def test_a_wrong_password_or_world_is_a_failed_command(server: Served) -> None:
         assert failed.value.code == code
 
 
-def test_nobody_there() -> None:
+def test_connecting_to_a_closed_port_raises() -> None:
     with socket.socket() as unused:
         unused.bind(("127.0.0.1", 0))
         port = unused.getsockname()[1]
@@ -315,7 +315,7 @@ def test_a_pipeline_raises_its_first_failure_and_keeps_the_other_results(client:
     assert last.result()["cubes"] == ["a"]
 
 
-def test_an_empty_pipeline_and_one_that_was_given_up_send_nothing(client: Client) -> None:
+def test_an_empty_and_an_abandoned_pipeline_send_nothing(client: Client) -> None:
     with client.pipeline():
         pass
     with pytest.raises(ZeroDivisionError), client.pipeline() as together:
@@ -324,7 +324,7 @@ def test_an_empty_pipeline_and_one_that_was_given_up_send_nothing(client: Client
     assert client.get_cube_list()["cubes"] == []
 
 
-def test_a_pipeline_larger_than_all_buffers(client: Client) -> None:
+def test_a_pipeline_may_be_larger_than_all_buffers(client: Client) -> None:
     color = [0.123456789] * 3
     with client.pipeline() as many:
         for _ in range(10_000):
@@ -384,7 +384,7 @@ def test_a_lost_connection_says_why(answer: bytes, code: str) -> None:
 
 
 @pytest.mark.parametrize("last_word", [b"", b'{"type":"error","code":"slow_consumer","message":""}' + DELIMITER])
-def test_a_connection_lost_while_sending(last_word: bytes) -> None:
+def test_a_connection_lost_while_sending_raises(last_word: bytes) -> None:
     with scripted(lambda end: end.send(last_word)) as port:
         with Client(port=port, password="x", timeout=PATIENCE) as client:
             with pytest.raises(Disconnected), client.pipeline() as many:
@@ -392,7 +392,7 @@ def test_a_connection_lost_while_sending(last_word: bytes) -> None:
                     many.ping()
 
 
-def test_a_server_that_never_answers_auth() -> None:
+def test_a_server_that_never_answers_auth_times_out() -> None:
     with socket.create_server(("127.0.0.1", 0)) as silent:
         port = silent.getsockname()[1]
         with pytest.raises(TimeoutError):
@@ -410,7 +410,7 @@ def test_events_are_kept_until_asked_for(client: Client) -> None:
     assert [event["frame"] for event in client.events(timeout=0) if event["type"] == "tick"] == [1, 2, 3]
 
 
-def test_events_that_nobody_takes_are_forgotten_from_the_oldest_on(client: Client) -> None:
+def test_events_that_nobody_takes_are_dropped_oldest_first(client: Client) -> None:
     client.subscribe(events=["tick"])
     with client.pipeline() as together:
         together.step(10_000)
@@ -476,7 +476,7 @@ async def test_many_tasks_share_a_connection(server: Served) -> None:
         await client.ping()
 
 
-async def test_awaited_events(server: Served) -> None:
+async def test_events_can_be_awaited(server: Served) -> None:
     seen: list[Event] = []
     async with async_client(server) as client, async_client(server, on_event=seen.append) as other:
         await client.subscribe(events=["tick"])
@@ -496,7 +496,7 @@ async def test_awaited_events(server: Served) -> None:
         assert [event["type"] async for event in client.events()] == ["world_closed"]
 
 
-async def test_closing_while_a_reply_is_awaited() -> None:
+async def test_closing_while_a_reply_is_awaited_raises() -> None:
     with scripted(lambda end: end.hear() and end.hear()) as port:
         client = await AsyncClient(port=port, password="x", timeout=PATIENCE).connect()
         waiting = asyncio.ensure_future(client.ping())

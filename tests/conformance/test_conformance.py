@@ -87,7 +87,7 @@ def test_our_server_conforms(backend: str, mode: str) -> None:
 # -- servers that are none --------------------------------------------------------------------------------------------
 
 
-def test_a_deaf_server_costs_a_time_out_a_case_and_fails() -> None:
+def test_a_silent_server_fails_each_case_after_one_time_out() -> None:
     with listening(lambda connection: None) as port:
         report = run(Target("127.0.0.1", port, PASSWORD, timeout=0.3), Options(only=["1.5", "1.7", "4.1:n*"]))
     assert {result.verdict for result in report.results} == {Verdict.FAILED}
@@ -114,7 +114,7 @@ def test_a_server_that_hangs_up_fails() -> None:
         b"{" * 100_000,
     ],
 )
-def test_rubbish_is_the_servers_fault_not_ours(reply: bytes) -> None:
+def test_invalid_answers_are_failures_of_the_server_not_of_the_suite(reply: bytes) -> None:
     with listening(lambda connection: connection.sendall((reply + DELIMITER) * 20)) as port:
         report = run(Target("127.0.0.1", port, PASSWORD, timeout=0.3), Options(only=["1.*", "3.10*", "4.3*"]))
     assert report.counts[Verdict.FAULT] == 0
@@ -171,7 +171,7 @@ def test_the_search_finds_the_shortest_conversation(monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize(
     "text", ["", "{}", '{"nmes.conform.case":1,"script":[{"client":7,"command":{"type":"ping"}}]}']
 )
-def test_what_is_no_case_is_wrong_usage(text: str, tmp_path: Path) -> None:
+def test_an_unknown_case_is_wrong_usage(text: str, tmp_path: Path) -> None:
     (tmp_path / "case.json").write_text(text)
     outcome = cli("127.0.0.1:1", "--replay", str(tmp_path / "case.json"))
     assert outcome.exit_code == 2
@@ -181,7 +181,7 @@ def test_what_is_no_case_is_wrong_usage(text: str, tmp_path: Path) -> None:
 # -- the command line -------------------------------------------------------------------------------------------------
 
 
-def test_nobody_there_is_status_2() -> None:
+def test_an_unreachable_server_exits_2() -> None:
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     outcome = cli(f"127.0.0.1:{port}")
@@ -189,7 +189,7 @@ def test_nobody_there_is_status_2() -> None:
     assert "nothing answers" in outcome.output
 
 
-def test_a_wrong_password_is_status_2() -> None:
+def test_a_wrong_password_exits_2() -> None:
     with served() as server:
         outcome = cli(f"127.0.0.1:{server.port}", "--password", "wrong")
     assert outcome.exit_code == 2
@@ -199,11 +199,11 @@ def test_a_wrong_password_is_status_2() -> None:
 @pytest.mark.parametrize(
     "arguments", [("--only", "99.*"), ("--category", "manners"), (), ("nowhere",), ("127.0.0.1:1", "--timeout", "0")]
 )
-def test_wrong_usage_is_status_2(arguments: tuple[str, ...]) -> None:
+def test_wrong_usage_exits_2(arguments: tuple[str, ...]) -> None:
     assert cli(*arguments).exit_code == 2
 
 
-def test_a_failure_is_shown_and_is_status_1() -> None:
+def test_a_failure_is_printed_and_exits_1() -> None:
     with listening(lambda connection: connection.sendall(b'{"type":"pong"}' + DELIMITER)) as port:
         outcome = cli(f"127.0.0.1:{port}", "--only", "1.1", "--timeout", "0.5")
     assert outcome.exit_code == 1
@@ -219,7 +219,7 @@ def test_the_list_names_every_case() -> None:
     assert json.loads(cli("--list", "--json", "--category", "auth").output)[0]["case"] == "2.1"
 
 
-def test_the_reports_hold_it_all(tmp_path: Path) -> None:
+def test_every_report_format_holds_all_results(tmp_path: Path) -> None:
     with listening(lambda connection: connection.sendall(b'{"type":"<b>"}' + DELIMITER)) as port:
         page, junit = tmp_path / "out.html", tmp_path / "out.xml"
         arguments = ["--only", "1.1", "--only", "3.14", "--timeout", "0.5", "--seed", "7", "--json"]
@@ -250,7 +250,7 @@ def test_the_reports_hold_it_all(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("spoken", "status"), [(None, 0), (b'{"type":"pong"}', 1)])
-def test_the_cases_are_tests_too(spoken: bytes | None, status: int, tmp_path: Path) -> None:
+def test_the_cases_run_as_pytest_tests(spoken: bytes | None, status: int, tmp_path: Path) -> None:
     with ExitStack() as stack:
         if spoken is None:
             port = stack.enter_context(served()).port
@@ -293,7 +293,7 @@ def ping(trial: Trial) -> None:
     trial.fence(trial.join())
 
 
-def test_every_sentence_has_a_case_or_a_reason() -> None:
+def test_every_clause_has_a_case_or_a_reason_for_none() -> None:
     used = {case.clause for case in CASES}
     codes = {address for address in CLAUSES if address.startswith("4.error.")}
     assert CLAUSES.keys() - codes <= used | UNTESTED.keys() <= CLAUSES.keys()
@@ -305,7 +305,7 @@ def test_the_table_of_cases_is_up_to_date() -> None:
     assert (ROOT / "docs" / "conformance-cases.md").read_text() == page()
 
 
-def test_the_sentences_are_those_of_the_protocol() -> None:
+def test_the_clauses_quote_the_protocol() -> None:
     words = " ".join((ROOT / "docs" / "protocol.md").read_text().split())
     for address, sentence in CLAUSES.items():
         if not address.startswith("4."):

@@ -16,13 +16,13 @@ SAMPLE = list(BROKEN.values())[1::5]
 
 
 @pytest.mark.parametrize("defect", SAMPLE, ids=lambda defect: defect.name)
-def test_a_sample_is_caught(defect: Defect) -> None:
+def test_a_sample_of_defects_is_caught(defect: Defect) -> None:
     check_caught(defect)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("defect", [d for d in BROKEN.values() if d not in SAMPLE], ids=lambda defect: defect.name)
-def test_all_are_caught(defect: Defect) -> None:
+def test_all_other_defects_are_caught(defect: Defect) -> None:
     check_caught(defect)
 
 
@@ -31,17 +31,17 @@ def check_caught(defect: Defect) -> None:
     assert judgement.caught, (judgement.named, judgement.others)
 
 
-def test_the_same_cases_are_content_without_the_defects() -> None:
+def test_the_same_cases_pass_without_the_defects() -> None:
     for config, judgement in unbroken(SAMPLE):
         assert judgement.clean, (config, judgement)
 
 
-def test_a_defect_that_is_none_survives() -> None:
+def test_a_server_without_a_defect_is_not_caught() -> None:
     defect = dataclasses.replace(BROKEN["a_reply_too_many"], break_it=lambda patch: None)
     assert not judge(defect).caught
 
 
-def test_a_server_that_is_wrong_about_everything_shows_nothing() -> None:
+def test_a_server_that_fails_every_case_counts_as_not_caught() -> None:
     def babble(patch: MonkeyPatch) -> None:
         patch.setattr(Session, "reply", lambda session, request, encoded: b"{}" + DELIMITER)
         patch.setattr(Session, "accept", lambda session, welcome: b"{}" + DELIMITER)

@@ -100,13 +100,13 @@ def findings(report: Report) -> list[str]:
     ]
 
 
-def test_it_needs_the_standard_library_only() -> None:
+def test_the_go_server_needs_the_standard_library_only() -> None:
     assert "require" not in (SOURCE / "go.mod").read_text()
     assert {path.suffix for path in SOURCE.iterdir()} == {".mod", ".go"}
 
 
 @needs_go
-def test_it_is_formatted_and_vetted() -> None:
+def test_the_go_server_is_formatted_and_vetted() -> None:
     assert GO is not None
     go("vet", ".", cwd=SOURCE)
     formatter = Path(GO).resolve().with_name("gofmt")
@@ -115,7 +115,7 @@ def test_it_is_formatted_and_vetted() -> None:
 
 
 @needs_go
-def test_our_client_drives_it(program: Path) -> None:
+def test_our_client_drives_the_go_server(program: Path) -> None:
     with served(program, "-mode", "lockstep") as target:
         with Client(target.host, target.port, password=PASSWORD) as client:
             base = client.spawn_cube("post", position=[0, 3, 0], is_base=True)["spawned"]
@@ -142,7 +142,7 @@ def test_our_client_drives_it(program: Path) -> None:
 @pytest.mark.parametrize(
     ("mode", "categories", "least"), [("lockstep", [], 450), ("realtime", ["time", "physics", "clients"], 50)]
 )
-def test_the_suite_judges_it_conforming(program: Path, mode: str, categories: list[str], least: int) -> None:
+def test_the_go_server_conforms(program: Path, mode: str, categories: list[str], least: int) -> None:
     with served(program, "-mode", mode) as target:
         report = run(target, Options(categories=categories))
     assert findings(report) == []
@@ -152,7 +152,7 @@ def test_the_suite_judges_it_conforming(program: Path, mode: str, categories: li
 
 @needs_go
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_the_suite_finds_a_mistake(mistake: str, tmp_path: Path) -> None:
+def test_the_suite_finds_a_mistake_in_the_go_server(mistake: str, tmp_path: Path) -> None:
     name, right, wrong, category = MISTAKES[mistake]
     copy = tmp_path / "source"
     shutil.copytree(SOURCE, copy)

@@ -68,7 +68,7 @@ def test_results_do_not_depend_on_processes_order_or_recording(folder: Path) -> 
     assert timeless(json.loads(again.stdout)) == timeless([found[1], found[2]])
 
 
-def test_a_table_and_csv(folder: Path) -> None:
+def test_results_are_printed_as_a_table_and_written_as_csv(folder: Path) -> None:
     (folder / "bang.json").write_text(json.dumps(exploding()))
     table = run(
         folder / "bang.json",
@@ -112,19 +112,19 @@ def test_a_table_fits_80_columns_and_tells_namesakes_apart(folder: Path) -> None
         ([str(Path(__file__).parent)], "no .json file"),
     ],
 )
-def test_wrong_usage_is_said(arguments: list[str], said: str) -> None:
+def test_wrong_usage_is_explained(arguments: list[str], said: str) -> None:
     result = run(*arguments)
     assert result.exit_code == 2 and said in result.stderr
 
 
-def test_what_is_no_task_or_recording_is_said(folder: Path) -> None:
+def test_an_invalid_task_or_recording_is_an_error(folder: Path) -> None:
     result = run(folder / "zoo", "--task", "wlak")
     assert result.exit_code == 2 and "did you mean walk?" in result.stderr
     result = run("--from-recording", folder / "dash.json")
     assert result.exit_code == 1 and "dash.json" in result.stderr
 
 
-def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(folder: Path) -> None:
+def test_ctrl_c_keeps_finished_results_and_the_same_command_resumes(folder: Path) -> None:
     many = folder / "many"
     many.mkdir()
     for i in range(200):  # more than are done before anybody can press a key
@@ -152,7 +152,7 @@ def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(folder: Path) ->
     assert timeless(json.loads(rest.stdout)) == timeless(json.loads(run(*some).stdout))
 
 
-def test_without_a_file_to_resume_from_ctrl_c_makes_one(folder: Path) -> None:
+def test_ctrl_c_writes_a_file_to_resume_from_if_none_is_named(folder: Path) -> None:
     for i in range(200):  # as above
         (folder / "zoo" / f"x{i:03}.json").write_text(json.dumps(snake(mlp(4, seed=i))))
     command = [NMES, "eval", str(folder / "zoo"), "--task", str(folder / "dash.json"), "--jobs", "1", "--record", "r"]
@@ -174,7 +174,7 @@ def test_without_a_file_to_resume_from_ctrl_c_makes_one(folder: Path) -> None:
 
 
 @pytest.mark.long
-def test_a_ray_cluster_gives_the_same(folder: Path) -> None:
+def test_a_ray_cluster_gives_the_same_results(folder: Path) -> None:
     pytest.importorskip("ray")
     command = [NMES, "eval", str(folder / "zoo"), "--task", str(folder / "dash.json"), "--json"]
     quiet = {**os.environ, "RAY_AUTH_MODE": "disabled", "RAY_USAGE_STATS_ENABLED": "0"}
@@ -232,7 +232,7 @@ def test_the_score_so_far_ends_at_the_score(folder: Path) -> None:
         assert scores[0, 0] == pytest.approx(scores[-1, 0] - result["ticks"] / 60)
 
 
-def test_info_plots_any_recording(tmp_path: Path) -> None:
+def test_nmes_info_plots_any_recording(tmp_path: Path) -> None:
     def hop(world: World, client: int) -> None:
         send(world, client, type="spawn_cube", cube_name="hopper", position=[0, 0.5, 0])
         send(world, client, type="step", ticks=10)

@@ -45,14 +45,14 @@ def test_a_recording_proves_the_score_that_evaluating_gave(brain: dict[str, Any]
     assert Evaluation.from_json(json.loads(json.dumps(first.to_json()))) == first
 
 
-def test_seeds_may_be_given() -> None:
+def test_seeds_may_be_chosen() -> None:
     genome = Genome(snake())
     whole, one = evaluate(genome, task()), evaluate(genome, task(), seeds=[4])
     assert one.results == whole.results[1:]
     assert one.spread == 0.0 and whole.spread is not None and whole.spread > 0.0
 
 
-def test_what_ends_an_episode_is_seen_by_whoever_scores_the_recording(tmp_path: Path) -> None:
+def test_scoring_a_recording_finds_the_same_end_of_the_episode(tmp_path: Path) -> None:
     ends = [{"name": "gone", "when": "displacement.horizontal > 0.1"}]
     found = evaluate(Genome(snake()), task(ends=ends), record=tmp_path)
     for path, result in zip(found.recordings, found.results, strict=True):
@@ -67,7 +67,7 @@ def test_a_creature_that_a_task_does_not_allow_is_an_error() -> None:
     assert found.results == () and found.score is None
 
 
-def test_a_world_that_diverges_is_a_result_with_its_reason_and_is_proved_too(tmp_path: Path) -> None:
+def test_a_divergence_is_a_result_with_a_reason_and_can_be_proved(tmp_path: Path) -> None:
     found = evaluate(Genome(exploding()), task(), record=tmp_path)
     assert found.error is None and found.score is None and found.faults == 2
     for path, result in zip(found.recordings, found.results, strict=True):
@@ -81,7 +81,7 @@ def test_a_score_that_is_no_number_is_a_fault() -> None:
     assert found.faults == 2 and found.score is None and "finite" in (found.results[0].fault or "")
 
 
-def test_a_recording_of_something_else_proves_nothing(tmp_path: Path) -> None:
+def test_a_recording_of_another_run_proves_no_score(tmp_path: Path) -> None:
     path = next((ROOT / "replays").glob("*.mcap"))
     with pytest.raises(ProofError, match="no recording of `nmes eval`"):
         prove(path)

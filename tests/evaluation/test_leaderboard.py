@@ -55,7 +55,7 @@ def board(tmp_path: Path, proofs: list[str]) -> Path:
     return path
 
 
-def test_what_is_proved_is_listed_best_first(board: Path, proofs: list[str]) -> None:
+def test_proved_entries_are_listed_best_first(board: Path, proofs: list[str]) -> None:
     shown = json.loads(run("show", board, "--json").stdout)
     expected = {prove(path).genome.hash for path in proofs}
     assert {entry["genome_hash"] for entry in shown} == expected and len(shown) == 2
@@ -73,7 +73,7 @@ def test_what_is_proved_is_listed_best_first(board: Path, proofs: list[str]) -> 
     assert run("verify", board, "--jobs", "2").stdout == "2 of 2 entries hold\n"
 
 
-def test_nothing_is_listed_twice_or_in_part(board: Path, proofs: list[str], tmp_path: Path) -> None:
+def test_entries_are_listed_once_and_whole(board: Path, proofs: list[str], tmp_path: Path) -> None:
     again = run("add", board, *proofs[:2])
     assert again.exit_code == 1 and "listed for the task dash already" in again.stderr
     part = run("add", tmp_path / "other.sqlite", proofs[0])
@@ -100,7 +100,7 @@ def forged(source: str, target: Path, change: Any) -> Path:
     return path
 
 
-def test_a_doctored_command_is_refused_with_the_first_frame_that_differs(proofs: list[str], tmp_path: Path) -> None:
+def test_a_forged_command_is_refused_with_the_first_frame_that_differs(proofs: list[str], tmp_path: Path) -> None:
     path = forged(proofs[0], tmp_path / "forged.mcap", lambda drive: {**drive, "controls": [1.0, 1.0, 1.0]})
     frame = task().settle_ticks + 40
     with pytest.raises(ProofError, match=rf"diverges at frame {frame}: tick {frame} does not come out") as caught:
@@ -134,14 +134,14 @@ def drive(world: World, client: int, controls: list[float]) -> None:
     world.handle(client, request_from({"type": "drive", "creature": CREATURE, "controls": controls}))
 
 
-def test_what_the_brain_did_not_do_proves_nothing_of_the_genome(tmp_path: Path) -> None:
+def test_commands_that_the_brain_did_not_give_are_refused(tmp_path: Path) -> None:
     path = played(tmp_path / "by-hand.mcap", 3, lambda world, client, tick: drive(world, client, [0.5, -0.5, 0.5]))
     assert prove(path).result.score is not None  # the log alone does not say who drove
     with pytest.raises(ProofError, match=r"at frame 30 it has the command drive where there should be what the br"):
         prove(path, brain=True)
 
 
-def test_nobody_may_push_a_creature(tmp_path: Path) -> None:
+def test_a_recording_in_which_somebody_pushes_the_creature_is_refused(tmp_path: Path) -> None:
     def push(world: World, client: int, tick: int) -> None:
         if tick == 7:
             force = {"type": "apply_physics", "cube_name": f"{CREATURE}.c0", "impulse": [9, 0, 0]}
@@ -159,7 +159,7 @@ def test_nobody_may_push_a_creature(tmp_path: Path) -> None:
         ("UPDATE entries SET task_hash = genome_hash WHERE name = 'wave'", "of another genome or task"),
     ],
 )
-def test_a_doctored_entry_is_found_and_no_longer_shown(board: Path, change: str, said: str) -> None:
+def test_a_forged_entry_is_found_and_hidden(board: Path, change: str, said: str) -> None:
     with sqlite3.connect(board) as database:
         true = database.execute("SELECT score, task_hash FROM entries WHERE name = 'wave'").fetchone()
         database.execute(change)
@@ -174,7 +174,7 @@ def test_a_doctored_entry_is_found_and_no_longer_shown(board: Path, change: str,
     assert run("verify", board, "--jobs", "1").exit_code == 0 and len(Leaderboard(board).entries()) == 2
 
 
-def test_a_doctored_or_missing_recording_is_found(board: Path, tmp_path: Path) -> None:
+def test_a_forged_or_missing_recording_is_found(board: Path, tmp_path: Path) -> None:
     wave = next(entry for entry in Leaderboard(board).entries() if entry.name == "wave")
     kept = Leaderboard(board).recording(wave.recordings[1])
     held = kept.read_bytes()
@@ -189,7 +189,7 @@ def test_a_doctored_or_missing_recording_is_found(board: Path, tmp_path: Path) -
     assert result.exit_code == 1 and "frame" in result.stdout
 
 
-def test_what_is_no_leaderboard_is_said(tmp_path: Path) -> None:
+def test_a_file_that_is_no_leaderboard_is_an_error(tmp_path: Path) -> None:
     assert "there is no leaderboard" in run("show", tmp_path / "none.sqlite").stderr
     (tmp_path / "empty.sqlite").touch()
     for command in (("show",), ("verify",), ("export", "-o", tmp_path / "x.html")):
@@ -218,7 +218,7 @@ def test_ten_thousand_entries_are_shown_whole(board: Path) -> None:
     print(f"10,002 entries shown in {took:.2f} s")
 
 
-def test_a_page_is_one_file_with_a_picture_of_each(board: Path, tmp_path: Path) -> None:
+def test_a_leaderboard_page_is_one_file_with_a_picture_of_each_creature(board: Path, tmp_path: Path) -> None:
     page = tmp_path / "board.html"
     result = run("export", board, "-o", page)
     assert result.exit_code == 0 and "2 entries" in result.stdout
@@ -238,7 +238,7 @@ def test_a_task_that_is_edited_is_another_task(board: Path, proofs: list[str], t
         Leaderboard(board).add([prove(found.recordings[0]), prove(proofs[1])])
 
 
-def test_a_recording_that_goes_on_from_another_proves_nothing(proofs: list[str], tmp_path: Path) -> None:
+def test_a_forked_recording_is_refused(proofs: list[str], tmp_path: Path) -> None:
     ahead = tmp_path / "ahead.mcap"
     forked = CliRunner().invoke(main, ["fork", proofs[0], "--at", "0", "-o", str(ahead)])
     assert forked.exit_code == 0, forked.output

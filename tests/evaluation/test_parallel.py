@@ -39,28 +39,28 @@ def test_every_item_is_worked_on_once_by_workers_with_one_thread() -> None:
     assert os.environ.get("OMP_NUM_THREADS") != "1"
 
 
-def test_one_job_works_here() -> None:
+def test_one_job_runs_in_the_calling_process() -> None:
     assert list(in_processes(square, [5], 4)) == [(0, (25, os.getpid(), os.environ.get("OMP_NUM_THREADS")))]
     assert [i for i, _ in in_processes(square, [5, 6], 1)] == [0, 1]
 
 
-def test_a_worker_that_dies_takes_one_item_with_it() -> None:
+def test_a_worker_that_dies_loses_one_item_only() -> None:
     found = dict(in_processes(die_over_three, range(6), 2))
     lost = found.pop(3)
     assert isinstance(lost, Lost) and "SIGSEGV" in lost.reason
     assert found == {i: i for i in (0, 1, 2, 4, 5)}
 
 
-def test_a_function_that_raises_is_heard() -> None:
+def test_an_exception_in_a_worker_is_raised_in_the_caller() -> None:
     with pytest.raises(RuntimeError, match="ZeroDivisionError"):
         list(in_processes(raise_over_one, range(3), 2))
 
 
-def test_workers_do_not_hear_of_ctrl_c() -> None:
+def test_workers_ignore_ctrl_c() -> None:
     assert dict(in_processes(interrupt_all, range(3), 2)) == {0: 0, 1: 1, 2: 2}
 
 
-def test_whoever_stops_taking_results_ends_the_workers() -> None:
+def test_workers_end_when_their_results_are_no_longer_taken() -> None:
     results = in_processes(square, range(100), 2)
     _, first = next(results)
     results.close()

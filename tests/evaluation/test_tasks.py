@@ -46,7 +46,7 @@ def test_ten_tasks_come_with_the_package() -> None:
 
 
 @pytest.mark.parametrize("name", TEN)
-def test_each_of_them_is_whole(name: str) -> None:
+def test_each_shipped_task_is_complete(name: str) -> None:
     task = Task.load(name)
     assert task.name == name
     assert len(task.seeds) >= 3
@@ -68,7 +68,7 @@ def test_a_task_is_loaded_from_a_file_and_hashed_by_what_it_says(tmp_path: Path)
     assert task.hash != Task({**PLAIN, "duration": 6}).hash
 
 
-def test_what_is_no_task_is_refused_with_everything_that_is_wrong(tmp_path: Path) -> None:
+def test_an_invalid_task_is_refused_with_all_its_mistakes(tmp_path: Path) -> None:
     document = {
         **PLAIN,
         "world": {"seed": 3, "gravity": [0, -9.81], "friction": 1},
@@ -103,14 +103,14 @@ def test_what_is_no_task_is_refused_with_everything_that_is_wrong(tmp_path: Path
         ({"limits": {"cubes": 0}}, "limits/cubes", "from 1"),
     ],
 )
-def test_what_is_wrong_has_its_place(changed: dict[str, Any], place: str, word: str) -> None:
+def test_a_mistake_in_a_task_has_a_path(changed: dict[str, Any], place: str, word: str) -> None:
     with pytest.raises(DocumentError) as caught:
         Task({**PLAIN, **changed})
     ((path, said),) = caught.value.problems
     assert path == place and word in said
 
 
-def test_a_name_that_is_none_is_answered_with_the_nearest(tmp_path: Path) -> None:
+def test_an_unknown_task_is_answered_with_the_nearest_name(tmp_path: Path) -> None:
     with pytest.raises(DocumentError, match=r"no task 'wlak'.*did you mean walk"):
         Task.load("wlak")
     (tmp_path / "bad.json").write_text('{"a": 1, "a": 2}')
@@ -129,7 +129,7 @@ def test_a_creature_is_set_down_on_the_ground_and_turned() -> None:
     assert len(Task(PLAIN).entry(1, {}, body)) == 1
 
 
-def test_targets_lie_where_they_are_said_to_and_fill_the_range() -> None:
+def test_targets_lie_within_their_range_and_fill_it() -> None:
     task = Task(
         {**PLAIN, "target": {"distance": [3, 5], "bearing": [-0.5, 1], "height": 0.25}, "seeds": list(range(200))}
     )
@@ -157,7 +157,7 @@ def test_props_stand_on_the_top_of_the_root() -> None:
     assert cargo["position"][1] > top + 0.1
 
 
-def test_what_a_body_may_not_be_is_said() -> None:
+def test_a_body_that_a_task_does_not_allow_is_refused_with_the_reason() -> None:
     limits = {"cubes": 2, "mass": 20, "size": 1.5}
     about = 'cube("tail").height + cube("cargo").height + cube("root").height'
     props = [{"id": "cargo", "size": [1, 1, 1], "mass": 1}]
@@ -176,7 +176,7 @@ def test_what_a_body_may_not_be_is_said() -> None:
         assert Task({**PLAIN, "objective": about, "props": props}).check(body) == said
 
 
-def test_an_episode_ends_at_the_first_row_of_a_look_at_which_a_condition_holds_or_the_energy_is_spent() -> None:
+def test_an_episode_ends_at_the_first_tick_at_which_its_condition_holds_or_its_energy_is_spent() -> None:
     ends = [
         {"name": "high", "when": "height > 2"},
         {"name": "higher", "when": "height > 1.5"},
@@ -238,7 +238,7 @@ HOPPER = creature(
 
 
 @pytest.mark.parametrize("name", TEN)
-def test_who_does_nothing_is_worth_nothing(name: str) -> None:
+def test_a_creature_that_does_nothing_scores_next_to_nothing(name: str) -> None:
     evaluation = evaluate(BLOCK, Task.load(name))
     assert evaluation.error is None
     assert [result.score for result in evaluation.results] == [0.0] * len(evaluation.results)
@@ -260,7 +260,7 @@ LUNGER = creature(
 
 
 @pytest.mark.parametrize(("name", "most"), [("walk", 0.0), ("rough", 0.0), ("reach", 0.0), ("carry", 0.1)])
-def test_to_hurl_a_weight_along_a_rail_is_worth_nothing(name: str, most: float) -> None:
+def test_throwing_a_weight_along_a_rail_scores_nothing(name: str, most: float) -> None:
     evaluation = evaluate(LUNGER, Task.load(name))
     assert evaluation.error is None
     assert min(result.distance for result in evaluation.results) > 1.5  # it did
@@ -268,14 +268,14 @@ def test_to_hurl_a_weight_along_a_rail_is_worth_nothing(name: str, most: float) 
 
 
 @pytest.mark.parametrize("name", ["walk", "gaps", "reach", "stairs"])
-def test_to_fall_over_is_worth_nothing(name: str) -> None:
+def test_falling_over_scores_nothing(name: str) -> None:
     evaluation = evaluate(tower(3000), Task.load(name))
     assert min(result.energy for result in evaluation.results) > 10  # it did
     assert min(result.distance for result in evaluation.results) > 0.3
     assert evaluation.score is not None and evaluation.score < 0.001
 
 
-def test_to_jump_is_worth_its_height_and_to_topple_next_to_nothing() -> None:
+def test_jumping_scores_its_height_and_toppling_next_to_nothing() -> None:
     jumped, reared = (evaluate(genome, Task.load("jump-high")).score for genome in (HOPPER, tower(40)))
     assert jumped is not None and reared is not None
     assert jumped > 0.5 > 0.1 > reared
@@ -298,7 +298,7 @@ def blind(genome: Genome) -> Genome:
     ("name", "task", "least", "most"),
     [("seeker", "reach", 1.5, 0.5), ("centipede", "reach", 1.4, 0.5), ("juggler", "pole", 18.5, 1)],
 )
-def test_targets_are_come_to_and_balanced_by_who_feels_them(
+def test_a_creature_that_senses_targets_and_props_reaches_and_balances_them(
     name: str, task: str, least: float, most: float, tmp_path: Path
 ) -> None:
     genome, asked = Genome.load(name), Task.load(task)
@@ -313,7 +313,7 @@ def test_targets_are_come_to_and_balanced_by_who_feels_them(
     assert prove(path, brain=True).result == found.results[2]
 
 
-def test_the_distance_to_a_prop_is_to_where_it_is_now() -> None:
+def test_the_distance_to_a_prop_follows_the_prop() -> None:
     """A block does nothing, and a stick that is hinged to it falls on its side."""
     stick = {**PROP, "size": [0.1, 0.6, 0.1], "hinge": True, "lean": [0.3, 0.3]}
     task = Task({**PLAIN, "duration": 2, "props": [stick], "objective": "start.distance - distance"})
@@ -321,7 +321,7 @@ def test_the_distance_to_a_prop_is_to_where_it_is_now() -> None:
     assert score is not None and score > 0.1
 
 
-def test_the_command_lists_and_shows_tasks(tmp_path: Path) -> None:
+def test_nmes_tasks_lists_and_shows_tasks(tmp_path: Path) -> None:
     def run(*arguments: str) -> Any:
         return CliRunner().invoke(main, ["tasks", *arguments], env={"COLUMNS": "200"})
 

@@ -108,7 +108,7 @@ LINK = {"id": "knee", "cube1": "a", "cube2": "c", "type": "hinge", "anchor": [0,
         ("sensors", [{"type": "height", "cube": "*"}] * 2, "sensors/1", "there is a sensor 'a.height' already"),
     ],
 )  # fmt: skip
-def test_what_is_wrong_is_said_with_its_place(path: str, value: Any, place: str, said: str) -> None:
+def test_a_mistake_in_a_genome_is_reported_with_its_path(path: str, value: Any, place: str, said: str) -> None:
     found = problems(changed(path, value))
     assert any(at == place and said in words for at, words in found), found
 
@@ -123,7 +123,7 @@ def test_cubes_that_overlap_must_be_joined() -> None:
 
 @given(st.floats(0, 0.2), st.floats(0, math.tau), st.floats(0, math.tau), st.booleans())
 @settings(max_examples=60, deadline=None)
-def test_overlap_is_told_exactly_however_boxes_are_turned(gap: float, turn: float, tilt: float, apart: bool) -> None:
+def test_overlap_of_rotated_boxes_is_exact(gap: float, turn: float, tilt: float, apart: bool) -> None:
     """Two boxes face to face, a gap or an overlap between them, turned together."""
     if gap < 2e-4:
         return
@@ -143,7 +143,7 @@ def test_overlap_is_told_exactly_however_boxes_are_turned(gap: float, turn: floa
         assert place == "body/cubes/1" and f"overlap by {gap:.3g} m" in said
 
 
-def test_everything_is_said_at_once() -> None:
+def test_all_mistakes_of_a_genome_are_reported_at_once() -> None:
     document = changed("body/cubes/0/size", -1)
     document["body"]["joints"][0]["motor"]["mode"], document["extra"] = "force", 1
     assert {at for at, _ in problems(document)} == {"body/cubes/0/size", "body/joints/0/motor/mode", "extra"}
@@ -158,17 +158,17 @@ def test_everything_is_said_at_once() -> None:
 @pytest.mark.parametrize(
     "document", [None, 3, [], {}, {"body": 1}, {"body": {"cubes": [1]}}, {"name": float("nan")}, {"x": object()}]
 )
-def test_what_is_no_genome_at_all_is_told_so(document: Any) -> None:
+def test_a_document_that_is_no_genome_is_refused(document: Any) -> None:
     assert problems(document)
 
 
 @pytest.mark.parametrize("text", [b"", b"{", b'{"a":1,"a":2}', b"\xff", b"[1e999]"])
-def test_files_must_be_strict_json(text: bytes) -> None:
+def test_genome_files_must_be_strict_json(text: bytes) -> None:
     with pytest.raises(DocumentError):
         Genome.parse(text)
 
 
-def test_a_brain_is_of_the_body() -> None:
+def test_a_brain_must_fit_the_body() -> None:
     document = {**pair(), "brain": {"kind": "sine", "oscillators": [{"motor": "hipp"}]}}
     with pytest.raises(DocumentError, match="did you mean hip"):
         Genome(document).brain()
@@ -197,7 +197,7 @@ def test_equal_documents_have_equal_hashes() -> None:
     assert Genome(small).hash == hashlib.sha256(canonical.encode()).hexdigest()
 
 
-def test_reading_leaves_the_document_alone() -> None:
+def test_reading_a_genome_does_not_change_the_document() -> None:
     document = pair()
     before = copy.deepcopy(document)
     genome = Genome(document)
@@ -212,7 +212,7 @@ def test_what_a_body_senses_by_default_follows_from_it() -> None:
     assert len(sensors) == 12
 
 
-def test_patterns_stand_for_what_there_is() -> None:
+def test_sensor_patterns_match_the_body_s_parts() -> None:
     found = Genome(
         {**pair(), "sensors": [{"type": "spin", "cube": "?", "axis": "y"}, {"type": "effort", "joint": "h*"}]}
     )
@@ -235,7 +235,7 @@ def grown(given: Document) -> Genome:
     return Genome({"format": "nmes-genome/1", "name": "grown", "body": {"graph": given}})
 
 
-def test_a_part_follows_itself_as_often_as_it_may() -> None:
+def test_a_recursive_part_repeats_up_to_its_limit() -> None:
     body = grown(graph({"from": "body", "to": "body", "face": "+x", "scale": 0.5}, body=([1, 0.4, 0.4], 3))).body
     assert [cube.id for cube in body.cubes] == ["body", "body.2", "body.3"]
     assert [cube.size for cube in body.cubes] == [(1, 0.4, 0.4), (0.5, 0.2, 0.2), (0.25, 0.1, 0.1)]
@@ -269,7 +269,7 @@ def test_a_part_grows_away_from_the_face_that_it_stands_on(face: str, at: list[f
     assert high[axis] - low[axis] == pytest.approx([1, 0.4, 0.6][axis] + 1)
 
 
-def test_mirrored_twins_are_mirror_images_and_move_as_such() -> None:
+def test_mirrored_parts_are_mirror_images_and_move_as_such() -> None:
     given = graph(
         {"from": "body", "to": "hip", "face": "+z", "at": [0.5, 0], "rotation": [0.2, 0.3, 0.1], "mirror": "z"},
         {"from": "hip", "to": "leg", "face": "-y", "at": [0.8, 0.1], "rotation": [0, 0.4, 0.2]},
@@ -300,7 +300,7 @@ def test_mirrored_twins_are_mirror_images_and_move_as_such() -> None:
         assert abs(float(np.dot(right[3:7], (-qx, -qy, qz, qw)))) == pytest.approx(1, abs=1e-5)
 
 
-def test_twins_of_twins_have_names_of_their_own() -> None:
+def test_mirrored_parts_of_mirrored_parts_have_unique_names() -> None:
     given = graph(
         {"from": "body", "to": "side", "face": "+x", "mirror": "x"},
         {"from": "side", "to": "leg", "face": "+z", "mirror": "z"},
@@ -316,7 +316,7 @@ def test_twins_of_twins_have_names_of_their_own() -> None:
     }  # fmt: skip
 
 
-def test_what_is_terminal_grows_at_the_end_only() -> None:
+def test_terminal_parts_grow_at_the_end_only() -> None:
     given = graph(
         {"from": "body", "to": "body", "face": "+x"},
         {"from": "body", "to": "hand", "face": "+y", "terminal": True},
@@ -328,7 +328,7 @@ def test_what_is_terminal_grows_at_the_end_only() -> None:
     ]
 
 
-def test_a_scaled_part_can_move_itself_as_the_whole_one_can() -> None:
+def test_scaling_a_part_scales_its_limits_springs_and_effort() -> None:
     given = graph({"from": "body", "to": "leg", "face": "+x", "scale": 2}, body=(1, 1), leg=(0.5, 1))
     given["parts"][1]["joint"] = {
         "type": "slide",
@@ -360,7 +360,7 @@ def link(face: str, end: str = "body", **more: Any) -> Document:
         ),
     ],
 )
-def test_what_cannot_grow_is_told(given: Document, place: str, said: str) -> None:
+def test_a_graph_that_cannot_grow_is_refused_with_the_reason(given: Document, place: str, said: str) -> None:
     found, place = problems_of_graph(given), f"body/graph/{place}".rstrip("/")
     assert any(at == place and said in words for at, words in found), found
 
@@ -371,7 +371,7 @@ def problems_of_graph(given: Document) -> list[tuple[str, str]]:
     return list(caught.value.problems)
 
 
-def test_a_graph_that_grows_without_end_is_stopped_soon() -> None:
+def test_a_graph_that_grows_without_end_is_refused_quickly() -> None:
     faces = ("+x", "+y", "-y", "+z", "-z")
     many = [{"from": "body", "to": "body", "face": face, "mirror": "z"} for face in faces]
     assert "more than" in problems_of_graph(graph(*many, body=(0.1, 64)))[0][1]
@@ -412,7 +412,7 @@ _graph = st.builds(
 
 @given(_graph)
 @settings(max_examples=120, deadline=None)
-def test_any_graph_grows_into_a_sound_body_or_is_told_why_not(given: Document) -> None:
+def test_any_graph_grows_into_a_valid_body_or_is_refused_with_the_reason(given: Document) -> None:
     try:
         genome = grown(given)
     except DocumentError as error:
@@ -464,7 +464,7 @@ def test_a_graph_grows_the_same_in_every_process() -> None:
     assert len(runs) == 1
 
 
-def test_growing_twice_is_growing_once() -> None:
+def test_an_expanded_genome_expands_to_itself() -> None:
     given = graph({"from": "body", "to": "body", "face": "+x", "rotation": [0.1, 0.2, 0.3]}, body=([0.3, 0.2, 0.1], 9))
     assert read_body(grow(given), None, "body/graph") == grown(given).expanded().body
 
@@ -472,7 +472,7 @@ def test_growing_twice_is_growing_once() -> None:
 # -- files and names --------------------------------------------------------------------------------------------------
 
 
-def test_files_and_names_are_found(tmp_path: Path) -> None:
+def test_genomes_are_loaded_by_file_or_name(tmp_path: Path) -> None:
     path = tmp_path / "pair.json"
     path.write_text(json.dumps(pair()))
     assert Genome.load(path).hash == Genome(pair()).hash

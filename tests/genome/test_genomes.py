@@ -53,7 +53,7 @@ def uprightness(states: Any, cube: int) -> Any:
     return 1 - 2 * (x * x + z * z)
 
 
-def test_there_are_twelve_of_many_kinds() -> None:
+def test_twelve_genomes_of_many_kinds_are_shipped() -> None:
     documents = [Genome.load(name).document for name in NAMES]
     assert len(NAMES) == 12
     assert {document["brain"]["kind"] for document in documents} == {"sine", "cpg", "mlp", "ctrnn", "graph"}
@@ -130,7 +130,7 @@ def test_the_jumper_jumps_again_and_again(friction: float) -> None:
 
 
 @pytest.mark.parametrize("friction", FRICTIONS)
-def test_the_balancer_holds_what_would_fall(friction: float) -> None:
+def test_the_balancer_keeps_its_pole_upright(friction: float) -> None:
     genome, states = live("balancer", friction)
     pole = [cube.id for cube in genome.body.cubes].index("pole")
     assert uprightness(states, pole).min() > 0.98
@@ -155,7 +155,7 @@ def bad(tmp_path: Path) -> Path:
     return path
 
 
-def test_check_says_all_that_is_wrong(bad: Path) -> None:
+def test_check_reports_all_mistakes(bad: Path) -> None:
     done = run("check", "walker", str(bad))
     assert done.exit_code == 1
     lines = done.output.splitlines()
@@ -168,7 +168,7 @@ def test_check_says_all_that_is_wrong(bad: Path) -> None:
     assert run("check", *NAMES).exit_code == 0
 
 
-def test_a_bad_brain_is_found_too(tmp_path: Path) -> None:
+def test_check_reports_mistakes_of_the_brain(tmp_path: Path) -> None:
     document = Genome.load("jumper").document
     document["brain"]["oscillators"][0]["motor"] = "nothing"
     path = tmp_path / "x.json"
@@ -177,7 +177,7 @@ def test_a_bad_brain_is_found_too(tmp_path: Path) -> None:
     assert (done.exit_code, "brain/oscillators/0/motor: there is no motor 'nothing'" in done.output) == (1, True)
 
 
-def test_directories_and_patterns_mean_their_files(tmp_path: Path) -> None:
+def test_directories_and_patterns_stand_for_their_files(tmp_path: Path) -> None:
     for name in ("walker", "roller"):
         (tmp_path / f"my-{name}.json").write_text(json.dumps(Genome.load(name).document))
     (tmp_path / "notes.txt").write_text("no genome")
@@ -213,7 +213,7 @@ def test_show_draws_one_large_and_many_on_a_sheet(tmp_path: Path) -> None:
     assert (done.exit_code, "cannot write" in done.output) == (1, True)
 
 
-def test_expand_writes_what_is_a_genome_again(tmp_path: Path) -> None:
+def test_expand_writes_a_valid_genome(tmp_path: Path) -> None:
     expanded = Genome.parse(run("expand", "centipede").output.encode())
     assert expanded.body == Genome.load("centipede").body
     assert "graph" not in expanded.document["body"]
@@ -237,7 +237,7 @@ def document(*cubes: dict[str, Any]) -> Genome:
 RED, BLUE = [1, 0, 0], [0, 0, 1]
 
 
-def test_what_is_in_front_hides_what_is_behind() -> None:
+def test_near_boxes_hide_far_ones_in_a_picture() -> None:
     """The eye is at the front right and above: a wall of blue before a red one, and behind it."""
     wall = {"size": [1, 1, 0.1], "mass": 1}
     red = {"id": "red", "position": [0, 0.5, 0], "color": RED, **wall}
@@ -252,7 +252,7 @@ def test_what_is_in_front_hides_what_is_behind() -> None:
     assert before[0] > 2 * before[1] and behind[1] > 2 * behind[0]
 
 
-def test_boxes_that_pass_through_each_other_are_both_seen() -> None:
+def test_intersecting_boxes_are_both_visible_in_a_picture() -> None:
     body = document(
         {"id": "red", "position": [0, 0.5, 0], "size": [1, 0.4, 0.4], "mass": 1, "color": RED},
         {"id": "blue", "position": [0, 0.5, 0], "size": [0.4, 1, 0.4], "mass": 1, "color": BLUE},
@@ -265,7 +265,7 @@ def test_boxes_that_pass_through_each_other_are_both_seen() -> None:
     assert reds[:, 1].min() < blues[:, 1].min() and reds[:, 1].max() > blues[:, 1].max()
 
 
-def test_pictures_are_filled_and_repeat_themselves() -> None:
+def test_pictures_fill_their_frame_and_are_the_same_every_time() -> None:
     for name in NAMES:
         body = Genome.load(name).body
         pixels = portrait(body, 160, 120)

@@ -46,12 +46,12 @@ def refused(text: str, kind: type[Objective] | type[Condition] = Objective) -> s
         ("1e2 + .5", 100.5),
     ],
 )
-def test_values(text: str, value: float) -> None:
+def test_expressions_have_these_values(text: str, value: float) -> None:
     objective = Objective(text)
     assert objective.value(dict.fromkeys(objective.needs, 3.0)) == value
 
 
-def test_needs_are_what_it_names_in_order_and_once() -> None:
+def test_an_objective_lists_the_names_it_needs_in_order_and_once() -> None:
     objective = Objective("max.height + speed * speed - cube(\"a\").height - final.speed - max.cube('a').velocity.x")
     assert [str(quantity) for quantity in objective.needs] == [
         "max.height", "speed", 'cube("a").height', 'max.cube("a").velocity.x',
@@ -107,7 +107,7 @@ def test_every_quantity_can_be_named_under_every_fold_and_reads_as_it_was_writte
         ("-" * 500 + "1", (1, 501), "more than 500 words"),
     ],
 )
-def test_what_is_wrong_is_refused_with_its_place(text: str, place: tuple[int, int], word: str) -> None:
+def test_a_mistake_in_an_expression_is_reported_with_its_place(text: str, place: tuple[int, int], word: str) -> None:
     message = refused(text)
     assert message.startswith(f"expression: line {place[0]}, column {place[1]}: ")
     assert word in message
@@ -123,7 +123,7 @@ def test_a_condition_is_true_or_false_and_an_objective_a_number() -> None:
 @pytest.mark.parametrize(
     "text", ["1 / (height - 3)", "0 / (height - 3)", "sqrt(-height)", "log(height - 3)", "exp(999)"]
 )
-def test_a_value_that_is_no_finite_number_is_an_error_that_says_what_went_into_it(text: str) -> None:
+def test_a_value_that_is_not_finite_is_an_error_that_shows_its_inputs(text: str) -> None:
     objective = Objective(text, "objectives/0")
     with pytest.raises(WorldError, match=r"objectives/0: its value is -?(inf|nan), no finite number") as caught:
         objective.value(dict.fromkeys(objective.needs, 3.0))
@@ -132,7 +132,7 @@ def test_a_value_that_is_no_finite_number_is_an_error_that_says_what_went_into_i
 
 
 @pytest.mark.parametrize("text", ["x" * 2000, "f" * 1990 + "(1)"])
-def test_a_long_word_is_not_said_again_in_full(text: str) -> None:
+def test_a_long_word_is_shortened_in_the_error(text: str) -> None:
     assert len(refused(text)) < 700
 
 
@@ -151,7 +151,7 @@ def test_a_long_word_is_not_said_again_in_full(text: str) -> None:
     ],
     ids=lambda text: text[:8],
 )
-def test_the_longest_and_the_deepest_are_run_even_where_little_stack_is_left(text: str) -> None:
+def test_the_longest_and_deepest_expressions_run_with_little_stack_left(text: str) -> None:
     results: list[float] = []
     before = threading.stack_size(256 * 1024)
     try:
@@ -171,7 +171,7 @@ WORDS = [
 
 
 @given(st.one_of(st.text(max_size=80), st.lists(st.sampled_from(WORDS), max_size=25).map(" ".join)))
-def test_no_text_does_anything_but_give_a_number_or_be_refused(text: str) -> None:
+def test_any_text_is_a_valid_expression_or_is_refused(text: str) -> None:
     for kind in (Objective, Condition):
         try:
             expression = kind(text)
@@ -240,7 +240,7 @@ def binary(a: Meant, mark: str, b: Meant) -> Meant:
 
 
 @given(numbers(3))
-def test_what_is_written_is_what_it_comes_to(meant: Meant) -> None:
+def test_an_expression_has_the_value_that_python_computes(meant: Meant) -> None:
     text, value = meant
     objective = Objective(text)
     values = {quantity: VALUES[str(quantity)] for quantity in objective.needs}
@@ -360,7 +360,7 @@ EVERYTHING = [
 
 
 @pytest.mark.parametrize("n", [1, 2, 7])
-def test_a_tally_of_rows_as_they_come_gives_the_same_bits_as_a_trace_of_all(n: int) -> None:
+def test_running_quantities_equal_those_of_the_whole_trajectory_bit_for_bit(n: int) -> None:
     trace = random_trace(n, n)
     quantities = [q if q.cube != "d" else Quantity(q.name, trace.bodies.cubes[-1], q.fold) for q in EVERYTHING]
     tally = RunningQuantities(trace.bodies, quantities, trace.states[0], trace.touches[0])
@@ -375,7 +375,7 @@ def test_a_tally_of_rows_as_they_come_gives_the_same_bits_as_a_trace_of_all(n: i
         assert tally.values(trace.states[ticks], trace.work[ticks], trace.touches[ticks]) == trace.values(quantities)
 
 
-def test_the_first_row_at_which_a_condition_holds_is_found_however_many_are_looked_at_at_a_time() -> None:
+def test_the_first_row_at_which_a_condition_holds_is_found_for_any_block_size() -> None:
     trace = random_trace(5)
     condition = Condition("max.speed > 1.1 && mean.height < 0.05 || time > 0.35")
     held = []
@@ -395,7 +395,7 @@ def test_the_first_row_at_which_a_condition_holds_is_found_however_many_are_look
     assert trace.first(Condition("true"), 6, 9, every=5) is None
 
 
-def test_work_is_that_of_every_motor_whichever_way_it_goes() -> None:
+def test_work_counts_every_motor_in_both_directions() -> None:
     trace = Trajectory(ObservedBodies(("a",), 1, np.ones((1, 3)), np.ones(1), 10), 3, 2)
     trace.rows = 4
     velocities = np.array([[9.0, 9.0], [1.0, -2.0], [2.0, 0.0], [-3.0, 1.0]])
@@ -408,7 +408,7 @@ def test_work_is_that_of_every_motor_whichever_way_it_goes() -> None:
     assert (trace.work == whole).all()
 
 
-def test_a_turned_body_is_upright_by_its_cosine_and_reaches_as_high_as_its_corner() -> None:
+def test_a_turned_body_is_upright_by_its_cosine_and_as_high_as_its_top_corner() -> None:
     trace = Trajectory(ObservedBodies(("a",), 1, np.array([[1.0, 2.0, 1.0]]), np.array([1.0]), 60), 0, 0)
     trace.states[0, 0, 3:7] = normalize(quaternion_from_euler(0.0, 1.0, math.pi / 6))
     trace.rows = 1

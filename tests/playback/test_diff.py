@@ -44,7 +44,7 @@ def compared(folder: Path, one: Play, other: Play, **config: Any) -> Any:
     return compare(Recording(first), Recording(record(folder / "b.mcap", other, config)))
 
 
-def test_the_same_history_is_the_same(tmp_path: Path) -> None:
+def test_equal_histories_do_not_differ(tmp_path: Path) -> None:
     comparison = compared(tmp_path, busy, busy)
     assert comparison.same and comparison.ticks == (40, 40) and comparison.drifts == {}
     assert run("diff", tmp_path / "a.mcap", tmp_path / "b.mcap") == (
@@ -65,7 +65,7 @@ def test_one_unit_in_the_last_place_is_found_at_its_tick(tmp_path: Path, at: int
         assert part.tick >= at + 1 and part.cube in ("pushed", None)
 
 
-def test_where_states_part_and_how_far(tmp_path: Path) -> None:
+def test_the_first_difference_of_states_is_shown_with_its_size(tmp_path: Path) -> None:
     comparison = compared(tmp_path, pushed(7, 3.0), pushed(7, 4.0))
     part = comparison.states
     assert (part.tick, part.cube, part.field) == (8, "pushed", "linear_x")
@@ -91,7 +91,7 @@ def test_one_ends_before_the_other(tmp_path: Path) -> None:
     assert comparison.states.tick == 21 and comparison.states.field is None
 
 
-def test_other_cubes(tmp_path: Path) -> None:
+def test_cubes_that_only_one_recording_has_are_listed(tmp_path: Path) -> None:
     def more(world: World, client: int) -> None:
         send(world, client, type="spawn_cube", cube_name="more")
         pushed(3, 1.0)(world, client)
@@ -102,7 +102,7 @@ def test_other_cubes(tmp_path: Path) -> None:
     assert "cubes: A ['still', 'pushed'], B" in run("diff", tmp_path / "a.mcap", tmp_path / "b.mcap")[1]
 
 
-def test_other_worlds(tmp_path: Path) -> None:
+def test_worlds_of_another_gravity_differ_at_the_first_tick(tmp_path: Path) -> None:
     comparison = compared(tmp_path, busy, busy, gravity=[0, -1, 0])
     assert comparison.inputs is None
     assert (comparison.states.tick, comparison.states.field) == (1, "linear_y")

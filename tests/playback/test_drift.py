@@ -74,7 +74,7 @@ def test_the_drift_is_what_the_engines_integrate_differently(falling: Path) -> N
         assert drift.distance == pytest.approx(G * drift.time * STEP / 2, abs=1e-4)
 
 
-def test_what_the_other_engine_refuses_is_counted(tmp_path: Path) -> None:
+def test_commands_that_the_other_engine_refuses_are_counted(tmp_path: Path) -> None:
     session = Session(tmp_path / "joined.mcap", backend="pymunk")
     session("spawn_cube", cube_name="one", position=[0, 5, 0], is_base=True)
     session("spawn_cube", cube_name="two", position=[1.5, 5, 0])
@@ -97,7 +97,7 @@ def test_rotation_drifts_too(tmp_path: Path) -> None:
     assert drift.angle == pytest.approx(drift.time, abs=1e-3), "the plane has no rotation about x"
 
 
-def test_it_ends_where_the_other_engine_stops(tmp_path: Path) -> None:
+def test_drift_ends_where_the_other_engine_faults(tmp_path: Path) -> None:
     session = Session(tmp_path / "stopping.mcap", backend="ballistic")
     session("spawn_cube", cube_name="bullet", position=[0, 5, 0])
     session("step", ticks=30)
@@ -109,7 +109,7 @@ def test_it_ends_where_the_other_engine_stops(tmp_path: Path) -> None:
     assert report.ticks == 30
 
 
-def test_an_engine_that_is_not_there(falling: Path) -> None:
+def test_an_unknown_engine_is_an_error(falling: Path) -> None:
     with pytest.raises(BackendNotFound, match="did you mean 'pymunk'"):
         measure_drift(falling, "pymonk")
 
@@ -130,7 +130,7 @@ def run(*arguments: object) -> Result:
     return CliRunner().invoke(main, ["replay", *map(str, arguments)])
 
 
-def test_the_table_shows_each_cube(falling: Path) -> None:
+def test_the_table_of_drift_shows_each_cube(falling: Path) -> None:
     result = run(falling, "--backend", "pymunk")
     assert result.exit_code == 0, result.output
     first, *rest = result.output.splitlines()
@@ -139,7 +139,7 @@ def test_the_table_shows_each_cube(falling: Path) -> None:
     assert row[-2:] == [f"{G * 3.0 * STEP / 2:.4f}", "0.00°"]
 
 
-def test_the_plot_is_a_picture(falling: Path, tmp_path: Path) -> None:
+def test_the_plot_of_drift_is_a_picture(falling: Path, tmp_path: Path) -> None:
     result = run(falling, "--backend", "pymunk", "--plot", tmp_path / "drift.svg")
     assert result.exit_code == 0, result.output
     picture = ElementTree.parse(tmp_path / "drift.svg").getroot()
@@ -149,7 +149,7 @@ def test_the_plot_is_a_picture(falling: Path, tmp_path: Path) -> None:
     assert "stone" in [text.text for text in picture.iter("{http://www.w3.org/2000/svg}text")]
 
 
-def test_json(falling: Path) -> None:
+def test_drift_is_printed_as_json(falling: Path) -> None:
     document = json.loads(run(falling, "--backend", "pymunk", "--json").output)
     assert document["cubes"]["stone"][-1]["time"] == 3.0
     assert math.isfinite(document["wall_seconds"])
@@ -169,14 +169,14 @@ def test_without_poses_there_is_nothing_to_compare(tmp_path: Path) -> None:
     assert "no poses" in result.output
 
 
-def test_wrong_usage(falling: Path, tmp_path: Path) -> None:
+def test_wrong_usage_is_explained(falling: Path, tmp_path: Path) -> None:
     assert run(falling, "--plot", tmp_path / "drift.svg").exit_code == 2
     result = run(falling, "--backend", "pymonk")
     assert result.exit_code == 1
     assert "did you mean" in result.output
 
 
-def test_a_config_that_the_other_engine_cannot_have(tmp_path: Path) -> None:
+def test_a_config_that_the_other_engine_refuses_is_an_error(tmp_path: Path) -> None:
     session = Session(tmp_path / "hills.mcap", backend="pymunk", scene={"type": "heightfield"})
     session("step", ticks=1)
     with pytest.raises(RejectedMessage, match="scenery"):

@@ -51,7 +51,7 @@ def fault(world: World, client: int) -> None:
 
 
 @pytest.mark.parametrize("backend", ["ballistic", "mujoco", "pymunk"])
-def test_states_are_those_of_the_run(tmp_path: Path, backend: str) -> None:
+def test_exported_states_are_those_of_the_run(tmp_path: Path, backend: str) -> None:
     world = World({"backend": backend, "mode": "lockstep"})
     recorder = world.journal = Seen(tmp_path / "x.mcap", world)
     client = world.join()
@@ -67,7 +67,7 @@ def test_states_are_those_of_the_run(tmp_path: Path, backend: str) -> None:
         assert np.array_equal(one.values, values)  # to the last bit
 
 
-def test_states_that_are_not_those_recorded_are_not_handed_out(tmp_path: Path) -> None:
+def test_states_that_differ_from_the_recording_are_not_exported(tmp_path: Path) -> None:
     path = record(tmp_path / "x.mcap", busy)
 
     def push_harder(lines: list[Line]) -> list[Line]:
@@ -88,7 +88,7 @@ def test_states_that_are_not_those_recorded_are_not_handed_out(tmp_path: Path) -
     assert code == 1 and "does not come out as recorded" in output
 
 
-def test_a_cut_recording_gives_what_it_holds(tmp_path: Path) -> None:
+def test_a_cut_recording_is_exported_up_to_the_cut(tmp_path: Path) -> None:
     world = World({"backend": "ballistic", "mode": "lockstep"})
     recorder = world.journal = Recorder(tmp_path / "x.mcap", world)
     client = world.join()
@@ -100,7 +100,7 @@ def test_a_cut_recording_gives_what_it_holds(tmp_path: Path) -> None:
     recorder.close()
 
 
-def test_messages_are_lines_of_json(tmp_path: Path) -> None:
+def test_messages_are_exported_as_lines_of_json(tmp_path: Path) -> None:
     path = record(tmp_path / "x.mcap", busy)
     code, output = run("export", path, "--to", "jsonl")
     assert code == 0
@@ -117,7 +117,7 @@ def test_messages_are_lines_of_json(tmp_path: Path) -> None:
     assert any(row["kind"] == "refused" and "not even text" in row["message"] for row in rows)
 
 
-def test_tables_hold_every_cube_after_every_tick(tmp_path: Path) -> None:
+def test_exported_tables_hold_every_cube_after_every_tick(tmp_path: Path) -> None:
     path = record(tmp_path / "x.mcap", busy)
     expected = [
         [one.frame, one.time, name, *value]
@@ -142,7 +142,7 @@ def test_tables_hold_every_cube_after_every_tick(tmp_path: Path) -> None:
     assert [list(json.loads(line).values()) for line in output.splitlines()] == expected
 
 
-def test_wrong_usage(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wrong_usage_is_explained(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = record(tmp_path / "x.mcap", lambda world, client: None)
     code, output = run("export", path, "--to", "parquet")
     assert code == 2 and "parquet needs --output" in output

@@ -41,7 +41,7 @@ def digests(recording: Recording) -> list[str]:
 
 
 @BACKENDS
-def test_a_fork_goes_on_and_replays_without_its_parent(tmp_path: Path, backend: str) -> None:
+def test_a_fork_continues_and_replays_without_its_parent(tmp_path: Path, backend: str) -> None:
     recording = parent(tmp_path, backend)
     total = recording.last_frame
     for frame in (0, total // 3, total):
@@ -64,7 +64,7 @@ def test_a_fork_goes_on_and_replays_without_its_parent(tmp_path: Path, backend: 
         assert world_at(child, frame + 7).ticks == frame + 7
 
 
-def test_the_pointer_is_to_the_parent_as_it_was(tmp_path: Path) -> None:
+def test_the_lineage_identifies_the_parent_and_its_frame(tmp_path: Path) -> None:
     recording, other = parent(tmp_path), tmp_path / "other"
     other.mkdir()
     total = recording.last_frame
@@ -76,7 +76,7 @@ def test_the_pointer_is_to_the_parent_as_it_was(tmp_path: Path) -> None:
 
 
 @BACKENDS
-def test_a_fork_that_does_the_same_is_the_same(tmp_path: Path, backend: str) -> None:
+def test_a_fork_with_the_same_inputs_has_the_same_digests(tmp_path: Path, backend: str) -> None:
     recording = parent(tmp_path, backend)
     program = programs.draw(5, 40)
 
@@ -95,7 +95,7 @@ def test_a_fork_that_does_the_same_is_the_same(tmp_path: Path, backend: str) -> 
 
 
 @BACKENDS
-def test_a_fork_that_cannot_be_leaves_nothing_behind(tmp_path: Path, backend: str) -> None:
+def test_a_fork_that_fails_leaves_no_file(tmp_path: Path, backend: str) -> None:
     recording = parent(tmp_path, backend)
     with pytest.raises(RecordingError, match="no frame"):
         fork(recording, World(recording.config), tmp_path / "x.mcap", 10**6)
@@ -105,7 +105,7 @@ def test_a_fork_that_cannot_be_leaves_nothing_behind(tmp_path: Path, backend: st
     assert recording.complete and replay(recording).verdict == "reproduced"
 
 
-def test_a_world_that_stopped_goes_on_from_before_that(tmp_path: Path) -> None:
+def test_a_faulted_world_is_restored_at_the_frame_before_its_fault(tmp_path: Path) -> None:
     def fail(world: World, client: int) -> None:
         send(world, client, type="spawn_cube", cube_name="far")
         send(world, client, type="step", ticks=9)
@@ -120,7 +120,7 @@ def test_a_world_that_stopped_goes_on_from_before_that(tmp_path: Path) -> None:
     assert world.fault is not None
 
 
-def test_a_parent_and_its_fork_are_compared_from_where_they_part(tmp_path: Path) -> None:
+def test_a_parent_and_its_fork_are_compared_from_the_frame_of_the_fork(tmp_path: Path) -> None:
     recording = parent(tmp_path, "mujoco")
     frame, path = recording.last_frame // 2, tmp_path / "x.mcap"
     world = World(recording.config)
@@ -141,7 +141,7 @@ def run(*options: str | Path) -> Result:
     return CliRunner().invoke(main, list(map(str, options)))
 
 
-def test_forking_on_the_command_line(tmp_path: Path) -> None:
+def test_nmes_fork_writes_a_fork(tmp_path: Path) -> None:
     recording, path = parent(tmp_path, "mujoco"), tmp_path / "fork.mcap"
     frame = recording.last_frame // 2
     result = run("fork", recording.path, "--at", str(frame), "-o", path)
@@ -197,7 +197,7 @@ def test_a_served_world_is_resumed(tmp_path: Path) -> None:
         assert replay(child).verdict == "reproduced"
 
 
-def test_resuming_that_makes_no_sense_is_wrong_usage(tmp_path: Path) -> None:
+def test_invalid_resume_options_are_wrong_usage(tmp_path: Path) -> None:
     recording = parent(tmp_path)
     for options, why in (
         (["--resume", recording.path, "--seed", "3"], "--seed does not go with"),

@@ -28,7 +28,7 @@ def drift(golden: Golden) -> float:
 
 
 @goldens
-def test_it_replays(golden: Golden) -> None:
+def test_each_golden_is_reproduced(golden: Golden) -> None:
     report = replay(golden.recording)
     assert report.damage is None
     if report.verdict == "not_comparable":  # made on another class of machine
@@ -39,7 +39,7 @@ def test_it_replays(golden: Golden) -> None:
         assert report.ticks == twin(golden)["ticks"]
 
 
-def test_every_part_of_one_with_keyframes_replays() -> None:
+def test_every_part_of_a_golden_with_keyframes_is_reproduced() -> None:
     (golden,) = [golden for golden in CORPUS if "keyframes" in golden.config]
     recording = Recording(golden.recording)
     kept, ticks = recording.summary().keyframes, twin(golden)["ticks"]
@@ -53,7 +53,7 @@ def test_every_part_of_one_with_keyframes_replays() -> None:
 
 
 @goldens
-def test_the_twin_says_what_it_holds(golden: Golden) -> None:
+def test_the_json_file_of_a_golden_describes_its_recording(golden: Golden) -> None:
     values = twin(golden)
     assert values == {
         "shows": golden.shows,
@@ -64,7 +64,7 @@ def test_the_twin_says_what_it_holds(golden: Golden) -> None:
 
 
 @goldens
-def test_it_holds_what_is_played(golden: Golden) -> None:
+def test_the_script_of_a_golden_gives_its_final_positions(golden: Golden) -> None:
     world = golden.world()
     golden.play(world, world.join())
     expected = twin(golden)["positions_at_the_end"]
@@ -74,12 +74,12 @@ def test_it_holds_what_is_played(golden: Golden) -> None:
 
 
 @pytest.mark.parametrize("name", ["mujoco-edits", "mujoco-planets", "pymunk-edits", "pymunk-fault"])
-def test_elsewhere_it_stays_within_its_tolerance(name: str) -> None:
+def test_a_golden_on_another_machine_stays_within_its_tolerance(name: str) -> None:
     (golden,) = [golden for golden in CORPUS if golden.name == name]
     assert drift(golden) <= golden.tolerance  # as far as that can be tested here
 
 
-def test_the_corpus_is_whole() -> None:
+def test_every_golden_has_its_files() -> None:
     assert len(CORPUS) >= 12
     assert {golden.config["backend"] for golden in CORPUS} == {"mujoco", "pymunk"}
     files = {path for golden in CORPUS for path in (golden.recording, golden.twin)} | {REPLAYS / "README.md"}
@@ -87,7 +87,9 @@ def test_the_corpus_is_whole() -> None:
     assert all(golden.recording.stat().st_size < 128 << 10 for golden in CORPUS)
 
 
-def test_it_is_made_anew(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_golden_can_be_recorded_anew(
+    tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("goldens.REPLAYS", tmp_path_factory.mktemp("replays"))
     golden = next(golden for golden in CORPUS if golden.name == "pymunk-refused")
     before = json.loads((REPLAYS / golden.twin.name).read_text())

@@ -56,7 +56,7 @@ def test_an_exported_recording_is_reproduced(tmp_path: Path, play: Callable[[Wor
     assert report.passed_over == ({"refused frames": summary.refused} if summary.refused else {})
 
 
-def test_structures_of_other_engines_come_back(tmp_path: Path) -> None:
+def test_structures_on_other_engines_are_reproduced_from_a_log(tmp_path: Path) -> None:
     def play(world: World, client: int) -> None:
         one, two = (send(world, client, type="spawn_cube", position=[0, y, 0])["spawned"] for y in (3, 5))
         send(world, client, type="create_joint", cube1=one, cube2=two, joint_type="hinge")
@@ -67,7 +67,7 @@ def test_structures_of_other_engines_come_back(tmp_path: Path) -> None:
     assert replay_log(written(tmp_path / "x.jsonl", exported(path))).verdict == "reproduced"
 
 
-def test_a_log_goes_on_from_where_its_world_did(tmp_path: Path) -> None:
+def test_a_log_that_begins_with_a_keyframe_is_replayed_from_it(tmp_path: Path) -> None:
     parent = record(tmp_path / "parent.mcap", busy, {"seed": 7})
     world = World({"backend": "ballistic", "mode": "lockstep", "seed": 7})
     recorder = fork(Recording(parent), world, tmp_path / "child.mcap", 20)
@@ -136,7 +136,7 @@ def ran(path: Path, rows: Rows) -> LogReport:
     return replay_log(written(path, rows))
 
 
-def test_bare_messages_are_run_and_compared_as_far_as_they_go(tmp_path: Path) -> None:
+def test_messages_without_metadata_are_run_and_compared_as_far_as_possible(tmp_path: Path) -> None:
     report = ran(tmp_path / "x.jsonl", BARE)
     assert (report.verdict, report.whole) == ("agrees", False)
     assert (report.commands, report.replies, report.ticks, report.digests) == (5, 1, 60, 0)
@@ -153,7 +153,7 @@ def test_bare_messages_are_run_and_compared_as_far_as_they_go(tmp_path: Path) ->
     assert (report.divergence.record, report.divergence.value.field) == (6, "frame")
 
 
-def test_answers_find_their_commands(tmp_path: Path) -> None:
+def test_answers_are_matched_to_their_commands(tmp_path: Path) -> None:
     asked = [{"type": "ping", "id": i} for i in range(3)]
     assert ran(tmp_path / "a.jsonl", [*asked, {"type": "pong", "id": 1}, {"type": "pong", "id": 2}]).replies == 2
     report = ran(tmp_path / "b.jsonl", [*asked, {"type": "pong", "id": 7}])
@@ -174,7 +174,7 @@ def test_answers_find_their_commands(tmp_path: Path) -> None:
         ('{"kind":"recording","message":{"nmes.world":{}}}\n', "line 1 does not say how its world began"),
     ],
 )
-def test_what_is_no_log_is_refused(tmp_path: Path, text: str, message: str) -> None:
+def test_an_invalid_log_is_refused(tmp_path: Path, text: str, message: str) -> None:
     path = tmp_path / "x.jsonl"
     path.write_text(text)
     with pytest.raises(RecordingError, match=message):

@@ -133,7 +133,7 @@ def honest(message: dict[str, Any], reply: dict[str, Any]) -> dict[str, Any]:
     return reply
 
 
-def test_a_stranger_s_names_are_used_and_no_difference(busy_file: Path) -> None:
+def test_names_that_another_server_chose_are_no_mismatch(busy_file: Path) -> None:
     stranger = Stranger(honest)
     report = against(busy_file, stranger.connect)
     assert (report.verdict, report.fields) == ("equal", [])
@@ -168,7 +168,7 @@ def spoiled(kind: str, **change: Any) -> Spoil:
         ),
     ],
 )
-def test_wrong_answers_are_found(
+def test_wrong_answers_are_mismatches(
     busy_file: Path, spoil: Any, command: str, field: str, expected: object, actual: object
 ) -> None:
     report = against(busy_file, Stranger(spoil).connect, tolerance=1e-3)
@@ -179,7 +179,7 @@ def test_wrong_answers_are_found(
     assert (mismatch.expected, mismatch.actual) == (expected, actual)
 
 
-def test_equal_rotations_and_other_orders_are_equal(busy_file: Path) -> None:
+def test_equal_rotations_and_lists_in_another_order_match(busy_file: Path) -> None:
     def spoil(message: dict[str, Any], reply: dict[str, Any]) -> dict[str, Any]:
         if "quaternion" in reply:
             reply["quaternion"] = [-part for part in reply["quaternion"]]
@@ -196,7 +196,7 @@ def turned(quaternion: tuple[float, float, float, float], *angles: float) -> Spo
 
 
 @pytest.mark.parametrize("rotation", [(0.1, pi - 1e-5, 0.2), (-0.3, 0.5, 1e-5 - pi), (pi / 2 - 1e-7, 1.0, 0.4)])
-def test_angles_that_come_round_are_compared_as_rotations(tmp_path: Path, rotation: tuple[float, ...]) -> None:
+def test_angles_beyond_a_full_turn_are_compared_as_rotations(tmp_path: Path, rotation: tuple[float, ...]) -> None:
     def play(world: World, client: int) -> None:
         send(world, client, type="spawn_cube", cube_name="one", rotation=rotation)
         send(world, client, type="get_cube_info", cube_name="one")
@@ -218,21 +218,21 @@ def refusing(*kinds: str) -> Spoil:
     return lambda message, reply: refusal if message["type"] in kinds else reply
 
 
-def test_what_a_server_does_not_know_is_said(busy_file: Path) -> None:
+def test_commands_that_a_server_does_not_know_are_listed(busy_file: Path) -> None:
     report = against(busy_file, Stranger(refusing("get_world_state", "set_mode")).connect)
     assert (report.verdict, report.fields) == ("incomplete", [])
     assert report.unsupported == {"get_world_state": 1}
     assert "set_mode at the beginning, which the server refuses (unknown_type: what?)" in report.kept_back
 
 
-def test_a_server_that_cannot_step_is_left_at_the_first_tick(busy_file: Path) -> None:
+def test_a_replay_to_a_server_that_cannot_step_ends_at_the_first_tick(busy_file: Path) -> None:
     report = against(busy_file, Stranger(refusing("step")).connect)
     assert report.verdict == "incomplete"
     assert report.ended == "at frame 1 the server does not know step, which made the world tick"
     assert (report.ticks, report.commands) == (0, 4)
 
 
-def test_a_server_that_goes_away_ends_it(busy_file: Path) -> None:
+def test_a_replay_to_a_server_that_hangs_up_ends(busy_file: Path) -> None:
     def spoil(message: dict[str, Any], reply: dict[str, Any]) -> dict[str, Any]:
         if message["type"] == "get_cube_info":
             raise Disconnected("disconnected", "gone")
@@ -243,7 +243,7 @@ def test_a_server_that_goes_away_ends_it(busy_file: Path) -> None:
     assert report.ended == "at frame 1, asked to get_cube_info: gone"
 
 
-def test_worlds_made_otherwise_are_said(busy_file: Path) -> None:
+def test_a_world_of_another_config_is_reported(busy_file: Path) -> None:
     with served({"backend": "ballistic", "gravity": [0, -5, 0]}) as server:
         report = against(busy_file, lambda: server.client().connect())
         assert report.verdict == "different"

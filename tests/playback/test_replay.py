@@ -86,7 +86,7 @@ recorded_inputs = st.lists(
 
 @settings(max_examples=80, deadline=None)
 @given(recorded_inputs, st.sampled_from(["ballistic", "pymunk"]), st.sampled_from([0.0, 10.0, 60.0]))
-def test_whatever_happens_is_reproduced(
+def test_any_history_is_reproduced(
     tmp_path_factory: pytest.TempPathFactory, program: list[Any], backend: str, pose_rate: float
 ) -> None:
     def play(world: World, client: int) -> None:
@@ -173,7 +173,7 @@ BATCH: list[dict[str, Any]] = [
 
 @pytest.mark.parametrize("backend", ["ballistic", "pymunk"])
 @pytest.mark.parametrize("command", [{"type": "step", "ticks": 100}, {"type": "batch", "commands": BATCH}])
-def test_nobody_goes_on_where_a_recording_ends_in_a_command(
+def test_a_recording_that_stops_inside_a_command_is_replayed_to_its_last_tick(
     tmp_path: Path, backend: str, command: dict[str, Any]
 ) -> None:
     class Told(BaseException):
@@ -236,7 +236,7 @@ def test_a_recording_that_a_crash_cut_in_a_command_is_reproduced_up_to_there(tmp
     there.close()
 
 
-def test_a_mistake_of_the_replay_s_own_is_no_divergence(busy_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_exception_in_the_replay_itself_is_no_divergence(busy_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*args: object) -> None:
         raise ZeroDivisionError("a mistake")
 
@@ -341,7 +341,7 @@ def test_a_changed_reply_is_found_with_both_values(busy_file: Path, tmp_path: Pa
         (b'{"type":"pong"', b'{{"type":"pong"', "", None, {"type": "pong"}),
     ],
 )
-def test_whatever_is_changed_in_a_reply_is_shown(
+def test_any_change_of_a_reply_is_shown(
     busy_file: Path, tmp_path: Path, before: bytes, after: bytes, field: str, expected: object, actual: object
 ) -> None:
     def edit(lines: list[Line]) -> list[Line]:
@@ -354,7 +354,7 @@ def test_whatever_is_changed_in_a_reply_is_shown(
     assert result.value.amount is None
 
 
-def test_a_missing_reply_is_told_by_what_comes_in_its_place(busy_file: Path, tmp_path: Path) -> None:
+def test_a_missing_reply_is_reported_with_the_next_record(busy_file: Path, tmp_path: Path) -> None:
     def edit(lines: list[Line]) -> list[Line]:
         at = commands_of(lines, "replies")[0]
         return [*lines[:at], *lines[at + 1 :]]
@@ -431,7 +431,7 @@ def test_dropped_repeated_and_swapped_commands_are_found(busy_file: Path, tmp_pa
             assert result.kind in ("digest", "reply")
 
 
-def test_what_makes_no_sense_is_told(busy_file: Path, tmp_path: Path) -> None:
+def test_a_missing_client_and_malformed_records_are_reported(busy_file: Path, tmp_path: Path) -> None:
     def stranger(lines: list[Line]) -> list[Line]:
         at = first(lines, "clients")
         return [*lines[:at], *lines[at + 1 :]]
@@ -465,7 +465,7 @@ def test_an_engine_that_is_not_installed_is_not_comparable(busy_file: Path) -> N
     assert replay(recording).differences == {"backend": ("no-such-engine", "not installed")}
 
 
-def test_an_engine_that_forgets_is_found(busy_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_world_that_changes_a_command_diverges(busy_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # A world that behaves otherwise than when it was recorded, not a recording that was changed.
     perform = World.handle
 
@@ -519,7 +519,7 @@ def test_nmes_replay_prints_json(busy_file: Path, tmp_path: Path) -> None:
     assert {"frame", "kind", "cube", "field", "expected", "actual", "difference", "seen"} <= set(report["divergence"])
 
 
-def test_nmes_replay_and_info_tell_of_damage(busy_file: Path, tmp_path: Path) -> None:
+def test_nmes_replay_and_info_report_damage(busy_file: Path, tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     path.write_bytes(busy_file.read_bytes()[:-100])
     code, output = run("replay", path)
@@ -576,7 +576,7 @@ def push_harder(lines: list[Line]) -> list[Line]:
     return [line._replace(data=line.data.replace(b"[1.5,0.25,0]", b"[1.5,0.26,0]")) for line in lines]
 
 
-def test_elsewhere_the_drift_is_measured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_replay_on_another_machine_measures_the_drift(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # As if the engine pushed harder here: 2 N more for a tick.
     def strengthen(lines: list[Line]) -> list[Line]:
         at = next(i for i, line in enumerate(lines) if b'"force":[1.5' in line.data)

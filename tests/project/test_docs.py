@@ -93,7 +93,7 @@ def test_make_targets_shown_exist_and_are_listed() -> None:
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
-def test_links_lead_somewhere(document: str) -> None:
+def test_links_in_documents_point_to_existing_files(document: str) -> None:
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", (ROOT / document).read_text()):
         if "://" not in target:
             assert ((ROOT / document).parent / target).exists(), f"{document} links to {target}"
@@ -106,7 +106,7 @@ def rows(document: str) -> set[tuple[str, ...]]:
     return {(first.strip("`"), *others) for first, *others in cells}
 
 
-def test_the_page_of_objectives_says_of_everything_what_it_is() -> None:
+def test_the_page_of_objectives_lists_every_quantity_and_function() -> None:
     told = rows("objectives.md")
     known: set[tuple[str, ...]] = {(name, unit, meaning) for name, (meaning, unit) in objective.QUANTITIES.items()}
     known |= {(name, meaning) for table in (objective.FUNCTIONS, objective.FOLDS) for name, meaning in table.items()}
@@ -115,7 +115,7 @@ def test_the_page_of_objectives_says_of_everything_what_it_is() -> None:
     assert sorted(row[0] for row in told - known) == sorted(metrics)
 
 
-def test_the_page_of_tasks_lists_those_that_come_with_the_package() -> None:
+def test_the_page_of_tasks_lists_the_shipped_tasks() -> None:
     assert rows("tasks.md") == {
         (name, f"{(task := Task.load(name)).duration:g} s", task.description) for name in Task.names()
     }
@@ -142,7 +142,7 @@ def test_the_python_of_the_readme_works(served: dict[str, Any]) -> None:
     assert json.loads(done.stdout)[0] > 1.0
 
 
-def test_the_conversation_of_the_readme_takes_place(served: dict[str, Any]) -> None:
+def test_the_conversation_of_the_readme_works(served: dict[str, Any]) -> None:
     (talk,) = re.findall(r"^\$ nc .*?\n(.*?)^```", README, flags=re.DOTALL | re.MULTILINE)
     with socket.create_connection(("127.0.0.1", served["port"]), timeout=10) as connection:
         for line in talk.splitlines():

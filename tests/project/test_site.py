@@ -43,7 +43,7 @@ class Fetched(HTMLParser):
             self.addresses.append(about.get("href") or "")
 
 
-def test_every_page_is_there(site: Path) -> None:
+def test_the_site_has_every_page(site: Path) -> None:
     pages = {path.stem for path in (ROOT / "docs").glob("*.md")}
     assert {path.stem for path in site.glob("*.html")} - {"404"} == pages
 
@@ -56,11 +56,11 @@ def test_the_site_fetches_nothing_from_elsewhere(site: Path) -> None:
         assert [address for address in fetched.addresses if urlsplit(address).netloc] == []
 
 
-def test_what_pages_link_to_outside_is_copied(site: Path) -> None:
+def test_files_outside_docs_that_pages_link_to_are_copied(site: Path) -> None:
     assert (site / "repository/schemas/task.json").read_bytes() == (ROOT / "schemas/task.json").read_bytes()
 
 
-def test_the_references_are_made_from_the_program(site: Path) -> None:
+def test_the_references_list_every_command_and_the_python_interface(site: Path) -> None:
     commands = (site / "reference-cli.html").read_text()
     for name in SUBCOMMANDS:
         assert f'id="nmes-{name}"' in commands

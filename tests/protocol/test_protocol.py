@@ -80,7 +80,7 @@ def violation(session: Session) -> str | None:
 
 
 @given(json_values, json_values)
-def test_what_is_encoded_is_parsed_again_and_never_holds_a_delimiter(identity: Any, extra: Any) -> None:
+def test_encoded_messages_parse_to_the_same_and_never_hold_a_delimiter(identity: Any, extra: Any) -> None:
     command = {"type": "ping", "id": identity, "extra": extra}
     raw = encode(command)
     assert b"<" not in raw
@@ -185,11 +185,11 @@ def test_json_is_strict(text: str) -> None:
 @pytest.mark.parametrize(
     "text", [r'"\ud83d\ude00"', '"\x7f"', r'"\u0000"', "-0", "1E5", "1e-400", '"\\t"', " [ [ ],{}]\t"]
 )
-def test_json_is_not_stricter_than_that(text: str) -> None:
+def test_unusual_but_valid_json_is_accepted(text: str) -> None:
     assert code(b'{"type":"ping","x":%s}' % text.encode()) is None
 
 
-def test_duplicate_type_is_no_way_round_the_schema() -> None:
+def test_a_duplicate_type_is_refused() -> None:
     assert code(b'{"type":"ping","type":"spawn_cube","mass":-1}') == "bad_json"
 
 
@@ -220,7 +220,7 @@ def test_nesting_of_200_is_read_and_of_201_is_not(opening: bytes, innermost: byt
     assert code(nested(201)) == code(nested(202)) == code(nested(5000)) == "bad_json"
 
 
-def test_width_is_not_depth() -> None:
+def test_wide_messages_are_not_refused_as_deep() -> None:
     assert code(b'{"type":"ping","x":[' + b"[]," * 5000 + b'"' + b"[" * 500 + b'"]}') is None
 
 
@@ -330,7 +330,7 @@ def test_an_ill_typed_field_is_named(command: dict[str, Any], field: str, messag
 
 
 @pytest.mark.parametrize("kind", ["fly", "", "PING", "pong", "auth", "ping ", "spawn_creatures"])
-def test_unknown_types(kind: str) -> None:
+def test_unknown_types_are_refused(kind: str) -> None:
     request = parse(encode({"type": kind, "id": 3}))
     assert request.error is not None and request.error.code == "unknown_type" and request.error.path == "type"
     assert request.type == kind and request.id == 3
@@ -353,7 +353,7 @@ def test_names_of_all_scripts_are_allowed() -> None:
         assert code(encode({"type": "despawn_cube", "cube_name": name})) is None
 
 
-def test_python_callers_are_judged_like_peers() -> None:
+def test_commands_from_python_are_validated_like_those_from_sockets() -> None:
     request = protocol.request_from({"type": "apply_force", "force": np.array([0.0, 1.5, 0.0]), "id": ("a", 1)})
     assert request.command == {"type": "apply_force", "force": [0.0, 1.5, 0.0], "id": ["a", 1]}
     circular: list[Any] = []
@@ -365,7 +365,7 @@ def test_python_callers_are_judged_like_peers() -> None:
     assert error is not None and (error.code, error.path) == ("invalid", "mass")
 
 
-def test_defaults_are_told() -> None:
+def test_defaults_are_filled_in() -> None:
     assert COMMANDS["spawn_cube"].defaults["position"] == [0, 1, 0]
     assert COMMANDS["subscribe"].defaults["every"] == 1
 
@@ -373,7 +373,7 @@ def test_defaults_are_told() -> None:
 # -- other messages ---------------------------------------------------------------------------------------------------
 
 
-def test_error_replies_tell_what_is_known() -> None:
+def test_an_error_reply_has_the_fields_that_are_known() -> None:
     error = RejectedMessage("invalid", "mass: no", "mass")
     assert protocol.error_reply(error, "spawn_cube") == {
         "type": "error", "code": "invalid", "message": "mass: no", "command": "spawn_cube", "field": "mass",
@@ -411,7 +411,7 @@ def test_events_are_checked() -> None:
         protocol.validate_event({"type": "pong"})
 
 
-def test_bundles_stand_alone_and_judge_as_the_parts_do() -> None:
+def test_bundled_schemas_stand_alone_and_validate_like_their_parts() -> None:
     commands = jsonschema.Draft202012Validator(dict(protocol.bundled_schema("command")))
     replies = jsonschema.Draft202012Validator(dict(protocol.bundled_schema("reply")))
     commands.check_schema(commands.schema)
@@ -425,7 +425,7 @@ def test_bundles_stand_alone_and_judge_as_the_parts_do() -> None:
     assert not replies.is_valid({"type": "batch_result", "results": [{"type": "stepped"}]})
 
 
-def test_a_config_is_completed_without_touching_the_given_one() -> None:
+def test_a_config_is_completed_in_a_copy() -> None:
     given_config = {"seed": 7.0, "limits": {"joints": 5}, "engine": {"solver": "any"}}
     before = copy.deepcopy(given_config)
     config = protocol.complete_config(given_config)
@@ -467,7 +467,7 @@ def test_a_config_that_is_no_json_is_refused() -> None:
             protocol.complete_config(config)
 
 
-def test_metadata_is_checked() -> None:
+def test_metadata_are_validated() -> None:
     (metadata,) = schemas.load("recording_metadata.json")["examples"]
     protocol.validate_metadata(metadata)
     with pytest.raises(RejectedMessage) as caught:
@@ -475,7 +475,7 @@ def test_metadata_is_checked() -> None:
     assert caught.value.path == "nmes.world/seed"
 
 
-def test_decode_wants_an_object() -> None:
+def test_decode_refuses_anything_but_an_object() -> None:
     for raw in (b"[]", b"", b"{", b"auth_success"):
         with pytest.raises(ValueError):
             decode(raw)
@@ -499,7 +499,7 @@ def cut(data: st.DataObject, stream: bytes) -> list[bytes]:
 
 
 @given(pieces, st.integers(0, 60), st.data())
-def test_how_a_stream_is_cut_does_not_change_its_frames(stream: list[bytes], limit: int, data: st.DataObject) -> None:
+def test_the_chunks_of_a_stream_do_not_change_its_frames(stream: list[bytes], limit: int, data: st.DataObject) -> None:
     whole = b"".join(stream)
     # What frames are, said again in the simplest way.
     *complete, rest = whole.split(DELIMITER)
@@ -560,7 +560,7 @@ def test_a_frame_of_the_limit_passes_and_one_byte_more_does_not() -> None:
     assert violation(before_auth) == "frame_too_large"
 
 
-def test_a_frame_that_never_ends_is_not_gathered_for_ever() -> None:
+def test_a_frame_that_never_ends_is_refused_at_the_limit() -> None:
     session = opened(limits=Limits(frame=200))
     for _ in range(300):
         session.receive(b"x")
@@ -603,7 +603,7 @@ def test_no_stream_makes_a_session_raise_and_cutting_it_changes_nothing(
     assert run([whole]) == run(cut(data, whole)) == run([whole[i : i + 1] for i in range(len(whole))])
 
 
-def test_auth_in_the_json_dialect() -> None:
+def test_auth_in_the_json_dialect_is_read() -> None:
     session = Session()
     (auth,) = session.receive(b'{"type":"auth","password":"open sesame","world":"moon","id":null,"x":1}' + DELIMITER)
     assert isinstance(auth, Auth)
@@ -617,7 +617,7 @@ def test_auth_in_the_json_dialect() -> None:
     assert session.event(b'{"type":"tick"}') == b'{"type":"tick"}' + DELIMITER
 
 
-def test_auth_in_the_raw_dialect() -> None:
+def test_auth_in_the_raw_dialect_is_read() -> None:
     session = Session()
     (auth,) = session.receive("  sésame \n".encode() + DELIMITER)
     assert auth == Auth("raw", "sésame")
@@ -642,7 +642,7 @@ def test_auth_in_the_raw_dialect() -> None:
         (b"\xff", "raw", "auth_failed"),
     ],
 )
-def test_a_first_frame_that_is_no_auth(first: bytes, dialect: str, code: str) -> None:
+def test_a_first_frame_that_is_no_auth_is_refused(first: bytes, dialect: str, code: str) -> None:
     session = Session()
     (auth,) = session.receive(first + DELIMITER)
     assert isinstance(auth, Auth) and auth.dialect == dialect
@@ -664,7 +664,7 @@ def test_a_password_is_never_repeated() -> None:
     assert decode(session.refuse(auth.error).removesuffix(DELIMITER))["id"] == 1
 
 
-def test_who_floods_before_the_answer_to_auth_is_stopped() -> None:
+def test_a_flood_before_the_answer_to_auth_is_refused() -> None:
     session = Session(Limits(pending=500))
     session.receive(AUTH + DELIMITER)
     session.receive(b"x" * 500)
@@ -706,7 +706,7 @@ def test_the_raw_dialect_is_silent_after_these_commands_and_no_others() -> None:
         assert isinstance(request, Request) and raw.reply(request, b"{}") == b"{}" + DELIMITER
 
 
-def test_planets_stand_alone_in_the_raw_dialect() -> None:
+def test_planets_are_sent_without_an_envelope_in_the_raw_dialect() -> None:
     told = encode({"type": "planets", "planets": [{"Name": "Planet_0"}], "id": 4})
     failed = encode({"type": "error", "code": "world_faulted", "message": "", "command": "get_planets"})
     for session, bare in ((opened(b"open sesame"), True), (opened(), False)):

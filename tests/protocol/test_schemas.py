@@ -45,7 +45,7 @@ def parts(schema: Any, description: str = "") -> Iterator[tuple[dict[str, Any], 
 
 
 @pytest.mark.parametrize("path", FILES)
-def test_is_a_valid_schema_of_2020_12(path: str) -> None:
+def test_each_file_is_a_valid_schema_of_2020_12(path: str) -> None:
     raw = json.loads(FILES[path].read_bytes())
     assert raw["$schema"] == "https://json-schema.org/draft/2020-12/schema"
     jsonschema.Draft202012Validator.check_schema(raw)
@@ -55,7 +55,7 @@ def test_is_a_valid_schema_of_2020_12(path: str) -> None:
 @pytest.mark.parametrize(
     "path", [path for path in FILES if path != "common.json" and not path.startswith("recording/")]
 )
-def test_examples_are_valid_whichever_library_judges_and_with_references_as_the_standard_reads_them(path: str) -> None:
+def test_examples_are_valid_for_two_validators(path: str) -> None:
     resources = [
         (name, referencing.Resource.from_contents(json.loads(file.read_bytes()))) for name, file in FILES.items()
     ]
@@ -71,7 +71,7 @@ def test_examples_are_valid_whichever_library_judges_and_with_references_as_the_
 
 
 @pytest.mark.parametrize("path", MESSAGES)
-def test_is_named_after_its_type_and_says_what_every_field_is(path: str) -> None:
+def test_each_schema_is_named_after_its_type_and_describes_every_field(path: str) -> None:
     schema = MESSAGES[path]
     name = Path(path).stem
     assert schema["title"] == name
@@ -87,7 +87,7 @@ def test_is_named_after_its_type_and_says_what_every_field_is(path: str) -> None
 
 
 @pytest.mark.parametrize("path", [path for path in FILES if path.startswith(READ_FROM_CLIENTS)])
-def test_numbers_from_clients_are_bounded_and_bounds_and_units_are_told(path: str) -> None:
+def test_numbers_from_clients_have_bounds_and_units(path: str) -> None:
     for part, description in parts(schemas.load(path)):
         if part.get("type") not in ("number", "integer"):
             continue
@@ -115,7 +115,7 @@ def test_commands_ignore_fields_that_they_do_not_know(name: str) -> None:
 # -- schemas, handlers and documentation are in step ------------------------------------------------------------------
 
 
-def test_every_command_has_a_schema_a_handler_and_documentation_and_the_other_way_round() -> None:
+def test_commands_schemas_handlers_and_documentation_match() -> None:
     reference = (ROOT / "docs" / "messages.md").read_text()
     section = re.search(r"^## Commands\n(.*?)^## ", reference, flags=re.DOTALL | re.MULTILINE)
     assert section is not None
@@ -135,7 +135,7 @@ def test_the_required_commands_are_those_of_section_5() -> None:
     }  # fmt: skip
 
 
-def test_the_reference_page_is_the_one_that_the_schemas_give() -> None:
+def test_the_reference_page_is_generated_from_the_schemas() -> None:
     committed = (ROOT / "docs" / "messages.md").read_text(encoding="utf-8")
     assert committed == page(), "run: python -m nmes.schemas > docs/messages.md"
 
@@ -173,14 +173,14 @@ def test_the_protocol_page_names_only_codes_that_exist() -> None:
 # -- the loader -------------------------------------------------------------------------------------------------------
 
 
-def test_loaded_schemas_stand_alone_and_what_is_beside_a_reference_wins() -> None:
+def test_loaded_schemas_have_their_references_resolved() -> None:
     spawn = schemas.load("commands/spawn_cube.json")
     assert "$ref" not in json.dumps(spawn)
     assert spawn["properties"]["position"]["default"] == [0, 1, 0]
     assert spawn["properties"]["position"]["items"]["maximum"] == 1_000_000
 
 
-def test_the_hash_stands_for_names_and_contents(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_hash_covers_names_and_contents(monkeypatch: pytest.MonkeyPatch) -> None:
     texts = dict(schemas._texts())
     assert set(texts) == set(FILES)
 
@@ -218,5 +218,5 @@ def test_the_hash_stands_for_names_and_contents(monkeypatch: pytest.MonkeyPatch)
         ({}, "any JSON value"),
     ],
 )
-def test_describe(schema: schemas.Schema, words: str) -> None:
+def test_describe_names_types_bounds_and_defaults(schema: schemas.Schema, words: str) -> None:
     assert schemas.describe(schema) == words

@@ -97,17 +97,17 @@ def crash(folder: Path, interval: float, seed: int) -> None:
 
 # The host keeps to half its interval. Two seconds leave a second for a machine that is busy with other tests.
 @pytest.mark.parametrize(("interval", "seed"), [(0, 1), (0, 2), (2, 3)])
-def test_a_killed_host_leaves_what_it_promised(tmp_path: Path, interval: float, seed: int) -> None:
+def test_a_killed_host_leaves_the_records_it_promised(tmp_path: Path, interval: float, seed: int) -> None:
     crash(tmp_path, interval, seed)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("seed", range(100, 300))
-def test_a_host_killed_at_any_moment_leaves_what_it_promised(tmp_path: Path, seed: int) -> None:
+def test_a_host_killed_at_any_moment_leaves_the_records_it_promised(tmp_path: Path, seed: int) -> None:
     crash(tmp_path, seed % 2, seed)
 
 
-def test_nothing_is_told_before_it_is_on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_reply_is_sent_before_its_record_is_on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     synced: list[int] = []  # the size of the recording whenever the disk had all of it
 
     def fsync(number: int) -> None:
@@ -128,13 +128,13 @@ def test_nothing_is_told_before_it_is_on_disk(tmp_path: Path, monkeypatch: pytes
         assert count <= 12  # once for all that one read brought
 
 
-def test_without_being_asked_nobody_waits_for_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_by_default_replies_do_not_wait_for_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("nmes.recording.mcap_writer.os.fsync", None)
     with served(record_to=tmp_path) as server, server.client() as client:
         assert client.ping()
 
 
-def test_what_the_disk_does_not_take_is_not_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reply_whose_record_cannot_be_written_is_not_sent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with served(record_to=tmp_path, flush_interval=0) as server, server.client() as client, server.peer() as other:
         client.spawn_cube("a")
         other.ask({"type": "subscribe"})
@@ -157,7 +157,7 @@ def test_what_the_disk_does_not_take_is_not_told(tmp_path: Path, monkeypatch: py
         assert refused.value.code == "world_faulted"
 
 
-def test_a_recorder_keeps_its_interval(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recorder_flushes_at_its_interval(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now = 1_800_000_000 * 10**9
     monkeypatch.setattr("nmes.recording.recorder.time_ns", lambda: now)
     for interval in (0.25, 20.0):
@@ -176,7 +176,7 @@ def test_a_recorder_keeps_its_interval(tmp_path: Path, monkeypatch: pytest.Monke
         world.journal.close()
 
 
-def test_commit_brings_all_to_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_commit_writes_all_records_to_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls: list[int] = []
     monkeypatch.setattr("nmes.recording.mcap_writer.os.fsync", calls.append)
     world = World({"backend": "ballistic", "mode": "lockstep"})

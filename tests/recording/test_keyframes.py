@@ -94,7 +94,7 @@ def test_keyframes_are_recorded_and_each_begins_a_chunk(long_file: Path) -> None
     assert replay(long_file).verdict == "reproduced"
 
 
-def test_a_keyframe_that_is_another_is_found(long_file: Path, tmp_path: Path) -> None:
+def test_a_changed_keyframe_is_found(long_file: Path, tmp_path: Path) -> None:
     def edit(lines: list[Line]) -> list[Line]:
         at = [i for i, line in enumerate(lines) if line.topic == "keyframes"][2]
         what = lines[at].data.replace(b'"mass":1.0', b'"mass":1.5', 1)
@@ -106,7 +106,7 @@ def test_a_keyframe_that_is_another_is_found(long_file: Path, tmp_path: Path) ->
     assert divergence is not None and divergence.kind == "keyframe"
 
 
-def test_a_keyframe_that_is_missing_or_too_many_is_found(long_file: Path, tmp_path: Path) -> None:
+def test_a_missing_or_additional_keyframe_is_found(long_file: Path, tmp_path: Path) -> None:
     def without(lines: list[Line]) -> list[Line]:
         at = next(i for i, line in enumerate(lines) if line.topic == "keyframes")
         return lines[:at] + lines[at + 1 :]
@@ -124,7 +124,7 @@ def test_a_keyframe_that_is_missing_or_too_many_is_found(long_file: Path, tmp_pa
 
 
 @pytest.mark.parametrize("whole", [True, False])
-def test_every_frame_can_be_come_to(long_file: Path, tmp_path: Path, whole: bool) -> None:
+def test_a_world_can_be_restored_at_every_frame(long_file: Path, tmp_path: Path, whole: bool) -> None:
     path = long_file if whole else cut(long_file, tmp_path / "cut.mcap")
     recording, kept = Recording(path), digests(Recording(path))
     assert recording.complete == whole
@@ -166,7 +166,7 @@ def test_a_replay_of_a_part_compares_that_part(long_file: Path, tmp_path: Path, 
 
 @settings(max_examples=25, deadline=None)
 @given(histories, st.sampled_from(["ballistic", "mujoco"]), st.integers(0, 60), st.sampled_from([0.0, 10.0, 60.0]))
-def test_a_replay_from_anywhere_is_the_replay_from_the_beginning(
+def test_a_replay_from_any_frame_equals_the_replay_from_the_beginning(
     tmp_path_factory: pytest.TempPathFactory, what: list[Any], backend: str, frame: int, pose_rate: float
 ) -> None:
     def play(world: World, client: int) -> None:
@@ -189,7 +189,7 @@ def test_a_replay_from_anywhere_is_the_replay_from_the_beginning(
 
 
 @pytest.mark.parametrize("number", range(3))
-def test_structures_are_come_to(tmp_path: Path, number: int) -> None:
+def test_structures_are_restored_at_every_frame(tmp_path: Path, number: int) -> None:
     def play(world: World, client: int) -> None:
         for step in programs.draw(300 + number, 120):
             for command in programs.commands(world, step):
@@ -209,7 +209,7 @@ def test_structures_are_come_to(tmp_path: Path, number: int) -> None:
         world.close()
 
 
-def test_what_was_not_read_is_not_judged(long_file: Path, tmp_path: Path) -> None:
+def test_damage_outside_the_replayed_part_is_not_reported(long_file: Path, tmp_path: Path) -> None:
     """Damage before the keyframe is none of its business; damage behind it is told."""
     data = bytearray(long_file.read_bytes())
     blocks = [offset for offset, _ in Recording(long_file).chunks()]
@@ -231,7 +231,7 @@ def test_what_was_not_read_is_not_judged(long_file: Path, tmp_path: Path) -> Non
     assert 0 < report.frames[0] < late == report.frames[1]
 
 
-def test_a_seek_reads_little(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_restoring_a_late_frame_reads_little_of_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     read: list[int] = []
     unpacked = mcap_reader._unpacked
 
@@ -246,7 +246,7 @@ def test_a_seek_reads_little(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
     assert len(read) < 3 + math.log2(chunks) < chunks / 8
 
 
-def test_a_world_that_was_come_to_is_alive(long_file: Path) -> None:
+def test_a_restored_world_accepts_commands(long_file: Path) -> None:
     recording = Recording(long_file)
     world = world_at(recording, 100)
     assert world.clients() == [1, 2]
@@ -267,7 +267,7 @@ def test_an_engine_without_snapshots_is_replayed_from_the_beginning(tmp_path: Pa
     assert (report.verdict, report.frames, report.ticks) == ("reproduced", (0, len(kept)), len(kept))
 
 
-def test_a_divergence_on_the_way_is_told(long_file: Path, tmp_path: Path) -> None:
+def test_a_divergence_before_the_restored_frame_is_reported(long_file: Path, tmp_path: Path) -> None:
     def edit(lines: list[Line]) -> list[Line]:
         at = [i for i, line in enumerate(lines) if line.topic == "client/2/commands"][3]
         what = lines[at].data.replace(b"1.5", b"1.25")
@@ -279,7 +279,7 @@ def test_a_divergence_on_the_way_is_told(long_file: Path, tmp_path: Path) -> Non
     assert caught.value.code == "diverged"
 
 
-def test_the_command_line_replays_a_part(long_file: Path) -> None:
+def test_nmes_replay_replays_a_part(long_file: Path) -> None:
     def run(*options: str) -> Result:
         return CliRunner().invoke(main, ["replay", str(long_file), *options])
 
@@ -301,7 +301,7 @@ def test_the_command_line_replays_a_part(long_file: Path) -> None:
 # -- recordings that begin in the midst --------------------------------------------------------------------------------
 
 
-def test_a_recording_of_a_world_with_a_past_replays_by_itself(tmp_path: Path) -> None:
+def test_a_recording_begun_late_replays_by_itself(tmp_path: Path) -> None:
     world = World({"mode": "lockstep"})
     structures(world, world.join())
     before = world.ticks
@@ -319,7 +319,7 @@ def test_a_recording_of_a_world_with_a_past_replays_by_itself(tmp_path: Path) ->
     assert world_at(recording, before).cubes()
 
 
-def test_a_world_with_a_past_on_an_engine_without_snapshots_is_not_recorded(tmp_path: Path) -> None:
+def test_a_recording_cannot_begin_late_on_an_engine_without_snapshots(tmp_path: Path) -> None:
     world = World({"backend": "pymunk"})
     world.tick()
     with pytest.raises(RecordingError, match="has a past") as caught:

@@ -59,7 +59,7 @@ def told_by(recording: Recording) -> list[tuple[Any, ...]]:
 # -- what is kept ----------------------------------------------------------------------------------------------------
 
 
-def test_a_recording_is_what_the_journal_was_told_in_that_order(busy_file: Path) -> None:
+def test_a_recording_holds_all_calls_of_the_journal_in_order(busy_file: Path) -> None:
     world = World({"backend": "ballistic", "mode": "lockstep"}, journal=(script := Script()))
     busy(world, world.join())
     recording = Recording(busy_file)
@@ -68,7 +68,7 @@ def test_a_recording_is_what_the_journal_was_told_in_that_order(busy_file: Path)
     assert [item.sequence for item in recording] == sorted({item.sequence for item in recording})
 
 
-def test_what_a_client_sent_is_kept_byte_for_byte(tmp_path: Path) -> None:
+def test_client_messages_are_kept_byte_for_byte(tmp_path: Path) -> None:
     raw = b'{ "id" : [1.50, null],\t"unknown":1e2 , "type":"ping" }'
     path = record(tmp_path / "x.mcap", lambda world, client: world.handle(client, protocol.parse(raw)))
     assert [item.data for item in Recording(path) if item.kind is Kind.COMMAND] == [raw]
@@ -81,7 +81,7 @@ def test_long_refused_frames_are_cut_with_a_note(tmp_path: Path) -> None:
     assert kept == b"x" * REFUSED_LIMIT + b"... (65541 bytes in all)"
 
 
-def test_times_are_simulation_time_and_wall_clock(busy_file: Path) -> None:
+def test_records_have_simulation_time_and_wall_clock_time(busy_file: Path) -> None:
     frame = 0
     for item in Recording(busy_file):
         if item.kind is Kind.TICKS and item.about is not None:
@@ -92,7 +92,7 @@ def test_times_are_simulation_time_and_wall_clock(busy_file: Path) -> None:
     assert walls[0] > 1_700_000_000 * 10**9
 
 
-def test_metadata_say_how_to_run_it_again(busy_file: Path) -> None:
+def test_metadata_say_how_to_run_the_world_again(busy_file: Path) -> None:
     recording = Recording(busy_file)
     protocol.validate_metadata(recording.metadata)
     assert recording.config == World({"backend": "ballistic", "mode": "lockstep"}).config
@@ -101,14 +101,14 @@ def test_metadata_say_how_to_run_it_again(busy_file: Path) -> None:
     assert recording.metadata["nmes.recording"]["schemas"] == protocol.schema_hash()
 
 
-def test_only_what_decides_makes_fingerprints_differ(busy_file: Path) -> None:
+def test_only_what_affects_results_makes_fingerprints_differ(busy_file: Path) -> None:
     here = Recording(busy_file).fingerprint
     assert differences(here, {**here, "cpu": "another", "python": "another", "os": "another"}) == {}
     assert differences(here, {**here, "libc": "musl"}) == {"libc": (here["libc"], "musl")}
     assert differences(here, {**here, "engine.new": "1"}) == {"engine.new": ("", "1")}
 
 
-def test_the_summary_counts(busy_file: Path) -> None:
+def test_the_summary_counts_records(busy_file: Path) -> None:
     summary = Recording(busy_file).summary()
     assert (summary.clients, summary.refused, summary.errors, summary.ticks, summary.faults) == (2, 9, 9, 40, 0)
     assert summary.commands == {
@@ -122,13 +122,13 @@ def test_the_summary_counts(busy_file: Path) -> None:
     }
 
 
-def test_a_file_is_never_overwritten(busy_file: Path) -> None:
+def test_a_recording_never_overwrites_a_file(busy_file: Path) -> None:
     with pytest.raises(RecordingError, match="exists already"):
         Recorder(busy_file, World({"backend": "ballistic"}))
     assert Recording(busy_file).complete
 
 
-def test_after_close_nothing_goes_on_unrecorded(tmp_path: Path) -> None:
+def test_after_close_a_world_refuses_unrecorded_commands(tmp_path: Path) -> None:
     world = World({"backend": "ballistic", "mode": "lockstep"})
     recorder = world.journal = Recorder(tmp_path / "x.mcap", world)
     client = world.join()
@@ -142,7 +142,7 @@ def test_after_close_nothing_goes_on_unrecorded(tmp_path: Path) -> None:
 # -- for other readers -----------------------------------------------------------------------------------------------
 
 
-def test_mcap_readers_read_it(busy_file: Path) -> None:
+def test_the_mcap_library_reads_a_recording(busy_file: Path) -> None:
     with busy_file.open("rb") as file:
         reader = make_reader(file, validate_crcs=True)
         assert reader.get_header().profile == "nmes"
@@ -263,7 +263,7 @@ def chunked(path: Path) -> list[Record]:
     return list(Recording(path))
 
 
-def test_what_was_flushed_survives_a_crash(tmp_path: Path) -> None:
+def test_flushed_records_survive_a_crash(tmp_path: Path) -> None:
     world = World({"backend": "ballistic", "mode": "lockstep"})
     recorder = world.journal = Recorder(tmp_path / "x.mcap", world)
     client = world.join()
@@ -278,7 +278,9 @@ def test_what_was_flushed_survives_a_crash(tmp_path: Path) -> None:
     recorder.close()
 
 
-def test_nothing_waits_longer_than_a_second_while_records_come(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_record_is_flushed_within_a_second_while_records_come(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     now = 1_800_000_000 * 10**9
     monkeypatch.setattr("nmes.recording.recorder.time_ns", lambda: now)
     path = tmp_path / "x.mcap"
@@ -349,7 +351,7 @@ def test_no_flipped_bit_goes_unnoticed(tmp_path: Path, count: int) -> None:
 
 @settings(max_examples=200, deadline=None)
 @given(st.binary(max_size=300), st.booleans())
-def test_no_bytes_make_the_reader_fail_otherwise(
+def test_any_bytes_make_the_reader_report_damage_or_succeed(
     tmp_path_factory: pytest.TempPathFactory, data: bytes, mcap: bool
 ) -> None:
     path = tmp_path_factory.mktemp("any") / "x.mcap"
@@ -359,7 +361,7 @@ def test_no_bytes_make_the_reader_fail_otherwise(
 
 
 @given(st.binary(max_size=200))
-def test_no_bytes_make_a_chunk_fail_otherwise(content: bytes) -> None:
+def test_any_bytes_make_a_chunk_report_damage_or_succeed(content: bytes) -> None:
     try:
         list(split_chunk(content))
     except (ValueError, DamagedFile):
@@ -377,7 +379,7 @@ record_bytes = st.one_of(
 
 
 @given(st.lists(record_bytes, max_size=8).map(b"".join), st.data())
-def test_a_chunk_that_is_skimmed_is_the_one_that_is_read(content: bytes, data: st.DataObject) -> None:
+def test_skimming_a_chunk_finds_the_records_that_reading_finds(content: bytes, data: st.DataObject) -> None:
     if content and data.draw(st.booleans()):
         at, byte = data.draw(st.tuples(st.integers(0, len(content) - 1), st.integers(0, 255)))
         content = content[:at] + bytes([byte]) + content[at + 1 :]
@@ -390,7 +392,7 @@ def test_a_chunk_that_is_skimmed_is_the_one_that_is_read(content: bytes, data: s
     assert [item.data for item in read] == [skim.data(content, number) for number in range(len(read))]
 
 
-def test_lengths_are_not_believed(busy_file: Path, tmp_path: Path) -> None:
+def test_lengths_beyond_the_file_are_damage(busy_file: Path, tmp_path: Path) -> None:
     header = MAGIC + struct.pack("<BQ", 1, 12) + struct.pack("<I4sI", 4, b"nmes", 0)
     lie = tmp_path / "lie.mcap"
     for length in (2**62, 2**31, 2**63 + 5):
@@ -408,7 +410,7 @@ def test_lengths_are_not_believed(busy_file: Path, tmp_path: Path) -> None:
         assert damage is not None and reason in damage.message
 
 
-def test_a_file_that_shrinks_or_goes_while_it_is_read_is_damaged(busy_file: Path, tmp_path: Path) -> None:
+def test_a_file_that_is_cut_or_removed_while_it_is_read_is_damaged(busy_file: Path, tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     path.write_bytes(busy_file.read_bytes())
     shrunk, gone = Recording(path), Recording(path)
@@ -418,7 +420,7 @@ def test_a_file_that_shrinks_or_goes_while_it_is_read_is_damaged(busy_file: Path
     assert gone.damage is not None and "can no longer be read: No such file" in gone.damage.message
 
 
-def test_what_is_no_recording_is_refused_with_a_reason(tmp_path: Path) -> None:
+def test_a_file_that_is_no_recording_is_refused_with_a_reason(tmp_path: Path) -> None:
     def reason(path: Path) -> str:
         with pytest.raises(RecordingError) as info:
             Recording(path)
@@ -461,14 +463,14 @@ def test_a_changed_record_breaks_the_chain(busy_file: Path, tmp_path: Path) -> N
     assert damage is not None and "does not continue the hash chain" in damage.message
 
 
-def test_what_is_missing_at_the_end_is_told(busy_file: Path, tmp_path: Path) -> None:
+def test_records_missing_at_the_end_are_reported(busy_file: Path, tmp_path: Path) -> None:
     recording = Recording(rewrite(busy_file, tmp_path / "x.mcap", lambda lines: lines[:-4], missing=4))
     damage = recording.damage
     assert damage is not None and "closing metadata do not belong to its records" in damage.message
     assert list(recording)
 
 
-def test_records_out_of_their_place_are_found(busy_file: Path, tmp_path: Path) -> None:
+def test_records_out_of_order_are_found(busy_file: Path, tmp_path: Path) -> None:
     damage = Recording(rewrite(busy_file, tmp_path / "x.mcap", lambda lines: lines, skip=1)).damage
     assert damage is not None and "is out of its place" in damage.message
 
@@ -508,7 +510,7 @@ def test_records_in_the_wrong_place_are_damage(busy_file: Path, tmp_path: Path) 
     assert damage is not None and "the footer is damaged" in damage.message
 
 
-def test_records_longer_than_a_reader_takes_are_neither_written_nor_read(
+def test_records_over_the_size_limit_are_neither_written_nor_read(
     busy_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("nmes.recording.mcap_reader.MAX_RECORD", 2000)
@@ -535,7 +537,7 @@ def fault(world: World, client: int) -> None:
     raise AssertionError("the engine bears everything")
 
 
-def test_a_fault_seals_the_file_and_a_reset_goes_on_in_it(tmp_path: Path) -> None:
+def test_a_fault_completes_the_file_and_a_reset_appends_to_it(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     world = World({"backend": "ballistic", "mode": "lockstep"})
     recorder = world.journal = Recorder(path, world)
@@ -570,7 +572,7 @@ def files_no_longer_than(size: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
 
 
-def test_a_failing_write_faults_the_world_and_leaves_what_was_written(tmp_path: Path) -> None:
+def test_a_failed_write_faults_the_world_and_keeps_earlier_records(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     world = World({"backend": "ballistic", "mode": "lockstep"})
     recorder = world.journal = Recorder(path, world, pose_rate=0)
@@ -605,7 +607,7 @@ def test_a_failing_flush_stops_the_world_at_its_next_input(tmp_path: Path) -> No
     assert send(world, client, type="spawn_cube")["code"] == "world_faulted"
 
 
-def test_a_file_that_cannot_be_begun_is_told(tmp_path: Path) -> None:
+def test_a_file_that_cannot_be_created_is_an_error(tmp_path: Path) -> None:
     world = World({"backend": "ballistic"})
     with pytest.raises(RecordingError, match="cannot create"):
         Recorder(tmp_path / "no such folder" / "x.mcap", world)
@@ -627,7 +629,7 @@ def test_more_clients_than_a_file_can_hold_fault_the_world(tmp_path: Path, monke
     assert Recording(tmp_path / "x.mcap").damage is not None
 
 
-def test_an_end_that_cannot_be_written_is_told(tmp_path: Path) -> None:
+def test_a_recording_that_cannot_be_completed_is_an_error(tmp_path: Path) -> None:
     world = World({"backend": "ballistic", "mode": "lockstep"})
     recorder = world.journal = Recorder(tmp_path / "x.mcap", world)
     world.join()
@@ -645,7 +647,7 @@ messages = st.lists(
 
 @settings(max_examples=60, deadline=None)
 @given(st.lists(st.tuples(messages, st.sampled_from(["flush", "seal", "go on"])), max_size=6))
-def test_what_is_written_is_read(tmp_path_factory: pytest.TempPathFactory, program: list[Any]) -> None:
+def test_written_records_are_read_back(tmp_path_factory: pytest.TempPathFactory, program: list[Any]) -> None:
     path = tmp_path_factory.mktemp("mcap") / "x.mcap"
     writer = Writer(path, profile="test", library="")
     writer.metadata("first", {"a": "b"})
@@ -679,6 +681,6 @@ def test_what_is_written_is_read(tmp_path_factory: pytest.TempPathFactory, progr
     assert [tuple(item)[1:] for item in read if isinstance(item, tuple)] == [item[1:] for item in expected]
 
 
-def test_poses_that_are_none_are_refused() -> None:
+def test_invalid_poses_are_refused() -> None:
     with pytest.raises(ValueError, match="not a transforms message"):
         decode_poses(b"\xff\xff\xff")

@@ -53,7 +53,7 @@ def repacked(source: Path, target: Path, change: bytes, to: bytes, *, checksum: 
 # -- what is as it was written ---------------------------------------------------------------------------------------
 
 
-def test_a_sound_recording_is_sound(busy_file: Path) -> None:
+def test_an_intact_recording_verifies(busy_file: Path) -> None:
     code, output = run("verify", busy_file)
     assert code == 0
     assert output.startswith("sound: ")
@@ -110,7 +110,7 @@ def test_any_changed_byte_of_any_record_is_named(busy_file: Path, tmp_path: Path
         assert damage is not None and damage.record == number, f"byte {at}"
 
 
-def test_where_the_checksums_themselves_are_bad_the_chunk_is_named(busy_file: Path, tmp_path: Path) -> None:
+def test_a_chunk_with_bad_checksums_is_named(busy_file: Path, tmp_path: Path) -> None:
     (block,) = [block for block in Reader(busy_file).blocks() if block.metadata is None]
     link = [item for item in split_chunk(block.content) if isinstance(item, Message)][-1]
     path = repacked(busy_file, tmp_path / "x.mcap", link.data, link.data.replace(b"head", b"heap"), checksum=True)
@@ -134,7 +134,7 @@ def test_recordings_without_checksums_are_read(busy_file: Path, tmp_path: Path) 
     assert damage is not None and damage.record is None
 
 
-def test_checking_finds_what_reading_finds(busy_file: Path, tmp_path: Path) -> None:
+def test_verify_finds_the_damage_that_reading_finds(busy_file: Path, tmp_path: Path) -> None:
     def shapeless(lines: list[Line]) -> list[Line]:
         return [line._replace(data=b'{"frame":"x"}') if line.topic == "ticks" else line for line in lines]
 
@@ -178,20 +178,20 @@ def test_a_cut_recording_is_incomplete(busy_file: Path, tmp_path: Path) -> None:
     assert output.startswith("incomplete: the file ends in its summary")
 
 
-def test_what_is_no_recording_is_wrong_usage(tmp_path: Path) -> None:
+def test_a_file_that_is_no_recording_is_wrong_usage(tmp_path: Path) -> None:
     (tmp_path / "x").write_text("no recording at all")
     assert run("verify", tmp_path / "x")[0] == 2
     assert run("verify", tmp_path / "nowhere")[0] == 2
 
 
-def test_other_schemas_are_told_of(busy_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_recording_with_other_schemas_is_reported(busy_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("nmes.protocol.schema_hash", lambda: "0" * 64)
     code, output = run("verify", busy_file)
     assert code == 0
     assert "the schemas of another nmes (0.1.0)" in output
 
 
-def test_checksums_end_where_records_end() -> None:
+def test_checksums_of_cut_records_are_not_listed() -> None:
     assert list(message_checksums(b"")) == []
     assert list(message_checksums(b"\x05" + b"\xff" * 20)) == []
 
@@ -237,7 +237,7 @@ def test_a_signature_is_checked(busy_file: Path, tmp_path: Path, keys: tuple[Pat
     assert code == 1 and "cannot write" in output
 
 
-def test_another_s_signature_is_none(busy_file: Path, tmp_path: Path, keys: tuple[Path, Path]) -> None:
+def test_a_signature_by_another_key_is_refused(busy_file: Path, tmp_path: Path, keys: tuple[Path, Path]) -> None:
     path = copied(busy_file, tmp_path)
     sign(Recording(path), Ed25519PrivateKey.generate())
     code, output = run("verify", path, "--verify-key", keys[1])
@@ -275,14 +275,14 @@ def test_only_a_whole_recording_is_signed(busy_file: Path, tmp_path: Path, keys:
 @pytest.mark.parametrize(
     "text", [b"", b"{}", b"[]", b"\xff", b'{"signature":"***"}', b'{"signature":5}', b'{"signature":""}']
 )
-def test_what_is_no_signature(busy_file: Path, tmp_path: Path, keys: tuple[Path, Path], text: bytes) -> None:
+def test_invalid_signatures_are_refused(busy_file: Path, tmp_path: Path, keys: tuple[Path, Path], text: bytes) -> None:
     (tmp_path / "x").write_bytes(text)
     with pytest.raises(SigningError) as info:
         check_signature(Recording(busy_file), public_key(keys[1]), tmp_path / "x")
     assert info.value.code == "bad_signature"
 
 
-def test_what_is_no_key(tmp_path: Path, keys: tuple[Path, Path]) -> None:
+def test_invalid_keys_are_refused(tmp_path: Path, keys: tuple[Path, Path]) -> None:
     private, public = keys
     other = generate_private_key(SECP256R1())
     (tmp_path / "ec").write_bytes(other.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))

@@ -40,7 +40,7 @@ def waiting(server: Served) -> int:
     return server.call(lambda: len(server.hosted._barrier.waiting))
 
 
-def test_the_world_ticks_when_all_have_said_step(server: Served, tmp_path: Path) -> None:
+def test_the_world_ticks_when_all_agents_have_sent_step(server: Served, tmp_path: Path) -> None:
     with server.peer() as one, server.peer() as two, server.peer() as watcher:
         agree(watcher, 2)
         for round in range(1, 6):
@@ -60,7 +60,7 @@ def test_the_world_ticks_when_all_have_said_step(server: Served, tmp_path: Path)
     assert sum(record.kind is Kind.TICKS for record in Recording(path)) == 5
 
 
-def test_who_is_alone_ticks_at_once_and_a_newcomer_is_waited_for_from_its_first_step_on(server: Served) -> None:
+def test_a_single_agent_ticks_at_once_and_another_is_waited_for_after_its_first_step(server: Served) -> None:
     with server.peer() as one, server.peer() as two:
         agree(one, 1)
         assert one.ask(STEP)["frame"] == 1
@@ -83,7 +83,7 @@ def test_a_step_of_several_ticks_counts_for_as_many_rounds(server: Served) -> No
         assert one.ask(STEP)["frame"] == two.hear()["frame"] == 4
 
 
-def test_who_leaves_is_no_longer_waited_for(server: Served) -> None:
+def test_an_agent_that_leaves_is_no_longer_waited_for(server: Served) -> None:
     with server.peer() as one, server.peer() as two:
         agree(one, 2)
         one.say(STEP)
@@ -96,7 +96,7 @@ def test_who_leaves_is_no_longer_waited_for(server: Served) -> None:
         assert one.ask(STEP)["frame"] == 3
 
 
-def test_who_leaves_while_it_waits_has_said_step(server: Served) -> None:
+def test_the_step_of_an_agent_that_leaves_while_waiting_counts(server: Served) -> None:
     with server.peer() as one, server.peer() as two:
         agree(one, 2)
         one.say(STEP)
@@ -107,7 +107,7 @@ def test_who_leaves_while_it_waits_has_said_step(server: Served) -> None:
         assert two.ask(STEP)["frame"] == 2
 
 
-def test_who_is_late_is_told_of_and_passed_over(server: Served, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_late_agent_is_reported_and_skipped(server: Served, caplog: pytest.LogCaptureFixture) -> None:
     with server.peer() as one, server.peer() as two, server.peer() as watcher:
         watcher.ask({"type": "subscribe", "events": ["tick"], "every": 1000})
         agree(one, 2, timeout=0.2)
@@ -125,7 +125,7 @@ def test_who_is_late_is_told_of_and_passed_over(server: Served, caplog: pytest.L
         assert one.ask(STEP)["frame"] == two.hear()["frame"] == 4
 
 
-def test_agents_that_never_come_are_not_waited_for_longer_than_that(server: Served) -> None:
+def test_agents_that_never_come_are_waited_for_until_the_time_out(server: Served) -> None:
     with server.peer() as one, server.peer() as watcher:
         watcher.ask({"type": "subscribe"})
         agree(one, 2, timeout=0.1)
@@ -135,7 +135,7 @@ def test_agents_that_never_come_are_not_waited_for_longer_than_that(server: Serv
 
 
 @pytest.mark.parametrize("mode", ["lockstep", "fast"])
-def test_another_mode_ends_the_waiting(server: Served, mode: str) -> None:
+def test_a_change_of_mode_releases_waiting_agents(server: Served, mode: str) -> None:
     with server.peer() as one, server.peer() as two:
         agree(one, 2)
         one.say(STEP)
@@ -146,7 +146,7 @@ def test_another_mode_ends_the_waiting(server: Served, mode: str) -> None:
         two.ask({"type": "set_mode", "mode": "lockstep"})
 
 
-def test_a_new_barrier_takes_those_over_that_wait(server: Served) -> None:
+def test_a_new_barrier_keeps_the_agents_that_wait(server: Served) -> None:
     with server.peer() as one, server.peer() as two:
         agree(one, 3)
         one.say(STEP)
@@ -155,7 +155,7 @@ def test_a_new_barrier_takes_those_over_that_wait(server: Served) -> None:
         assert two.ask(STEP)["frame"] == one.hear()["frame"] == 1
 
 
-def test_a_fault_ends_the_waiting(server: Served) -> None:
+def test_a_fault_releases_waiting_agents(server: Served) -> None:
     with server.peer() as one, server.peer() as two:
         agree(one, 2)
         one.ask({"type": "spawn_cube", "cube_name": "a", "mass": 1e-6})
@@ -168,7 +168,7 @@ def test_a_fault_ends_the_waiting(server: Served) -> None:
         assert two.ask(STEP)["frame"] == one.hear()["frame"] == 1
 
 
-def test_closing_while_somebody_waits(server: Served) -> None:
+def test_closing_the_host_releases_waiting_agents(server: Served) -> None:
     with server.peer() as one:
         agree(one, 2)
         one.say(STEP)
@@ -177,7 +177,7 @@ def test_closing_while_somebody_waits(server: Served) -> None:
         assert {json.loads(last)["type"] for last in one.rest()} <= {"error"}
 
 
-def test_what_does_not_go_with_a_barrier() -> None:
+def test_options_that_contradict_a_barrier_are_refused() -> None:
     world = World({"backend": "ballistic", "mode": "lockstep"})
     client = world.join()
     refused = world.execute(client, {"type": "set_mode", "mode": "fast", "barrier": True})

@@ -132,7 +132,7 @@ def server() -> Iterator[Served]:
 
 
 @pytest.mark.parametrize("program", PROGRAMS)
-def test_every_way_of_reading_stays_in_step(server: Served, program: type[Program]) -> None:
+def test_every_way_of_reading_finds_the_reply_to_its_command(server: Served, program: type[Program]) -> None:
     with program(server.port) as client:
         first = client.spawn(cube_name="first", position=[0, 5, 0])
         second = client.spawn(cube_name="second", position=[-1.5, 5, 0])
@@ -149,7 +149,7 @@ def test_every_way_of_reading_stays_in_step(server: Served, program: type[Progra
         assert client.names() == [first, second]
 
 
-def test_the_answer_to_the_password_is_compared_whole_or_looked_into(server: Served) -> None:
+def test_clients_compare_or_search_the_answer_to_the_password(server: Served) -> None:
     for right in (lambda answer: answer == "auth_success", lambda answer: "auth_success" in answer):
         with socket.create_connection(("127.0.0.1", server.port), timeout=PATIENCE) as client:
             client.sendall(PASSWORD.encode() + END)
@@ -191,7 +191,7 @@ def test_ten_cubes_spawned_blindly_are_the_last_ten_of_the_list(server: Served) 
             assert abs(position[0] - n) < 0.3 and abs(position[2] - n) < 0.3
 
 
-def test_polling_until_exactly_one_name_is_new(server: Served) -> None:
+def test_polling_the_list_finds_the_one_new_name(server: Served) -> None:
     with Program(server.port) as client:
         assert len({client.spawn(position=[2 * n, 1, 0]) for n in range(5)}) == 5
 
@@ -255,7 +255,7 @@ def test_a_base_is_frozen_and_freed_by_its_longer_name(server: Served) -> None:
 
 
 @pytest.mark.parametrize("kind", ["pin", "hinge", "slider", "conetwist"])
-def test_a_joint_with_a_position_and_no_axis(server: Served, kind: str) -> None:
+def test_a_joint_needs_no_axis(server: Served, kind: str) -> None:
     with Program(server.port) as client:
         for n in range(2):
             client.spawn(cube_name=f"cube_{n}", position=[1.1 * n, 3, 0])
@@ -266,7 +266,7 @@ def test_a_joint_with_a_position_and_no_axis(server: Served, kind: str) -> None:
 
 
 @pytest.mark.parametrize("snake", ["snake_7", 7])
-def test_a_bone_of_a_snake(server: Served, snake: object) -> None:
+def test_bones_are_created_with_a_snake_id(server: Served, snake: object) -> None:
     with Program(server.port) as client:
         for n in range(3):
             client.spawn(cube_name=f"segment_{n}", position=[1.1 * n, 1, 0])

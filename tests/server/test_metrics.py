@@ -40,7 +40,7 @@ def value(series: Series, name: str, **labels: str) -> float | None:
     return series.get((name, tuple(sorted(labels.items()))))
 
 
-def test_what_is_counted(tmp_path: Path) -> None:
+def test_commands_ticks_bytes_and_clients_are_counted(tmp_path: Path) -> None:
     options = ["--backend", "ballistic", "--mode", "lockstep", "--worlds", "red,green", "--record", str(tmp_path)]
     with process("serve", "--json", "--port", "0", "--metrics-port", "0", *options, NMES_PASSWORD=PASSWORD) as server:
         said = ready(server)
@@ -87,7 +87,7 @@ def test_what_is_counted(tmp_path: Path) -> None:
     assert Recording(path).complete
 
 
-def test_an_unrecorded_world_has_no_lag_and_a_clock_s_ticks_count() -> None:
+def test_an_unrecorded_world_has_no_lag_and_realtime_ticks_are_counted() -> None:
     metrics = Metrics()
     with served({"mode": "realtime", "rate": 50}, metrics=metrics) as server:
         port = server.run(server.host.serve_metrics("127.0.0.1", 0))
@@ -98,7 +98,7 @@ def test_an_unrecorded_world_has_no_lag_and_a_clock_s_ticks_count() -> None:
 
 
 @pytest.mark.parametrize("backend", ["ballistic", "pymunk"])
-def test_the_way_to_where_a_world_is_resumed_is_not_counted(tmp_path: Path, backend: str) -> None:
+def test_ticks_replayed_on_resume_are_not_counted(tmp_path: Path, backend: str) -> None:
     path = record(tmp_path / "parent.mcap", busy, {"backend": backend})
     options = ["--json", "--port", "0", "--metrics-port", "0", "--record", str(tmp_path / "on"), "--resume", str(path)]
     with process("serve", *options, NMES_PASSWORD=PASSWORD) as server:
@@ -110,13 +110,13 @@ def test_the_way_to_where_a_world_is_resumed_is_not_counted(tmp_path: Path, back
             assert sum(series[key] for key in series if key[0] == "nmes_commands_total") == 1
 
 
-async def test_nothing_is_counted_unless_asked_for() -> None:
+async def test_by_default_nothing_is_counted() -> None:
     async with Host(PASSWORD) as host:
         world = host.add({"backend": "ballistic"}).world
         assert type(world).__module__ == "nmes.world.world"
 
 
-def test_a_port_that_is_taken() -> None:
+def test_a_metrics_port_that_is_taken_is_an_error() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = str(taken.getsockname()[1])
         result = CliRunner().invoke(main, ["serve", "--no-record", "--metrics-port", port])
@@ -124,7 +124,7 @@ def test_a_port_that_is_taken() -> None:
     assert f"cannot listen on 127.0.0.1:{port}" in result.output
 
 
-def test_logs_for_programs(tmp_path: Path) -> None:
+def test_logs_are_written_as_json_lines(tmp_path: Path) -> None:
     options = ["--backend", "ballistic", "--mode", "lockstep", "--no-record", "--log-format", "json"]
     with process("serve", "--json", "--port", "0", *options, NMES_PASSWORD=PASSWORD) as server:
         said = ready(server)
@@ -146,7 +146,7 @@ def test_logs_for_programs(tmp_path: Path) -> None:
     assert "a guess" not in log and PASSWORD not in log
 
 
-def test_a_traceback_stays_on_its_line() -> None:
+def test_a_traceback_is_part_of_its_json_line() -> None:
     try:
         raise ValueError("two\nlines")
     except ValueError as error:

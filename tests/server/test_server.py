@@ -30,7 +30,7 @@ def server() -> Iterator[Served]:
 # -- authentication ---------------------------------------------------------------------------------------------------
 
 
-def test_json_auth(server: Served) -> None:
+def test_the_json_dialect_answers_auth_with_a_welcome(server: Served) -> None:
     with server.peer(None) as peer:
         welcome = peer.ask({"type": "auth", "password": PASSWORD, "id": [1, None]})
         protocol.validate_reply(welcome)
@@ -40,7 +40,7 @@ def test_json_auth(server: Served) -> None:
         assert peer.ask({"type": "ping", "id": 7}) == {"type": "pong", "id": 7}
 
 
-def test_raw_dialect_is_silent_after_most_commands(server: Served) -> None:
+def test_the_raw_dialect_is_silent_after_most_commands(server: Served) -> None:
     with server.peer("raw") as peer:
         peer.say(
             {"type": "spawn_cube", "cube_name": "a"},
@@ -141,13 +141,13 @@ def test_commands_right_behind_the_password_are_executed(server: Served) -> None
 # -- framing ----------------------------------------------------------------------------------------------------------
 
 
-def test_a_thousand_messages_in_one_write(server: Served) -> None:
+def test_a_thousand_messages_in_one_write_are_answered(server: Served) -> None:
     with server.peer() as peer:
         peer.say(*({"type": "ping", "id": n} for n in range(1000)))
         assert [peer.hear()["id"] for _ in range(1000)] == list(range(1000))
 
 
-def test_byte_by_byte_and_a_delimiter_in_two_pieces(server: Served) -> None:
+def test_messages_may_come_byte_by_byte(server: Served) -> None:
     with server.peer(None) as peer:
         for byte in PASSWORD.encode() + DELIMITER:
             peer.send(bytes([byte]))
@@ -159,7 +159,7 @@ def test_byte_by_byte_and_a_delimiter_in_two_pieces(server: Served) -> None:
             assert peer.hear()["id"] == cut
 
 
-def test_what_is_no_command_is_answered_and_changes_nothing(server: Served) -> None:
+def test_invalid_messages_are_refused_and_change_nothing(server: Served) -> None:
     with server.peer() as peer:
         for frame, code in [
             (b"[1]", "bad_frame"),
@@ -199,13 +199,13 @@ def test_a_half_closed_socket_gets_its_last_replies(server: Served) -> None:
         assert types(peer.rest()) == ["stepped"] * 1000
 
 
-def test_a_client_that_leaves_at_once_is_obeyed(server: Served) -> None:
+def test_commands_of_a_client_that_leaves_at_once_are_executed(server: Served) -> None:
     with server.peer("raw") as peer:
         peer.say(*({"type": "spawn_cube"} for _ in range(1000)))
     until(lambda: len(server.call(server.hosted.world.cubes)) == 1000)
 
 
-def test_a_client_that_is_gone_before_its_replies_is_obeyed(server: Served) -> None:
+def test_commands_of_a_client_that_is_gone_before_its_replies_are_executed(server: Served) -> None:
     with server.peer() as peer:
         peer.say(*[{"type": "step", "ticks": 1000}] * 300)
         until(lambda: server.call(lambda: server.hosted.world.frame) > 0)
@@ -229,7 +229,7 @@ def test_an_idle_client_is_closed_and_a_ping_keeps_one_open() -> None:
         assert time.monotonic() - began >= 1.0
 
 
-def test_a_client_that_does_not_hang_up_when_told_to_go_is_hung_up_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_client_that_does_not_close_its_side_is_disconnected(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(nmes.server.connection, "LINGER", 0.1)
     with served() as server, server.peer(None) as peer:
         peer.send(b"guess" + DELIMITER)
@@ -237,7 +237,7 @@ def test_a_client_that_does_not_hang_up_when_told_to_go_is_hung_up_on(monkeypatc
         until(lambda: server.call(lambda: server.host.connections) == 0)
 
 
-def test_too_many_connections() -> None:
+def test_a_connection_over_the_limit_is_refused() -> None:
     with served(limits=Limits(connections=2)) as server:
         with server.peer(), server.peer(None) as second, server.peer(None) as third:
             third.say({"type": "auth", "password": PASSWORD})
@@ -254,7 +254,7 @@ def _can_connect(server: Served) -> bool:
         return bool(peer.hear()["type"] == "auth_success")
 
 
-def test_a_crowd_is_dropped_without_a_word(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_connections_far_over_the_limit_are_dropped_silently(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(nmes.server.connection, "SPARE", 0)
     with served(limits=Limits(connections=1)) as server, server.peer(), server.peer(None) as second:
         assert second.rest() == []
@@ -325,7 +325,7 @@ def test_a_client_that_reads_gets_all_replies_however_much_they_are() -> None:
         assert {len(call.result()["cubes"]) for call in many.calls} == {50}
 
 
-def test_a_mistake_of_ours_ends_one_connection_only(server: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_exception_in_the_server_ends_one_connection_only(server: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     with server.peer() as peer, server.client() as good:
         good.ping()
         with monkeypatch.context() as broken:
@@ -374,7 +374,7 @@ def test_the_raw_dialect_may_subscribe_too(server: Served) -> None:
         assert [peer.hear()["type"] for _ in range(2)] == ["tick", "stepped"]
 
 
-def test_modes() -> None:
+def test_set_mode_changes_how_a_world_ticks() -> None:
     with served() as server, server.client() as client:
 
         def frame() -> int:
@@ -405,7 +405,7 @@ def test_realtime_keeps_to_the_clock() -> None:
         assert last - first <= (time.monotonic() - began + 0.25) * 1000 + 1
 
 
-def test_a_world_that_was_reset_has_nothing_to_catch_up_with() -> None:
+def test_a_reset_world_does_not_catch_up() -> None:
     with served({"mode": "realtime", "tick_rate": 1000}) as server, server.client() as client:
         until(lambda: client.get_world_info()["frame"] > 300)
         began = time.monotonic()
@@ -415,7 +415,7 @@ def test_a_world_that_was_reset_has_nothing_to_catch_up_with() -> None:
         assert last <= (time.monotonic() - began) * 1000 + 1
 
 
-def test_a_world_that_fell_behind_lets_the_time_go() -> None:
+def test_a_world_that_fell_far_behind_skips_the_lost_time() -> None:
     with served({"mode": "realtime", "tick_rate": 1000}) as server, server.client() as client:
         until(lambda: client.get_world_info()["frame"] > 10)
         began, first = time.monotonic(), client.get_world_info()["frame"]
@@ -425,7 +425,7 @@ def test_a_world_that_fell_behind_lets_the_time_go() -> None:
         assert last - first <= (time.monotonic() - began - 1.5 + 2 * 0.25) * 1000 + 1
 
 
-def test_a_flood_does_not_keep_others_waiting(server: Served) -> None:
+def test_a_flood_of_commands_does_not_delay_other_clients(server: Served) -> None:
     ticks = 300 * 200
     with server.peer() as flood, server.client() as good:
         flood.say(*[{"type": "step", "ticks": 200}] * 300)
@@ -436,7 +436,7 @@ def test_a_flood_does_not_keep_others_waiting(server: Served) -> None:
             pass
 
 
-def test_a_fault_is_told_and_logged_and_reset_lifts_it(server: Served, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_fault_is_reported_and_logged_and_reset_clears_it(server: Served, caplog: pytest.LogCaptureFixture) -> None:
     with server.client() as client, server.client() as watcher:
         watcher.subscribe(events=["tick"], every=1000)
         client.spawn_cube("a", mass=1e-6)
@@ -453,7 +453,7 @@ def test_a_fault_is_told_and_logged_and_reset_lifts_it(server: Served, caplog: p
 # -- recordings -------------------------------------------------------------------------------------------------------
 
 
-def test_all_is_recorded_but_the_password(tmp_path: Path) -> None:
+def test_everything_but_the_password_is_recorded(tmp_path: Path) -> None:
     with served(record_to=tmp_path / "deep" / "down") as server:
         with server.peer() as peer:
             peer.ask({"type": "spawn_cube", "cube_name": "a"})
@@ -501,7 +501,7 @@ def test_a_recording_is_flushed_by_itself(tmp_path: Path) -> None:
         until(lambda: any(record.kind is Kind.COMMAND for record in Recording(path)))
 
 
-def test_a_recording_that_cannot_be_written_stops_its_world(
+def test_a_recording_that_cannot_be_written_faults_its_world(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     def full(self: Recorder) -> None:
@@ -519,7 +519,7 @@ def test_a_recording_that_cannot_be_written_stops_its_world(
         assert "the disk is full" in caplog.text
 
 
-def test_a_directory_that_cannot_be_made(tmp_path: Path) -> None:
+def test_a_recordings_directory_that_cannot_be_created_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(RecordingError, match="cannot make"):
         Host("x", record_to=tmp_path / "file" / "below").add({"backend": "ballistic"})
@@ -545,7 +545,7 @@ def test_closing_tells_subscribers_and_completes_the_recording(tmp_path: Path) -
     assert Recording(path).complete
 
 
-def test_closing_in_the_middle_of_what_a_client_that_left_had_asked_for(tmp_path: Path) -> None:
+def test_closing_during_commands_of_a_client_that_left_completes_the_recording(tmp_path: Path) -> None:
     with served(record_to=tmp_path) as server:
         with server.peer("raw") as peer:
             peer.say(*[{"type": "step", "ticks": 200}] * 300)
@@ -569,7 +569,7 @@ def test_a_recording_that_cannot_be_completed_is_logged(
     assert "could not be completed: the disk is full" in caplog.text
 
 
-async def test_an_address_that_is_taken(server: Served) -> None:
+async def test_an_address_that_is_taken_is_an_error(server: Served) -> None:
     async with Host("x") as host:
         host.add({"backend": "ballistic"})
         with pytest.raises(NmesError, match=f"cannot listen on 127.0.0.1:{server.port}: .*in use") as failed:
@@ -579,7 +579,7 @@ async def test_an_address_that_is_taken(server: Served) -> None:
             await host.listen("no.such.host.invalid", 0)
 
 
-async def test_two_worlds_of_one_name() -> None:
+async def test_two_worlds_of_one_name_are_an_error() -> None:
     async with Host("x") as host:
         host.add({"backend": "ballistic"})
         with pytest.raises(WorldError, match="two worlds are called 'main'"):

@@ -17,7 +17,9 @@ from processes import process, ready
 from servers import PASSWORD, PATIENCE, Peer, types
 
 
-def test_sigterm_under_load(tmp_path: Path, record_property: Callable[[str, object], None]) -> None:
+def test_sigterm_under_load_completes_recordings(
+    tmp_path: Path, record_property: Callable[[str, object], None]
+) -> None:
     options = ["--worlds", "3", "--port", "0", "--backend", "ballistic", "--mode", "fast", "--record", str(tmp_path)]
     with process("serve", "--json", *options, NMES_PASSWORD=PASSWORD) as server:
         ports = [world["port"] for world in ready(server)["worlds"]]
@@ -67,7 +69,7 @@ def test_sigterm_under_load(tmp_path: Path, record_property: Callable[[str, obje
     assert replay(smallest).verdict == "reproduced"
 
 
-def test_sigterm_in_the_middle_of_a_long_step(tmp_path: Path) -> None:
+def test_sigterm_ends_a_long_step(tmp_path: Path) -> None:
     options = ["--port", "0", "--mode", "lockstep", "--record", str(tmp_path)]
     with process("serve", "--json", *options, NMES_PASSWORD=PASSWORD) as server:
         said = ready(server)

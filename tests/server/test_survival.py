@@ -215,7 +215,7 @@ def test_the_limits_are_those_of_the_protocol() -> None:
 # -- connections ------------------------------------------------------------------------------------------------------
 
 
-def test_a_thousand_connections_at_once_and_the_one_too_many(tmp_path: Path, figures: Figures) -> None:
+def test_a_thousand_connections_are_served_and_one_more_is_refused(tmp_path: Path, figures: Figures) -> None:
     with victim(tmp_path, connections=1001) as host, ExitStack() as stack:
         with Bystander(host) as good:
             before = host.resident
@@ -232,7 +232,7 @@ def test_a_thousand_connections_at_once_and_the_one_too_many(tmp_path: Path, fig
         figures("p99 latency, 1,000 connections", good.latency)
 
 
-def test_stalling_before_or_in_the_middle_of_auth(tmp_path: Path, figures: Figures) -> None:
+def test_clients_that_stall_in_auth_are_disconnected(tmp_path: Path, figures: Figures) -> None:
     count, limit = 500, 2.0
     with victim(tmp_path, auth_timeout=limit) as host, Bystander(host) as good:
         began = time.monotonic()
@@ -266,7 +266,7 @@ def test_stalling_before_or_in_the_middle_of_auth(tmp_path: Path, figures: Figur
     figures(f"p99 latency, {count} stallers", good.latency)
 
 
-def test_a_command_a_byte_at_a_time_is_no_sign_of_life(tmp_path: Path) -> None:
+def test_bytes_that_make_no_command_do_not_keep_a_connection(tmp_path: Path) -> None:
     with victim(tmp_path, idle_timeout=3.0) as host, Bystander(host), host.peer() as peer:
         for _ in range(3000):
             try:
@@ -278,7 +278,7 @@ def test_a_command_a_byte_at_a_time_is_no_sign_of_life(tmp_path: Path) -> None:
             raise AssertionError("it was never hung up on")
 
 
-def test_half_open_peers_make_room_after_the_idle_limit(tmp_path: Path, figures: Figures) -> None:
+def test_half_open_connections_are_closed_after_the_idle_limit(tmp_path: Path, figures: Figures) -> None:
     with victim(tmp_path, idle_timeout=4.0, connections=101) as host, ExitStack() as stack:
         with Bystander(host) as good:
             for _ in range(100):  # they say and read nothing more, and never hang up
@@ -296,7 +296,7 @@ def test_half_open_peers_make_room_after_the_idle_limit(tmp_path: Path, figures:
         figures("p99 latency, 100 half-open peers", good.latency)
 
 
-def test_readers_that_never_read(tmp_path: Path, figures: Figures) -> None:
+def test_clients_that_never_read_are_cut(tmp_path: Path, figures: Figures) -> None:
     config = {"mode": "fast", "limits": {"cubes": 200}}
     with victim(tmp_path, config, pending=MIB, stall_timeout=1.0) as host, ExitStack() as stack:
         with Bystander(host) as good, host.peer() as watcher:
@@ -323,7 +323,7 @@ def test_readers_that_never_read(tmp_path: Path, figures: Figures) -> None:
 # -- frames -----------------------------------------------------------------------------------------------------------
 
 
-def test_oversize_frames_and_frames_without_end(tmp_path: Path, figures: Figures) -> None:
+def test_oversize_and_endless_frames_are_refused(tmp_path: Path, figures: Figures) -> None:
     with victim(tmp_path) as host, Bystander(host) as good:
         grown, warm = [], 0
         for n in range(20):
@@ -366,7 +366,7 @@ def _check_answers(peer: Peer, frames: list[bytes], mark: str) -> list[bytes]:
             answers.append(answer)
 
 
-def test_what_tells_parsers_apart(tmp_path: Path) -> None:
+def test_unusual_json_is_accepted_or_refused_as_the_standard_says(tmp_path: Path) -> None:
     with victim(tmp_path) as host, Bystander(host), host.peer() as peer:
         for name, value in json_cases.VALID.items():
             peer.send(b'{"type":"ping","id":' + value + b"}" + DELIMITER)
@@ -422,7 +422,7 @@ def _mutate(draw: random.Random) -> bytes:
 
 
 @pytest.mark.parametrize("count", [2_000, pytest.param(100_000, marks=pytest.mark.long)])
-def test_random_and_mutated_frames(tmp_path: Path, figures: Figures, count: int) -> None:
+def test_random_and_mutated_frames_are_answered(tmp_path: Path, figures: Figures, count: int) -> None:
     draw = random.Random(count)
     calm = [b'{"type":"set_mode","mode":"lockstep"}', b'{"type":"reset","seed":1}']
     with victim(tmp_path, {"limits": {"cubes": 100, "joints": 100}}) as host, Bystander(host) as good:
@@ -442,7 +442,7 @@ def test_random_and_mutated_frames(tmp_path: Path, figures: Figures, count: int)
     figures(f"p99 latency, {count:,} random frames", good.latency)
 
 
-def test_whatever_hypothesis_thinks_of() -> None:
+def test_arbitrary_frames_are_answered() -> None:
     with served() as server, server.peer() as peer:
         values = st.recursive(
             st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
@@ -462,7 +462,7 @@ def test_whatever_hypothesis_thinks_of() -> None:
         check()
 
 
-def test_a_flood_of_spawns_stops_at_the_limit_and_despawn_frees(tmp_path: Path, figures: Figures) -> None:
+def test_a_flood_of_spawns_stops_at_the_limit_and_despawning_makes_room(tmp_path: Path, figures: Figures) -> None:
     with victim(tmp_path, {"limits": {"cubes": 50}}) as host, Bystander(host) as good:
         with host.peer() as peer:
             peer.say(*[{"type": "spawn_cube", "list": False}] * 5000)

@@ -87,7 +87,7 @@ def frames(path: Path) -> list[str]:
 @pytest.mark.parametrize(
     "command", [LONG, {"type": "batch", "commands": [{"type": "ping"}, LONG]}], ids=lambda command: command["type"]
 )
-def test_a_long_step_does_not_hold_the_others(command: dict[str, Any]) -> None:
+def test_a_long_step_does_not_delay_other_worlds(command: dict[str, Any]) -> None:
     with gated({"name": "other"}) as (server, gate), enter(server, "slow") as slow:
         with enter(server, "other") as before:
             slow.say(command)
@@ -109,7 +109,7 @@ def test_a_long_step_does_not_hold_the_others(command: dict[str, Any]) -> None:
         assert loop_thread not in gate.threads
 
 
-def test_what_is_asked_of_it_meanwhile_keeps_its_order(tmp_path: Path) -> None:
+def test_commands_during_a_long_step_keep_their_order(tmp_path: Path) -> None:
     with (
         gated(record_to=tmp_path) as (server, gate),
         server.peer() as one,
@@ -136,7 +136,7 @@ def test_what_is_asked_of_it_meanwhile_keeps_its_order(tmp_path: Path) -> None:
     assert replay(path).verdict == "reproduced"
 
 
-def test_who_leaves_while_it_is_away_has_left_when_it_is_back(tmp_path: Path) -> None:
+def test_a_client_that_leaves_during_a_long_step_has_left_after_it(tmp_path: Path) -> None:
     with gated(record_to=tmp_path) as (server, gate), server.peer() as watcher:
         with server.peer() as one, server.peer("raw") as two:
             one.say({"type": "subscribe", "events": ["tick"]}, LONG)
@@ -155,7 +155,7 @@ def test_who_leaves_while_it_is_away_has_left_when_it_is_back(tmp_path: Path) ->
     assert frames(path).count("left") == 4
 
 
-def test_events_come_while_it_is_away_and_before_the_reply(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_events_come_during_a_long_step_and_before_its_reply(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(nmes.server.threads, "SLICE", 0.0)
     monkeypatch.setattr(nmes.server.threads, "BRIEF", 0.0)
     with gated() as (server, gate), server.peer() as peer, server.peer() as watcher:
@@ -170,7 +170,7 @@ def test_events_come_while_it_is_away_and_before_the_reply(monkeypatch: pytest.M
         assert [peer.hear()["type"] for _ in range(2)] == ["tick", "stepped"]
 
 
-def test_a_subscriber_that_never_reads_is_cut_while_it_is_away() -> None:
+def test_a_subscriber_that_never_reads_is_cut_during_a_long_step() -> None:
     with served(limits=Limits(pending=64 << 10, stall_timeout=1000)) as server, server.peer() as peer:
         with server.peer(receive_buffer=4096) as deaf:
             deaf.say({"type": "subscribe", "events": ["tick"]})
@@ -216,7 +216,7 @@ def test_two_worlds_tick_at_the_same_time(monkeypatch: pytest.MonkeyPatch, mode:
             assert red.hear()["frame"] == green.hear()["frame"] == 200
 
 
-def test_no_more_run_at_once_than_there_are_cores_and_all_have_their_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_as_many_worlds_run_at_once_as_cores_and_all_have_their_turn(monkeypatch: pytest.MonkeyPatch) -> None:
     cores(monkeypatch, 1)
     inside: list[str] = []
     most = 0
@@ -251,7 +251,7 @@ def test_no_more_run_at_once_than_there_are_cores_and_all_have_their_turn(monkey
     assert len(turns) > 20 and set(turns) == set(names)
 
 
-def test_worlds_that_tick_in_parallel_come_out_as_those_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_worlds_in_parallel_have_the_same_digests_as_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cores(monkeypatch, 2)
     names = ("red", "green", "blue")
 
@@ -301,7 +301,7 @@ def digests(path: Path) -> list[str]:
 # -- faults, disks and the end ----------------------------------------------------------------------------------------
 
 
-def test_a_fault_while_it_is_away(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_fault_during_a_long_step_is_reported(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     with gated(record_to=tmp_path) as (server, gate), server.peer() as peer, server.peer() as watcher:
         watcher.ask({"type": "subscribe", "events": ["tick"], "every": 1000})
         peer.ask({"type": "spawn_cube", "cube_name": "a", "mass": 1e-6})
@@ -349,7 +349,7 @@ def test_closing_ends_a_long_step_and_completes_the_recording(tmp_path: Path) ->
     assert 0 < recording.summary().ticks < 10_000
 
 
-def test_what_is_told_while_it_is_away_is_on_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ticks_of_a_long_step_are_on_disk_before_their_events(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(nmes.server.threads, "SLICE", 0.0)
     monkeypatch.setattr(nmes.server.threads, "BRIEF", 0.0)
     synced: list[tuple[int, threading.Thread]] = []
@@ -373,9 +373,7 @@ def test_what_is_told_while_it_is_away_is_on_disk(tmp_path: Path, monkeypatch: p
         assert frames(path)[-1] == "reply"
 
 
-def test_what_the_disk_does_not_take_while_it_is_away_is_not_told(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_events_whose_records_cannot_be_written_are_not_sent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(nmes.server.threads, "SLICE", 0.0)
     monkeypatch.setattr(nmes.server.threads, "BRIEF", 0.0)
     with gated(record_to=tmp_path, flush_interval=0) as (server, gate), server.peer() as peer, server.peer() as watcher:
@@ -398,7 +396,9 @@ def test_what_the_disk_does_not_take_while_it_is_away_is_not_told(
             assert late.ask(STEP)["code"] == "world_faulted"
 
 
-def test_a_flush_that_fails_while_it_is_away_stops_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_flush_that_fails_during_a_long_step_faults_the_world(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     def full(self: Recorder) -> None:
         raise RecordingError("recording_failed", "the disk is full")
 
@@ -416,7 +416,7 @@ def test_a_flush_that_fails_while_it_is_away_stops_it(tmp_path: Path, monkeypatc
         monkeypatch.undo()
 
 
-def test_a_mistake_of_ours_while_it_is_away_ends_one_connection_only(
+def test_an_exception_in_a_long_step_ends_one_connection_only(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     with gated() as (server, gate), server.peer() as peer, server.peer() as good:

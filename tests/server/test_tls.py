@@ -46,7 +46,7 @@ def server(identity: ssl.SSLContext) -> Iterator[Served]:
         yield running
 
 
-def test_a_blocking_client_and_replies_of_megabytes(server: Served, trust: ssl.SSLContext) -> None:
+def test_a_blocking_client_reads_megabytes_over_tls(server: Served, trust: ssl.SSLContext) -> None:
     with server.client(tls=trust) as client:
         with client.pipeline() as many:
             for _ in range(1000):
@@ -64,12 +64,12 @@ def test_a_blocking_client_and_replies_of_megabytes(server: Served, trust: ssl.S
         ]
 
 
-async def test_an_awaiting_client(server: Served, trust: ssl.SSLContext) -> None:
+async def test_an_awaiting_client_connects_over_tls(server: Served, trust: ssl.SSLContext) -> None:
     async with AsyncClient(port=server.port, password=PASSWORD, timeout=PATIENCE, tls=trust) as client:
         assert (await client.step(3))["frame"] == 3
 
 
-async def test_who_is_not_trusted_gets_no_password(server: Served) -> None:
+async def test_an_untrusted_server_is_sent_no_password(server: Served) -> None:
     with pytest.raises(Disconnected, match="certificate"):
         server.client(tls=True).connect()
     with pytest.raises(Disconnected, match="certificate"):
@@ -77,7 +77,7 @@ async def test_who_is_not_trusted_gets_no_password(server: Served) -> None:
     assert server.call(lambda: server.host.connections) == 0
 
 
-def test_who_does_not_speak_tls_gets_nothing(server: Served, trust: ssl.SSLContext) -> None:
+def test_a_peer_without_tls_is_sent_nothing(server: Served, trust: ssl.SSLContext) -> None:
     with server.peer(None) as peer:
         peer.send(PASSWORD.encode() + DELIMITER)
         assert DELIMITER not in peer.socket.recv(1000)
@@ -85,12 +85,12 @@ def test_who_does_not_speak_tls_gets_nothing(server: Served, trust: ssl.SSLConte
         assert client.ping()
 
 
-def test_a_handshake_that_stalls_is_ended(identity: ssl.SSLContext) -> None:
+def test_a_tls_handshake_that_stalls_is_ended(identity: ssl.SSLContext) -> None:
     with served(tls=identity, limits=Limits(auth_timeout=0.3)) as server, server.peer(None) as peer:
         assert peer.rest() == []
 
 
-def test_a_refused_peer_learns_why_and_one_that_leaves_is_obeyed(server: Served, trust: ssl.SSLContext) -> None:
+def test_refused_and_departed_tls_peers_are_treated_like_others(server: Served, trust: ssl.SSLContext) -> None:
     with socket.create_connection(("127.0.0.1", server.port), PATIENCE) as plain:
         with trust.wrap_socket(plain, server_hostname="127.0.0.1") as peer:
             peer.sendall(b"guess" + DELIMITER)
@@ -104,7 +104,7 @@ def test_a_refused_peer_learns_why_and_one_that_leaves_is_obeyed(server: Served,
     until(lambda: server.call(lambda: server.host.connections) == 0)
 
 
-def test_the_command_line(authority: trustme.CA, tmp_path: Path) -> None:
+def test_nmes_serve_takes_a_certificate(authority: trustme.CA, tmp_path: Path) -> None:
     issued = authority.issue_cert("127.0.0.1")
     issued.private_key_pem.write_to_path(tmp_path / "key.pem")
     for blob in issued.cert_chain_pems:

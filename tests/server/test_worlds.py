@@ -52,12 +52,12 @@ def test_a_world_and_its_recording_begin_when_it_is_first_used(server: Served, t
     assert sorted(path.name.split("-")[0] for path in tmp_path.iterdir()) == ["green", "red"]
 
 
-def test_a_world_that_ticks_by_itself_does_so_once_it_is_used() -> None:
+def test_a_realtime_world_ticks_once_it_is_used() -> None:
     with served({"name": "red", "mode": "fast"}, lazy=True) as server, server.client() as client:
         until(lambda: client.get_world_info()["frame"] > 100)
 
 
-def test_a_world_that_cannot_be_created_is_told_and_does_not_hurt_the_others(
+def test_a_world_that_cannot_be_created_is_reported_and_the_others_are_served(
     server: Served, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     create = HostedWorld.__init__
@@ -79,7 +79,7 @@ def test_a_world_that_cannot_be_created_is_told_and_does_not_hurt_the_others(
         assert client.step()["frame"] == 1
 
 
-async def test_names_are_had_once_and_shapes_are_checked_at_once() -> None:
+async def test_world_names_are_unique_and_configs_are_checked_at_once() -> None:
     async with Host("x") as host:
         assert host.offer({"name": "red"}) == "red"
         with pytest.raises(WorldError, match="two worlds are called 'red'"):
@@ -121,7 +121,7 @@ async def test_each_port_has_its_world_and_all_are_found_by_name_on_each() -> No
 # -- they are listed -------------------------------------------------------------------------------------------------
 
 
-def test_a_list_creates_and_enters_none(server: Served, tmp_path: Path) -> None:
+def test_listing_worlds_creates_and_joins_none(server: Served, tmp_path: Path) -> None:
     unused = {
         "port": server.port,
         "backend": "ballistic",
@@ -146,7 +146,7 @@ def test_a_list_creates_and_enters_none(server: Served, tmp_path: Path) -> None:
         assert asker.worlds()[1]["fault"] is not None
 
 
-def test_a_list_is_one_valid_message_and_then_the_end(server: Served) -> None:
+def test_a_list_of_worlds_is_one_valid_message_and_then_the_connection_ends(server: Served) -> None:
     with server.peer(None) as peer:
         peer.say({"type": "auth", "password": PASSWORD, "list": True, "id": 5}, {"type": "ping"})
         (answer,) = peer.rest()
@@ -159,7 +159,7 @@ def test_a_list_is_one_valid_message_and_then_the_end(server: Served) -> None:
     assert server.call(lambda: server.host.worlds) == {}
 
 
-async def test_an_awaiting_client_lists_too(server: Served) -> None:
+async def test_an_awaiting_client_lists_worlds(server: Served) -> None:
     asker = AsyncClient(port=server.port, password=PASSWORD, timeout=PATIENCE)
     assert await asker.worlds() == server.client().worlds()
     async with asker:
@@ -170,7 +170,7 @@ async def test_an_awaiting_client_lists_too(server: Served) -> None:
     assert refused.value.code == "auth_failed"
 
 
-async def test_a_server_that_lists_nothing_is_told_apart(server: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_a_server_that_cannot_list_worlds_is_an_error(server: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Host, "list_worlds", lambda self, port: self.find(None).world.welcome(1))
     with pytest.raises(CommandFailed) as failed:
         server.client().worlds()
@@ -180,7 +180,7 @@ async def test_a_server_that_lists_nothing_is_told_apart(server: Served, monkeyp
     assert failed.value.code == "unsupported"
 
 
-def test_nmes_worlds(server: Served) -> None:
+def test_nmes_worlds_prints_the_list(server: Served) -> None:
     with server.client(world="green") as client:
         client.step(7)
         address = f"127.0.0.1:{server.port}"
@@ -208,7 +208,7 @@ def test_nmes_worlds(server: Served) -> None:
 # -- nmes serve ------------------------------------------------------------------------------------------------------
 
 
-def test_serve_many_worlds_on_a_port_each(tmp_path: Path) -> None:
+def test_nmes_serve_gives_each_world_a_port(tmp_path: Path) -> None:
     options = ["--json", "--port", "0", "--backend", "ballistic", "--mode", "lockstep", "--record", str(tmp_path)]
     with process("serve", "--worlds", "3", *options, NMES_PASSWORD=PASSWORD) as server:
         said = ready(server)
@@ -228,7 +228,7 @@ def test_serve_many_worlds_on_a_port_each(tmp_path: Path) -> None:
     assert [(report.verdict, report.ticks) for report in reports] == [("reproduced", 1), ("reproduced", 2)]
 
 
-def test_serve_named_worlds_and_say_so_for_people() -> None:
+def test_nmes_serve_prints_named_worlds_for_people() -> None:
     options = ["--port", "0", "--backend", "ballistic", "--mode", "lockstep", "--no-record"]
     with process("serve", "--worlds", "red,green", *options, NMES_PASSWORD=PASSWORD) as server:
         assert server.stdout is not None
@@ -242,7 +242,7 @@ def test_serve_named_worlds_and_say_so_for_people() -> None:
     assert out == "World 'green' stopped at frame 5\n"
 
 
-def test_ports_a_step_apart(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ports_of_worlds_are_port_step_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[int, str | None]] = []
 
     async def listen(self: Host, host: str, port: int, world: str | None = None) -> tuple[str, int]:
@@ -268,7 +268,7 @@ def test_ports_a_step_apart(monkeypatch: pytest.MonkeyPatch) -> None:
         (["--port-step", "3"], "--port-step goes with a number"),
     ],
 )
-def test_wrong_usage(options: list[str], says: str) -> None:
+def test_wrong_usage_is_explained(options: list[str], says: str) -> None:
     result = run("serve", "--no-record", "--backend", "ballistic", *options)
     assert result.exit_code == 2
     assert says in result.output

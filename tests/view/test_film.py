@@ -89,7 +89,7 @@ def frames(path: Path) -> list[Pixels]:
         return [np.asarray(frame.convert("RGB")) for frame in ImageSequence.Iterator(image)]
 
 
-def test_moments_are_the_ticks(thrown: Recording) -> None:
+def test_a_film_has_the_moments_of_the_ticks(thrown: Recording) -> None:
     ticks = list(moments(thrown))
     assert [moment.time for moment in ticks] == [tick / 60 for tick in range(1, 121)]
     assert list(ticks[59].shapes) == ["red", "green_BASE"]
@@ -103,7 +103,9 @@ def test_moments_are_the_ticks(thrown: Recording) -> None:
         assert moment.poses[0] == pytest.approx([2 * moment.time, 5, 0, 0, 0, 0, 1], abs=1e-9)
 
 
-def test_of_another_machine_recorded_poses_are_shown(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_recording_of_another_machine_is_filmed_from_its_poses(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     ticks = list(moments(alien(monkeypatch, tmp_path / "alien.mcap")))
     assert [moment.time for moment in ticks] == pytest.approx([tick / 60 for tick in range(6, 121)])
     for moment in ticks:
@@ -113,7 +115,7 @@ def test_of_another_machine_recorded_poses_are_shown(monkeypatch: pytest.MonkeyP
         list(moments(alien(monkeypatch, tmp_path / "blind.mcap", pose_rate=0)))
 
 
-def test_a_reset_does_not_turn_time_back(tmp_path: Path) -> None:
+def test_time_in_a_film_goes_on_over_a_reset(tmp_path: Path) -> None:
     def play(world: World, client: int) -> None:
         send(world, client, type="step", ticks=3)
         send(world, client, type="reset", seed=9)
@@ -140,7 +142,7 @@ def test_a_film_shows_the_cubes_at_their_times(recording: Recording, tmp_path: P
             assert image.info["duration"] == 100 and image.info["loop"] == 0
 
 
-def test_a_camera_that_follows_keeps_what_moves_in_the_middle(recording: Recording, tmp_path: Path) -> None:
+def test_a_following_camera_keeps_the_moving_cube_in_the_middle(recording: Recording, tmp_path: Path) -> None:
     for camera in ("follow", "orbit"):
         path = tmp_path / "film.gif"
         film([recording], path, Cut(camera=camera, target="red"), fps=5, size=(120, 90))
@@ -149,14 +151,14 @@ def test_a_camera_that_follows_keeps_what_moves_in_the_middle(recording: Recordi
             assert spot is not None and abs(spot[0] - 0.5) < 0.12 and abs(spot[1] - 0.5) < 0.12
 
 
-def test_what_does_not_move_and_stands_far_off_is_not_looked_at(recording: Recording, tmp_path: Path) -> None:
+def test_the_camera_ignores_distant_cubes_that_do_not_move(recording: Recording, tmp_path: Path) -> None:
     film([recording], tmp_path / "red.png", Cut(end=0.5), size=(120, 90))
     image = frames(tmp_path / "red.png")[0]
     spot = place(image, 0)
     assert spot is not None and abs(spot[0] - 0.5) < 0.1
 
 
-def test_speed_and_cut(recording: Recording, tmp_path: Path) -> None:
+def test_a_film_may_be_faster_and_a_part(recording: Recording, tmp_path: Path) -> None:
     path = tmp_path / "film.gif"
     film([recording], path, Cut(begin=0.5, end=1.5, speed=0.5), fps=10, size=(32, 32))
     assert len(frames(path)) == 21
@@ -166,7 +168,7 @@ def test_speed_and_cut(recording: Recording, tmp_path: Path) -> None:
         film([recording], path, Cut(begin=3))
 
 
-def test_several_are_put_side_by_side(recording: Recording, tmp_path: Path) -> None:
+def test_several_recordings_are_filmed_side_by_side(recording: Recording, tmp_path: Path) -> None:
     path = tmp_path / "grid.png"
     film([recording, recording, recording], path, Cut(target="red"), size=(200, 100))
     image = frames(path)[0]
@@ -175,7 +177,7 @@ def test_several_are_put_side_by_side(recording: Recording, tmp_path: Path) -> N
     assert [place(quarter, 0) is not None for quarter in quarters] == [True, True, True, False]
 
 
-def test_a_planar_world_is_looked_at_from_its_front(tmp_path: Path, recording: Recording) -> None:
+def test_a_planar_world_is_filmed_from_its_front(tmp_path: Path, recording: Recording) -> None:
     def play(world: World, client: int) -> None:
         send(world, client, type="spawn_cube", cube_name="a", position=[-2, 2, 0], color=[1, 0, 0])
         send(world, client, type="spawn_cube", cube_name="b", position=[2, 2, 0], color=[0, 0, 1])
@@ -189,7 +191,7 @@ def test_a_planar_world_is_looked_at_from_its_front(tmp_path: Path, recording: R
     assert red[0] == pytest.approx(1 - blue[0], abs=0.02) and red[1] == pytest.approx(blue[1], abs=0.02)
 
 
-def test_what_fails_leaves_the_old_file(recording: Recording, tmp_path: Path) -> None:
+def test_a_film_that_fails_leaves_the_old_file(recording: Recording, tmp_path: Path) -> None:
     path = tmp_path / "film.gif"
     path.write_text("old")
 
@@ -209,7 +211,7 @@ def run(*arguments: object) -> tuple[int, str]:
     return result.exit_code, result.output
 
 
-def test_the_command(recording: Recording, tmp_path: Path) -> None:
+def test_nmes_render_writes_films_and_pictures(recording: Recording, tmp_path: Path) -> None:
     path = tmp_path / "film.gif"
     status, output = run(recording.path, "-o", path, "--size", "64x48", "--fps", 5, "--to", 1, "--camera", "orbit")
     assert (status, output) == (0, f"wrote {path}\n")

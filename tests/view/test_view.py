@@ -102,7 +102,7 @@ def shown(recording: Path, environment: dict[str, str]) -> Rows:
     return {path.removeprefix("/hinged\\ cubes"): rows for path, rows in read(saved).items()}
 
 
-def test_cubes_are_where_they_were(shown: Rows) -> None:
+def test_the_viewer_has_the_recorded_poses(shown: Rows) -> None:
     first, *rest = shown["/cubes"]
     assert first["Boxes3D:labels"] == ["red", "blue", "green"]
     assert [f"{color:08x}" for color in first["Boxes3D:colors"]] == ["ff0000ff", "0000ffff", "00ff00ff"]
@@ -144,7 +144,7 @@ def test_forces_are_drawn_while_they_act(shown: Rows) -> None:
     assert not gone.get("Arrows3D:origins")
 
 
-def test_contacts_push_up_what_lies(shown: Rows) -> None:
+def test_contact_arrows_point_up_under_resting_cubes(shown: Rows) -> None:
     rows = [row for row in shown["/contacts"] if row.get("Arrows3D:origins")]
     assert rows
     at = np.array(rows[-1]["Arrows3D:origins"])
@@ -154,7 +154,7 @@ def test_contacts_push_up_what_lies(shown: Rows) -> None:
     assert (vectors[beneath, 1] > 0).all()
 
 
-def test_what_was_said_stands_at_its_time(shown: Rows) -> None:
+def test_messages_are_shown_at_their_time(shown: Rows) -> None:
     lines = [(round(row["time"] * 60), row["TextLog:level"][0], row["TextLog:text"][0]) for row in shown["/log"]]
     assert lines[0] == (0, "INFO", "client 1 joined")
     assert lines[1][2].startswith('client 1: spawn_cube cube_name="red" position=[0,0.5,0]')
@@ -165,7 +165,7 @@ def test_what_was_said_stands_at_its_time(shown: Rows) -> None:
     assert steps == list(range(60))
 
 
-def test_curves_have_every_tick(shown: Rows) -> None:
+def test_curves_have_a_value_for_every_tick(shown: Rows) -> None:
     rows = [row for row in shown["/plots/height\\ of\\ the\\ middle\\ \\(m\\)"] if "Scalars:scalars" in row]
     assert [round(row["time"] * 60) for row in rows] == list(range(1, 61))
     for row in rows:
@@ -176,7 +176,7 @@ def test_curves_have_every_tick(shown: Rows) -> None:
     assert reward["Scalars:scalars"][0] == pytest.approx(seen[60]["green"][0] - 4.0, abs=1e-6)
 
 
-def test_only_what_moved_is_sent(tmp_path: Path, environment: dict[str, str]) -> None:
+def test_only_moved_cubes_are_sent_to_the_viewer(tmp_path: Path, environment: dict[str, str]) -> None:
     def wait_then_move(world: World, client: int) -> None:
         send(world, client, type="spawn_cube", cube_name="still", position=[0, 3, 0])
         send(world, client, type="step", ticks=60)
@@ -189,7 +189,7 @@ def test_only_what_moved_is_sent(tmp_path: Path, environment: dict[str, str]) ->
     assert times == [2, *range(62, 81, 2)]
 
 
-def test_a_divergence_is_marked_where_it_is(tmp_path: Path, environment: dict[str, str]) -> None:
+def test_a_divergence_is_marked_at_its_tick(tmp_path: Path, environment: dict[str, str]) -> None:
     def fly(world: World, client: int) -> None:
         send(world, client, type="spawn_cube", position=[0, 9, 0])
         for _ in range(60):
@@ -300,7 +300,7 @@ def drive(
     return digests
 
 
-def test_a_live_world_is_seen_whole_by_who_comes_late(tmp_path: Path, environment: dict[str, str]) -> None:
+def test_a_late_viewer_sees_the_whole_live_world(tmp_path: Path, environment: dict[str, str]) -> None:
     viewers: list[subprocess.Popen[str]] = []
 
     metrics = Metrics()
@@ -331,7 +331,7 @@ def test_a_live_world_is_seen_whole_by_who_comes_late(tmp_path: Path, environmen
     assert [row["TextLog:text"][0] for row in rows["/main/log"]] == ["the world was reset", "the world was closed"]
 
 
-def test_a_fault_is_told_where_it_comes(tmp_path: Path, environment: dict[str, str]) -> None:
+def test_a_fault_is_shown_at_its_tick(tmp_path: Path, environment: dict[str, str]) -> None:
     with served({"backend": "mujoco"}) as running, running.client() as client:
         name = client.spawn_cube(position=[0, 5, 0])["spawned"]
         process = watch_live(running, environment, tmp_path / "fault.rrd")
@@ -348,7 +348,7 @@ def test_a_fault_is_told_where_it_comes(tmp_path: Path, environment: dict[str, s
 
 
 @pytest.mark.parametrize("lacking", ["batch", "get_joint_list"])
-def test_a_server_that_does_not_tell_of_joints_is_seen_without(
+def test_a_server_without_joint_queries_is_shown_without_joints(
     tmp_path: Path, environment: dict[str, str], monkeypatch: pytest.MonkeyPatch, lacking: str
 ) -> None:
     def refuse(*_: object) -> NoReturn:
@@ -370,7 +370,7 @@ def test_a_server_that_does_not_tell_of_joints_is_seen_without(
     assert "/main/joints" not in rows
 
 
-def test_a_viewer_that_is_killed_disturbs_nobody(tmp_path: Path, environment: dict[str, str]) -> None:
+def test_a_killed_viewer_does_not_disturb_the_host(tmp_path: Path, environment: dict[str, str]) -> None:
     with served({}) as running:
         process = watch_live(running, environment, tmp_path / "killed.rrd")
         process.kill()
@@ -490,7 +490,7 @@ def colors(pixels: np.ndarray[Any, np.dtype[Any]]) -> set[str]:
     return names
 
 
-def test_without_a_display_it_says_what_to_do(recording: Path, environment: dict[str, str]) -> None:
+def test_without_a_display_the_error_says_what_to_do(recording: Path, environment: dict[str, str]) -> None:
     bare = {name: value for name, value in environment.items() if name not in ("DISPLAY", "WAYLAND_DISPLAY")}
     run = view(bare, recording)
     assert run.returncode == 1
@@ -498,7 +498,7 @@ def test_without_a_display_it_says_what_to_do(recording: Path, environment: dict
     assert "--web" in run.stderr
 
 
-def test_without_rerun_it_names_the_extra(recording: Path, tmp_path: Path, environment: dict[str, str]) -> None:
+def test_without_rerun_the_error_names_the_extra(recording: Path, tmp_path: Path, environment: dict[str, str]) -> None:
     (tmp_path / "rerun.py").write_text("raise ImportError('it is not here')\n")
     run = view({**environment, "PYTHONPATH": str(tmp_path)}, recording, "--web")
     assert run.returncode == 1
@@ -506,7 +506,7 @@ def test_without_rerun_it_names_the_extra(recording: Path, tmp_path: Path, envir
     assert "Traceback" not in run.stderr
 
 
-def test_a_world_that_is_not_there_is_named(environment: dict[str, str], tmp_path: Path) -> None:
+def test_an_unreachable_world_is_named_in_the_error(environment: dict[str, str], tmp_path: Path) -> None:
     run = view(environment, "127.0.0.1:1", "--save", tmp_path / "x.rrd")
     assert run.returncode == 1
     assert "cannot connect to 127.0.0.1:1" in run.stderr

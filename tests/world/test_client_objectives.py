@@ -49,7 +49,7 @@ class Wire:
 
 
 @pytest.mark.parametrize("backend", ["mujoco", "pymunk", "ballistic"])
-def test_a_thrown_cube_is_where_the_formulas_say(backend: str) -> None:
+def test_a_thrown_cube_scores_what_the_formulas_say(backend: str) -> None:
     wire = Wire(backend=backend)
     wire("spawn_cube", cube_name="ball", position=[1, 20, 0], linear_velocity=[3, 4, 0])
     for name in (
@@ -101,7 +101,7 @@ def test_a_turned_cube_is_as_upright_as_it_is_turned() -> None:
 
 @pytest.mark.parametrize("backend", ["mujoco", "pymunk"])
 @pytest.mark.parametrize("kind", ["hinge", "slide"])
-def test_a_motor_that_speeds_a_known_inertia_up_has_worked_its_energy(backend: str, kind: str) -> None:
+def test_the_work_of_a_motor_is_the_energy_that_its_load_gains(backend: str, kind: str) -> None:
     wire = Wire(backend=backend, gravity=[0, 0, 0], tick_rate=240, substeps=4)
     wire("spawn_cube", cube_name="base", position=[0, 50, 0], is_base=True)
     wire("spawn_cube", cube_name="wheel", position=[3, 50, 0], size=[1, 1, 1], mass=2)
@@ -128,7 +128,7 @@ def test_a_motor_that_speeds_a_known_inertia_up_has_worked_its_energy(backend: s
     assert wire.metric("energy") == pytest.approx(twice) == pytest.approx(wire.metric("energy", cube="base_BASE"))
 
 
-def test_contacts_are_the_cubes_that_touch_what_is_not_of_the_body() -> None:
+def test_contacts_count_the_cubes_that_touch_something_outside_the_body() -> None:
     wire = Wire()
     for name, x, y in (("left", 0, 0.5), ("right", 3, 0.5), ("top", 0, 1.5)):
         wire("spawn_cube", cube_name=name, position=[x, y, 0])
@@ -139,7 +139,7 @@ def test_contacts_are_the_cubes_that_touch_what_is_not_of_the_body() -> None:
     assert [wire.worth(name) for name in ("all", "pair", "one", "named")] == [2, 1, 1, 2]
 
 
-def test_a_creature_is_known_by_its_ids_and_scores_what_a_trace_of_it_says_to_the_last_bit() -> None:
+def test_a_creature_scores_what_its_trajectory_scores_bit_for_bit() -> None:
     wire = Wire()
     spawned = wire("spawn_creature", genome=GENOME, name="it", position=[0, 0.2, 0])
     wire("spawn_cube", cube_name="ball", position=[2, 1, 0.5])
@@ -196,7 +196,7 @@ def test_objectives_are_a_clients_own_and_count_from_when_they_were_set() -> Non
     assert (wire.worth(), send(wire.world, other, type="compute_reward")["value"]) == pytest.approx((-1, 4))
 
 
-def test_what_cannot_be_is_refused_and_changes_nothing() -> None:
+def test_an_invalid_objective_is_refused_and_changes_nothing() -> None:
     wire = Wire()
     wire("spawn_cube", cube_name="a")
     wire("spawn_creature", genome=GENOME, name="it", position=[5, 0, 0])
@@ -231,7 +231,7 @@ def test_an_engine_without_contacts_is_not_asked_for_any(monkeypatch: pytest.Mon
     assert (code, field) == ("unsupported", "expression")
 
 
-def test_an_objective_of_which_a_cube_is_gone_is_refused_until_it_is_set_anew() -> None:
+def test_an_objective_with_a_removed_cube_is_refused_until_it_is_set_anew() -> None:
     wire = Wire()
     for name in ("a", "b"):
         wire("spawn_cube", cube_name=name, position=[0, 5, 0])
@@ -273,7 +273,9 @@ def test_rewards_are_reproduced(tmp_path: Path) -> None:
     assert replay(path).verdict == "reproduced"
 
 
-def test_a_reward_that_is_not_the_recorded_one_is_a_divergence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_reward_that_differs_from_the_recorded_one_is_a_divergence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = record(tmp_path / "rewarded.mcap", play, {"backend": "mujoco"})
     told = RunningQuantities.values
     monkeypatch.setattr(RunningQuantities, "values", lambda *given: {q: v + 1e-9 for q, v in told(*given).items()})
@@ -282,7 +284,7 @@ def test_a_reward_that_is_not_the_recorded_one_is_a_divergence(tmp_path: Path, m
     assert report.divergence is not None and "reward" in str(report.divergence)
 
 
-def test_a_restored_world_has_worked_and_seen_what_the_saved_one_has() -> None:
+def test_a_restored_world_has_the_energy_and_objectives_of_the_saved_one() -> None:
     first = Wire()
     cubes = list(first("spawn_creature", genome=GENOME, name="it", position=[0, 0.1, 0])["cubes"].values())
     first("set_objective", expression="energy + mean.height + max.speed + time_upright + displacement.x", creature="it")

@@ -116,7 +116,7 @@ def test_names_are_drawn_from_the_seed_and_never_twice() -> None:
     assert len(set(first.world.cubes())) == 8
 
 
-def test_driving_aims_the_motors_and_stays() -> None:
+def test_driving_sets_motor_targets_that_last() -> None:
     place = Place(gravity=[0, 0, 0])
     place("spawn_creature", genome=crawler(), name="worm", position=[0, 1, 0])
     assert place("drive", creature="worm", controls=[1, -0.5, 0]) == {"type": "driven", "creature": "worm"}
@@ -128,7 +128,7 @@ def test_driving_aims_the_motors_and_stays() -> None:
     ]  # fmt: skip
 
 
-def test_sensors_read_what_they_say() -> None:
+def test_sensors_read_the_quantities_of_their_names() -> None:
     place = Place()
     place("spawn_creature", genome=wheel(), name="w")
     place("drive", creature="w", controls=[1])
@@ -149,7 +149,7 @@ def test_sensors_read_what_they_say() -> None:
     assert place("sense", creature="w")["values"][4] == pytest.approx(math.cos(state["rotation"][0]), abs=1e-6)
 
 
-def test_readings_of_a_cube_are_in_its_own_directions() -> None:
+def test_readings_of_a_cube_are_along_its_own_axes() -> None:
     genome = crawler(sensors=[{"type": kind, "cube": "s0"} for kind in ("height", "up", "velocity", "spin")])
     place = Place(gravity=[0, 0, 0])
     place("spawn_creature", genome=genome, name="w", position=[0, 3, 0])
@@ -168,7 +168,7 @@ def test_readings_of_a_cube_are_in_its_own_directions() -> None:
 _AIM = [{"type": f"target_{kind}", "cube": "s0"} for kind in ("direction", "distance", "velocity")]
 
 
-def test_a_target_is_felt_in_a_cube_s_own_directions() -> None:
+def test_a_target_is_sensed_along_the_cube_s_own_axes() -> None:
     """A cube that lies on its side, its x upwards and its y along -x, flies at 2 m/s along x."""
     genome = crawler(sensors=[*_AIM, {"type": "target_distance", "cube": "s2"}, {"type": "height", "cube": "s0"}])
     place = Place(gravity=[0, 0, 0])
@@ -241,7 +241,7 @@ def test_a_target_is_a_point_or_a_name(target: Any) -> None:
         ({"genome": {**crawler(), "sensors": [{"type": "up", "cube": "s9"}]}}, "invalid", "genome/sensors/0/cube"),
     ],
 )
-def test_what_cannot_be_spawned_leaves_no_trace(fields: Command, code: str, field: str | None) -> None:
+def test_a_creature_that_cannot_be_spawned_leaves_no_trace(fields: Command, code: str, field: str | None) -> None:
     place = Place(limits={"cubes": 20})
     place("spawn_creature", genome=crawler(), name="worm")
     place("spawn_cube", cube_name="x.s2", position=[0, 9, 0])
@@ -252,7 +252,7 @@ def test_what_cannot_be_spawned_leaves_no_trace(fields: Command, code: str, fiel
     assert place.world.creatures() == ["worm"]
 
 
-def test_all_that_is_wrong_with_a_genome_is_said_at_once() -> None:
+def test_all_mistakes_of_a_genome_are_reported_at_once() -> None:
     genome = crawler()
     genome["body"]["cubes"][1]["size"], genome["body"]["joints"][0]["motor"]["max_effort"] = 0, -1
     reply = Place()("spawn_creature", genome=genome)
@@ -260,7 +260,7 @@ def test_all_that_is_wrong_with_a_genome_is_said_at_once() -> None:
     assert "body/joints/0/motor/max_effort: expected a number from 0" in reply["message"]
 
 
-def test_a_body_that_is_wrong_all_over_is_refused_soon_and_briefly() -> None:
+def test_a_body_with_many_mistakes_is_refused_quickly_and_briefly() -> None:
     cubes = [{"id": f"c{i}", "size": [9, 0.1, 0.1], "mass": 1, "position": [0, 0.05, 0.0001 * i]} for i in range(256)]
     reply = Place()("spawn_creature", genome={**crawler(), "body": {"cubes": cubes}})
     lines = reply["message"].splitlines()
@@ -276,7 +276,7 @@ def test_an_engine_that_lacks_what_a_body_needs_says_so() -> None:
     assert (reply["code"], reply["field"]) == ("unsupported", "genome/body")
 
 
-def test_a_body_in_the_plane_lives_in_the_planar_engine() -> None:
+def test_a_planar_body_can_be_spawned_in_the_planar_engine() -> None:
     genome = crawler()
     for joint in genome["body"]["joints"]:
         joint["axis"] = [0, 0, 1]
@@ -288,7 +288,7 @@ def test_a_body_in_the_plane_lives_in_the_planar_engine() -> None:
 
 
 @pytest.mark.parametrize("backend", ["mujoco", "pymunk", "ballistic"])
-def test_a_creature_s_life_in_any_engine_comes_out_again(backend: str, tmp_path: Path) -> None:
+def test_a_creature_s_history_is_reproduced_on_any_engine(backend: str, tmp_path: Path) -> None:
     genome = crawler(2)
     genome["body"]["joints"][0] = {**genome["body"]["joints"][0], "type": "fixed"}
     for field in ("axis", "limits", "motor"):
@@ -317,7 +317,7 @@ def test_a_creature_s_life_in_any_engine_comes_out_again(backend: str, tmp_path:
     assert replay(tmp_path / "a.mcap").verdict == "reproduced"
 
 
-def test_it_is_a_creature_until_a_part_is_taken_away() -> None:
+def test_a_creature_exists_until_a_part_is_removed() -> None:
     place = Place()
     for name in "ab":
         place("spawn_creature", genome=crawler(), name=name)
@@ -342,7 +342,7 @@ def test_controls_are_as_many_as_motors_and_within_bounds(controls: list[Any]) -
     assert place.world.digest() == before
 
 
-def test_a_motor_that_was_switched_off_or_retuned_is_taken_up_again() -> None:
+def test_driving_restores_a_motor_that_was_switched_off_or_retuned() -> None:
     place = Place(gravity=[0, 0, 0])
     place("spawn_creature", genome=crawler(), name="worm", position=[0, 1, 0])
     place("drive", creature="worm", controls=[0, 0, 0])
@@ -415,7 +415,7 @@ _STEPS = st.lists(
 
 @given(_STEPS)
 @settings(max_examples=60, deadline=None)
-def test_driving_is_setting_each_motor_s_target_whatever_else_happens(steps: list[tuple[str, float, float]]) -> None:
+def test_driving_equals_setting_each_motor_s_target(steps: list[tuple[str, float, float]]) -> None:
     """Two worlds get the same commands, but one is driven as a whole and the other joint by joint."""
     driven, single = Place(), Place()
     for place in (driven, single):
@@ -467,7 +467,7 @@ def test_driving_is_setting_each_motor_s_target_whatever_else_happens(steps: lis
     assert driven.world.fault is None
 
 
-def test_driving_in_process_is_driving_over_the_wire(tmp_path: Path) -> None:
+def test_driving_in_process_equals_driving_over_the_wire(tmp_path: Path) -> None:
     digests = []
     for in_process in (True, False):
         place = Place(tmp_path / f"{in_process}.mcap")
@@ -510,7 +510,7 @@ def test_driving_in_process_refuses_what_the_wire_would(name: str, controls: Any
         place.world.creature("nobody")
 
 
-def test_sensing_in_process_is_what_the_wire_says_and_changes_nothing() -> None:
+def test_sensing_in_process_equals_the_wire_and_changes_nothing() -> None:
     place, other = Place(), Place()
     for each in (place, other):
         each("spawn_creature", genome=wheel(), name="worm")

@@ -33,7 +33,7 @@ def watched(world: World) -> Seen:
 
 @settings(max_examples=60, deadline=None)
 @given(histories, st.integers(0, 40), st.sampled_from(["ballistic", "mujoco"]), st.sampled_from([0, 0.05]))
-def test_a_restored_world_goes_on_in_all_that_it_says_and_does(
+def test_a_restored_world_continues_with_the_same_replies_and_digests(
     what: list[Any], cut: int, backend: str, keyframes: float
 ) -> None:
     config = {"backend": backend, "mode": "lockstep", "seed": 4, "keyframes": keyframes}
@@ -70,7 +70,7 @@ print(json.dumps([replies, [digest.hex() for digest in digests]]))
 
 
 @pytest.mark.parametrize(("backend", "number", "cut"), [("mujoco", 61, 40), ("mujoco", 62, 23), ("ballistic", 63, 55)])
-def test_structures_go_on_in_a_fresh_process(backend: str, number: int, cut: int) -> None:
+def test_a_restored_structure_continues_in_a_fresh_process(backend: str, number: int, cut: int) -> None:
     program = programs.draw(number, 80)
     world = World({"backend": backend, "mode": "lockstep", "seed": number})
     programs.play(world, program[:cut])
@@ -89,7 +89,7 @@ def test_structures_go_on_in_a_fresh_process(backend: str, number: int, cut: int
 
 
 @pytest.mark.parametrize("number", range(200, 212))
-def test_structures_go_on(number: int) -> None:
+def test_a_restored_structure_continues_the_same(number: int) -> None:
     config = {"mode": "lockstep", "seed": number}
     program, cut = programs.draw(number, 110), 65 + number % 12
     first, second = World(config), World(config)
@@ -99,7 +99,7 @@ def test_structures_go_on(number: int) -> None:
     assert programs.play(first, program[cut:]) == programs.play(second, program[cut:])
 
 
-def test_a_snapshot_says_what_it_is() -> None:
+def test_a_snapshot_names_its_format_and_engine() -> None:
     world = World({"backend": "ballistic", "name": "w"})
     world.execute(world.join(), {"type": "spawn_cube", "cube_name": "c"})
     line, _, engine = world.snapshot().partition(b"\n")
@@ -140,7 +140,7 @@ def damaged(held: bytes, **changes: object) -> bytes:
     return orjson.dumps({**json.loads(line), **changes}) + b"\n" + engine
 
 
-def test_what_is_no_snapshot_is_refused_and_changes_nothing() -> None:
+def test_an_invalid_snapshot_is_refused_and_changes_nothing() -> None:
     for backend in ("ballistic", "mujoco"):
         world, other = World({"backend": backend}), World({"backend": backend, "seed": 2})
         client = world.join()
@@ -178,7 +178,7 @@ def test_what_is_no_snapshot_is_refused_and_changes_nothing() -> None:
 # -- keyframes -------------------------------------------------------------------------------------------------------
 
 
-def test_keyframes_come_every_so_often_between_inputs() -> None:
+def test_keyframes_are_taken_at_their_interval_between_inputs() -> None:
     world = World({"backend": "ballistic", "mode": "lockstep", "keyframes": 0.1})
     client, seen = world.join(), watched(world)
     batch = {"type": "batch", "commands": [{"type": "step", "ticks": 4}, {"type": "spawn_cube", "cube_name": "c"}]}
@@ -208,7 +208,7 @@ def test_keyframes_come_every_so_often_between_inputs() -> None:
     ]
 
 
-def test_what_a_world_answers_after_a_reset_does_not_depend_on_what_was_before() -> None:
+def test_answers_after_a_reset_do_not_depend_on_the_history_before() -> None:
     def readings(world: World) -> list[Any]:
         world.execute(1, {"type": "reset", "seed": 8})
         for n, x in enumerate((0.0, 0.3, 2.0)):
@@ -228,7 +228,7 @@ def test_what_a_world_answers_after_a_reset_does_not_depend_on_what_was_before()
         assert readings(fresh) == expected
 
 
-def test_keyframes_are_the_same_whoever_looks() -> None:
+def test_queries_do_not_change_keyframes() -> None:
     """With a journal or without, with listeners or without: the world goes the same way."""
 
     def play(world: World) -> tuple[Any, bytes]:
@@ -243,7 +243,7 @@ def test_keyframes_are_the_same_whoever_looks() -> None:
     assert sum(what[0] == "keyframe" for what in seen) > 3
 
 
-def test_an_engine_that_cannot_be_saved_stops_its_world(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_snapshot_that_fails_faults_the_world(monkeypatch: pytest.MonkeyPatch) -> None:
     for error, code in ((SimulationFault("engine_failed", "oh"), "engine_failed"), (ValueError("oh"), "engine_failed")):
 
         def fail(self: object, error: Exception = error) -> bytes:
@@ -257,7 +257,7 @@ def test_an_engine_that_cannot_be_saved_stops_its_world(monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("seconds", [-1, 90_000, "often", None])
-def test_keyframes_that_make_no_sense_are_refused(seconds: Any) -> None:
+def test_invalid_keyframe_intervals_are_refused(seconds: Any) -> None:
     with pytest.raises(RejectedMessage) as caught:
         World({"backend": "ballistic", "keyframes": seconds})
     assert caught.value.path == "keyframes"

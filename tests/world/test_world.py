@@ -129,7 +129,7 @@ def test_names_come_from_the_seed_and_are_never_used_twice() -> None:
     assert first.spawn() == Driver(seed=8).spawn()
 
 
-def test_a_drawn_name_gives_way_to_one_that_a_client_chose(drive: Driver) -> None:
+def test_a_generated_name_avoids_names_chosen_by_clients(drive: Driver) -> None:
     first, second = drive.spawn(), drive.spawn()
     drive.ok("reset")
     assert drive.spawn(cube_name=second) == second
@@ -188,7 +188,7 @@ def test_bones_belong_to_skeletons(drive: Driver) -> None:
 # -- errors ----------------------------------------------------------------------------------------------------------
 
 
-def test_what_cannot_be_done_is_refused_and_changes_nothing(drive: Driver) -> None:
+def test_impossible_commands_are_refused_and_change_nothing(drive: Driver) -> None:
     a, b, c = drive.spawn(cube_name="a"), drive.spawn(cube_name="b"), drive.spawn(cube_name="c")
     drive.joint(a, b)
     drive.refused("cube_exists", "spawn_cube", cube_name="a")
@@ -231,7 +231,7 @@ def test_joint_parameters_are_checked(drive: Driver) -> None:
     assert (params["motor_max_impulse"], params["target_position"]) == (pytest.approx(0.1), 1.0)
 
 
-def test_despawning_takes_the_joints_along(drive: Driver) -> None:
+def test_despawning_a_cube_removes_its_joints(drive: Driver) -> None:
     a, b, c = drive.spawn(), drive.spawn(position=[1.1, 1, 0]), drive.spawn(position=[2.2, 1, 0])
     first, second = drive.joint(a, b), drive.joint(b, c)
     drive.ok("step", ticks=5)
@@ -242,7 +242,7 @@ def test_despawning_takes_the_joints_along(drive: Driver) -> None:
     drive.joint(a, c)
 
 
-def test_limits_are_kept_and_freed() -> None:
+def test_limits_of_cubes_and_joints_hold_and_removal_makes_room() -> None:
     drive = Driver(limits={"cubes": 3, "joints": 1})
     names = [drive.spawn(position=[1.1 * i, 1, 0]) for i in range(3)]
     drive.refused("limit_reached", "spawn_cube")
@@ -254,7 +254,7 @@ def test_limits_are_kept_and_freed() -> None:
 
 
 @given(st.recursive(st.none() | st.booleans() | st.floats(allow_nan=False, allow_infinity=False) | st.text(), st.lists))
-def test_no_value_of_any_field_makes_a_world_raise_or_change(value: Any) -> None:
+def test_an_invalid_value_of_any_field_neither_raises_nor_changes_the_world(value: Any) -> None:
     drive = Driver(backend="ballistic")
     name = drive.spawn(cube_name="a")
     before = drive.world.digest()
@@ -303,7 +303,7 @@ def test_a_batch_is_applied_in_order_and_a_failing_part_leaves_the_rest(drive: D
 # -- time ------------------------------------------------------------------------------------------------------------
 
 
-def test_modes_decide_who_may_step(drive: Driver) -> None:
+def test_step_is_refused_while_the_clock_ticks_the_world(drive: Driver) -> None:
     assert drive.ok("step", ticks=3) == {"type": "stepped", "frame": 3, "t": 3 / 60}
     drive.ok("set_mode", mode="realtime", rate=2)
     running = [drive.world.running]
@@ -345,7 +345,7 @@ def test_a_force_at_a_point_turns_the_cube() -> None:
     assert state["angular_velocity"] == pytest.approx([0, 0, 0.5 * 6])
 
 
-def test_reset_gives_the_world_as_it_was_created(drive: Driver) -> None:
+def test_reset_restores_the_world_as_it_was_created(drive: Driver) -> None:
     def live() -> list[bytes]:
         a, b = drive.spawn(position=[0, 1, 0]), drive.spawn(position=[1.1, 1, 0])
         drive.joint(a, b, motor_target_velocity=3)
@@ -362,7 +362,7 @@ def test_reset_gives_the_world_as_it_was_created(drive: Driver) -> None:
 # -- subscriptions ---------------------------------------------------------------------------------------------------
 
 
-def test_events_come_only_to_subscribers_and_every_so_many_ticks(drive: Driver) -> None:
+def test_events_come_only_to_subscribers_at_their_interval(drive: Driver) -> None:
     other = drive.world.join()
     drive.spawn()
     drive.ok("step", ticks=3)
@@ -417,7 +417,7 @@ def test_a_state_event_holds_what_moved_past_the_thresholds(drive: Driver) -> No
         unique_by=lambda cube: cube[1],
     )
 )
-def test_a_state_event_says_of_a_cube_what_the_world_state_says(cubes: list[tuple[list[float], str]]) -> None:
+def test_a_state_event_equals_the_world_state(cubes: list[tuple[list[float], str]]) -> None:
     drive = Driver(backend="ballistic")
     told: list[bytes] = []
     drive.world.emit = lambda client, event: told.append(event)
@@ -432,7 +432,7 @@ def test_a_state_event_says_of_a_cube_what_the_world_state_says(cubes: list[tupl
     drive.world.close()
 
 
-def test_subscribers_hear_of_the_end(drive: Driver) -> None:
+def test_subscribers_are_told_when_the_world_closes(drive: Driver) -> None:
     drive.ok("subscribe", events=["tick"])
     drive.world.close()
     assert drive.events == [(drive.client, {"type": "world_closed"})]
@@ -477,7 +477,7 @@ class Full:
 
 
 @pytest.mark.parametrize("room", range(8))
-def test_a_world_never_goes_on_unrecorded(room: int) -> None:
+def test_a_world_whose_recording_fails_stops(room: int) -> None:
     drive = Driver(backend="ballistic", keyframes=1 / 60)
     drive.ok("subscribe", events=["tick"])
     drive.world.journal = Full(room)
@@ -488,7 +488,7 @@ def test_a_world_never_goes_on_unrecorded(room: int) -> None:
     assert [event["type"] for _, event in drive.events].count("world_fault") == 1
 
 
-def test_a_world_that_cannot_be_made_says_why() -> None:
+def test_an_invalid_config_is_refused_with_the_reason() -> None:
     with pytest.raises(BackendNotFound, match="did you mean 'mujoco'"):
         World({"backend": "mujoko"})
     with pytest.raises(RejectedMessage, match="tick_rate") as error:
@@ -504,7 +504,7 @@ angles = st.floats(-math.pi, math.pi)
 
 
 @given(angles, angles, angles)
-def test_euler_angles_and_quaternions_say_the_same(x: float, y: float, z: float) -> None:
+def test_euler_angles_and_quaternions_are_the_same_rotation(x: float, y: float, z: float) -> None:
     q = quaternion_from_euler(x, y, z)
     again = quaternion_from_euler(*euler_from_quaternion(q))
     assert abs(sum(a * b for a, b in zip(q, again, strict=True))) == pytest.approx(1, abs=1e-9)
