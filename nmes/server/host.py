@@ -298,10 +298,23 @@ class Host:
             for hosted in self.worlds.values():
                 hosted.flush()
 
-    async def close(self) -> None:
-        """Stops listening, closes the worlds and their recordings, tells the clients, and hangs up."""
+    async def _stop_listening(self) -> None:
+        """Closes the listening sockets; clients that were accepted before become connections."""
+        loop = asyncio.get_running_loop()
+        for server in (*self._servers, *self._metrics_servers):
+            for listener in server.sockets:
+                with contextlib.suppress(NotImplementedError):  # a loop that waits for completions has no readers
+                    loop.remove_reader(listener)
+        # asyncio needs two turns to make a connection of an accepted socket. Closing the server before that leaves the
+        # socket open, with nobody to close it.
+        for _ in range(2):
+            await asyncio.sleep(0)
         for server in (*self._servers, *self._metrics_servers):
             server.close()
+
+    async def close(self) -> None:
+        """Stops listening, closes the worlds and their recordings, tells the clients, and hangs up."""
+        await self._stop_listening()
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)

@@ -549,14 +549,14 @@ def errors_swallowed(patch: MonkeyPatch) -> None:
 def dies_of_a_bad_frame(patch: MonkeyPatch) -> None:
     """It stops for all when a frame is no JSON."""
     work = Connection._work
+    tasks = []
 
     def die(connection: Connection, messages: Iterable[Auth | Request] = ()) -> None:
         work(connection, messages)
         if any(message.error is not None and message.error.code == "bad_json" for message in messages):
             for other in list(connection._host._connections):
                 other.abort()
-            for server in connection._host._servers:
-                server.close()
+            tasks.append(asyncio.get_running_loop().create_task(connection._host._stop_listening()))
 
     patch.setattr(Connection, "_work", die)
 
@@ -565,14 +565,14 @@ def dies_of_a_bad_frame(patch: MonkeyPatch) -> None:
 def dies_with_a_client(patch: MonkeyPatch) -> None:
     """It stops for all when a client breaks off in the middle of a frame."""
     lost = Connection.connection_lost
+    tasks = []
 
     def die(connection: Connection, error: Exception | None) -> None:
         broken_off = connection._session._splitter.waiting > 0
         host = connection._host
         lost(connection, error)
         if broken_off:
-            for server in host._servers:
-                server.close()
+            tasks.append(asyncio.get_running_loop().create_task(host._stop_listening()))
 
     patch.setattr(Connection, "connection_lost", die)
 

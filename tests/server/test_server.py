@@ -2,8 +2,10 @@ from __future__ import annotations
 
 import asyncio
 import json
+import socket
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -567,6 +569,18 @@ def test_a_recording_that_cannot_be_completed_is_logged(
     with served(record_to=tmp_path):
         pass
     assert "could not be completed: the disk is full" in caplog.text
+
+
+@pytest.mark.parametrize("turns", range(5))
+async def test_a_client_that_connects_while_the_host_closes_is_hung_up_on(turns: int) -> None:
+    async with Host("x") as host:
+        peers = [socket.create_connection(await host.listen("127.0.0.1", 0), PATIENCE) for _ in range(3)]
+        for _ in range(turns):  # of the event loop, which accepts them meanwhile
+            await asyncio.sleep(0)
+        await host.close()
+        for peer in peers:
+            with peer, suppress(ConnectionResetError):
+                assert peer.recv(1) == b""
 
 
 async def test_an_address_that_is_taken_is_an_error(server: Served) -> None:
