@@ -1,7 +1,7 @@
 """The corpus of recordings in `replays/`: what each shows, and how it is made. Run as a program, it makes them anew.
 
-Each recording has a twin in JSON that says what it shows and what it must reproduce. They are made anew only when a
-world is meant to behave otherwise than before; until then they hold it to what it did.
+Beside each recording lies a description in JSON: what it shows, and what a replay must reproduce. They are made anew
+only when a world is meant to behave otherwise than before; until then they hold it to what it did.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Golden:
     Attributes:
         name: Of its file.
         shows: What it is there for.
-        play: What its first client, and whoever it calls in, does.
+        play: The script of its first client, which may let others join.
         config: The world's.
         tolerance: How far (m) a cube may be from where it was recorded, at any time, on another machine.
     """
@@ -47,8 +47,8 @@ class Golden:
         return REPLAYS / f"{self.name}.mcap"
 
     @property
-    def twin(self) -> Path:
-        """The file that says what it must reproduce."""
+    def description(self) -> Path:
+        """The JSON file that says what it shows and must reproduce."""
         return REPLAYS / f"{self.name}.json"
 
     def world(self) -> World:
@@ -286,7 +286,7 @@ CORPUS = list(_corpus())
 
 
 def make(golden: Golden) -> None:
-    """Records one and writes what it came to."""
+    """Records a golden, and writes its description."""
     golden.recording.unlink(missing_ok=True)
     world = golden.world()
     recorder = world.journal = Recorder(golden.recording, world)
@@ -294,18 +294,18 @@ def make(golden: Golden) -> None:
     places = {name: [round(x, 6) for x in place] for name, place in positions(world).items()}
     recorder.close()
     world.close()
-    twin = {"shows": golden.shows, **reproduces(golden), "positions_at_the_end": places}
-    golden.twin.write_text(json.dumps(twin, indent=2) + "\n")
+    description = {"shows": golden.shows, **contents(golden), "positions_at_the_end": places}
+    golden.description.write_text(json.dumps(description, indent=2) + "\n")
 
 
 def positions(world: World) -> dict[str, list[float]]:
-    """Returns where the cubes are."""
+    """Returns the position (m) of each cube."""
     names, states = world.poses()
     return dict(zip(names, states[:, :3].tolist(), strict=True))
 
 
-def reproduces(golden: Golden) -> dict[str, Any]:
-    """Returns what a recording holds, for its twin."""
+def contents(golden: Golden) -> dict[str, Any]:
+    """Summarizes a recording for its description: config, counts, errors, faults and the last digest."""
     recording = Recording(golden.recording)
     summary = recording.summary()
     digests = [d for r in recording if r.kind is Kind.TICKS and r.about is not None for d in r.about["digests"]]

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from goldens import CORPUS, REPLAYS, Golden, make, positions, reproduces
+from goldens import CORPUS, REPLAYS, Golden, contents, make, positions
 from nmes.playback.compare import replay
 from nmes.playback.drift import measure_drift
 from nmes.recording import Recording
@@ -13,16 +13,16 @@ from nmes.recording import Recording
 goldens = pytest.mark.parametrize("golden", CORPUS, ids=lambda golden: golden.name)
 
 
-def twin(golden: Golden) -> dict[str, Any]:
-    values = json.loads(golden.twin.read_text())
-    assert isinstance(values, dict)
-    return values
+def description(golden: Golden) -> dict[str, Any]:
+    document = json.loads(golden.description.read_text())
+    assert isinstance(document, dict)
+    return document
 
 
 def drift(golden: Golden) -> float:
     """Returns how far (m) the cubes come from where they were recorded."""
     report = measure_drift(golden.recording, golden.config["backend"])
-    assert report.ended is None or twin(golden)["faults"]
+    assert report.ended is None or description(golden)["faults"]
     assert report.refused == {}
     return max(each.distance for drifts in report.cubes.values() for each in drifts)
 
@@ -36,13 +36,13 @@ def test_each_golden_is_reproduced(golden: Golden) -> None:
         assert drift(golden) <= golden.tolerance
     else:
         assert report.verdict == "reproduced", report.divergence
-        assert report.ticks == twin(golden)["ticks"]
+        assert report.ticks == description(golden)["ticks"]
 
 
 def test_every_part_of_a_golden_with_keyframes_is_reproduced() -> None:
     (golden,) = [golden for golden in CORPUS if "keyframes" in golden.config]
     recording = Recording(golden.recording)
-    kept, ticks = recording.summary().keyframes, twin(golden)["ticks"]
+    kept, ticks = recording.summary().keyframes, description(golden)["ticks"]
     starts = set()
     for first in (*range(0, ticks, 11), ticks):
         report = replay(recording, first=first, ignore_fingerprint=True)
@@ -54,11 +54,11 @@ def test_every_part_of_a_golden_with_keyframes_is_reproduced() -> None:
 
 @goldens
 def test_the_json_file_of_a_golden_describes_its_recording(golden: Golden) -> None:
-    values = twin(golden)
-    assert values == {
+    document = description(golden)
+    assert document == {
         "shows": golden.shows,
-        **reproduces(golden),
-        "positions_at_the_end": values["positions_at_the_end"],
+        **contents(golden),
+        "positions_at_the_end": document["positions_at_the_end"],
     }
     assert Recording(golden.recording).config == golden.world().config
 
@@ -67,7 +67,7 @@ def test_the_json_file_of_a_golden_describes_its_recording(golden: Golden) -> No
 def test_the_script_of_a_golden_gives_its_final_positions(golden: Golden) -> None:
     world = golden.world()
     golden.play(world, world.join())
-    expected = twin(golden)["positions_at_the_end"]
+    expected = description(golden)["positions_at_the_end"]
     assert list(positions(world)) == list(expected)
     for name, place in positions(world).items():
         assert place == pytest.approx(expected[name], abs=golden.tolerance)
@@ -82,7 +82,7 @@ def test_a_golden_on_another_machine_stays_within_its_tolerance(name: str) -> No
 def test_every_golden_has_its_files() -> None:
     assert len(CORPUS) >= 12
     assert {golden.config["backend"] for golden in CORPUS} == {"mujoco", "pymunk"}
-    files = {path for golden in CORPUS for path in (golden.recording, golden.twin)} | {REPLAYS / "README.md"}
+    files = {path for golden in CORPUS for path in (golden.recording, golden.description)} | {REPLAYS / "README.md"}
     assert set(REPLAYS.iterdir()) == files
     assert all(golden.recording.stat().st_size < 128 << 10 for golden in CORPUS)
 
@@ -92,9 +92,9 @@ def test_a_golden_can_be_recorded_anew(
 ) -> None:
     monkeypatch.setattr("goldens.REPLAYS", tmp_path_factory.mktemp("replays"))
     golden = next(golden for golden in CORPUS if golden.name == "pymunk-refused")
-    before = json.loads((REPLAYS / golden.twin.name).read_text())
+    before = json.loads((REPLAYS / golden.description.name).read_text())
     for _ in range(2):
         make(golden)
-        values = twin(golden)
-        assert {**values, "last_digest": ""} == {**before, "last_digest": ""}
+        document = description(golden)
+        assert {**document, "last_digest": ""} == {**before, "last_digest": ""}
         assert replay(golden.recording).verdict == "reproduced"

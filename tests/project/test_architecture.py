@@ -6,6 +6,8 @@ import os
 import shutil
 import subprocess
 import sys
+from collections import Counter
+from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
@@ -91,11 +93,20 @@ def test_a_planted_violation_is_caught(layout: Path, module: str, line: str, con
 def test_every_package_is_listed_in_pyproject() -> None:
     # Automatic discovery does not work with package-dir: a package that is not listed is missing from the wheel.
     mapping = PROJECT["tool"]["setuptools"]["package-dir"]
-    found = set()
+    packages = set()
     for package, folder in mapping.items():
         for init in (ROOT / folder).rglob("__init__.py"):
-            found.add(".".join((package, *init.parent.relative_to(ROOT / folder).parts)))
-    assert found == set(PROJECT["tool"]["setuptools"]["packages"])
+            packages.add(".".join((package, *init.parent.relative_to(ROOT / folder).parts)))
+    assert packages == set(PROJECT["tool"]["setuptools"]["packages"])
+
+
+def test_flat_modules_of_tests_examples_and_tools_have_unique_names() -> None:
+    # Their folders all lie on sys.path, where the first of two modules of one name hides the other.
+    folders = PROJECT["tool"]["pytest"]["ini_options"]["pythonpath"]
+    names = Counter(file.stem for folder in folders for file in (ROOT / folder).glob("*.py"))
+    names.update(file.stem for file in (ROOT / "tests").rglob("test_*.py"))
+    assert [name for name, count in names.items() if count > 1] == []
+    assert names.keys() & (sys.stdlib_module_names | packages_distributions().keys()) == set()
 
 
 def test_bare_imports_of_the_mapped_folders_are_banned(tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ import click
 import pytest
 
 import demo
-from layout import ROOT
+from layout import PROJECT, ROOT
 from nmes import objective
 from nmes.cli import SUBCOMMANDS
 from nmes.evaluation.task import Task
@@ -50,7 +50,7 @@ def test_every_subcommand_is_in_the_readme(name: str) -> None:
 
 
 def leaves(name: str) -> list[tuple[str, click.Command]]:
-    """Returns a subcommand or, of a group, its commands, each with how it is called."""
+    """Returns a subcommand or, for a group, its commands, each with its full name."""
     command = subcommand(name)
     if isinstance(command, click.Group):
         return [(f"nmes {name} {inner}", each) for inner, each in command.commands.items()]
@@ -59,13 +59,13 @@ def leaves(name: str) -> list[tuple[str, click.Command]]:
 
 @pytest.mark.parametrize("name", SUBCOMMANDS)
 def test_every_help_ends_with_examples_on_lines_of_their_own(name: str) -> None:
-    for called, command in leaves(name):
-        help_text = command.get_help(click.Context(command, info_name=called))
+    for usage, command in leaves(name):
+        help_text = command.get_help(click.Context(command, info_name=usage))
         _, examples = help_text.partition("Options:")[0].split("For example:")
         lines = examples.split("\n\n")[1].splitlines()
-        assert lines and all(line.strip().startswith(called) for line in lines), help_text
+        assert lines and all(line.strip().startswith(usage) for line in lines), help_text
         for line in lines:
-            words = shlex.split(line)[len(called.split()) :]
+            words = shlex.split(line)[len(usage.split()) :]
             command.make_parser(click.Context(command)).parse_args(words)  # raises where an option is unknown
 
 
@@ -76,9 +76,9 @@ def test_commands_shown_exist(line: str) -> None:
     command = subcommand(name)
     if isinstance(command, click.Group):
         command = command.commands[arguments.pop(0)]
-    known = {option for parameter in command.params for option in parameter.opts} | {"--help"}
+    options = {option for parameter in command.params for option in parameter.opts} | {"--help"}
     used = {argument.split("=")[0] for argument in arguments if argument.startswith("-")}
-    assert used <= known
+    assert used <= options
 
 
 def test_make_targets_shown_exist_and_are_listed() -> None:
@@ -107,12 +107,12 @@ def rows(document: str) -> set[tuple[str, ...]]:
 
 
 def test_the_page_of_objectives_lists_every_quantity_and_function() -> None:
-    told = rows("objectives.md")
-    known: set[tuple[str, ...]] = {(name, unit, meaning) for name, (meaning, unit) in objective.QUANTITIES.items()}
-    known |= {(name, meaning) for table in (objective.FUNCTIONS, objective.FOLDS) for name, meaning in table.items()}
-    assert told >= known
+    documented = rows("objectives.md")
+    expected: set[tuple[str, ...]] = {(name, unit, meaning) for name, (meaning, unit) in objective.QUANTITIES.items()}
+    expected |= {(name, meaning) for table in (objective.FUNCTIONS, objective.FOLDS) for name, meaning in table.items()}
+    assert documented >= expected
     metrics = COMMANDS["compute_reward"].schema["properties"]["metric"]["enum"]
-    assert sorted(row[0] for row in told - known) == sorted(metrics)
+    assert sorted(row[0] for row in documented - expected) == sorted(metrics)
 
 
 def test_the_page_of_tasks_lists_the_shipped_tasks() -> None:
@@ -123,10 +123,12 @@ def test_the_page_of_tasks_lists_the_shipped_tasks() -> None:
     assert Task(json.loads(example)).seeds == (1, 2, 3)
 
 
-def test_the_architecture_names_every_module() -> None:
+def test_the_architecture_names_every_package_and_module() -> None:
     text = (ROOT / "ARCHITECTURE.md").read_text()
-    for path in (ROOT / "nmes").glob("[!_]*.py"):
-        assert f"`nmes.{path.stem}`" in text, f"ARCHITECTURE.md does not name nmes.{path.stem}"
+    modules = [path.stem for path in (ROOT / "nmes").glob("[!_]*.py")]
+    packages = PROJECT["tool"]["setuptools"]["packages"]
+    top = {name for name in packages if name.count(".") == 1} | {f"nmes.{module}" for module in modules}
+    assert [name for name in sorted(top) if f"`{name}`" not in text] == []
 
 
 @pytest.fixture(scope="module")
@@ -137,9 +139,9 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]
 
 def test_the_python_of_the_readme_works(served: dict[str, Any]) -> None:
     (code,) = re.findall(r"^```python\n(.*?)^```", README, flags=re.DOTALL | re.MULTILINE)
-    given = re.sub(r"password=\"[^\"]*\"", f"port={served['port']}, password={served['password']!r}", code)
-    done = subprocess.run([sys.executable, "-c", given], capture_output=True, text=True, check=True)
-    assert json.loads(done.stdout)[0] > 1.0
+    program = re.sub(r"password=\"[^\"]*\"", f"port={served['port']}, password={served['password']!r}", code)
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert json.loads(result.stdout)[0] > 1.0
 
 
 def test_the_conversation_of_the_readme_works(served: dict[str, Any]) -> None:

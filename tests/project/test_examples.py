@@ -67,25 +67,25 @@ def test_an_example_that_misses_its_aim_says_so(tmp_path: Path) -> None:
         # A controller of the wrong sign drives the cube away.
         script = "import tier1_target as t, common; t.STIFFNESS = -t.STIFFNESS; common.main(t.measure, t.__doc__)"
         options = ["--port", str(server["port"]), "--password", server["password"]]
-        done = subprocess.run(
+        result = subprocess.run(
             [sys.executable, "-c", script, *options], cwd=ROOT / "examples", capture_output=True, text=True, check=False
         )
-    assert done.returncode == 1
-    assert "MISSED (at most 0.1)" in done.stdout
+    assert result.returncode == 1
+    assert "MISSED (at most 0.1)" in result.stdout
 
 
 def test_an_example_without_a_server_gives_a_message() -> None:
     script = [sys.executable, str(ROOT / "examples" / "tier1_target.py"), "--port", "1", "--password", "x", "--json"]
-    done = subprocess.run(script, capture_output=True, text=True, check=False)
-    assert done.returncode == 1
-    assert "unreachable" in done.stderr and "Traceback" not in done.stderr
+    result = subprocess.run(script, capture_output=True, text=True, check=False)
+    assert result.returncode == 1
+    assert "unreachable" in result.stderr and "Traceback" not in result.stderr
 
 
 def test_the_demo_reproduces_everything(tmp_path: Path) -> None:
     script = [sys.executable, str(ROOT / "examples" / "demo.py"), "--record", str(tmp_path)]
-    done = subprocess.run(script, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert done.stdout.count("reproduced") == len(AIMS)
+    result = subprocess.run(script, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stdout + result.stderr
+    assert result.stdout.count("reproduced") == len(AIMS)
     for recording in tmp_path.rglob("*.mcap"):
         info = subprocess.run(
             [*demo.NMES, "info", str(recording), "--json"], capture_output=True, text=True, check=True

@@ -17,30 +17,30 @@ from nmes.cli import SUBCOMMANDS
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site")
-    built = subprocess.run(
+    result = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--strict", "--site-dir", str(folder)],
         cwd=ROOT,
         capture_output=True,
         text=True,
         timeout=300,
     )
-    assert built.returncode == 0, built.stderr
+    assert result.returncode == 0, result.stderr
     return folder
 
 
-class Fetched(HTMLParser):
-    """What a page makes a browser fetch."""
+class FetchedAddresses(HTMLParser):
+    """Collects the addresses that a page makes a browser fetch."""
 
     def __init__(self) -> None:
         super().__init__()
         self.addresses: list[str] = []
 
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
-        about = dict(attrs)
+        attributes = dict(attrs)
         if tag in ("script", "img", "iframe"):
-            self.addresses.append(about.get("src") or "")
-        if tag == "link" and about.get("rel") in ("stylesheet", "icon", "preload"):
-            self.addresses.append(about.get("href") or "")
+            self.addresses.append(attributes.get("src") or "")
+        if tag == "link" and attributes.get("rel") in ("stylesheet", "icon", "preload"):
+            self.addresses.append(attributes.get("href") or "")
 
 
 def test_the_site_has_every_page(site: Path) -> None:
@@ -50,10 +50,10 @@ def test_the_site_has_every_page(site: Path) -> None:
 
 def test_the_site_fetches_nothing_from_elsewhere(site: Path) -> None:
     for page in site.glob("*.html"):
-        fetched = Fetched()
-        fetched.feed(page.read_text())
-        assert fetched.addresses
-        assert [address for address in fetched.addresses if urlsplit(address).netloc] == []
+        parser = FetchedAddresses()
+        parser.feed(page.read_text())
+        assert parser.addresses
+        assert [address for address in parser.addresses if urlsplit(address).netloc] == []
 
 
 def test_files_outside_docs_that_pages_link_to_are_copied(site: Path) -> None:

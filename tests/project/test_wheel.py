@@ -70,17 +70,17 @@ def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def dependencies() -> set[str]:
     """Returns the distributions that a plain install brings, as pyproject.toml and they themselves declare it."""
-    found: set[str] = set()
+    names: set[str] = set()
     todo = [(Requirement(line), "") for line in PROJECT["project"]["dependencies"]]
     while todo:
         requirement, extra = todo.pop()
         if requirement.marker is None or requirement.marker.evaluate({"extra": extra}):
             name = normal(requirement.name)
-            if name not in found or requirement.extras:
-                found.add(name)
+            if name not in names or requirement.extras:
+                names.add(name)
                 lines = distribution(name).requires or []
-                todo += [(Requirement(line), wanted) for line in lines for wanted in ("", *requirement.extras)]
-    return found
+                todo += [(Requirement(line), extra) for line in lines for extra in ("", *requirement.extras)]
+    return names
 
 
 def normal(name: str) -> str:
@@ -89,22 +89,22 @@ def normal(name: str) -> str:
 
 def run(environment: Path, *command: str, cwd: Path) -> str:
     """Runs a program of the new environment, away from the tree; returns what it printed."""
-    done = subprocess.run(
+    result = subprocess.run(
         [str(environment / command[0]), *command[1:]], cwd=cwd, capture_output=True, text=True, check=False, timeout=60
     )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    assert result.returncode == 0, result.stdout + result.stderr
+    return result.stdout
 
 
 def test_every_module_is_in_the_wheel_and_can_be_imported(environment: Path, tmp_path: Path) -> None:
-    found = json.loads(run(environment, "python", "-I", "-c", IMPORT_ALL, cwd=tmp_path))
-    assert Path(found["root"]).is_relative_to(environment.parent)
+    package = json.loads(run(environment, "python", "-I", "-c", IMPORT_ALL, cwd=tmp_path))
+    assert Path(package["root"]).is_relative_to(environment.parent)
     expected = set()
     for package, folder in PROJECT["tool"]["setuptools"]["package-dir"].items():
         for file in (ROOT / folder).rglob("*.py"):
             parts = file.relative_to(ROOT / folder).with_suffix("").parts
             expected.add(".".join((package, *(part for part in parts if part != "__init__"))))
-    assert set(found["modules"]) == expected
+    assert set(package["modules"]) == expected
 
 
 def test_an_installed_wheel_serves_and_replays(environment: Path, tmp_path: Path) -> None:
