@@ -40,7 +40,7 @@ test-long: lint
 	$(BIN)/pytest -n auto --hypothesis-profile=search
 
 conform-selftest: $(READY)
-	@$(BIN)/python tools/selftest.py
+	@PYTHONPATH=tests/support:tests/mutants $(BIN)/python tools/selftest.py
 
 lint: $(READY) types imports editor
 	$(BIN)/ruff check .

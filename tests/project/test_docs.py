@@ -92,6 +92,14 @@ def test_make_targets_shown_exist_and_are_listed() -> None:
     assert targets == phony
 
 
+@pytest.mark.parametrize("target", ["conform-selftest", "goldens", "layout"])
+def test_programs_that_make_runs_find_their_modules(target: str) -> None:
+    plan = subprocess.run(["make", "--dry-run", target], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    ((command, program),) = re.findall(r"^(.*python )(tools/\w+\.py)", plan, flags=re.MULTILINE)
+    load = f"import runpy, sys; sys.path[0] = 'tools'; runpy.run_path('{program}')"
+    subprocess.run(f"{command} -c {shlex.quote(load)}", shell=True, cwd=ROOT, check=True)
+
+
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
 def test_links_in_documents_point_to_existing_files(document: str) -> None:
     for target in re.findall(r"\]\(([^)#]+)[^)]*\)", (ROOT / document).read_text()):
