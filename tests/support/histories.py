@@ -1,4 +1,4 @@
-"""Random histories: what hosts and clients may do to a world, drawn by Hypothesis and done to one."""
+"""Random histories of a world, drawn by Hypothesis: clients join, leave and send commands, and ticks pass."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ histories = st.lists(
 )
 
 
-def play_history(world: World, what: list[Any]) -> None:
-    for kind, number, frame in what:
+def play_history(world: World, history: list[Any]) -> None:
+    for kind, number, frame in history:
         clients = world.clients()
         match kind:
             case "tick":

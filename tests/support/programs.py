@@ -1,4 +1,4 @@
-"""Random programs of commands and ticks, the same for the same number: what a busy day does to a world.
+"""Random programs of commands and ticks, the same for the same number.
 
 A program is drawn without looking at the world, then played: each draw picks among what is there at that moment. So
 two worlds that behave the same get the same commands, and the first difference shows in a reply or a digest.
@@ -40,7 +40,7 @@ PARAMS: list[tuple[str, Callable[[float], float | bool]]] = [
 
 
 def draw(number: int, length: int) -> list[Draw]:
-    """Draws a program."""
+    """Draws a program of `length` steps; the number is the seed."""
     source = random.Random(number)
     kinds = source.choices(list(KINDS), list(KINDS.values()), k=length)
     return [(kind, [source.random() for _ in range(12)]) for kind in kinds]

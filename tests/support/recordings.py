@@ -1,4 +1,4 @@
-"""Worlds to record, and recordings rewritten by hand: what `nmes.recording` promises, done again without it."""
+"""Worlds to record, and recordings that are rewritten message by message."""
 
 from __future__ import annotations
 
@@ -152,5 +152,5 @@ def rewrite(source: Path, target: Path, edit: Edit, *, chained: bool = True, mis
 
 
 def commands_of(lines: list[Line], kind: str = "commands") -> list[int]:
-    """Returns where the messages of clients are."""
+    """Returns the indices of the messages of clients."""
     return [i for i, line in enumerate(lines) if line.topic.startswith("client/") and line.topic.endswith(kind)]

@@ -26,7 +26,7 @@ PATIENCE = 30.0  # s; nothing that works takes anywhere near as long, on however
 
 
 class Peer:
-    """A socket and what it read: for what no well-behaved client does."""
+    """A bare socket that sends and reads frames, for behaviour that no client library has."""
 
     def __init__(self, port: int, *, receive_buffer: int | None = None) -> None:
         self.socket = socket.socket()
@@ -137,9 +137,9 @@ def served(
     tls: ssl.SSLContext | None = None,
     metrics: Metrics | None = None,
 ) -> Iterator[Served]:
-    """Runs a host; worlds are in lockstep and on the quickest engine where their config does not say otherwise.
+    """Runs a host with a world for each config; by default worlds are in lockstep on the `ballistic` engine.
 
-    Those of a lazy one are created when first used.
+    If `lazy`, worlds are created when first used.
     """
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever, daemon=True)
@@ -171,12 +171,12 @@ def served(
 
 
 def until(condition: Callable[[], bool], attempts: int = 3000) -> None:
-    """Waits for something that another thread or process brings about."""
+    """Waits until a condition holds that another thread or process brings about; fails after `attempts` / 100 s."""
     for _ in range(attempts):
         if condition():
             return
         threading.Event().wait(0.01)
-    raise AssertionError("it never came to be")
+    raise AssertionError(f"the condition did not hold within {attempts / 100:g} s")
 
 
 def types(frames: Sequence[bytes]) -> list[str]:
