@@ -115,9 +115,9 @@ def test_a_late_agent_is_reported_and_skipped(server: Served, caplog: pytest.Log
         two.say(STEP)
         assert one.hear()["frame"] == two.hear()["frame"] == 1
         assert one.ask(STEP)["frame"] == 2
-        told = watcher.hear()
-        protocol.validate_event(told)
-        assert told == {"type": "barrier_timeout", "frame": 1, "clients": [2]}
+        event = watcher.hear()
+        protocol.validate_event(event)
+        assert event == {"type": "barrier_timeout", "frame": 1, "clients": [2]}
         assert "goes on at frame 1 without clients [2]" in caplog.text
         assert one.ask(STEP)["frame"] == 3  # it is not waited for any more
         two.say(STEP)

@@ -312,7 +312,7 @@ def test_cubes_outlive_the_connection_that_made_them(server: Served) -> None:
 
 def test_fifty_connections_at_once_with_a_cube_each(server: Served) -> None:
     together = threading.Barrier(50, timeout=PATIENCE)
-    seen: dict[int, Message] = {}
+    states: dict[int, Message] = {}
     failures: list[BaseException] = []
 
     def live(n: int) -> None:
@@ -321,7 +321,7 @@ def test_fifty_connections_at_once_with_a_cube_each(server: Served) -> None:
                 together.wait()
                 client.send(type="spawn_cube", position=[3 * n, 0.5, 0])
                 client.send(type="apply_force", force=[0, 0, 5])
-                seen[n] = client.ask(type="get_cube_state")
+                states[n] = client.ask(type="get_cube_state")
                 together.wait()
         except BaseException as failure:  # told by the test, not by the thread
             failures.append(failure)
@@ -333,8 +333,8 @@ def test_fifty_connections_at_once_with_a_cube_each(server: Served) -> None:
     for thread in threads:
         thread.join(PATIENCE)
     assert not failures
-    assert len({state["cube_name"] for state in seen.values()}) == 50
-    for n, state in seen.items():
+    assert len({state["cube_name"] for state in states.values()}) == 50
+    for n, state in states.items():
         assert abs(state["position"][0] - 3 * n) < 0.1
 
 
@@ -399,15 +399,15 @@ def test_planets_are_parsed_in_two_ways(scene: str) -> None:
 
 def _scan(first: int, step: int, count: int) -> tuple[dict[int, list[str]], list[int]]:
     """Authenticates on each port, lists, closes; returns the cubes by port, and the ports where nobody listens."""
-    found: dict[int, list[str]] = {}
+    cubes: dict[int, list[str]] = {}
     refused = []
     for port in range(first, first + step * count, step):
         try:
             with Program(port) as client:
-                found[port] = client.names()
+                cubes[port] = client.names()
         except ConnectionRefusedError:
             refused.append(port)
-    return found, refused
+    return cubes, refused
 
 
 @contextmanager
@@ -435,7 +435,7 @@ def test_a_scan_over_ports_finds_the_worlds_and_is_refused_elsewhere(step: int) 
         for n in range(4):
             with Program(first + n * step) as client:
                 client.spawn(cube_name=f"of_{n}")
-        found, refused = _scan(first, step, 6)
-        assert found == {first + n * step: [f"of_{n}"] for n in range(4)}
+        cubes, refused = _scan(first, step, 6)
+        assert cubes == {first + n * step: [f"of_{n}"] for n in range(4)}
         assert refused == [first + 4 * step, first + 5 * step]
         assert _scan(first + 1, step, 4)[0] == {}

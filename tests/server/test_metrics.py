@@ -43,10 +43,10 @@ def value(series: Series, name: str, **labels: str) -> float | None:
 def test_commands_ticks_bytes_and_clients_are_counted(tmp_path: Path) -> None:
     options = ["--backend", "ballistic", "--mode", "lockstep", "--worlds", "red,green", "--record", str(tmp_path)]
     with process("serve", "--json", "--port", "0", "--metrics-port", "0", *options, NMES_PASSWORD=PASSWORD) as server:
-        said = ready(server)
-        port = said["metrics_port"]
+        info = ready(server)
+        port = info["metrics_port"]
         assert value(scrape(port), "nmes_worlds") == 0
-        with Client(port=said["port"], password=PASSWORD, timeout=PATIENCE) as client:
+        with Client(port=info["port"], password=PASSWORD, timeout=PATIENCE) as client:
             client.spawn_cube("a")
             for _ in range(2):
                 with pytest.raises(CommandFailed):
@@ -102,10 +102,10 @@ def test_ticks_replayed_on_resume_are_not_counted(tmp_path: Path, backend: str) 
     path = record(tmp_path / "parent.mcap", busy, {"backend": backend})
     options = ["--json", "--port", "0", "--metrics-port", "0", "--record", str(tmp_path / "on"), "--resume", str(path)]
     with process("serve", *options, NMES_PASSWORD=PASSWORD) as server:
-        said = ready(server)
-        with Client(port=said["port"], password=PASSWORD, timeout=PATIENCE) as client:
+        info = ready(server)
+        with Client(port=info["port"], password=PASSWORD, timeout=PATIENCE) as client:
             client.step(3)
-            series = scrape(said["metrics_port"])
+            series = scrape(info["metrics_port"])
             assert value(series, "nmes_tick_seconds_count", world="main") == 3
             assert sum(series[key] for key in series if key[0] == "nmes_commands_total") == 1
 
@@ -127,10 +127,10 @@ def test_a_metrics_port_that_is_taken_is_an_error() -> None:
 def test_logs_are_written_as_json_lines(tmp_path: Path) -> None:
     options = ["--backend", "ballistic", "--mode", "lockstep", "--no-record", "--log-format", "json"]
     with process("serve", "--json", "--port", "0", *options, NMES_PASSWORD=PASSWORD) as server:
-        said = ready(server)
+        info = ready(server)
         with pytest.raises(CommandFailed):
-            Client(port=said["port"], password="a guess", timeout=PATIENCE).connect()
-        with Client(port=said["port"], password=PASSWORD, timeout=PATIENCE) as client:
+            Client(port=info["port"], password="a guess", timeout=PATIENCE).connect()
+        with Client(port=info["port"], password=PASSWORD, timeout=PATIENCE) as client:
             client.spawn_cube("a", mass=1e-6)
             client.apply_force("a", force=[1e15, 0, 0])
             with pytest.raises(CommandFailed):

@@ -308,11 +308,11 @@ def test_commands_of_a_client_that_does_not_read_wait_until_it_does() -> None:
             for _ in range(100):
                 many.spawn_cube(list=False)
         with _never_reads(server, *[{"type": "step"}, {"type": "get_world_state"}] * 500) as peer:
-            seen = [-2, -1]
-            while seen[-2] != seen[-1]:
+            frames = [-2, -1]
+            while frames[-2] != frames[-1]:
                 time.sleep(0.2)
-                seen.append(good.get_world_info()["frame"])
-            assert seen[-1] < 500
+                frames.append(good.get_world_info()["frame"])
+            assert frames[-1] < 500
             assert [peer.hear()["frame"] for _ in range(1000)][-1] == 500
 
 

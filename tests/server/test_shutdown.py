@@ -72,8 +72,8 @@ def test_sigterm_under_load_completes_recordings(
 def test_sigterm_ends_a_long_step(tmp_path: Path) -> None:
     options = ["--port", "0", "--mode", "lockstep", "--record", str(tmp_path)]
     with process("serve", "--json", *options, NMES_PASSWORD=PASSWORD) as server:
-        said = ready(server)
-        with Peer(said["port"]) as peer:
+        info = ready(server)
+        with Peer(info["port"]) as peer:
             assert peer.ask({"type": "auth", "password": PASSWORD})["type"] == "auth_success"
             places = [[1.2 * (n % 20), 1 + n // 20, 0.7 * (n // 20)] for n in range(200)]
             peer.ask({"type": "batch", "commands": [{"type": "spawn_cube", "position": place} for place in places]})
@@ -85,7 +85,7 @@ def test_sigterm_ends_a_long_step(tmp_path: Path) -> None:
             assert types(peer.rest())[-1] == "world_closed"
         assert server.wait(PATIENCE) == 0, server.communicate()
         assert time.monotonic() - began < 5.0
-    recording = Recording(said["recording"])
+    recording = Recording(info["recording"])
     assert recording.complete
     ticks = recording.summary().ticks
     assert 0 < ticks < 10_000

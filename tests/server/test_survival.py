@@ -81,8 +81,8 @@ class Victim:
     @property
     def resident(self) -> int:
         """Its resident memory, bytes; 0 where the system does not tell."""
-        told = Path(f"/proc/{self.process.pid}/statm")
-        return int(told.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if told.exists() else 0
+        statistics = Path(f"/proc/{self.process.pid}/statm")
+        return int(statistics.read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") if statistics.exists() else 0
 
 
 @contextmanager
@@ -325,7 +325,7 @@ def test_clients_that_never_read_are_cut(tmp_path: Path, figures: Figures) -> No
 
 def test_oversize_and_endless_frames_are_refused(tmp_path: Path, figures: Figures) -> None:
     with victim(tmp_path) as host, Bystander(host) as good:
-        grown, warm = [], 0
+        growth, warm = [], 0
         for n in range(20):
             if n == 4:  # the first ones warm it up
                 warm = host.resident
@@ -337,10 +337,10 @@ def test_oversize_and_endless_frames_are_refused(tmp_path: Path, figures: Figure
                     peer.send(b'{"type":"ping","x":"' + b"x" * (8 * MIB))
                 (answer,) = peer.rest()
             assert json.loads(answer)["code"] == "frame_too_large"
-            grown.append(host.resident - before)
+            growth.append(host.resident - before)
             with host.peer() as peer:
                 assert peer.ask({"type": "ping"})["type"] == "pong"
-        assert max(grown[4:]) < 4 * MIB
+        assert max(growth[4:]) < 4 * MIB
         # From end to end, when each connection's buffers are free again: keeping frames would hold 16 MiB.
         assert host.resident - warm < 4 * MIB
         figures("memory after 20 oversize frames", f"{(host.resident - warm) / MIB:+.2f} MiB since the fourth")
@@ -436,9 +436,9 @@ def test_random_and_mutated_frames_are_answered(tmp_path: Path, figures: Figures
                 assert len(_check_answers(peer, [*frames, *calm], f"batch {n}")) == 100 - empty + len(calm) + 1
                 if n == count // 10:
                     warm = host.resident
-        grown = host.resident - warm
-        assert grown < 4 * MIB
-        figures(f"memory after {count:,} random frames", f"{grown / MIB:+.2f} MiB since the first tenth")
+        growth = host.resident - warm
+        assert growth < 4 * MIB
+        figures(f"memory after {count:,} random frames", f"{growth / MIB:+.2f} MiB since the first tenth")
     figures(f"p99 latency, {count:,} random frames", good.latency)
 
 
@@ -485,7 +485,7 @@ def test_a_flood_of_spawns_stops_at_the_limit_and_despawning_makes_room(tmp_path
 
 def test_no_byte_of_a_password_is_in_any_log_recording_error_or_repr(tmp_path: Path) -> None:
     guess = "a guess at random <battery>"
-    told = b""
+    replies = b""
     with victim(tmp_path, record_to=tmp_path / "recordings") as host:
         for first in (
             guess.encode(),
@@ -499,15 +499,15 @@ def test_no_byte_of_a_password_is_in_any_log_recording_error_or_repr(tmp_path: P
         ):
             with host.peer(authenticate=False) as peer:
                 peer.send(first + DELIMITER)
-                told += b"".join(peer.rest())
+                replies += b"".join(peer.rest())
         with host.peer() as peer:
             peer.ask({"type": "spawn_cube"})
     recordings = b"".join(path.read_bytes() for path in (tmp_path / "recordings").iterdir())
     records = b"".join(record.data for path in (tmp_path / "recordings").iterdir() for record in Recording(path))
     log = (tmp_path / "log").read_bytes()
-    assert b"failed to authenticate" in log and b"auth_failed" in told
+    assert b"failed to authenticate" in log and b"auth_failed" in replies
     for secret in (PASSWORD, guess):
-        for place in (told, recordings, records, log):
+        for place in (replies, recordings, records, log):
             assert secret.encode() not in place
             assert secret.split()[-1].encode() not in place  # nor a part of it
     host_here = Host(PASSWORD)
@@ -517,14 +517,14 @@ def test_no_byte_of_a_password_is_in_any_log_recording_error_or_repr(tmp_path: P
 
 @pytest.mark.parametrize("guess", ["", "x", PASSWORD[:-1], PASSWORD, "x" * 10_000])
 def test_passwords_are_compared_in_constant_time(guess: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    compared = []
+    lengths = []
     compare = hmac.compare_digest
 
     def note(one: bytes, other: bytes) -> bool:
-        compared.append((len(one), len(other)))
+        lengths.append((len(one), len(other)))
         return compare(one, other)
 
     host = Host(PASSWORD)
     monkeypatch.setattr("hmac.compare_digest", note)
     assert host.accepts(guess) == (guess == PASSWORD)
-    assert compared == [(64, 64)]  # digests, so that neither length nor beginning of the password makes a difference
+    assert lengths == [(64, 64)]  # digests, so that neither length nor beginning of the password makes a difference

@@ -96,8 +96,8 @@ def test_a_long_step_does_not_delay_other_worlds(command: dict[str, Any]) -> Non
             assert before.ask({"type": "step", "ticks": 50})["frame"] == 50
             with enter(server, "other") as late:
                 assert late.ask({"type": "get_world_info"})["counts"]["clients"] == 2
-            listed = server.client().worlds()
-            assert [(world["world"], world["frame"], world["clients"]) for world in listed] == [
+            worlds = server.client().worlds()
+            assert [(world["world"], world["frame"], world["clients"]) for world in worlds] == [
                 ("slow", 0, 1),
                 ("other", 50, 1),
             ]
@@ -179,9 +179,9 @@ def test_a_subscriber_that_never_reads_is_cut_during_a_long_step() -> None:
                 peer.say(LONG)
             assert [peer.hear()["frame"] for _ in range(3)] == [10_000, 20_000, 30_000]
             until(lambda: peer.ask({"type": "get_world_info"})["counts"]["clients"] == 1)
-            told = [json.loads(frame) for frame in deaf.rest()]
-        assert told[-1]["code"] == "slow_consumer"
-        assert [event["frame"] for event in told[1:-1]] == list(range(1, len(told) - 1))
+            messages = [json.loads(frame) for frame in deaf.rest()]
+        assert messages[-1]["code"] == "slow_consumer"
+        assert [event["frame"] for event in messages[1:-1]] == list(range(1, len(messages) - 1))
 
 
 # -- worlds side by side ----------------------------------------------------------------------------------------------
@@ -255,29 +255,29 @@ def test_worlds_in_parallel_have_the_same_digests_as_alone(tmp_path: Path, monke
     cores(monkeypatch, 2)
     names = ("red", "green", "blue")
 
-    def experiment(server: Served, name: str, seen: dict[str, list[Any]]) -> None:
+    def experiment(server: Served, name: str, results: dict[str, list[Any]]) -> None:
         with server.client(world=name) as client:
             client.subscribe(events=["tick", "state"], every=7)
             for n in range(10):
                 client.spawn_cube(position=[0.3 * n, 3 + 1.5 * n, 0.1 * n], rotation=[n, 0, 0.5])
-            seen[name] = [client.get_world_state()]
+            results[name] = [client.get_world_state()]
             for ticks in (1, 60, 250, 3):
                 client.apply_force(force=[20, 0, 5])
                 client.step(ticks)
-                seen[name].append(client.get_world_state())
-            seen[name] += client.events(timeout=0.05)
+                results[name].append(client.get_world_state())
+            results[name] += client.events(timeout=0.05)
 
     def run(worlds: tuple[str, ...], folder: Path) -> dict[str, list[Any]]:
-        seen: dict[str, list[Any]] = {}
+        results: dict[str, list[Any]] = {}
         busy = {"name": "busy", "mode": "fast", "backend": "mujoco"}
         configs = [{"name": name, "backend": "mujoco", "seed": 5} for name in worlds]
         with served(*configs, *([busy] if len(worlds) > 1 else []), record_to=folder) as server:
-            threads = [threading.Thread(target=experiment, args=(server, name, seen)) for name in worlds]
+            threads = [threading.Thread(target=experiment, args=(server, name, results)) for name in worlds]
             for thread in threads:
                 thread.start()
             for thread in threads:
                 thread.join(PATIENCE)
-        return seen
+        return results
 
     together = run(names, tmp_path / "together")
     for name in names:
@@ -337,9 +337,9 @@ def test_closing_ends_a_long_step_and_completes_the_recording(tmp_path: Path) ->
             server.close()
             assert newcomer.rest() == []
         assert peer.rest() == []
-        told = [json.loads(frame) for frame in watcher.rest()]
-        assert told[-1] == {"type": "world_closed"}
-        assert [event["frame"] for event in told[:-1]] == list(range(2, len(told) + 1))
+        messages = [json.loads(frame) for frame in watcher.rest()]
+        assert messages[-1] == {"type": "world_closed"}
+        assert [event["frame"] for event in messages[:-1]] == list(range(2, len(messages) + 1))
     (path,) = tmp_path.iterdir()
     recording = Recording(path)
     assert recording.complete
@@ -352,10 +352,10 @@ def test_closing_ends_a_long_step_and_completes_the_recording(tmp_path: Path) ->
 def test_ticks_of_a_long_step_are_on_disk_before_their_events(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(nmes.server.threads, "SLICE", 0.0)
     monkeypatch.setattr(nmes.server.threads, "BRIEF", 0.0)
-    synced: list[tuple[int, threading.Thread]] = []
+    syncs: list[tuple[int, threading.Thread]] = []
 
     def fsync(number: int) -> None:
-        synced.append((len(digests(path)), threading.current_thread()))
+        syncs.append((len(digests(path)), threading.current_thread()))
 
     with gated(record_to=tmp_path, flush_interval=0) as (server, gate), server.peer() as peer:
         (path,) = tmp_path.iterdir()
@@ -366,8 +366,8 @@ def test_ticks_of_a_long_step_are_on_disk_before_their_events(tmp_path: Path, mo
             gate.wait()
             gate._open.release()
             assert peer.hear()["frame"] == frame
-            assert max(ticks for ticks, _ in synced) >= frame
-        assert synced[-1][1] is not server.call(threading.current_thread)  # nobody else waits for the disk
+            assert max(ticks for ticks, _ in syncs) >= frame
+        assert syncs[-1][1] is not server.call(threading.current_thread)  # nobody else waits for the disk
         gate.open()
         assert [peer.hear()["type"] for _ in range(2)] == ["tick", "stepped"]
         assert frames(path)[-1] == "reply"
@@ -386,8 +386,8 @@ def test_events_whose_records_cannot_be_written_are_not_sent(tmp_path: Path, mon
 
         monkeypatch.setattr("nmes.recording.mcap_writer.os.fsync", fails)
         gate.open()
-        told = [json.loads(frame) for frame in watcher.rest()]
-        assert [(message["type"], message["code"]) for message in told] == [
+        messages = [json.loads(frame) for frame in watcher.rest()]
+        assert [(message["type"], message["code"]) for message in messages] == [
             ("world_fault", "recording_failed"),
             ("error", "recording_failed"),
         ]

@@ -107,12 +107,12 @@ async def test_each_port_has_its_world_and_all_are_found_by_name_on_each() -> No
             ports.append((await host.listen("127.0.0.1", 0, name))[1])
 
         def look() -> list[str]:
-            seen = []
+            names = []
             for port in ports:
                 for world in (None, "red"):
                     with Client(port=port, password=PASSWORD, world=world, timeout=PATIENCE) as client:
-                        seen.append(client.welcome["world"])
-            return seen
+                        names.append(client.welcome["world"])
+            return names
 
         assert await asyncio.to_thread(look) == ["red", "red", "green", "red"]
         assert [entry["port"] for entry in host.list_worlds(1)["worlds"]] == ports
@@ -211,17 +211,17 @@ def test_nmes_worlds_prints_the_list(server: Served) -> None:
 def test_nmes_serve_gives_each_world_a_port(tmp_path: Path) -> None:
     options = ["--json", "--port", "0", "--backend", "ballistic", "--mode", "lockstep", "--record", str(tmp_path)]
     with process("serve", "--worlds", "3", *options, NMES_PASSWORD=PASSWORD) as server:
-        said = ready(server)
-        assert [entry["world"] for entry in said["worlds"]] == ["main-1", "main-2", "main-3"]
-        assert said["recordings"] == str(tmp_path)
-        assert len({entry["port"] for entry in said["worlds"]}) == 3
-        for number, entry in enumerate(said["worlds"][:2]):
+        info = ready(server)
+        assert [entry["world"] for entry in info["worlds"]] == ["main-1", "main-2", "main-3"]
+        assert info["recordings"] == str(tmp_path)
+        assert len({entry["port"] for entry in info["worlds"]}) == 3
+        for number, entry in enumerate(info["worlds"][:2]):
             with Client(port=entry["port"], password=PASSWORD, timeout=PATIENCE) as client:
                 assert client.welcome["world"] == entry["world"]
                 client.step(number + 1)
-        with Client(port=said["port"], password=PASSWORD, timeout=PATIENCE) as client:
+        with Client(port=info["port"], password=PASSWORD, timeout=PATIENCE) as client:
             listed = [(entry["port"], entry["frame"]) for entry in client.worlds()]
-        assert listed == list(zip((entry["port"] for entry in said["worlds"]), (1, 2, None), strict=True))
+        assert listed == list(zip((entry["port"] for entry in info["worlds"]), (1, 2, None), strict=True))
         server.terminate()
         assert server.wait(PATIENCE) == 0
     reports = [replay(path) for path in sorted(tmp_path.iterdir())]
