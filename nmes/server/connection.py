@@ -181,8 +181,9 @@ class Connection(asyncio.BufferedProtocol):
     def resume(self) -> None:
         """Goes on with what had to wait."""
         try:
-            self._join()
-            if self._backlog:
+            if self._world is None:
+                self._join()
+            elif self._backlog:
                 self._work()
         except Exception:
             self._failed()
