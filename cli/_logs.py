@@ -1,4 +1,4 @@
-"""What `nmes serve` logs, as text for people or as one JSON object a line."""
+"""The log of `nmes serve`, as text for people or as one JSON object a line."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class _Json(logging.Formatter):
 
 
 def set_up(style: str) -> None:
-    """Sends the logs of this process to standard error."""
+    """Writes the log of this process to standard error, as `text` or `json`."""
     handler = logging.StreamHandler()
     handler.setFormatter(
         _Json() if style == "json" else logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s")
