@@ -266,11 +266,11 @@ def test_a_ctrnn_follows_its_equation() -> None:
 
 
 def graph(nodes: list[dict[str, Any]], *links: tuple[str, str, float]) -> dict[str, Any]:
-    told = [
+    documents = [
         {"sensor" if "." in source else "from": source, "to": target, "weight": weight}
         for source, target, weight in links
     ]
-    return {"kind": "graph", "nodes": nodes, "links": told}
+    return {"kind": "graph", "nodes": nodes, "links": documents}
 
 
 def test_a_graph_of_sums_computes_exclusive_or() -> None:
@@ -428,9 +428,9 @@ LAYER = {"weights": [[1, 2, 3, 4, 5]] * 5, "biases": [0] * 5}
 def test_all_mistakes_of_a_document_are_reported_with_their_paths(document: Any, wanted: dict[str, str]) -> None:
     with pytest.raises(DocumentError) as caught:
         load_brain(document, SENSORS, MOTORS)
-    told = caught.value.problems
+    findings = caught.value.problems
     for path, words in wanted.items():
-        assert any(at == path and words in said for at, said in told), told
+        assert any(at == path and words in message for at, message in findings), findings
     assert (caught.value.code, caught.value.path) == ("invalid", caught.value.problems[0][0])
 
 

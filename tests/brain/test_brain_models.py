@@ -117,7 +117,9 @@ def test_an_unsuitable_model_is_refused(made: bytes, words: str | None, capfd: p
         return
     with pytest.raises(DocumentError) as caught:
         load(document(made))
-    assert any(path == "brain/model" and words in said for path, said in caught.value.problems), caught.value.problems
+    assert any(path == "brain/model" and words in message for path, message in caught.value.problems), (
+        caught.value.problems
+    )
     assert capfd.readouterr() == ("", "")
 
 

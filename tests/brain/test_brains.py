@@ -179,7 +179,7 @@ def test_results_do_not_depend_on_process_threads_or_math_library() -> None:
         ],
     }
 
-    def told(**environment: str) -> str:
+    def output(**environment: str) -> str:
         return subprocess.run(
             [sys.executable, "-c", PROGRAM],
             input=json.dumps([*made, (wide, SENSORS, MOTORS)]),
@@ -189,10 +189,10 @@ def test_results_do_not_depend_on_process_threads_or_math_library() -> None:
             check=True,
         ).stdout
 
-    assert len(told().splitlines()) == len(made) + 1
-    assert told() == told(OPENBLAS_NUM_THREADS="1", PYTHONHASHSEED="1")
+    assert len(output().splitlines()) == len(made) + 1
+    assert output() == output(OPENBLAS_NUM_THREADS="1", PYTHONHASHSEED="1")
     # Routines for old processors look at where rows begin; their sums may differ, but never between rows.
-    told(OPENBLAS_CORETYPE="Prescott")
+    output(OPENBLAS_CORETYPE="Prescott")
 
 
 def test_every_row_is_aligned_to_64_bytes_and_padded_with_zeros() -> None:

@@ -46,26 +46,28 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def timeless(found: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    return [{key: value for key, value in each.items() if key not in ("wall_seconds", "recordings")} for each in found]
+def timeless(evaluations: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [
+        {key: value for key, value in each.items() if key not in ("wall_seconds", "recordings")} for each in evaluations
+    ]
 
 
 def test_results_do_not_depend_on_processes_order_or_recording(folder: Path) -> None:
     task = ("--task", folder / "dash.json", "--json")
     whole = run(folder / "zoo", *task, "--jobs", 2)
     assert whole.exit_code == 1  # of the one that is ill
-    found = json.loads(whole.stdout)
-    assert [each["genome"] for each in found] == ["a-wave", "b-cpg", "c-net", "d-ill"]
-    assert "cubes" in found[3]["error"] and found[3]["score"] is None
+    evaluations = json.loads(whole.stdout)
+    assert [each["genome"] for each in evaluations] == ["a-wave", "b-cpg", "c-net", "d-ill"]
+    assert "cubes" in evaluations[3]["error"] and evaluations[3]["score"] is None
     alone = run(folder / "zoo" / "c-net.json", folder / "zoo" / "b*.json", *task, "--jobs", 1, "--record", folder / "r")
     assert alone.exit_code == 0
-    assert timeless(json.loads(alone.stdout)) == timeless([found[2], found[1]])
+    assert timeless(json.loads(alone.stdout)) == timeless([evaluations[2], evaluations[1]])
     # In a fresh process, from nothing but the recordings.
     recordings = [path for each in json.loads(alone.stdout) for path in each["recordings"]]
     command = [NMES, "eval", "--json", "--from-recording", *reversed(recordings)]
     again = subprocess.run(command, capture_output=True, timeout=PATIENCE)
     assert again.returncode == 0, again.stderr
-    assert timeless(json.loads(again.stdout)) == timeless([found[1], found[2]])
+    assert timeless(json.loads(again.stdout)) == timeless([evaluations[1], evaluations[2]])
 
 
 def test_results_are_printed_as_a_table_and_written_as_csv(folder: Path) -> None:
@@ -99,7 +101,7 @@ def test_a_table_fits_80_columns_and_tells_namesakes_apart(folder: Path) -> None
 
 
 @pytest.mark.parametrize(
-    ("arguments", "said"),
+    ("arguments", "message"),
     [
         ([], "name a genome"),
         (["nobody"], "there is no file nobody"),
@@ -112,9 +114,9 @@ def test_a_table_fits_80_columns_and_tells_namesakes_apart(folder: Path) -> None
         ([str(Path(__file__).parent)], "no .json file"),
     ],
 )
-def test_wrong_usage_is_explained(arguments: list[str], said: str) -> None:
+def test_wrong_usage_is_explained(arguments: list[str], message: str) -> None:
     result = run(*arguments)
-    assert result.exit_code == 2 and said in result.stderr
+    assert result.exit_code == 2 and message in result.stderr
 
 
 def test_an_invalid_task_or_recording_is_an_error(folder: Path) -> None:
@@ -129,26 +131,28 @@ def test_ctrl_c_keeps_finished_results_and_the_same_command_resumes(folder: Path
     many.mkdir()
     for i in range(200):  # more than are done before anybody can press a key
         (many / f"{i:03}.json").write_text(json.dumps(snake(mlp(4, seed=i), name=f"n{i}")))
-    kept = folder / "kept.jsonl"
+    results = folder / "kept.jsonl"
     command = [NMES, "eval", str(many), "--task", str(folder / "dash.json"), "--jobs", "2", "--json"]
-    with subprocess.Popen([*command, "--resume", str(kept)], stderr=subprocess.PIPE, stdout=subprocess.PIPE) as running:
+    with subprocess.Popen(
+        [*command, "--resume", str(results)], stderr=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as running:
         deadline = time.monotonic() + PATIENCE
-        while not (kept.exists() and kept.read_bytes().count(b"\n") >= 3):
+        while not (results.exists() and results.read_bytes().count(b"\n") >= 3):
             assert time.monotonic() < deadline and running.poll() is None
             time.sleep(0.01)
         running.send_signal(signal.SIGINT)
         stdout, stderr = running.communicate(timeout=PATIENCE)
-    done = kept.read_bytes().count(b"\n")
+    done = results.read_bytes().count(b"\n")
     assert running.returncode == 1 and 3 <= done < 200
     assert b"of 200 done" in stderr and b"the same command goes on" in stderr and b"Traceback" not in stderr
     assert len(json.loads(stdout)) == done
-    with kept.open("ab") as file:  # as a run that was killed in the midst of a line leaves it
+    with results.open("ab") as file:  # as a run that was killed in the midst of a line leaves it
         file.write(b'{"key": "')
-    name = json.loads(kept.read_bytes().splitlines()[0])["genome"]
+    name = json.loads(results.read_bytes().splitlines()[0])["genome"]
     one_done = many / f"{int(name[1:]):03}.json"
     some = (one_done, many / "199.json", "--task", folder / "dash.json", "--json", "--jobs", 1)
-    rest = run(*some, "--resume", kept)
-    assert rest.exit_code == 0 and kept.read_bytes().count(b"\n") == done + 1
+    rest = run(*some, "--resume", results)
+    assert rest.exit_code == 0 and results.read_bytes().count(b"\n") == done + 1
     assert timeless(json.loads(rest.stdout)) == timeless(json.loads(run(*some).stdout))
 
 
@@ -164,11 +168,11 @@ def test_ctrl_c_writes_a_file_to_resume_from_if_none_is_named(folder: Path) -> N
         running.send_signal(signal.SIGINT)
         stdout, stderr = running.communicate(timeout=PATIENCE)
     assert running.returncode == 1, stderr
-    found = list(folder.glob("eval-*.jsonl"))
-    assert len(found) == 1, stderr
-    (kept,) = found
-    assert f"--resume {kept.name}" in stderr.decode() and b"a-wave" in stdout
-    assert len(kept.read_bytes().splitlines()) >= 1
+    files = list(folder.glob("eval-*.jsonl"))
+    assert len(files) == 1, stderr
+    (file,) = files
+    assert f"--resume {file.name}" in stderr.decode() and b"a-wave" in stdout
+    assert len(file.read_bytes().splitlines()) >= 1
     # What has the name of a recording is one.
     assert all(path.stat().st_size > 10_000 for path in (folder / "r").glob("*.mcap"))
 
@@ -206,14 +210,14 @@ def test_plots_show_score_height_energy_and_gait(folder: Path) -> None:
     task = ("--task", folder / "dash.json", "--seeds", "1,2", "--json")
     made = run(folder / "zoo" / "b-cpg.json", *task, "--record", folder / "r", "--plot", folder / "made.svg")
     assert made.exit_code == 0, made.output
-    (found,) = json.loads(made.stdout)
+    (evaluation,) = json.loads(made.stdout)
     for title in ("score so far", "height of the middle (m)", "speed of the middle (m/s)", "work of the motors (J)"):
         assert len(drawn(folder / "made.svg", title)) == 2
     for line in drawn(folder / "made.svg", "work of the motors (J)"):
         assert all(later[1] <= earlier[1] for earlier, later in pairwise(line)), (
             "work only grows; up is less in a picture"
         )
-    again = run("--from-recording", *found["recordings"], "--plot", folder / "again.svg")
+    again = run("--from-recording", *evaluation["recordings"], "--plot", folder / "again.svg")
     assert again.exit_code == 0, again.output
     assert (folder / "again.svg").read_bytes() == (folder / "made.svg").read_bytes()
     picture = ElementTree.parse(folder / "made.svg").getroot()
@@ -224,8 +228,8 @@ def test_plots_show_score_height_energy_and_gait(folder: Path) -> None:
 
 def test_the_score_so_far_ends_at_the_score(folder: Path) -> None:
     made = run(folder / "zoo" / "b-cpg.json", "--task", folder / "dash.json", "--json", "--record", folder / "r")
-    (found,) = json.loads(made.stdout)
-    for path, result in zip(found["recordings"], found["results"], strict=True):
+    (evaluation,) = json.loads(made.stdout)
+    for path, result in zip(evaluation["recordings"], evaluation["results"], strict=True):
         scores = scores_so_far(Recording(path))
         assert scores[-1, 1] == result["score"]
         assert len(scores) == result["ticks"] + 1

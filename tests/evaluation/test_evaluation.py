@@ -54,31 +54,31 @@ def test_seeds_may_be_chosen() -> None:
 
 def test_scoring_a_recording_finds_the_same_end_of_the_episode(tmp_path: Path) -> None:
     ends = [{"name": "gone", "when": "displacement.horizontal > 0.1"}]
-    found = evaluate(Genome(snake()), task(ends=ends), record=tmp_path)
-    for path, result in zip(found.recordings, found.results, strict=True):
+    evaluation = evaluate(Genome(snake()), task(ends=ends), record=tmp_path)
+    for path, result in zip(evaluation.recordings, evaluation.results, strict=True):
         assert result.ended == "gone" and result.ticks < 150 and result.ticks % 6 == 0
         assert result.distance > 0.1
         assert prove(path).result == result
 
 
 def test_a_creature_that_a_task_does_not_allow_is_an_error() -> None:
-    found = evaluate(Genome(snake()), task(limits={"cubes": 3}))
-    assert found.error is not None and "4 cubes, at most 3" in found.error
-    assert found.results == () and found.score is None
+    evaluation = evaluate(Genome(snake()), task(limits={"cubes": 3}))
+    assert evaluation.error is not None and "4 cubes, at most 3" in evaluation.error
+    assert evaluation.results == () and evaluation.score is None
 
 
 def test_a_divergence_is_a_result_with_a_reason_and_can_be_proved(tmp_path: Path) -> None:
-    found = evaluate(Genome(exploding()), task(), record=tmp_path)
-    assert found.error is None and found.score is None and found.faults == 2
-    for path, result in zip(found.recordings, found.results, strict=True):
+    evaluation = evaluate(Genome(exploding()), task(), record=tmp_path)
+    assert evaluation.error is None and evaluation.score is None and evaluation.faults == 2
+    for path, result in zip(evaluation.recordings, evaluation.results, strict=True):
         assert result.fault is not None and result.fault.startswith("diverged: ") and result.score is None
         assert 0 < result.ticks < 20
         assert prove(path).result == prove(path, brain=True).result == result
 
 
 def test_a_score_that_is_no_number_is_a_fault() -> None:
-    found = evaluate(Genome(snake()), task(objective="1 / (energy - energy)"))
-    assert found.faults == 2 and found.score is None and "finite" in (found.results[0].fault or "")
+    evaluation = evaluate(Genome(snake()), task(objective="1 / (energy - energy)"))
+    assert evaluation.faults == 2 and evaluation.score is None and "finite" in (evaluation.results[0].fault or "")
 
 
 def test_a_recording_of_another_run_proves_no_score(tmp_path: Path) -> None:

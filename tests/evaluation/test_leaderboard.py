@@ -153,19 +153,19 @@ def test_a_recording_in_which_somebody_pushes_the_creature_is_refused(tmp_path: 
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "reason"),
     [
         ("UPDATE entries SET score = score + 1 WHERE name = 'wave'", "prove a score of"),
         ("UPDATE entries SET task_hash = genome_hash WHERE name = 'wave'", "of another genome or task"),
     ],
 )
-def test_a_forged_entry_is_found_and_hidden(board: Path, change: str, said: str) -> None:
+def test_a_forged_entry_is_found_and_hidden(board: Path, change: str, reason: str) -> None:
     with sqlite3.connect(board) as database:
         true = database.execute("SELECT score, task_hash FROM entries WHERE name = 'wave'").fetchone()
         database.execute(change)
     database.close()
     result = run("verify", board, "--jobs", "1")
-    assert result.exit_code == 1 and said in result.stdout and "1 of 2 entries hold" in result.stdout
+    assert result.exit_code == 1 and reason in result.stdout and "1 of 2 entries hold" in result.stdout
     assert [entry.name for entry in Leaderboard(board).entries()] == ["<b>chain</b>"]
     assert "refused:" in run("show", board, "--refused").stdout
     with sqlite3.connect(board) as database:
@@ -176,15 +176,17 @@ def test_a_forged_entry_is_found_and_hidden(board: Path, change: str, said: str)
 
 def test_a_forged_or_missing_recording_is_found(board: Path, tmp_path: Path) -> None:
     wave = next(entry for entry in Leaderboard(board).entries() if entry.name == "wave")
-    kept = Leaderboard(board).recording(wave.recordings[1])
-    held = kept.read_bytes()
-    kept.unlink()
-    assert kept.name in run("verify", board, "--jobs", "1").stdout
-    kept.write_bytes(held[: len(held) // 2] + bytes([held[len(held) // 2] ^ 1]) + held[len(held) // 2 + 1 :])
+    file = Leaderboard(board).recording(wave.recordings[1])
+    content = file.read_bytes()
+    file.unlink()
+    assert file.name in run("verify", board, "--jobs", "1").stdout
+    file.write_bytes(
+        content[: len(content) // 2] + bytes([content[len(content) // 2] ^ 1]) + content[len(content) // 2 + 1 :]
+    )
     assert run("verify", board, "--jobs", "1").exit_code == 1
-    kept.write_bytes(held)
-    new = forged(str(kept), tmp_path / "new.mcap", lambda drive: {**drive, "controls": [0.0, 0.0, 0.0]})
-    kept.write_bytes(new.read_bytes())
+    file.write_bytes(content)
+    new = forged(str(file), tmp_path / "new.mcap", lambda drive: {**drive, "controls": [0.0, 0.0, 0.0]})
+    file.write_bytes(new.read_bytes())
     result = run("verify", board, "--jobs", "1")
     assert result.exit_code == 1 and "frame" in result.stdout
 
@@ -212,10 +214,10 @@ def test_ten_thousand_entries_are_shown_whole(board: Path) -> None:
     database.close()
     began = time.perf_counter()
     shown = subprocess.run([NMES, "leaderboard", "show", str(board)], capture_output=True, check=True)
-    took = time.perf_counter() - began
+    seconds = time.perf_counter() - began
     lines = shown.stdout.decode().splitlines()
     assert len(lines) == 10_003 and len(set(map(len, lines))) < 20
-    print(f"10,002 entries shown in {took:.2f} s")
+    print(f"10,002 entries shown in {seconds:.2f} s")
 
 
 def test_a_leaderboard_page_is_one_file_with_a_picture_of_each_creature(board: Path, tmp_path: Path) -> None:
@@ -230,12 +232,12 @@ def test_a_leaderboard_page_is_one_file_with_a_picture_of_each_creature(board: P
 
 def test_a_task_that_is_edited_is_another_task(board: Path, proofs: list[str], tmp_path: Path) -> None:
     easier = Task({**task().document, "objective": "10 + displacement.horizontal"})
-    found = evaluate(Genome(snake(name="wave")), easier, record=tmp_path)
-    assert run("add", board, *found.recordings).exit_code == 0
+    evaluation = evaluate(Genome(snake(name="wave")), easier, record=tmp_path)
+    assert run("add", board, *evaluation.recordings).exit_code == 0
     shown = Leaderboard(board).entries()
     assert len(shown) == 3 and len({entry.task_hash for entry in shown}) == 2
     with pytest.raises(LeaderboardError, match="one recording for each"):
-        Leaderboard(board).add([prove(found.recordings[0]), prove(proofs[1])])
+        Leaderboard(board).add([prove(evaluation.recordings[0]), prove(proofs[1])])
 
 
 def test_a_forked_recording_is_refused(proofs: list[str], tmp_path: Path) -> None:

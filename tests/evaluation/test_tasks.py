@@ -84,10 +84,10 @@ def test_an_invalid_task_is_refused_with_all_its_mistakes(tmp_path: Path) -> Non
     del document["colour"]
     with pytest.raises(DocumentError) as caught:
         Task({**document, "duration": 5, "world": {"seed": 3}})
-    said = dict(caught.value.problems)
-    assert set(said) == {"world/seed", "vary/yaw", "objective", "ends/0/when"}
-    assert said["objective"] == "line 1, column 1: there is no quantity 'heigth'; did you mean height?"
-    assert "it must give true or false" in said["ends/0/when"]
+    messages = dict(caught.value.problems)
+    assert set(messages) == {"world/seed", "vary/yaw", "objective", "ends/0/when"}
+    assert messages["objective"] == "line 1, column 1: there is no quantity 'heigth'; did you mean height?"
+    assert "it must give true or false" in messages["ends/0/when"]
 
 
 @pytest.mark.parametrize(
@@ -106,8 +106,8 @@ def test_an_invalid_task_is_refused_with_all_its_mistakes(tmp_path: Path) -> Non
 def test_a_mistake_in_a_task_has_a_path(changed: dict[str, Any], place: str, word: str) -> None:
     with pytest.raises(DocumentError) as caught:
         Task({**PLAIN, **changed})
-    ((path, said),) = caught.value.problems
-    assert path == place and word in said
+    ((path, message),) = caught.value.problems
+    assert path == place and word in message
 
 
 def test_an_unknown_task_is_answered_with_the_nearest_name(tmp_path: Path) -> None:
@@ -171,9 +171,9 @@ def test_a_body_that_a_task_does_not_allow_is_refused_with_the_reason() -> None:
     ]
     assert task.check(block()) == ["the task is about a cube 'tail', which the body has not"]
     hat = BodyCube("tail", (0.2, 0.2, 0.2), 1.0, (0.5, 1.1, 0.5), (0.0, 0.0, 0.0, 1.0), None, None, None)
-    for y, said in ((1.1, ["the task puts 'cargo' on the root, where the cube 'tail' is"]), (2.2, [])):
+    for y, reasons in ((1.1, ["the task puts 'cargo' on the root, where the cube 'tail' is"]), (2.2, [])):
         body = Body((*block().cubes, replace(hat, position=(0.5, y, 0.5))), (), ())
-        assert Task({**PLAIN, "objective": about, "props": props}).check(body) == said
+        assert Task({**PLAIN, "objective": about, "props": props}).check(body) == reasons
 
 
 def test_an_episode_ends_at_the_first_tick_at_which_its_condition_holds_or_its_energy_is_spent() -> None:
@@ -301,16 +301,16 @@ def blind(genome: Genome) -> Genome:
 def test_a_creature_that_senses_targets_and_props_reaches_and_balances_them(
     name: str, task: str, least: float, most: float, tmp_path: Path
 ) -> None:
-    genome, asked = Genome.load(name), Task.load(task)
-    seeds = [*asked.seeds, *range(100, 106)]
-    found = evaluate(genome, asked, seeds=seeds)
-    assert min(result.score or 0.0 for result in found.results) >= least
+    genome, trial = Genome.load(name), Task.load(task)
+    seeds = [*trial.seeds, *range(100, 106)]
+    evaluation = evaluate(genome, trial, seeds=seeds)
+    assert min(result.score or 0.0 for result in evaluation.results) >= least
     # Whoever does the same without the sense of a target comes to next to nothing.
-    unseen = evaluate(blind(genome), asked, seeds=seeds)
+    unseen = evaluate(blind(genome), trial, seeds=seeds)
     assert unseen.score is not None and unseen.score < most
     # The recording holds the target, and the brain does the same with what it felt.
-    (path,) = evaluate(genome, asked, seeds=[3], record=tmp_path).recordings
-    assert prove(path, brain=True).result == found.results[2]
+    (path,) = evaluate(genome, trial, seeds=[3], record=tmp_path).recordings
+    assert prove(path, brain=True).result == evaluation.results[2]
 
 
 def test_the_distance_to_a_prop_follows_the_prop() -> None:
@@ -329,8 +329,8 @@ def test_nmes_tasks_lists_and_shows_tasks(tmp_path: Path) -> None:
     assert [document["name"] for document in json.loads(run("--json").output)] == TEN
     shown = run("pole").output
     pole = Task.load("pole")
-    for told in (pole.objective.text, *(condition.text for _, condition in pole.ends), "drop 0 to 0.02", pole.hash):
-        assert told in shown
+    for text in (pole.objective.text, *(condition.text for _, condition in pole.ends), "drop 0 to 0.02", pole.hash):
+        assert text in shown
     path = tmp_path / "mine.json"
     path.write_text(run("walk", "--json").output)
     assert Task.load(path).document == Task.load("walk").document

@@ -78,7 +78,7 @@ LINK = {"id": "knee", "cube1": "a", "cube2": "c", "type": "hinge", "anchor": [0,
 
 
 @pytest.mark.parametrize(
-    ("path", "value", "place", "said"),
+    ("path", "value", "place", "message"),
     [
         ("format", "nmes-genome/2", "format", 'expected "nmes-genome/1", got "nmes-genome/2"'),
         ("name", None, "name", "is missing"),
@@ -108,9 +108,9 @@ LINK = {"id": "knee", "cube1": "a", "cube2": "c", "type": "hinge", "anchor": [0,
         ("sensors", [{"type": "height", "cube": "*"}] * 2, "sensors/1", "there is a sensor 'a.height' already"),
     ],
 )  # fmt: skip
-def test_a_mistake_in_a_genome_is_reported_with_its_path(path: str, value: Any, place: str, said: str) -> None:
-    found = problems(changed(path, value))
-    assert any(at == place and said in words for at, words in found), found
+def test_a_mistake_in_a_genome_is_reported_with_its_path(path: str, value: Any, place: str, message: str) -> None:
+    findings = problems(changed(path, value))
+    assert any(at == place and message in words for at, words in findings), findings
 
 
 def test_cubes_that_overlap_must_be_joined() -> None:
@@ -139,8 +139,8 @@ def test_overlap_of_rotated_boxes_is_exact(gap: float, turn: float, tilt: float,
     if apart:
         Genome(document)
     else:
-        ((place, said),) = problems(document)
-        assert place == "body/cubes/1" and f"overlap by {gap:.3g} m" in said
+        ((place, message),) = problems(document)
+        assert place == "body/cubes/1" and f"overlap by {gap:.3g} m" in message
 
 
 def test_all_mistakes_of_a_genome_are_reported_at_once() -> None:
@@ -213,10 +213,10 @@ def test_what_a_body_senses_by_default_follows_from_it() -> None:
 
 
 def test_sensor_patterns_match_the_body_s_parts() -> None:
-    found = Genome(
+    findings = Genome(
         {**pair(), "sensors": [{"type": "spin", "cube": "?", "axis": "y"}, {"type": "effort", "joint": "h*"}]}
     )
-    assert [sensor.id for sensor in found.body.sensors] == ["a.spin.y", "b.spin.y", "hip.effort"]
+    assert [sensor.id for sensor in findings.body.sensors] == ["a.spin.y", "b.spin.y", "hip.effort"]
 
 
 # -- graphs -----------------------------------------------------------------------------------------------------------
@@ -345,7 +345,7 @@ def link(face: str, end: str = "body", **more: Any) -> Document:
 
 
 @pytest.mark.parametrize(
-    ("given", "place", "said"),
+    ("given", "place", "message"),
     [
         (graph(root="boddy", body=(1, 1)), "root", "there is no part 'boddy'"),
         (graph(link("+x", "x"), body=(1, 1)), "connections/0/to", "no part 'x'"),
@@ -360,9 +360,9 @@ def link(face: str, end: str = "body", **more: Any) -> Document:
         ),
     ],
 )
-def test_a_graph_that_cannot_grow_is_refused_with_the_reason(given: Document, place: str, said: str) -> None:
-    found, place = problems_of_graph(given), f"body/graph/{place}".rstrip("/")
-    assert any(at == place and said in words for at, words in found), found
+def test_a_graph_that_cannot_grow_is_refused_with_the_reason(given: Document, place: str, message: str) -> None:
+    findings, place = problems_of_graph(given), f"body/graph/{place}".rstrip("/")
+    assert any(at == place and message in words for at, words in findings), findings
 
 
 def problems_of_graph(given: Document) -> list[tuple[str, str]]:

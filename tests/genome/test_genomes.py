@@ -301,8 +301,8 @@ def test_the_examples_of_the_page_work() -> None:
     grown = Genome({**head, **json.loads(f"{{{body}}}")})
     names = [cube.id for cube in grown.body.cubes]
     assert names.count("head") == 1 and {"leg.4", "leg.4.mirror", "segment.4"} <= set(names)
-    felt = Genome({**hopper.document, **json.loads(f"{{{sensors}}}")}).body.sensors
-    assert [sensor.id for sensor in felt] == [
+    readings = Genome({**hopper.document, **json.loads(f"{{{sensors}}}")}).body.sensors
+    assert [sensor.id for sensor in readings] == [
         "leg.position", "torso.up.x", "torso.up.y", "torso.up.z", "foot.touch", "tilt",
     ]  # fmt: skip
     (code,) = re.findall(r"^```python\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
