@@ -157,7 +157,8 @@ def _about(genome: Genome) -> dict[str, Any]:
             for joint in body.joints
         ],
         "motors": [
-            {"id": m.id, "mode": m.mode, "range": [m.low, m.high], "max_effort": m.max_effort} for m in body.motors
+            {"id": motor.id, "mode": motor.mode, "range": [motor.low, motor.high], "max_effort": motor.max_effort}
+            for motor in body.motors
         ],
         "sensors": [sensor.id for sensor in body.sensors],
     }

@@ -81,7 +81,7 @@ def _inlined(value: Any, path: str) -> Any:
 
 
 def describe(schema: Mapping[str, Any]) -> str:
-    """Says what a value must be, for people: `a number from 0 to 10`, `3 numbers from -1e15 to 1e15 N`."""
+    """Returns words for the values that a schema allows: `a number from 0 to 10`, `3 numbers from -1e15 to 1e15 N`."""
     if "title" in schema:
         return str(schema["title"])
     if "const" in schema:

@@ -44,7 +44,7 @@ def _message(kind: str, schema: Schema) -> str:
         lines.append("")
     if kind == "error":
         lines += ["| code | meaning |", "|---|---|"]
-        lines += [f"| `{c['const']}` | {c['description']} |" for c in schema["properties"]["code"]["oneOf"]]
+        lines += [f"| `{code['const']}` | {code['description']} |" for code in schema["properties"]["code"]["oneOf"]]
         lines.append("")
     for example in schema["examples"]:
         lines += ["```json", json.dumps(example, ensure_ascii=False), "```", ""]

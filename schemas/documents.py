@@ -180,9 +180,9 @@ def check(schema: CompiledSchema, value: Any) -> None:
     Raises:
         DocumentError: It is not as the schema says, with every problem.
     """
-    found = [(problem.pointer, problem.message) for problem in problems(schema, value)]
-    if found:
-        raise DocumentError(found)
+    pairs = [(problem.pointer, problem.message) for problem in problems(schema, value)]
+    if pairs:
+        raise DocumentError(pairs)
 
 
 def problems(schema: CompiledSchema, value: Any) -> Iterator[Problem]:

@@ -32,7 +32,7 @@ _WHITE: Final = b" \t\r\n"
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a host allows one peer, and how many peers.
+    """The limits that a host sets its connections.
 
     Attributes:
         frame: Longest frame after auth, bytes.
@@ -131,9 +131,9 @@ class Session:
         self._auth_id: Any = NO_ID
 
     def receive(self, data: bytes) -> list[Auth | Request]:
-        """Takes what came in and returns what it means. Never raises; see `violation` afterwards.
+        """Takes bytes and returns the requests that they complete. Never raises; see `violation` afterwards.
 
-        What was received while waiting comes out of the next call after `accept`, which may be `receive(b"")`.
+        Bytes received while waiting come out of the next call after `accept`, which may be `receive(b"")`.
         """
         if self._state == "closed" or self.violation is not None:
             return []
