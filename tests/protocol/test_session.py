@@ -60,7 +60,7 @@ def cut(data: st.DataObject, stream: bytes) -> list[bytes]:
 
 
 @given(pieces, st.integers(0, 60), st.data())
-def test_how_a_stream_is_cut_does_not_change_its_frames(stream: list[bytes], limit: int, data: st.DataObject) -> None:
+def test_the_chunks_of_a_stream_do_not_change_its_frames(stream: list[bytes], limit: int, data: st.DataObject) -> None:
     whole = b"".join(stream)
     # What frames are, said again in the simplest way.
     *complete, rest = whole.split(DELIMITER)
@@ -121,7 +121,7 @@ def test_a_frame_of_the_limit_passes_and_one_byte_more_does_not() -> None:
     assert violation(before_auth) == "frame_too_large"
 
 
-def test_a_frame_that_never_ends_is_not_gathered_for_ever() -> None:
+def test_a_frame_that_never_ends_is_refused_at_the_limit() -> None:
     session = opened(limits=Limits(frame=200))
     for _ in range(300):
         session.receive(b"x")
@@ -164,7 +164,7 @@ def test_no_stream_makes_a_session_raise_and_cutting_it_changes_nothing(
     assert run([whole]) == run(cut(data, whole)) == run([whole[i : i + 1] for i in range(len(whole))])
 
 
-def test_auth_in_the_json_dialect() -> None:
+def test_auth_in_the_json_dialect_is_read() -> None:
     session = Session()
     (auth,) = session.receive(b'{"type":"auth","password":"open sesame","world":"moon","id":null,"x":1}' + DELIMITER)
     assert isinstance(auth, Auth)
@@ -178,7 +178,7 @@ def test_auth_in_the_json_dialect() -> None:
     assert session.event(b'{"type":"tick"}') == b'{"type":"tick"}' + DELIMITER
 
 
-def test_auth_in_the_raw_dialect() -> None:
+def test_auth_in_the_raw_dialect_is_read() -> None:
     session = Session()
     (auth,) = session.receive("  sésame \n".encode() + DELIMITER)
     assert auth == Auth("raw", "sésame")
@@ -203,7 +203,7 @@ def test_auth_in_the_raw_dialect() -> None:
         (b"\xff", "raw", "auth_failed"),
     ],
 )
-def test_a_first_frame_that_is_no_auth(first: bytes, dialect: str, code: str) -> None:
+def test_a_first_frame_that_is_no_auth_is_refused(first: bytes, dialect: str, code: str) -> None:
     session = Session()
     (auth,) = session.receive(first + DELIMITER)
     assert isinstance(auth, Auth) and auth.dialect == dialect
@@ -225,7 +225,7 @@ def test_a_password_is_never_repeated() -> None:
     assert decode(session.refuse(auth.error).removesuffix(DELIMITER))["id"] == 1
 
 
-def test_who_floods_before_the_answer_to_auth_is_stopped() -> None:
+def test_a_flood_before_the_answer_to_auth_is_refused() -> None:
     session = Session(Limits(pending=500))
     session.receive(AUTH + DELIMITER)
     session.receive(b"x" * 500)
@@ -267,7 +267,7 @@ def test_the_raw_dialect_is_silent_after_these_commands_and_no_others() -> None:
         assert isinstance(request, Request) and raw.reply(request, b"{}") == b"{}" + DELIMITER
 
 
-def test_planets_stand_alone_in_the_raw_dialect() -> None:
+def test_planets_are_sent_without_an_envelope_in_the_raw_dialect() -> None:
     reply = encode({"type": "planets", "planets": [{"Name": "Planet_0"}], "id": 4})
     failed = encode({"type": "error", "code": "world_faulted", "message": "", "command": "get_planets"})
     for session, bare in ((opened(b"open sesame"), True), (opened(), False)):
