@@ -101,8 +101,8 @@ class ExampleSimulation(Simulation):
     def digest(self) -> bytes:
         state = blake2b(digest_size=16)
         for body, spec in self._specs.items():
-            made = (body, *spec.size, spec.mass, spec.friction, spec.restitution, self._frozen[body])
-            state.update(np.concatenate([made, self._rows[body], self._acting[body]]).tobytes())
+            fields = (body, *spec.size, spec.mass, spec.friction, spec.restitution, self._frozen[body])
+            state.update(np.concatenate([fields, self._rows[body], self._acting[body]]).tobytes())
         return state.digest()
 
     # What it does not promise, it must still answer or refuse.
@@ -127,7 +127,7 @@ class ExampleSimulation(Simulation):
 
 
 class ExampleBackend(Backend):
-    """What the entry point names."""
+    """The engine that the entry point names."""
 
     name = "example"
     dims = 2
@@ -138,7 +138,7 @@ class ExampleBackend(Backend):
         return "0.1.0"
 
     def fingerprint(self) -> dict[str, str]:
-        """Returns what another installation must share for its runs to come out the same."""
+        """Returns the facts that another installation must share for its runs to give the same results."""
         source = sha256(Path(__file__).read_bytes()).hexdigest()
         return {"version": self.version(), "numpy": np.__version__, "binary_sha256": source}
 
