@@ -97,14 +97,14 @@ def run(environment: Path, *command: str, cwd: Path) -> str:
 
 
 def test_every_module_is_in_the_wheel_and_can_be_imported(environment: Path, tmp_path: Path) -> None:
-    package = json.loads(run(environment, "python", "-I", "-c", IMPORT_ALL, cwd=tmp_path))
-    assert Path(package["root"]).is_relative_to(environment.parent)
+    installed = json.loads(run(environment, "python", "-I", "-c", IMPORT_ALL, cwd=tmp_path))
+    assert Path(installed["root"]).is_relative_to(environment.parent)
     expected = set()
     for package, folder in PROJECT["tool"]["setuptools"]["package-dir"].items():
         for file in (ROOT / folder).rglob("*.py"):
             parts = file.relative_to(ROOT / folder).with_suffix("").parts
             expected.add(".".join((package, *(part for part in parts if part != "__init__"))))
-    assert set(package["modules"]) == expected
+    assert set(installed["modules"]) == expected
 
 
 def test_an_installed_wheel_serves_and_replays(environment: Path, tmp_path: Path) -> None:
