@@ -1,7 +1,7 @@
 """The divergence campaign: histories edited at random, each found at the place where its first effect is.
 
 A forger changes one thing in a recording and makes all checksums and the chain anew. Where that first shows is found
-out here without `nmes.replay`: the edited inputs are done to a fresh world, which is recorded, and the two histories
+out here without `nmes.playback`: the edited inputs are done to a fresh world, which is recorded, and the two histories
 are laid side by side.
 """
 

@@ -126,8 +126,8 @@ def test_the_task_keeps_the_rules_of_tasks_that_ship(with_task: Copy) -> None:
 
 def test_a_command_touches_the_files_that_its_example_shows() -> None:
     text = section("Adding a command to the command line")
-    assert files(text) == ["cli/NAME.py", "cli/__init__.py", "README.md", "tests/cli/test_NAME.py"]
-    assert "`nmes clients" in block(text, "README.md")
+    assert files(text) == ["cli/NAME.py", "cli/__init__.py", "docs/cli.md", "tests/cli/test_NAME.py"]
+    assert "`nmes clients" in block(text, "docs/cli.md")
 
 
 def test_help_lists_the_command_and_the_command_shows_its_own(with_command: Copy) -> None:
