@@ -11,7 +11,7 @@ __all__ = ["StepBarrier"]
 
 
 class StepBarrier:
-    """Who controls a world with a barrier, who of them waits in a `step`, and for how many ticks.
+    """The clients that step a world together, and the ticks that each of them still waits for.
 
     Attributes:
         waiting: The clients that wait, and the number of ticks that they still wait for.
@@ -25,7 +25,7 @@ class StepBarrier:
         update_soon: Callable[[], None],
         expire: Callable[[], None],
     ) -> None:
-        """Nobody waits yet.
+        """Makes a barrier at which nobody waits yet.
 
         Args:
             world: Whose barrier it is. While it has none, only `forget` and `update` do anything.
@@ -70,7 +70,7 @@ class StepBarrier:
             return
         if self._world.barrier is None or self._world.fault is not None:
             self._dissolve()
-        elif self.complete():
+        elif self._complete():
             self._advance(min(self.waiting.values()), self._ticked)
         else:
             self._set_alarm()
@@ -88,7 +88,7 @@ class StepBarrier:
             self._alarm.cancel()
             self._alarm = None
 
-    def complete(self) -> bool:
+    def _complete(self) -> bool:
         """Whether all who control the world wait in a `step`."""
         if self._world.barrier is None or not self.waiting:
             return False
@@ -109,7 +109,7 @@ class StepBarrier:
         self.waiting = {client: ticks - count for client, ticks in self.waiting.items() if ticks > count}
         self._released.update(done)
         self._release(done)
-        if self.complete():  # the slice was over before
+        if self._complete():  # the slice was over before
             self._update_soon()
         self._set_alarm()
 

@@ -18,10 +18,10 @@ class Clock:
     """Says when a world ticks by itself, and how often. It runs while the world does."""
 
     def __init__(self, world: World, turn: Callable[[], None]) -> None:
-        """Stands still until `adjust` is called.
+        """Makes a clock that stands still until `adjust` is called.
 
         Args:
-            world: Whose clock it is.
+            world: The world that ticks.
             turn: Called in the event loop whenever ticks may be due. It has `due` ticks done, and calls `ticked`.
         """
         self._world = world
@@ -33,7 +33,7 @@ class Clock:
         self._start_frame = 0
 
     @property
-    def speed(self) -> float:
+    def _speed(self) -> float:
         """Ticks per second of the wall's clock."""
         return float(self._world.rate * self._world.config["tick_rate"])
 
@@ -54,8 +54,8 @@ class Clock:
         if self._world.mode != "realtime":
             return math.inf
         now, done = monotonic(), self._world.frame - self._start_frame
-        self._start += max(now - self._start - done / self.speed - CATCH_UP, 0.0)
-        return math.floor((now - self._start) * self.speed) - done
+        self._start += max(now - self._start - done / self._speed - CATCH_UP, 0.0)
+        return math.floor((now - self._start) * self._speed) - done
 
     def ticked(self, due: float, ticks: int) -> None:
         """Sets the next turn, after so many of the ticks that were due."""
@@ -63,7 +63,7 @@ class Clock:
         if due > ticks:
             self.turn_soon()
         else:
-            at = self._start + (self._frame + 1 - self._start_frame) / self.speed
+            at = self._start + (self._frame + 1 - self._start_frame) / self._speed
             self._handle = asyncio.get_running_loop().call_at(at, self._turn)
 
     def turn_soon(self) -> None:

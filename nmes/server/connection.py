@@ -103,9 +103,10 @@ class Connection(asyncio.BufferedProtocol):
             self._failed()
 
     def _failed(self) -> None:
-        """A mistake of ours must neither reach the peer as a traceback nor hurt anybody else."""
+        """Ends the connection after a mistake of ours, which must not reach the peer as a traceback nor hurt others."""
         logger.exception("a connection failed")
         self.hang_up(NmesError("internal", "the server failed; see its log"))
+        self._leave()  # also where it is ending already
 
     def eof_received(self) -> bool:
         """Hangs up: everything is answered, for while something waits nothing is read."""
@@ -119,7 +120,10 @@ class Connection(asyncio.BufferedProtocol):
         self._full = False
         self._cancel_timer()
         self._host.forget(self)
-        self._work()
+        try:
+            self._work()
+        except Exception:
+            self._failed()
 
     def pause_writing(self) -> None:
         """Lets this peer's commands wait until it reads."""
@@ -263,7 +267,7 @@ class Connection(asyncio.BufferedProtocol):
 
     def flush(self) -> None:
         """Hands what is queued to the socket, in one write, when it is on disk."""
-        if self._output and self._world is not None:
+        if self._output and self._world is not None and self._world.durable:
             self._world.commit()
         if self._output:
             data = b"".join(self._output)

@@ -27,6 +27,7 @@ from nmes.server.connection import LINGER, READ, Connection
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.metrics import CONTENT_TYPE, Figures, Metrics
 from nmes.server.threads import WorkerPool
+from nmes.server.world_recorder import Origin
 
 __all__ = ["Host"]
 
@@ -109,7 +110,7 @@ class Host:
         return self._add(config, None)
 
     def resume(self, recording: Recording, frame: int | None = None) -> HostedWorld:
-        """Hosts the world of a recording, which goes on from a frame of it; the clients of then have left.
+        """Hosts the world of a recording, which goes on from a frame of it; its recorded clients are gone.
 
         Args:
             recording: The recording.
@@ -121,12 +122,12 @@ class Host:
             BackendNotFound: No such engine.
             WorldError: There is a world of that name (`world_exists`).
         """
-        return self._add(recording.config, (recording, frame))
+        return self._add(recording.config, Origin(recording, recording.last_frame if frame is None else frame))
 
-    def _add(self, config: Mapping[str, Any], parent: tuple[Recording, int | None] | None) -> HostedWorld:
+    def _add(self, config: Mapping[str, Any], origin: Origin | None) -> HostedWorld:
         name = self.offer(config)
         try:
-            return self._create(name, parent)
+            return self._create(name, origin)
         except NmesError:
             del self._offered[name]
             raise
@@ -145,9 +146,9 @@ class Host:
         self._offered[name] = complete
         return name
 
-    def _create(self, name: str, parent: tuple[Recording, int | None] | None = None) -> HostedWorld:
+    def _create(self, name: str, origin: Origin | None = None) -> HostedWorld:
         hosted = self.worlds[name] = HostedWorld(
-            self._offered[name], self._pool, self.record_to, self._flush_interval, self._metrics, parent
+            self._offered[name], self._pool, self.record_to, self._flush_interval, self._metrics, origin
         )
         if self._servers:
             hosted.start()

@@ -4,14 +4,14 @@ A connection submits the requests of its client one by one. Each is answered at 
 the connection is called when it may be submitted again. The world knows no sockets, only `Peer`s.
 
 The rest is done by parts: the `Clock` ticks in `realtime` and `fast`, the `StepBarrier` lets agents wait for each
-other, the `Worker` takes long work to a thread, the `WorldRecorder` flushes, and `Peers` send events. Whatever happens
-to the world, `_settle` sees to all of them soon after.
+other, the `Worker` takes long work to a thread, the `WorldRecorder` flushes, and `Peers` send events. After a tick, and
+after a request that left events, agents that wait or a fault behind, `_settle` sees to all of them.
 
 Invariants:
 
 - A world is touched by one thread at a time, in one order: requests are executed as they are submitted, ticks come
   between. While it is in a thread, requests wait in the order in which they came.
-- A recording that waits for the disk holds whatever leaves for a socket.
+- With a flush interval of 0, nothing reaches a socket before it is on disk.
 """
 
 from __future__ import annotations
@@ -25,22 +25,21 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from nmes.errors import RecordingError
-from nmes.playback.restore import restore_into
+from nmes.playback import restore_into
 from nmes.protocol import Request
-from nmes.recording import Recording
 from nmes.server.barrier import StepBarrier
 from nmes.server.clock import Clock
 from nmes.server.metrics import Metrics, WorldFigures
 from nmes.server.peers import Peer, Peers
 from nmes.server.threads import LONG_COMMANDS, Worker, WorkerPool
-from nmes.server.world_recorder import WorldRecorder
+from nmes.server.world_recorder import Origin, WorldRecorder
 from nmes.world import Fault, World
 
 __all__ = ["HostedWorld", "Status"]
 
 logger = logging.getLogger(__name__)
 
-# The commands after which a world may tick by itself where it did not before, or otherwise.
+# The commands that may start, stop or re-pace the clock.
 _STEERING = frozenset({"set_mode", "pause", "resume", "reset", "batch"})
 
 
@@ -67,16 +66,16 @@ class HostedWorld:
         record_to: Path | None = None,
         flush_interval: float = 1.0,
         metrics: Metrics | None = None,
-        parent: tuple[Recording, int | None] | None = None,
+        origin: Origin | None = None,
     ) -> None:
         """Creates the world and begins its recording, a new file in the directory `record_to`, if one is given.
 
-        The world is a new one, or with `parent` goes on from a frame (None: the last) of a recording, whose config is
-        `config` then.
+        The world is a new one, or goes on from its origin, a frame of a recording, whose config is `config` then.
         """
         self.world = World(config) if metrics is None else metrics.world(config)
         self.name: str = self.world.config["name"]
-        self._recorder = _begin(self.world, record_to, flush_interval, parent)
+        self._recorder = _begin(self.world, record_to, flush_interval, origin)
+        self.durable = self._recorder is not None and flush_interval == 0
         self._peers = Peers()
         self.world.emit = self._peers.send
         self._settling: asyncio.Handle | None = None  # where `_settle` is to be called
@@ -186,8 +185,10 @@ class HostedWorld:
             waits = self._barrier.arrive(client, command.get("ticks", 1))
             return None if waits else world.handle(client, request)
         execute = partial(self._worker.execute, client, request)
-        if self._worker.takes_long(command) and self._worker.run(execute, partial(self._executed, client)):
-            return None
+        if self._worker.takes_long(command):
+            # A commit that fails before the world goes to a thread hangs up on all its clients.
+            if self._worker.run(execute, partial(self._executed, client)) or client not in self._peers:
+                return None
         return execute()
 
     def _executed(self, client: int, reply: Future[bytes]) -> None:
@@ -230,6 +231,8 @@ class HostedWorld:
 
     def _turn(self) -> None:
         """Ticks as often as the clock says, for one slice."""
+        if self._closing:
+            return
         if self._worker.away:
             self._turn_due = True
             return
@@ -248,7 +251,7 @@ class HostedWorld:
 
     # -- in a thread -----------------------------------------------------------------------------------------------
 
-    def leaving(self) -> bool:
+    def prepare_thread(self) -> bool:
         """Commits before the world goes to a thread; returns whether it may go."""
         self.commit()
         if self.world.fault is not None:
@@ -258,27 +261,28 @@ class HostedWorld:
         self.world.emit = lambda client, event: self._events.append((client, event))
         return True
 
-    def slice_ended(self) -> None:
+    def end_slice(self) -> None:
         """Flushes the recording where that is due, and sends events; called in the world's thread.
 
         Raises:
-            RecordingError: The recording cannot be written, so nobody may hear of these events.
+            RecordingError: The recording cannot be written. Where it waits for the disk, nobody hears of these events.
         """
-        if self._flush_due and self._recorder is not None:
-            self._flush_due = False
-            self._recorder.flush()
-        if not self._events:
-            return
-        events, self._events = self._events, []
+        flush_due, self._flush_due = self._flush_due, False
         if self._recorder is not None:
             try:
-                self._recorder.commit()
+                if flush_due:
+                    self._recorder.flush()
+                if self._events:
+                    self._recorder.commit()
             except RecordingError as error:
-                self._loss = error
+                if self.durable:
+                    self._events, self._loss = [], error
                 raise
-        self._loop.call_soon_threadsafe(self._peers.deliver, events)
+        if self._events:
+            events, self._events = self._events, []
+            self._loop.call_soon_threadsafe(self._peers.deliver, events)
 
-    def returned(self, finish: Callable[[], None]) -> None:
+    def take_back(self, finish: Callable[[], None]) -> None:
         """Goes on with a world that is back from a thread: first those who waited, then it itself."""
         self.world.emit = self._peers.send
         events, self._events = self._events, []
@@ -327,7 +331,7 @@ class HostedWorld:
         Where it fails, nobody may hear of what is lost: all output is dropped, the world stops, and its clients are
         hung up on. While the world is in a thread, it commits its own events; earlier ones are on disk since it went.
         """
-        if self._recorder is None or not self._recorder.durable or self._worker.away:
+        if self._recorder is None or self._worker.away:
             return
         try:
             self._recorder.commit()
@@ -357,16 +361,13 @@ class HostedWorld:
                 logger.error("the recording %s could not be completed: %s", self.recording, error.message)
 
 
-def _begin(
-    world: World, record_to: Path | None, flush_interval: float, parent: tuple[Recording, int | None] | None
-) -> WorldRecorder | None:
+def _begin(world: World, record_to: Path | None, flush_interval: float, origin: Origin | None) -> WorldRecorder | None:
     """Brings a new world to where it begins; returns the recorder of what follows, if it is to be recorded."""
     recorder = None
     if record_to is not None:
-        recorder = WorldRecorder(world, record_to, flush_interval, parent)
-    elif parent is not None:
-        recording, frame = parent
-        restore_into(world, recording, recording.last_frame if frame is None else frame)
+        recorder = WorldRecorder(world, record_to, flush_interval, origin)
+    elif origin is not None:
+        restore_into(world, origin.recording, origin.frame)
     for client in world.clients():  # their connections are gone
         world.leave(client)
     return recorder

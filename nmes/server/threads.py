@@ -1,4 +1,4 @@
-"""Where a world's work is done: short work in the event loop, long work in a thread of the host's pool.
+"""The worker of a world: short work is done in the event loop, long work in a thread of the host's pool.
 
 It hides how long work will take, which is guessed from what it took before. So the clock decides where work is done,
 and never what comes of it.
@@ -95,13 +95,13 @@ class WorkerPool:
 class Owner(Protocol):
     """The hosted world of a worker, which is told where its world is."""
 
-    def leaving(self) -> bool:
+    def prepare_thread(self) -> bool:
         """Prepares for the world to go to a thread; returns whether it may."""
 
-    def slice_ended(self) -> None:
+    def end_slice(self) -> None:
         """Sends events and flushes the recording, after a slice of ticks; called in the world's thread."""
 
-    def returned(self, finish: Callable[[], None]) -> None:
+    def take_back(self, finish: Callable[[], None]) -> None:
         """Goes on with a world that is back in the event loop; `finish` hands over the result of its work."""
 
 
@@ -117,7 +117,7 @@ class Worker:
     """
 
     def __init__(self, world: World, pool: WorkerPool, owner: Owner) -> None:
-        """Does all work in the event loop at first."""
+        """Makes a worker whose world is in the event loop."""
         self.away = False
         self._world = world
         self._pool = pool
@@ -197,7 +197,7 @@ class Worker:
             work: Called in the thread.
             then: Called in the loop with the result, when the world is back, unless its host closes.
         """
-        if not self._owner.leaving():
+        if self._stopping or not self._owner.prepare_thread():
             return False
         self.away = True
         self._world.between = self._between
@@ -214,7 +214,7 @@ class Worker:
             raise _Stopped
         if monotonic() < self._until:
             return
-        self._owner.slice_ended()
+        self._owner.end_slice()
         pause = monotonic()
         self._pool.give_way()
         now = monotonic()
@@ -224,7 +224,7 @@ class Worker:
     def _return(self, then: Callable[[Future[T]], None], result: Future[T]) -> None:
         self.away, self._world.between = False, None
         self._returned.set()
-        self._owner.returned(partial(then, result))
+        self._owner.take_back(partial(then, result))
 
     async def stop(self) -> None:
         """Ends what is done in a thread, after the tick it is at; returns when the world is back."""

@@ -6,13 +6,21 @@ import re
 from datetime import UTC, datetime
 from pathlib import Path
 from time import monotonic
+from typing import NamedTuple
 
 from nmes.errors import RecordingError
 from nmes.playback.fork import fork
 from nmes.recording import Recorder, Recording
 from nmes.world import World
 
-__all__ = ["WorldRecorder"]
+__all__ = ["Origin", "WorldRecorder"]
+
+
+class Origin(NamedTuple):
+    """The frame of a recording, counted on through resets, from which a hosted world goes on."""
+
+    recording: Recording
+    frame: int
 
 
 class WorldRecorder:
@@ -20,19 +28,16 @@ class WorldRecorder:
 
     Attributes:
         path: The recording, a new file that is named after the world and the time.
-        durable: Whether `commit` waits for the disk; if not, it does nothing.
     """
 
-    def __init__(
-        self, world: World, directory: Path, flush_interval: float, parent: tuple[Recording, int | None] | None
-    ) -> None:
+    def __init__(self, world: World, directory: Path, flush_interval: float, origin: Origin | None) -> None:
         """Begins a recording in the directory, which is made if need be.
 
         Args:
             world: A new world; the recorder becomes its journal.
             directory: Where the file is to be.
             flush_interval: How much (s) of the recording a crash may lose; 0: nothing that was committed.
-            parent: A recording and its frame (None: its last) that the world is brought to first.
+            origin: Where the world is brought to first; None: it is new.
 
         Raises:
             RecordingError: The file cannot be written, or the world cannot be brought to that frame.
@@ -42,14 +47,12 @@ class WorldRecorder:
         except OSError as error:
             raise RecordingError("recording_failed", f"cannot make {directory}: {error.strerror}") from error
         self.path = _new_path(directory, world.config["name"])
-        self.durable = flush_interval == 0
         self._world = world
-        if parent is None:
+        if origin is None:
             self._recorder = Recorder(self.path, world, flush_interval=flush_interval)
             world.journal = self._recorder
         else:
-            recording, frame = parent
-            self._recorder = fork(recording, world, self.path, frame, flush_interval=flush_interval)
+            self._recorder = fork(origin.recording, world, self.path, origin.frame, flush_interval=flush_interval)
         self._flushed = monotonic()
 
     @property
@@ -68,12 +71,12 @@ class WorldRecorder:
             self._flushed = monotonic()
 
     def commit(self) -> None:
-        """Waits for the disk if the recording is durable: to be called before anything is told to anybody.
+        """Waits for the disk where the flush interval is 0: to be called before anything is told to anybody.
 
         Raises:
             RecordingError: It cannot be written, so what is about to be told may be of what is lost.
         """
-        if self.durable and self._world.journal is not None:
+        if self._world.journal is not None:
             self._recorder.commit()
 
     def close(self) -> None:

@@ -18,7 +18,7 @@ from servers import served
 
 MOST = 24
 PUSH = {"type": "apply_physics", "cube_name": "cube", "force": [1.5, 0, -0.5]}
-PACKAGES = tuple(str(ROOT / folder) + "/" for folder in ("nmes", "backends"))
+PACKAGES = tuple(str(ROOT / folder) + "/" for folder in ("nmes", "backends", "schemas"))
 
 
 @contextmanager

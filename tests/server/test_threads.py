@@ -416,6 +416,60 @@ def test_a_flush_that_fails_during_a_long_step_faults_the_world(
         monkeypatch.undo()
 
 
+def test_events_before_a_flush_that_fails_are_not_sent_where_they_must_be_on_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(self: Recorder) -> None:
+        raise RecordingError("recording_failed", "the disk is full")
+
+    with gated(record_to=tmp_path, flush_interval=0) as (server, gate), server.peer() as peer, server.peer() as watcher:
+        watcher.ask({"type": "subscribe", "events": ["tick"]})
+        peer.say(LONG)
+        gate.wait()
+        monkeypatch.setattr(Recorder, "flush", full)
+        server.call(server.hosted.flush)
+        monkeypatch.setattr(nmes.server.threads, "SLICE", 0.0)
+        server.hosted._worker._until = 0.0
+        gate.open()
+        messages = [json.loads(frame) for frame in watcher.rest()]
+        assert {message["type"] for message in messages} == {"world_fault", "error"}
+        assert {json.loads(frame)["code"] for frame in peer.rest()} == {"recording_failed"}
+        monkeypatch.undo()
+
+
+def test_a_command_whose_commit_fails_is_answered_by_the_failed_recording(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def full(self: Recorder) -> None:
+        raise RecordingError("recording_failed", "the disk is full")
+
+    with gated(record_to=tmp_path, flush_interval=0) as (server, gate), server.peer() as peer:
+        gate.open()
+        monkeypatch.setattr(Recorder, "commit", full)
+        peer.say(LONG)
+        assert {json.loads(frame)["code"] for frame in peer.rest()} == {"recording_failed"}
+        assert "a connection failed" not in caplog.text
+        monkeypatch.undo()
+
+
+def test_a_world_that_closes_goes_to_no_thread(monkeypatch: pytest.MonkeyPatch) -> None:
+    with gated() as (server, gate):
+        gate.open()
+        hosted = server.hosted
+
+        def close_and_turn() -> bool:
+            hosted._closing = True
+            try:
+                hosted._turn()
+                return hosted._worker.away
+            finally:
+                hosted._closing = False
+
+        monkeypatch.setattr(nmes.server.threads, "SLICE", -1.0)  # all work is long
+        monkeypatch.setattr(nmes.server.threads, "BRIEF", -1.0)
+        assert server.call(close_and_turn) is False
+
+
 def test_an_exception_in_a_long_step_ends_one_connection_only(
     monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
