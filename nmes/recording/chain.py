@@ -13,7 +13,6 @@ import jsonschema_rs
 import orjson
 from mcap.records import Channel
 
-from nmes.errors import RecordingError
 from nmes.recording.mcap_format import (
     MESSAGE_OVERHEAD,
     DamagedFile,
@@ -27,7 +26,7 @@ from nmes.recording.mcap_reader import Block
 from nmes.recording.records import BOXES, KEYFRAMES, SEQUENCE_MASK, Kind, Record, next_head
 from nmes.schemas import load
 
-__all__ = ["Chain", "keyframe_ticks"]
+__all__ = ["Chain"]
 
 _CLIENT_TOPIC = re.compile(r"client/(\d{1,9})/(commands|replies|refused)")
 _CLIENT_KINDS = {"commands": Kind.COMMAND, "replies": Kind.REPLY, "refused": Kind.REFUSED}
@@ -41,22 +40,6 @@ _SHAPES = {
 _WRONG = (ValueError, KeyError, TypeError, IndexError)  # the errors that the bytes of a damaged chunk may lead to
 _RECORD_START = struct.Struct("<BQ")
 _LINK_SIZE = len('{"head":""}') + 64  # bytes of a message on `chain`
-_KEYFRAME = jsonschema_rs.Draft202012Validator(load("recording/keyframes.json"))
-
-
-def keyframe_ticks(snapshot: bytes) -> int:
-    """Counts the ticks before a keyframe, by the line of JSON with which its snapshot begins.
-
-    Raises:
-        RecordingError: It is no snapshot of a world (`recording_damaged`).
-    """
-    try:
-        state = orjson.loads(snapshot.partition(b"\n")[0])
-    except ValueError:
-        state = None
-    if not _KEYFRAME.is_valid(state):
-        raise RecordingError("recording_damaged", "a keyframe is no snapshot of a world")
-    return int(state["ticks"])
 
 
 class Chain:

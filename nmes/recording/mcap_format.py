@@ -1,9 +1,9 @@
 """The bytes of an MCAP file that its reader and its writer share: records, the messages of a chunk, checksums.
 
-MCAP is a container of others, with a package of theirs. That package's writer keeps a chunk in memory for as long as it
-likes and its readers meet damage with whatever exception comes first; so here, and in `mcap_writer` and `mcap_reader`,
-the container is written and read over that package's record types. Nothing of it knows of worlds: topics, metadata
-and what the messages mean are `nmes.recording`'s.
+MCAP is a container format (mcap.dev) with a Python package. That package's writer keeps a chunk in memory for as long
+as it likes and its readers meet damage with whatever exception comes first; so here, and in `mcap_writer` and
+`mcap_reader`, the container is written and read over that package's record types. Nothing of it knows of worlds:
+topics, metadata and what the messages mean are in `channels`, `records` and `chain`.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ __all__ = [
     "DamagedFile",
     "Message",
     "Skim",
-    "encoded",
+    "encode_records",
     "message_checksums",
-    "parsed",
+    "parse_record",
     "skim_chunk",
     "split_chunk",
 ]
@@ -82,7 +82,7 @@ class Message(NamedTuple):
     data: bytes
 
 
-def encoded(*records: McapRecord) -> bytes:
+def encode_records(*records: McapRecord) -> bytes:
     """Returns the bytes of records of the `mcap` package, one behind the other."""
     builder = RecordBuilder()
     for record in records:
@@ -91,7 +91,7 @@ def encoded(*records: McapRecord) -> bytes:
     return data
 
 
-def parsed(kind: type[_Record], body: bytes, offset: int) -> _Record:
+def parse_record(kind: type[_Record], body: bytes, offset: int) -> _Record:
     """Reads one of the `mcap` package's records from its body.
 
     Raises:
@@ -128,7 +128,7 @@ def split_chunk(content: bytes) -> Iterator[Message | Channel]:
             if end > size:
                 raise ValueError("a record does not fit into its chunk")
             if opcode == Opcode.CHANNEL:
-                yield parsed(Channel, content[position + prefix : end], position)
+                yield parse_record(Channel, content[position + prefix : end], position)
         position = end
 
 
@@ -180,7 +180,7 @@ def skim_chunk(content: bytes) -> Skim:
                 messages.append((record, stop))
             elif record[0] == Opcode.CHANNEL:
                 start = stop - record[1]
-                definitions.append((len(messages), parsed(Channel, content[start:stop], start - prefix)))
+                definitions.append((len(messages), parse_record(Channel, content[start:stop], start - prefix)))
         records, ends = [record for record, _ in messages], [stop for _, stop in messages]
     if not records:
         return Skim((), (), (), (), definitions)

@@ -19,9 +19,9 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, DataEnd, Header, Metadata
 
 from nmes.errors import RecordingError
-from nmes.recording.mcap_format import FOOTER, MAGIC, MAX_RECORD, PREFIX, DamagedFile, parsed
+from nmes.recording.mcap_format import FOOTER, MAGIC, MAX_RECORD, PREFIX, DamagedFile, parse_record
 
-__all__ = ["Block", "Reader", "Summary"]
+__all__ = ["Block", "FileIndex", "Reader"]
 
 _CHUNK = struct.Struct("<QQQII")  # of its body: times, size, checksum, length of the compression's name, which follows
 _LENGTH = struct.Struct("<Q")
@@ -43,7 +43,7 @@ class Block(NamedTuple):
     content: bytes
 
 
-class Summary(NamedTuple):
+class FileIndex(NamedTuple):
     """The summary at the end of a file.
 
     Attributes:
@@ -83,14 +83,14 @@ class Reader:
                 opcode, body = self._record(file, len(MAGIC))
                 if opcode != Opcode.HEADER:
                     raise DamagedFile(len(MAGIC), "it does not begin with a header")
-                self.profile = parsed(Header, body, len(MAGIC)).profile
+                self.profile = parse_record(Header, body, len(MAGIC)).profile
                 self._start = file.tell()
         except DamagedFile as error:
             raise RecordingError("not_a_recording", f"{self.path} is not a recording: {error}") from error
         except OSError as error:
             raise RecordingError("recording_unreadable", f"cannot read {self.path}: {error.strerror}") from error
 
-    def summary(self) -> Summary | None:
+    def summary(self) -> FileIndex | None:
         """Returns the file's summary, or None where there is no sound one. What it says of the rest is not checked."""
         try:
             with open(self.path, "rb") as file:
@@ -106,17 +106,17 @@ class Reader:
         except (DamagedFile, OSError):
             return None
 
-    def _summary(self, file: BinaryIO, offset: int) -> Summary:
-        summary = Summary([], [])
+    def _summary(self, file: BinaryIO, offset: int) -> FileIndex:
+        summary = FileIndex([], [])
         file.seek(offset)
         while True:
             opcode, body = self._record(file, offset)
             if opcode == Opcode.FOOTER:
                 return summary
             if opcode == Opcode.CHANNEL:
-                summary.channels.append(parsed(Channel, body, offset))
+                summary.channels.append(parse_record(Channel, body, offset))
             elif opcode == Opcode.CHUNK_INDEX:
-                index = parsed(ChunkIndex, body, offset)
+                index = parse_record(ChunkIndex, body, offset)
                 summary.chunks.append((index.chunk_start_offset, frozenset(index.message_index_offsets)))
             offset += PREFIX.size + len(body)
 
@@ -156,12 +156,12 @@ class Reader:
         while True:
             opcode, body = self._record(file, offset)
             if opcode == Opcode.DATA_END:
-                if parsed(DataEnd, body, offset).data_section_crc != crc and start is None:
+                if parse_record(DataEnd, body, offset).data_section_crc != crc and start is None:
                     raise DamagedFile(offset, "the checksum of the data section does not match")
                 break
             size = PREFIX.size + len(body)
             if opcode == Opcode.METADATA:
-                yield Block(offset, size, parsed(Metadata, body, offset), PREFIX.pack(opcode, len(body)) + body)
+                yield Block(offset, size, parse_record(Metadata, body, offset), PREFIX.pack(opcode, len(body)) + body)
             elif opcode == Opcode.CHUNK:
                 yield Block(offset, size, None, _unpacked(body, decompressor, offset))
             elif opcode != Opcode.MESSAGE_INDEX:

@@ -42,7 +42,7 @@ from nmes.recording.mcap_format import (
     MESSAGE_FIELDS,
     OPCODE_MESSAGE,
     PREFIX,
-    encoded,
+    encode_records,
 )
 
 __all__ = ["MAX_CHANNELS", "Writer"]
@@ -83,7 +83,7 @@ class Writer:
         self._sealed = False
         self._synced = 0  # how much was written when the disk last had all of it; and how much has been
         self._written = 0
-        self._append(MAGIC + encoded(Header(profile=profile, library=library)))
+        self._append(MAGIC + encode_records(Header(profile=profile, library=library)))
 
     @property
     def size(self) -> int:
@@ -92,7 +92,7 @@ class Writer:
 
     def metadata(self, name: str, values: Mapping[str, str]) -> bytes:
         """Writes a metadata record at once (ahead of the open chunk) and returns its bytes."""
-        record = encoded(Metadata(name=name, metadata=dict(values)))
+        record = encode_records(Metadata(name=name, metadata=dict(values)))
         self._metadata.append(MetadataIndex(offset=self._end, length=len(record), name=name))
         self._append(record)
         return record
@@ -139,7 +139,7 @@ class Writer:
         first = min(min(entries[::2]) for entries in self._index.values())
         last = max(max(entries[::2]) for entries in self._index.values())
         compressed = self._compressor.compress(self.open_chunk)
-        chunk = encoded(
+        chunk = encode_records(
             Chunk(
                 message_start_time=first,
                 message_end_time=last,
@@ -187,9 +187,9 @@ class Writer:
         """Flushes, then writes one last metadata record and the file's end, so that every MCAP reader can read it."""
         self.flush()
         self._unseal()
-        last = encoded(Metadata(name=name, metadata=dict(values)))
+        last = encode_records(Metadata(name=name, metadata=dict(values)))
         indexes = [*self._metadata, MetadataIndex(offset=self._end, length=len(last), name=name)]
-        data_end = encoded(DataEnd(data_section_crc=zlib.crc32(last, self._crc)))
+        data_end = encode_records(DataEnd(data_section_crc=zlib.crc32(last, self._crc)))
         statistics = Statistics(
             message_count=sum(self._counts.values()),
             schema_count=len(self._schemas),
@@ -220,12 +220,12 @@ class Writer:
             (Opcode.CHUNK_INDEX, self._chunks),
             (Opcode.METADATA_INDEX, metadata),
         ):
-            group = encoded(*records)
+            group = encode_records(*records)
             if group:
                 groups.append(group)
                 offsets.append(SummaryOffset(group_opcode=opcode, group_start=start, group_length=len(group)))
                 start += len(group)
-        return b"".join((*groups, encoded(*offsets))), start
+        return b"".join((*groups, encode_records(*offsets))), start
 
     def sync(self) -> None:
         """Waits until the disk has all written bytes, and the first time until the folder has the file."""
@@ -247,7 +247,7 @@ class Writer:
         self._file.close()
 
     def _add_definition(self, record: Schema | Channel) -> None:
-        self.open_chunk += encoded(record)
+        self.open_chunk += encode_records(record)
 
     def _append(self, data: bytes) -> None:
         self._unseal()

@@ -7,7 +7,8 @@ Invariants:
 
 - What was flushed is never changed; whatever keeps the file from being written is raised, and from then on.
 - What a client sent is kept byte for byte. Passwords never get here: a client joins after it was authenticated.
-- Recording does not change what a world does: it only asks for poses. Keyframes are the world's own.
+- Recording does not change what a world does: it only asks for poses and, of a world with a past, for one
+  snapshot first. Keyframes are the world's own.
 """
 
 from __future__ import annotations
