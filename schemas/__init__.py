@@ -6,7 +6,7 @@ Keywords of our own: `x-unit` (of a number), `x-reply`, `x-required` (section 5 
 the raw dialect) of a command, `x-bare` (in the raw dialect the reply has neither `type` nor `id`), `x-volatile` of a
 reply (its content may differ from machine to machine, so a replay does not compare it), `x-message` (any `command` or
 `reply`), `x-secret` (never repeated in an error), `x-parameter` (of a number of a brain: part of its vector), `x-when`
-(of a property of a config: it is there where `type` is one of these, and only there).
+(of a property of a document: it is there where `type` is one of these, and only there).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from nmes.world.queries import Barrier, Fault
+from nmes.world.state import Barrier, Fault
 from nmes.world.world import World
 
 __all__ = ["Barrier", "Fault", "World"]

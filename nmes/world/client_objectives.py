@@ -23,11 +23,10 @@ from nmes.backend.rotation import rotate
 from nmes.errors import WorldError
 from nmes.objective import Objective
 from nmes.objective.trajectory import ObservedBodies, RunningQuantities, touches
+from nmes.schemas.documents import JsonObject
 from nmes.world.entities import Cube, Entities
 
 __all__ = ["ClientObjectives", "metric"]
-
-JsonObject = dict[str, Any]
 
 _MOST_OBJECTIVES = 16  # objectives of one client: each may cost something at every tick
 

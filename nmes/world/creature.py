@@ -24,12 +24,11 @@ from nmes.genome import Genome
 from nmes.genome.body import Body, BodyCube, BodyJoint, Motor, Sensor
 from nmes.genome.sensors import READING_OF, TURNING, CubeReading, Read
 from nmes.protocol import Request
+from nmes.schemas.documents import JsonObject
 from nmes.world import joint_params
 from nmes.world.entities import Cube, Entities, Joint
 
 __all__ = ["Creature", "Creatures"]
-
-JsonObject = dict[str, Any]
 
 _NAME_LENGTH = 128
 _HERE = 1e-9  # m; nearer than this a target is in no direction

@@ -1,7 +1,7 @@
 """The cubes and joints of a world, by name, over one simulation of its engine.
 
 Hides what a command's fields become: defaults, names drawn from the seed, the midpoint as anchor, the wrench of a force
-at a point, the rigid motion of a structure, the limits on how many there may be. It knows nothing of clients, time,
+at a point, the limits on how many there may be. It knows nothing of clients, time,
 modes or faults: those are the World's.
 
 Invariants: cubes and joints are in order of creation; numbers given to the engine are never used twice; a command
@@ -19,14 +19,13 @@ from nmes import protocol
 from nmes.backend import Array, Backend, BodySpec, BodyState, JointSpec, Simulation, Vector
 from nmes.backend.rotation import cross, minus, plus
 from nmes.errors import WorldError
+from nmes.schemas.documents import JsonObject
 from nmes.world import joint_params, scenery
 from nmes.world.energy import EnergyMeter
 from nmes.world.fields import FieldReader, unit_vector, vector
 from nmes.world.structure import StructureMotion, connected_cubes
 
 __all__ = ["Cube", "Entities", "Joint", "cube_not_found", "identity"]
-
-JsonObject = dict[str, Any]
 
 ZERO: Vector = (0.0, 0.0, 0.0)
 _NAME_LENGTH = 128

@@ -1,4 +1,6 @@
-"""What can be asked of a world between its inputs: time, cubes, joints, creatures, poses, contacts, energy.
+"""Read-only questions about a world between its inputs: time, cubes, joints, creatures, poses, contacts, energy.
+
+The half of `World` that changes nothing; it is never used alone.
 
 Invariant: queries never change what happens later.
 """
@@ -6,41 +8,17 @@ Invariant: queries never change what happens later.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
 
 from nmes import protocol
 from nmes.backend import Array, Backend, Contact, Simulation, Track, Vector
 from nmes.objective.trajectory import Flags, touches
+from nmes.schemas.documents import JsonObject
 from nmes.world.clients import Clients
 from nmes.world.creature import Creature, Creatures
 from nmes.world.entities import Entities
+from nmes.world.state import Barrier, Fault
 
-__all__ = ["Barrier", "Fault", "WorldQueries"]
-
-JsonObject = dict[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class Fault:
-    """Why a world has stopped: a code of `world_fault`, a message for a person, the last good frame."""
-
-    code: str
-    message: str
-    frame: int
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Barrier:
-    """The wish that the world tick when all who control it have said `step`. It is the host that waits and ticks.
-
-    Attributes:
-        agents: How many clients must have said `step` before the first tick.
-        timeout: How long those that wait for others wait, s.
-    """
-
-    agents: int
-    timeout: float
+__all__ = ["WorldQueries"]
 
 
 class WorldQueries:

@@ -11,7 +11,6 @@ import base64
 import struct
 import zlib
 from collections.abc import Iterable, Mapping
-from typing import Any
 
 import numpy as np
 
@@ -19,13 +18,12 @@ from nmes import protocol
 from nmes.backend import CameraSpec, Contact, Image, Quaternion, Vector
 from nmes.backend.rotation import conjugate, euler_from_quaternion, multiply, normalize, plus, rotate
 from nmes.errors import WorldError
+from nmes.schemas.documents import JsonObject
 from nmes.world.entities import Cube, Entities
 from nmes.world.fields import unit_vector
 from nmes.world.subscription import moving_part
 
 __all__ = ["camera", "contact_list", "cube_info", "cube_state", "cube_states", "inertial", "own_axes", "png", "ranges"]
-
-JsonObject = dict[str, Any]
 
 
 def cube_state(entities: Entities, cube: Cube) -> JsonObject:

@@ -24,11 +24,10 @@ from PIL import Image
 from nmes.backend import Arena, Array, Heightfield, Planet, Quaternion, SceneSpec, StaticBox, Vector
 from nmes.backend.rotation import normalize, quaternion_from_euler, rotate
 from nmes.errors import WorldError
+from nmes.schemas.documents import JsonObject
 from nmes.world.fields import vector
 
 __all__ = ["needs", "planet_list", "scene_spec"]
-
-JsonObject = dict[str, Any]
 
 _PLANK = 0.1  # m: thickness of a ramp
 _PLAIN = 1000.0  # m: how far the ground reaches where it has gaps, and thus an end

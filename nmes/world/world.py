@@ -23,6 +23,7 @@ from nmes import protocol
 from nmes.backend import Array, load_backend
 from nmes.errors import NmesError, RecordingError, RejectedMessage, SimulationFault, WorldError
 from nmes.protocol import Request
+from nmes.schemas.documents import JsonObject
 from nmes.world.client_objectives import ClientObjectives
 from nmes.world.clients import Client, Clients, Emit
 from nmes.world.commands import COMMANDS
@@ -30,14 +31,13 @@ from nmes.world.creature import Creatures
 from nmes.world.entities import Entities
 from nmes.world.journal import Journal
 from nmes.world.keyframes import KeyframeSchedule
-from nmes.world.queries import Barrier, Fault, WorldQueries
+from nmes.world.queries import WorldQueries
 from nmes.world.snapshot import pack, unpack
+from nmes.world.state import Barrier, Fault
 
 __all__ = ["World"]
 
 logger = logging.getLogger(__name__)
-
-JsonObject = dict[str, Any]
 
 # A faulted world still answers these: they ask nothing of the engine.
 _WHEN_FAULTED = frozenset({"ping", "get_world_info", "reset", "subscribe", "unsubscribe"})
@@ -139,7 +139,9 @@ class World(WorldQueries):
         return protocol.decode(self.handle(client, protocol.request_from(dict(command))))
 
     def answer(self, client: Client, request: Request) -> JsonObject:
-        """Executes one request, or one command of a batch, without telling the journal; returns its reply.
+        """Executes one request, or one command of a batch, and returns its reply.
+
+        For `handle` and command functions alone: the journal is not told. Everybody else uses `handle` or `execute`.
 
         Raises:
             RecordingError: The journal was told of a tick, and failed.
@@ -159,7 +161,7 @@ class World(WorldQueries):
         except RecordingError:
             raise
         except Exception as error:
-            reply = protocol.error_reply(self._refusal(kind, error), kind)
+            reply = protocol.error_reply(self._handle_error(kind, error), kind)
         if "id" in command:
             reply["id"] = command["id"]
         return reply
@@ -168,7 +170,7 @@ class World(WorldQueries):
         if kind not in _WHEN_FAULTED or (kind == "reset" and fault.code == "recording_failed"):
             raise WorldError("world_faulted", f"the world stopped at frame {fault.frame}: {fault.message}")
 
-    def _refusal(self, kind: str, error: Exception) -> NmesError:
+    def _handle_error(self, kind: str, error: Exception) -> NmesError:
         """Returns the error to answer a command with; one that is not the client's mistake stops the world."""
         if isinstance(error, SimulationFault):
             self._stop(error.code, error.message, error.body)
@@ -235,7 +237,9 @@ class World(WorldQueries):
             self._keep_keyframe()
 
     def step(self, ticks: int) -> None:
-        """Ticks within a command, and lets the host's others have their turn between the ticks.
+        """Ticks within a command, and calls `between` after each tick.
+
+        For command functions alone: the journal is not told of a command. Scripts call `tick`, or `execute` a `step`.
 
         Raises:
             WorldError: `world_faulted`: the world stopped on the way.
@@ -252,7 +256,10 @@ class World(WorldQueries):
             self._stepping = False
 
     def reset(self, seed: int) -> None:
-        """Empties the world and begins again at frame 0, for the command `reset`; clients stay, and own nothing."""
+        """Empties the world and begins again at frame 0; clients stay, and own nothing.
+
+        For command functions alone: the journal is not told. Scripts `execute` a `reset`.
+        """
         self.simulation.close()
         began, self._past = self._past, self.ticks
         self._begin(seed, version=self.structure_version + 1)

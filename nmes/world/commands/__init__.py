@@ -1,10 +1,10 @@
-"""What a world does with each command: one table of plain functions, by the command's type.
+"""The command table: one plain function for each type of command.
 
 A command function takes the world, the client that sent the command and the command itself, which its schema has found
 valid, and returns the reply as a dict without `id`. It knows the fields of its command and nothing of sockets,
-recordings or faults. A new command is one function here and its two schemas; CONTRIBUTING.md shows it.
+recordings. A new command is one function here and its two schemas; CONTRIBUTING.md shows it.
 
-Invariant: a function that raises WorldError has changed nothing.
+Invariant: a function that raises WorldError has changed nothing; but `step` has ticked until the world stopped.
 """
 
 from __future__ import annotations

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from nmes import protocol
 from nmes.errors import WorldError
+from nmes.schemas.documents import JsonObject
 from nmes.world.client_objectives import metric
 from nmes.world.clients import Client
 from nmes.world.commands.cubes import named_or_own_cube
@@ -16,8 +17,6 @@ if TYPE_CHECKING:
     from nmes.world.world import World
 
 __all__ = ["COMMANDS"]
-
-JsonObject = dict[str, Any]
 
 
 def subscribe(world: World, client: Client, command: JsonObject) -> JsonObject:

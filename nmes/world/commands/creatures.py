@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from nmes import protocol
 from nmes.errors import DocumentError, WorldError
 from nmes.genome import Genome
+from nmes.schemas.documents import JsonObject
 from nmes.world.clients import Client
 
 if TYPE_CHECKING:
     from nmes.world.world import World
 
 __all__ = ["COMMANDS"]
-
-JsonObject = dict[str, Any]
 
 _MOST_PROBLEMS = 20  # of a bad genome that a reply names
 _PROBLEM_LENGTH = 300  # characters of each

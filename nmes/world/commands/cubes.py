@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from nmes import protocol
 from nmes.errors import WorldError
+from nmes.schemas.documents import JsonObject
 from nmes.world import readings
 from nmes.world.clients import Client
 from nmes.world.entities import Cube, cube_not_found
@@ -14,8 +15,6 @@ if TYPE_CHECKING:
     from nmes.world.world import World
 
 __all__ = ["COMMANDS", "named_or_own_cube"]
-
-JsonObject = dict[str, Any]
 
 
 def named_or_own_cube(world: World, client: Client, name: str | None) -> Cube:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from nmes import protocol
 from nmes.backend.fingerprint import VERSION
 from nmes.errors import RejectedMessage, WorldError
 from nmes.protocol import Request
+from nmes.schemas.documents import JsonObject
 from nmes.world import readings
 from nmes.world.clients import Client
 from nmes.world.scenery import planet_list
@@ -18,8 +19,6 @@ if TYPE_CHECKING:
     from nmes.world.world import World
 
 __all__ = ["COMMANDS", "capabilities"]
-
-JsonObject = dict[str, Any]
 
 _BATCH_TICKS = 10_000  # as many as one `step` may ask for: others wait meanwhile
 _BATCH_REPLY = 8 << 20  # bytes of replies after which the rest of a batch is refused

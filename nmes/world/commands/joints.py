@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from nmes import protocol
+from nmes.schemas.documents import JsonObject
 from nmes.world.clients import Client
 from nmes.world.entities import identity
 
@@ -12,8 +13,6 @@ if TYPE_CHECKING:
     from nmes.world.world import World
 
 __all__ = ["COMMANDS"]
-
-JsonObject = dict[str, Any]
 
 
 def create_joint(world: World, client: Client, command: JsonObject) -> JsonObject:

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from nmes import protocol
 from nmes.errors import WorldError
+from nmes.schemas.documents import JsonObject
 from nmes.world.clients import Client
-from nmes.world.queries import Barrier
+from nmes.world.state import Barrier
 
 if TYPE_CHECKING:
     from nmes.world.world import World
 
 __all__ = ["COMMANDS"]
-
-JsonObject = dict[str, Any]
 
 
 def step(world: World, client: Client, command: JsonObject) -> JsonObject:
