@@ -16,7 +16,7 @@ help:
 	@echo "make docs              build the documentation as a site in build/site"
 	@echo "make figures           draw the figures in docs/pictures anew (with Graphviz)"
 	@echo "make goldens           record the corpus in replays/ anew"
-	@echo "make format            write the docstrings of commands anew, mend what the linter can mend"
+	@echo "make format            write anew what is written from the schemas, mend what the linter can mend"
 	@echo "make clean             remove what was built, the environment too"
 
 setup: layout
@@ -62,8 +62,10 @@ imports: layout
 layout: $(READY)
 	@$(BIN)/python tools/layout.py build/layout
 
-format: $(READY)
+format: layout
 	$(BIN)/python tools/client_docs.py
+	$(BIN)/python -m nmes.schemas > build/messages.md && mv build/messages.md docs/messages.md
+	$(BIN)/python -m nmes.conformance > build/cases.md && mv build/cases.md docs/conformance-cases.md
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
