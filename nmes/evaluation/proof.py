@@ -102,8 +102,8 @@ def _check(recording: Recording, brain: bool) -> tuple[_Checker, Task, Genome]:
     try:
         report = replay(recording, watch=checker)
         if report.verdict == "not_comparable":
-            unlike = ", ".join(f"{name} {was}, here {here}" for name, (was, here) in report.differences.items())
-            raise ProofError("not_comparable", f"it was recorded with another {unlike}")
+            pairs = ", ".join(f"{name} {was}, here {here}" for name, (was, here) in report.differences.items())
+            raise ProofError("not_comparable", f"it was recorded with another {pairs}")
         if report.divergence is not None:
             frame = report.divergence.frame
             raise ProofError("diverged", f"it diverges at frame {frame}: {report.divergence.message}")

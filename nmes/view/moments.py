@@ -10,9 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nmes.backend import Array, load_backend
-from nmes.backend.fingerprint import differences, fingerprint
-from nmes.errors import BackendNotFound, FilmError
+from nmes.backend import Array
+from nmes.errors import FilmError
+from nmes.playback.report import fingerprint_differences
 from nmes.playback.watch import watch
 from nmes.recording import Kind, Recording
 from nmes.recording.viewer_messages import Shape, decode_poses, decode_shapes
@@ -47,11 +47,8 @@ def moments(recording: Recording) -> Iterator[Moment]:
         RecordingError: A tick does not come out as recorded (`diverged`).
         FilmError: There is neither the engine nor poses (`nothing_to_see`).
     """
-    try:
-        unlike = differences(recording.fingerprint, fingerprint(load_backend(recording.config["backend"])))
-    except BackendNotFound:
-        unlike = {"backend": ("", "")}
-    return _recorded(recording) if unlike else _run_again(recording)
+    differences = fingerprint_differences(recording.config["backend"], recording.fingerprint)
+    return _recorded(recording) if differences else _run_again(recording)
 
 
 def _run_again(recording: Recording) -> Iterator[Moment]:
