@@ -19,6 +19,7 @@ from nmes.cli._password import PASSWORD_VARIABLE, choose_password, password_opti
 from nmes.conformance import (
     CASES,
     CATEGORIES,
+    NoCase,
     Options,
     Report,
     Result,
@@ -31,7 +32,7 @@ from nmes.conformance import (
 )
 from nmes.conformance.model import Script, load_script, write_script
 from nmes.conformance.report import to_html, to_json, to_junit
-from nmes.errors import NmesError
+from nmes.errors import DocumentError, NmesError
 
 __all__ = ["command"]
 
@@ -104,7 +105,7 @@ def command(
     options = Options(only, categories, seed)
     try:
         cases = select(options)
-    except NmesError as error:
+    except NoCase as error:
         raise click.UsageError(error.message) from error
     if as_list:
         _list(cases, as_json)
@@ -196,7 +197,7 @@ def _load(path: Path) -> Script:
         return load_script(path.read_bytes())
     except OSError as error:
         raise click.UsageError(f"cannot read {path}: {error.strerror}") from error
-    except NmesError as error:
+    except DocumentError as error:
         raise click.UsageError(f"{path}: {error.message}") from error
 
 

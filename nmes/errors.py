@@ -17,6 +17,8 @@ __all__ = [
     "DocumentError",
     "FilmError",
     "LeaderboardError",
+    "MachineError",
+    "MissingPackage",
     "NmesError",
     "ProofError",
     "RecordingError",
@@ -28,7 +30,7 @@ __all__ = [
 
 
 class NmesError(Exception):
-    """Base of all errors of NMES."""
+    """Base of all errors of NMES; what is raised is one of its subclasses."""
 
     def __init__(self, code: str, message: str, path: str | None = None) -> None:
         super().__init__(message)
@@ -91,6 +93,17 @@ class BackendNotFound(NmesError):
 
     def __init__(self, message: str) -> None:
         super().__init__("backend_not_found", message)
+
+
+class MissingPackage(NmesError):
+    """An optional package that is not installed; the message names the extra that brings it."""
+
+    def __init__(self, message: str) -> None:
+        super().__init__("missing_package", message)
+
+
+class MachineError(NmesError):
+    """Something that this machine or its network does not give: a display, a viewer, a cluster, an address."""
 
 
 class CommandFailed(NmesError):

@@ -39,7 +39,7 @@ def load_brain(document: Any, inputs: Sequence[str], outputs: Sequence[str], whe
 
     Raises:
         DocumentError: It is none, or does not fit the body; `problems` are all that was found.
-        NmesError: It needs a package that is not installed (`missing_package`).
+        MissingPackage: It needs a package that is not installed.
     """
     kind = document.get("kind") if isinstance(document, Mapping) else None
     if kind is None:

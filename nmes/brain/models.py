@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from nmes.brain.base import Array, Brain, Findings, JsonObject, Kernel, Parameter, lines
 from nmes.brain.naming import Entries, Inputs, Outputs
-from nmes.errors import NmesError
+from nmes.errors import MissingPackage
 
 __all__ = ["OnnxBrain"]
 
@@ -148,13 +148,13 @@ def _session(model: bytes) -> Any:
     """Returns the model, ready to run.
 
     Raises:
-        NmesError: onnxruntime is not installed (`missing_package`).
+        MissingPackage: onnxruntime is not installed.
         ValueError: onnxruntime refuses the model.
     """
     try:
         import onnxruntime
     except ImportError as error:
-        raise NmesError("missing_package", "an onnx brain needs onnxruntime: pip install 'nmes[onnx]'") from error
+        raise MissingPackage("an onnx brain needs onnxruntime: pip install 'nmes[onnx]'") from error
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1

@@ -35,7 +35,18 @@ The suite knows the protocol and the schemas, and nothing of any server.
 
 from nmes.conformance.case import Case, Category, Finding, Level, Scope
 from nmes.conformance.cases import CASES, CATEGORIES
-from nmes.conformance.runner import Options, Report, Result, Unreachable, Verdict, replay, run, select, suite_hash
+from nmes.conformance.runner import (
+    NoCase,
+    Options,
+    Report,
+    Result,
+    Unreachable,
+    Verdict,
+    replay,
+    run,
+    select,
+    suite_hash,
+)
 from nmes.conformance.trial import Probe, Target, Trial
 
 __all__ = [
@@ -45,6 +56,7 @@ __all__ = [
     "Category",
     "Finding",
     "Level",
+    "NoCase",
     "Options",
     "Probe",
     "Report",

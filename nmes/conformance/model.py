@@ -19,7 +19,7 @@ import jsonschema_rs
 from nmes.conformance.case import Finding
 from nmes.conformance.trial import Trial
 from nmes.conformance.wire import Message, Wire, clip
-from nmes.errors import NmesError, RejectedMessage
+from nmes.errors import DocumentError, RejectedMessage
 from nmes.protocol import COMMANDS, parse_json, request_from
 from nmes.schemas import Schema
 
@@ -281,11 +281,11 @@ def load_script(text: bytes) -> Script:
     """Reads a CASE file.
 
     Raises:
-        NmesError: `invalid`: it is no such file.
+        DocumentError: It is no such file.
     """
     try:
         case = parse_json(text)
         jsonschema_rs.validate(_CASE, case)
     except (RejectedMessage, jsonschema_rs.ValidationError) as error:
-        raise NmesError("invalid", f"no case of nmes conform: {str(error).splitlines()[0]}") from error
+        raise DocumentError([("", f"no case of nmes conform: {str(error).splitlines()[0]}")]) from error
     return list(case["script"])

@@ -32,7 +32,7 @@ from nmes.errors import NmesError
 from nmes.protocol import DELIMITER
 from nmes.schemas import schema_hash
 
-__all__ = ["Options", "Report", "Result", "Unreachable", "Verdict", "replay", "run", "select", "suite_hash"]
+__all__ = ["NoCase", "Options", "Report", "Result", "Unreachable", "Verdict", "replay", "run", "select", "suite_hash"]
 
 PATIENT = 5.0  # s of waiting from which on a case goes on beside those that are alone with the world
 SIDE_BY_SIDE = 24  # cases at once; nearly all of the time they wait
@@ -40,6 +40,10 @@ SIDE_BY_SIDE = 24  # cases at once; nearly all of the time they wait
 
 class Unreachable(NmesError):
     """There is no server to judge, or it does not let the suite in."""
+
+
+class NoCase(NmesError):
+    """The options choose a category that does not exist, or no case at all."""
 
 
 class Verdict(StrEnum):
@@ -140,12 +144,12 @@ def select(options: Options) -> list[Case]:
     """Returns the cases that options ask for, in order.
 
     Raises:
-        NmesError: There is no such category, or no case that fits.
+        NoCase: There is no such category, or no case that fits.
     """
     unknown = set(options.categories) - {category.name for category in CATEGORIES}
     if unknown:
         names = ", ".join(category.name for category in CATEGORIES)
-        raise NmesError("invalid", f"there is no category {', '.join(sorted(unknown))}; there are {names}")
+        raise NoCase("invalid", f"there is no category {', '.join(sorted(unknown))}; there are {names}")
     cases = [
         case
         for case in CASES
@@ -156,7 +160,7 @@ def select(options: Options) -> list[Case]:
         )
     ]
     if not cases:
-        raise NmesError("invalid", "no case fits; `nmes conform --list` shows them all")
+        raise NoCase("invalid", "no case fits; `nmes conform --list` shows them all")
     return cases
 
 
@@ -170,7 +174,7 @@ def run(target: Target, options: Options | None = None, on_result: Callable[[Res
 
     Raises:
         Unreachable: Nothing listens there, or the password is refused in both dialects.
-        NmesError: The options fit no case.
+        NoCase: The options fit no case.
     """
     options = options or Options()
     cases = select(options)

@@ -27,7 +27,7 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
 
-from nmes.errors import NmesError
+from nmes.errors import MachineError, MissingPackage
 
 __all__ = ["Lost", "in_processes", "on_ray"]
 
@@ -176,12 +176,13 @@ def on_ray(
         The index of an item and its result, as they are ready.
 
     Raises:
-        NmesError: Ray is not installed (`missing_package`), or there is no cluster (`no_cluster`).
+        MissingPackage: Ray is not installed.
+        MachineError: There is no cluster (`no_cluster`).
     """
     try:
         import ray
     except ImportError as error:
-        raise NmesError("missing_package", "a cluster needs Ray: pip install 'nmes[ray]'") from error
+        raise MissingPackage("a cluster needs Ray: pip install 'nmes[ray]'") from error
     try:
         ray.init(
             address=address,
@@ -191,7 +192,7 @@ def on_ray(
             runtime_env={"env_vars": _LEAN},
         )
     except (ConnectionError, ValueError, RuntimeError) as error:
-        raise NmesError("no_cluster", f"no Ray cluster at {address!r}: {error}") from error
+        raise MachineError("no_cluster", f"no Ray cluster at {address!r}: {error}") from error
     try:
         remote = ray.remote(num_cpus=1, max_retries=0)(function)
         ahead = _AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))  # type: ignore[no-untyped-call]

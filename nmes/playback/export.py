@@ -15,7 +15,7 @@ from typing import IO, Any
 
 import orjson
 
-from nmes.errors import NmesError
+from nmes.errors import MissingPackage, RecordingError
 from nmes.playback.watch import States
 from nmes.recording import Kind, Record, Recording
 
@@ -89,13 +89,14 @@ def write_parquet(rows: Iterable[Row], path: str | os.PathLike[str]) -> None:
     """Writes a table as Parquet, a few thousand rows at a time; messages stand in it as JSON.
 
     Raises:
-        NmesError: pyarrow is not installed (`missing_package`), or there are no rows (`nothing_to_export`).
+        MissingPackage: pyarrow is not installed.
+        RecordingError: There are no rows (`nothing_to_export`).
     """
     try:
         import pyarrow
         import pyarrow.parquet
     except ImportError as error:
-        raise NmesError("missing_package", "Parquet needs pyarrow: pip install 'nmes[arrow]'") from error
+        raise MissingPackage("Parquet needs pyarrow: pip install 'nmes[arrow]'") from error
     flat = map(_flat, rows)
     writer = None
     with ExitStack() as opened:
@@ -109,7 +110,7 @@ def write_parquet(rows: Iterable[Row], path: str | os.PathLike[str]) -> None:
                 writer = opened.enter_context(pyarrow.parquet.ParquetWriter(file, schema))
             writer.write_table(pyarrow.Table.from_pylist(batch, schema=schema))
     if writer is None:
-        raise NmesError("nothing_to_export", "the recording holds no such rows")
+        raise RecordingError("nothing_to_export", "the recording holds no such rows")
 
 
 def _flat(row: Row) -> Row:

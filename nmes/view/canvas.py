@@ -14,7 +14,7 @@ import numpy as np
 
 from nmes.backend import Array, Heightfield, SceneSpec
 from nmes.backend.rotation import cross, normalize, rotate
-from nmes.errors import NmesError
+from nmes.errors import MissingPackage
 from nmes.recording.viewer_messages import Shape
 
 if TYPE_CHECKING:
@@ -39,13 +39,13 @@ def load_rerun() -> Any:
     """Imports Rerun, which takes half a second and is an extra, and returns it.
 
     Raises:
-        NmesError: It is not installed.
+        MissingPackage: It is not installed.
     """
     try:
         import rerun
         import rerun.blueprint
     except ImportError as error:
-        raise NmesError("missing_package", "viewing needs Rerun: pip install 'nmes[view]'") from error
+        raise MissingPackage("viewing needs Rerun: pip install 'nmes[view]'") from error
     return rerun
 
 

@@ -22,7 +22,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from nmes.backend import CameraSpec
 from nmes.backend import Image as Pixels
-from nmes.errors import FilmError, NmesError
+from nmes.errors import FilmError, MissingPackage
 from nmes.recording import Recording
 from nmes.view.camera import Way, cameras
 from nmes.view.moments import Moment, moments
@@ -84,7 +84,7 @@ def film(
         FilmError: There is nothing to show (`nothing_to_see`), the ending is not known (`unknown_format`), the file
             cannot be written (`cannot_write`), or `target` names no cube (`cube_not_found`).
         WorldError: `unsupported`: no OpenGL works here.
-        NmesError: A package is missing (`missing_package`).
+        MissingPackage: An `.mp4` needs PyAV, which is not installed.
     """
     path = Path(path)
     if path.suffix not in _WRITERS:
@@ -190,7 +190,7 @@ def _write_mp4(pictures: Iterator[Pixels], path: Path, fps: int) -> None:
     try:
         import av
     except ImportError as error:
-        raise NmesError("missing_package", "an .mp4 needs PyAV: pip install 'nmes[film]'; a .gif does not") from error
+        raise MissingPackage("an .mp4 needs PyAV: pip install 'nmes[film]'; a .gif does not") from error
     with av.open(str(path), "w", format="mp4", options={"movflags": "faststart"}) as container:
         stream = container.add_stream("libx264", rate=fps, options={"crf": "20", "preset": "veryfast"})
         stream.pix_fmt = "yuv420p"  # what every player knows

@@ -22,7 +22,7 @@ from urllib.parse import quote
 import numpy as np
 
 from nmes.backend import Array
-from nmes.errors import NmesError
+from nmes.errors import MachineError
 from nmes.view.canvas import Canvas, load_rerun
 
 if TYPE_CHECKING:
@@ -152,7 +152,8 @@ def screen(
         port: The TCP port of the viewer for browsers; 0 for any that is free.
 
     Raises:
-        NmesError: Rerun is not installed, does not begin to listen, or there is no display for a window.
+        MissingPackage: Rerun is not installed.
+        MachineError: There is no display for a window (`no_display`), or Rerun does not begin to listen (`no_viewer`).
     """
     stream = load_rerun().RecordingStream("nmes", send_properties=False)
     stream.send_recording_name(name)
@@ -163,7 +164,8 @@ def screen(
         stream.disconnect()
         return
     if not web and not has_display():
-        raise NmesError("no_display", "there is no display for a window: use --web for a browser, or --save for a file")
+        message = "there is no display for a window: use --web for a browser, or --save for a file"
+        raise MachineError("no_display", message)
     grpc, http = _free_port(host), port or _free_port(host)
     options = ["--serve-web", "--web-viewer-port", str(http)] if web else ["--expect-data-soon"]
     process = subprocess.Popen(
@@ -202,5 +204,5 @@ def _await(process: subprocess.Popen[bytes], host: str, ports: Sequence[int]) ->
                 break
             except OSError as error:
                 if process.poll() is not None or time.monotonic() > until:
-                    raise NmesError("no_viewer", f"Rerun does not begin to listen on {host}:{port}") from error
+                    raise MachineError("no_viewer", f"Rerun does not begin to listen on {host}:{port}") from error
                 time.sleep(0.05)

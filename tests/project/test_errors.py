@@ -38,7 +38,7 @@ def codes(tree: ast.Module, known: set[str]) -> Iterator[tuple[str, int]]:
             yield from ((code, node.lineno) for code in values(node.args[0], tree))
 
 
-OWN = {"DocumentError", "BackendNotFound", "DamagedFile"}
+OWN = {"DocumentError", "BackendNotFound", "DamagedFile", "MissingPackage"}
 """Classes that set their code themselves."""
 
 
@@ -110,6 +110,27 @@ def test_codes_over_the_wire_mean_what_their_schema_says() -> None:
 @pytest.mark.parametrize("name", sorted(ERRORS))
 def test_the_page_names_every_class_of_errors(name: str) -> None:
     assert f"`{name}`" in (ROOT / "docs" / "errors.md").read_text()
+
+
+BARE = {"nmes/server/host.py"}
+
+
+def test_what_is_raised_is_a_class_of_its_own_and_not_the_base_of_all() -> None:
+    trees = {str(path.relative_to(ROOT)): ast.parse(path.read_text()) for path in SOURCES}
+    raises = [(place, node) for place, tree in trees.items() for node in ast.walk(tree) if isinstance(node, ast.Raise)]
+    bare = [(place, node.lineno) for place, node in raises if node.exc and is_bare(node.exc)]
+    assert [(place, line) for place, line in bare if place not in BARE] == []
+
+
+def is_bare(raised: ast.expr) -> bool:
+    """Whether what is raised is an NmesError and no more."""
+    return isinstance(raised, ast.Call) and ast.unparse(raised.func).rpartition(".")[2] == "NmesError"
+
+
+@pytest.mark.parametrize("source", ["NmesError('lost', 'x')", "errors.NmesError('lost', 'x')"])
+def test_the_base_of_all_is_found_where_it_is_raised(source: str) -> None:
+    assert is_bare(ast.parse(source, mode="eval").body)
+    assert not is_bare(ast.parse(source.replace("Nmes", "World"), mode="eval").body)
 
 
 @pytest.mark.parametrize(
