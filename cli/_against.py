@@ -8,7 +8,8 @@ import orjson
 from rich.console import Console
 from rich.table import Table
 
-from nmes.playback.remote import Mismatch, RemoteReplayReport
+from nmes.playback.answers import Mismatch
+from nmes.playback.remote import RemoteReplayReport
 
 __all__ = ["show"]
 

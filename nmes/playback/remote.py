@@ -24,12 +24,12 @@ import orjson
 
 from nmes import protocol
 from nmes.errors import CommandFailed, Disconnected
-from nmes.playback.answers import AnswerComparison, FieldReport, Mismatch
+from nmes.playback.answers import AnswerComparison, FieldReport
 from nmes.playback.inputs import Progress, RecordedInput, recorded_inputs, walk
 from nmes.playback.report import RunReport
 from nmes.recording import Kind, Record, Recording
 
-__all__ = ["Connection", "FieldReport", "Mismatch", "RemoteReplayReport", "replay_remotely"]
+__all__ = ["Connection", "RemoteReplayReport", "replay_remotely"]
 
 _UNSUPPORTED = ("unknown_type", "unsupported")
 _OF_THE_HOST = ("name", "mode", "rate", "seed")  # items of a world's config that need not be equal
