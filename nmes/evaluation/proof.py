@@ -63,8 +63,10 @@ def prove(recording: str | os.PathLike[str], *, brain: bool = False) -> Proof:
         RecordingError: It cannot be read.
         ProofError: It proves nothing: it is no recorded episode (`not_an_evaluation`), was made on another machine or
             with other versions (`not_comparable`), ends too early (`damaged`), or something in it comes out otherwise,
-            or was done otherwise, than recorded (`diverged`); the message has the frame.
-        DocumentError: Its task or its genome is not as it must be.
+            or was done otherwise, than recorded (`diverged`); the message has the frame. Or it cannot be run again at
+            all: the code is that of the RecordingError or WorldError that says why, such as `recording_damaged`.
+        DocumentError: Its task or its genome is not as it must be, or with `brain` its brain.
+        MissingPackage: The brain, which is to be compared, needs a package that is not installed.
     """
     source = Recording(recording)
     checker, task, genome = _check(source, brain)
@@ -92,7 +94,11 @@ def scores_so_far(recording: Recording) -> Array:
 
 
 def _check(recording: Recording, brain: bool) -> tuple[_Checker, Task, Genome]:
-    """Runs a recorded episode again; returns the checker that followed it to its end without finding fault."""
+    """Runs a recorded episode again; returns the checker that followed it to its end without finding fault.
+
+    Raises:
+        ProofError, DocumentError, MissingPackage: As by `prove`.
+    """
     task, genome, seed = _recorded_episode(recording)
     if recording.config != protocol.complete_config(task.world_config(seed)):
         raise ProofError("diverged", f"{recording.path}, frame 0: the world is not the task's")
@@ -120,6 +126,7 @@ def _recorded_episode(recording: Recording) -> tuple[Task, Genome, int]:
 
     Raises:
         ProofError: It is no recorded episode (`not_an_evaluation`).
+        DocumentError: Its task or its genome is not as it must be.
     """
     about = recording.metadata.get(METADATA)
     begin, first = islice(chain(recording, (None, None)), 2)  # one that goes on from another begins with a keyframe
