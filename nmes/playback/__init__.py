@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from nmes.playback.compare import ReplayReport, replay
 from nmes.playback.divergence import Difference, Divergence
+from nmes.playback.recording_replay import ReplayReport, replay
 from nmes.playback.restore import make_world, restore_into, world_at
 from nmes.playback.watch import States, states, watch
 

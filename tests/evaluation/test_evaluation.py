@@ -14,7 +14,7 @@ from nmes.errors import ProofError
 from nmes.evaluation import Evaluation, evaluate, prove
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
-from nmes.playback.compare import replay
+from nmes.playback.recording_replay import replay
 
 DASH = {
     "format": "nmes-task/1",

@@ -18,11 +18,11 @@ import programs
 from nmes.backend.fingerprint import fingerprint
 from nmes.cli import main
 from nmes.playback import Divergence, states, world_at
-from nmes.playback.compare import replay
 from nmes.playback.drift import measure_drift
 from nmes.playback.export import messages
 from nmes.playback.log import Log
 from nmes.playback.log_replay import replay_log
+from nmes.playback.recording_replay import replay
 from nmes.playback.watch import watch
 from nmes.protocol import Request, parse
 from nmes.recording import REFUSED_LIMIT, Recorder, Recording
@@ -240,7 +240,7 @@ def test_an_exception_in_the_replay_itself_is_no_divergence(busy_file: Path, mon
     def fail(*args: object) -> None:
         raise ZeroDivisionError("a mistake")
 
-    monkeypatch.setattr("nmes.playback.compare._RecordingReplay._compare_poses", fail)
+    monkeypatch.setattr("nmes.playback.recording_replay._RecordingReplay._compare_poses", fail)
     with pytest.raises(ZeroDivisionError):
         replay(busy_file)
 

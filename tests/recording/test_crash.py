@@ -16,7 +16,7 @@ import pytest
 from nmes import protocol
 from nmes.errors import CommandFailed, Disconnected, NmesError, RecordingError
 from nmes.playback import world_at
-from nmes.playback.compare import replay
+from nmes.playback.recording_replay import replay
 from nmes.recording import Kind, Recorder, Recording
 from nmes.world import World
 from recordings import record, send

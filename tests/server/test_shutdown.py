@@ -11,7 +11,7 @@ from pathlib import Path
 from nmes import Client
 from nmes.errors import Disconnected
 from nmes.playback import world_at
-from nmes.playback.compare import replay
+from nmes.playback.recording_replay import replay
 from nmes.recording import Recording
 from processes import process, ready
 from servers import PASSWORD, PATIENCE, Peer, types
