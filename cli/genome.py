@@ -123,10 +123,10 @@ def _load(file: str) -> Genome:
 def _draw(genomes: list[Genome], output: Path) -> None:
     from PIL import Image
 
-    from nmes.genome.preview import portrait, sheet
+    from nmes.genome.preview import render_body, sheet
 
     if len(genomes) == 1:
-        pixels = portrait(genomes[0].body)
+        pixels = render_body(genomes[0].body)
     else:
         pixels = sheet([(genome.name, genome.body) for genome in genomes])
     try:
@@ -165,7 +165,7 @@ def _about(genome: Genome) -> dict[str, Any]:
 
 
 def _print(console: Console, genome: Genome) -> None:
-    from nmes.genome.preview import text_portrait
+    from nmes.genome.preview import render_text
 
     about, body = _about(genome), genome.body
     by = f" by {about['author']}" if about["author"] else ""
@@ -180,7 +180,7 @@ def _print(console: Console, genome: Genome) -> None:
     )
     console.print(f"hash {genome.hash}\n")
     columns = max(20, min(72, console.width - 1))
-    for line in text_portrait(body, columns, columns * 22 // 72):
+    for line in render_text(body, columns, columns * 22 // 72):
         console.print(line)
     console.print(_cubes(body))
     console.print()

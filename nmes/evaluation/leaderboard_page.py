@@ -16,7 +16,7 @@ from PIL import Image
 from nmes.errors import DocumentError
 from nmes.evaluation.leaderboard import Entry, Leaderboard
 from nmes.genome import Genome
-from nmes.genome.preview import portrait
+from nmes.genome.preview import render_body
 
 __all__ = ["write_page"]
 
@@ -91,7 +91,7 @@ def _picture(entry: Entry, document: bytes) -> str:
         body = Genome.parse(document).body
     except DocumentError as error:  # the file was edited by hand, or written by another version
         return f"<div>no picture: {escape(error.message)}</div>"
-    image = Image.fromarray(portrait(body, _WIDTH, _HEIGHT)).quantize(_COLORS)
+    image = Image.fromarray(render_body(body, _WIDTH, _HEIGHT)).quantize(_COLORS)
     file = io.BytesIO()
     image.save(file, "PNG", optimize=True)
     source = base64.b64encode(file.getvalue()).decode()

@@ -18,7 +18,7 @@ from nmes.backend import Image as Pixels
 from nmes.backend.rotation import rotate
 from nmes.genome.body import Body, BodyCube, corners
 
-__all__ = ["grid_step", "portrait", "sheet", "text_portrait"]
+__all__ = ["grid_step", "render_body", "render_text", "sheet"]
 
 _YAW, _PITCH = radians(32.0), radians(24.0)
 _BACK = np.array([sin(_YAW) * cos(_PITCH), sin(_PITCH), cos(_YAW) * cos(_PITCH)])  # towards the eye
@@ -34,7 +34,7 @@ _FINE = 2  # rays a pixel, in each direction
 _RAMP = " .:-=+*#%@"
 
 
-def portrait(body: Body, width: int = 720, height: int = 540) -> Pixels:
+def render_body(body: Body, width: int = 720, height: int = 540) -> Pixels:
     """Returns a picture of a body, shape (height, width, 3), rows from the top.
 
     Args:
@@ -61,14 +61,14 @@ def sheet(bodies: Sequence[tuple[str, Body]], width: int = 320, height: int = 26
     pen, font = ImageDraw.Draw(whole), ImageFont.load_default(14)
     for index, (name, body) in enumerate(bodies):
         x, y = gap + index % columns * (width + gap), gap + index // columns * (height + title + gap)
-        whole.paste(Image.fromarray(portrait(body, width, height)), (x, y))
+        whole.paste(Image.fromarray(render_body(body, width, height)), (x, y))
         while name and pen.textlength(name, font=font) > width:
             name = name[:-1]
         pen.text((x + width / 2, y + height + title / 2), name, fill=(40, 42, 48), font=font, anchor="mm")
     return np.asarray(whole)
 
 
-def text_portrait(body: Body, columns: int = 72, rows: int = 22) -> list[str]:
+def render_text(body: Body, columns: int = 72, rows: int = 22) -> list[str]:
     """Returns a picture of a body made of characters: the darker the fuller, `rows` lines of at most `columns`."""
     # A character is twice as high as it is wide.
     canvas = _Canvas(body, columns * 2, rows * 4)

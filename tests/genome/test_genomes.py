@@ -16,7 +16,7 @@ from layout import ROOT
 from nmes import World
 from nmes.cli import main
 from nmes.genome import Genome
-from nmes.genome.preview import grid_step, portrait, sheet, text_portrait
+from nmes.genome.preview import grid_step, render_body, render_text, sheet
 
 NAMES = Genome.names()
 FRICTIONS = (0.8, 1.2)
@@ -244,7 +244,7 @@ def test_near_boxes_hide_far_ones_in_a_picture() -> None:
 
     def blueness(z: float) -> tuple[int, int]:
         blue = {"id": "blue", "position": [0, 0.5, z], "color": BLUE, **wall}
-        pixels = portrait(document(red, blue).body, 200, 150).astype(int)
+        pixels = render_body(document(red, blue).body, 200, 150).astype(int)
         strong = [(pixels[..., a] > 60) & (pixels[..., a] > 2 * pixels[..., b]) for a, b in ((2, 0), (0, 2))]
         return int(strong[0].sum()), int(strong[1].sum())
 
@@ -257,7 +257,7 @@ def test_intersecting_boxes_are_both_visible_in_a_picture() -> None:
         {"id": "red", "position": [0, 0.5, 0], "size": [1, 0.4, 0.4], "mass": 1, "color": RED},
         {"id": "blue", "position": [0, 0.5, 0], "size": [0.4, 1, 0.4], "mass": 1, "color": BLUE},
     ).body
-    pixels = portrait(body, 200, 150).astype(int)
+    pixels = render_body(body, 200, 150).astype(int)
     reds, blues = (
         np.argwhere((pixels[..., a] > 60) & (pixels[..., a] > 2 * pixels[..., b])) for a, b in ((0, 2), (2, 0))
     )
@@ -268,13 +268,13 @@ def test_intersecting_boxes_are_both_visible_in_a_picture() -> None:
 def test_pictures_fill_their_frame_and_are_the_same_every_time() -> None:
     for name in NAMES:
         body = Genome.load(name).body
-        pixels = portrait(body, 160, 120)
-        assert (pixels == portrait(body, 160, 120)).all()
+        pixels = render_body(body, 160, 120)
+        assert (pixels == render_body(body, 160, 120)).all()
         dark = np.argwhere(pixels.min(axis=2) < 200)
         low, high = dark.min(axis=0), dark.max(axis=0)
         assert (low > 2).all() and (high < (117, 157)).all()  # nothing is cut off
         assert max((high - low) / (120, 160)) > 0.7  # and no room is wasted
-        lines = text_portrait(body)
+        lines = render_text(body)
         assert any(lines) and max(map(len, lines)) <= 72 and len(lines) == 22
 
 
