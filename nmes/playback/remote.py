@@ -29,14 +29,14 @@ from nmes.playback.inputs import Progress, RecordedInput, recorded_inputs, walk
 from nmes.playback.report import RunReport
 from nmes.recording import Kind, Record, Recording
 
-__all__ = ["Connection", "RemoteReplayReport", "replay_remotely"]
+__all__ = ["RemoteConnection", "RemoteReplayReport", "replay_remotely"]
 
 _UNSUPPORTED = ("unknown_type", "unsupported")
 _OF_THE_HOST = ("name", "mode", "rate", "seed")  # items of a world's config that need not be equal
 _AT_ONCE: int = protocol.COMMANDS["step"].schema["properties"]["ticks"]["maximum"]
 
 
-class Connection(Protocol):
+class RemoteConnection(Protocol):
     """A connection to the server's world, such as `nmes.Client`."""
 
     def request(self, message: Mapping[str, Any]) -> Any:
@@ -76,7 +76,7 @@ class RemoteReplayReport(RunReport):
 
 def replay_remotely(
     recording: Recording,
-    connect: Callable[[], Connection],
+    connect: Callable[[], RemoteConnection],
     *,
     tolerance: float = 1e-6,
     progress: Progress | None = None,
@@ -102,7 +102,7 @@ def replay_remotely(
     try:
         run.begin()
         run.play(recorded_inputs(walk(recording, progress=progress)))
-    except _Ended as end:
+    except _CannotGoOn as end:
         report.ended = str(end)
     finally:
         run.close()
@@ -117,7 +117,7 @@ def replay_remotely(
     return report
 
 
-class _Ended(Exception):
+class _CannotGoOn(Exception):
     """Nothing more can be compared; says why."""
 
 
@@ -127,7 +127,7 @@ class _RemoteReplay:
     def __init__(
         self,
         config: Mapping[str, Any],
-        connect: Callable[[], Connection],
+        connect: Callable[[], RemoteConnection],
         answers: AnswerComparison,
         report: RemoteReplayReport,
     ) -> None:
@@ -135,8 +135,8 @@ class _RemoteReplay:
         self._connect = connect
         self._answers = answers
         self._report = report
-        self._connections: dict[int, Connection] = {}
-        self._spare: Connection | None = None  # for when the recording has no clients, and yet the world must tick
+        self._connections: dict[int, RemoteConnection] = {}
+        self._spare: RemoteConnection | None = None  # where the recording has no clients, and yet the world must tick
 
     def begin(self) -> None:
         """Brings the server's world to where a recording begins, and compares its config."""
@@ -177,24 +177,24 @@ class _RemoteReplay:
                 case Kind.FAULT if record.about is not None:
                     self._tick(record, 1, record.about["code"])
 
-    def _enter(self) -> Connection:
+    def _enter(self) -> RemoteConnection:
         try:
             return self._connect()
         except (CommandFailed, Disconnected, TimeoutError) as error:
-            raise self._ended(f"the server lets no other client in: {error}") from error
+            raise self._cannot_go_on(f"the server lets no other client in: {error}") from error
 
-    def _ask(self, connection: Connection, message: Mapping[str, Any]) -> dict[str, Any]:
+    def _ask(self, connection: RemoteConnection, message: Mapping[str, Any]) -> dict[str, Any]:
         """Sends a command and returns the answer, an error too."""
         try:
             answer = connection.request(message)
         except CommandFailed as error:
             return {"type": "error", "code": error.code, "message": error.message, "field": error.path}
         except (Disconnected, TimeoutError) as error:
-            raise _Ended(f"at frame {self._answers.frame}, asked to {message.get('type')}: {error}") from error
+            raise _CannotGoOn(f"at frame {self._answers.frame}, asked to {message.get('type')}: {error}") from error
         return answer if isinstance(answer, dict) else {"type": None}
 
-    def _ended(self, reason: str) -> _Ended:
-        return _Ended(f"at frame {self._answers.frame} {reason}")
+    def _cannot_go_on(self, reason: str) -> _CannotGoOn:
+        return _CannotGoOn(f"at frame {self._answers.frame} {reason}")
 
     # -- ticks -----------------------------------------------------------------------------------------------------
 
@@ -212,7 +212,7 @@ class _RemoteReplay:
             self._report.ticks += count
         stopped = answer["type"] == "error"
         if stopped and fault is None:
-            raise self._ended(f"the server does not step: {answer['code']}: {answer['message']}")
+            raise self._cannot_go_on(f"the server does not step: {answer['code']}: {answer['message']}")
         if not stopped and fault is None:
             self._answers.compare("step", record, {"frame": self._answers.frame}, {"frame": answer.get("frame")})
         elif not stopped:
@@ -238,7 +238,7 @@ class _RemoteReplay:
             return
         self._compare(message["type"], recorded, expected, actual)
         if recorded.digests and failed:
-            raise self._ended(f"the server did not tick: {actual['code']}: {actual['message']}")
+            raise self._cannot_go_on(f"the server did not tick: {actual['code']}: {actual['message']}")
 
     def _follow(self, recorded: RecordedInput, *, reset: bool) -> None:
         """Goes on to the frame of the recorded world after a command."""
@@ -251,7 +251,7 @@ class _RemoteReplay:
     def _unsupported(self, kind: str, recorded: RecordedInput) -> None:
         self._report.unsupported[kind] += 1
         if recorded.digests:
-            raise self._ended(f"the server does not know {kind}, which made the world tick")
+            raise self._cannot_go_on(f"the server does not know {kind}, which made the world tick")
 
     def _compare(self, kind: str, recorded: RecordedInput, expected: Any, actual: Any) -> None:
         assert recorded.reply is not None

@@ -13,7 +13,7 @@ from nmes.backend.rotation import euler_from_quaternion, multiply, quaternion_fr
 from nmes.cli import main
 from nmes.client import Client
 from nmes.errors import CommandFailed, Disconnected
-from nmes.playback.remote import Connection, RemoteReplayReport, replay_remotely
+from nmes.playback.remote import RemoteConnection, RemoteReplayReport, replay_remotely
 from nmes.protocol import parse
 from nmes.recording import Recording
 from nmes.world import World
@@ -28,7 +28,7 @@ def busy_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record(tmp_path_factory.mktemp("against") / "busy.mcap", busy)
 
 
-def against(path: Path, client: Callable[[], Connection], **options: Any) -> RemoteReplayReport:
+def against(path: Path, client: Callable[[], RemoteConnection], **options: Any) -> RemoteReplayReport:
     return replay_remotely(Recording(path), client, **options)
 
 
@@ -103,7 +103,7 @@ class Stranger:
         self.spoil = spoil
         self.heard: list[dict[str, Any]] = []
 
-    def connect(self) -> Connection:
+    def connect(self) -> RemoteConnection:
         return Line(self, self.world.join())
 
 
