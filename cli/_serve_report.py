@@ -1,4 +1,4 @@
-"""What `nmes serve` prints: that it is ready, as text for people or as one JSON object, and that it has stopped."""
+"""The lines that `nmes serve` prints: that it is ready, for people or as one JSON object, and that it has stopped."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What `nmes serve` is to host, where and how: its options, checked."""
+"""The options of `nmes serve`, checked: worlds to host, where and how."""
 
 from __future__ import annotations
 

@@ -12,10 +12,10 @@ import click
 import orjson
 from click.core import ParameterSource
 
+from nmes.cli._eval_jobs import run_jobs
+from nmes.cli._eval_scores import print_csv, print_json, print_table
 from nmes.cli._genomes import find_genomes
-from nmes.cli._jobs import run_jobs
 from nmes.cli._recording_plot import plot_recordings
-from nmes.cli._scores import print_csv, print_json, print_table
 from nmes.errors import DocumentError
 from nmes.evaluation import Evaluation, Job, Proof, prove
 from nmes.evaluation.task import Task

@@ -18,7 +18,7 @@ from nmes.cli import _against, _drift
 from nmes.cli._address import split_address
 from nmes.cli._connection import connection_options, connector
 from nmes.cli._progress import progress_bars
-from nmes.cli._report import log_lines, replay_lines
+from nmes.cli._replay_report import log_lines, replay_lines
 from nmes.cli.info import open_recording
 from nmes.errors import NmesError, RecordingError
 from nmes.playback import ReplayReport, replay
