@@ -107,7 +107,7 @@ def test_a_sensor_is_added(copy: Path) -> None:
     page = copy / "docs/messages.md"
     page.write_text(run(copy, sys.executable, "-m", "nmes.schemas"))
     assert "speed (m/s)" in page.read_text()
-    files = ["tests/protocol/test_schemas.py", "tests/genome/test_genomes.py", "tests/world/test_creatures.py"]
+    files = ["tests/schemas/test_schemas.py", "tests/genome/test_genomes.py", "tests/world/test_creatures.py"]
     chosen = "reference_page or twelve or falling_cube_reads"
     output = run(copy, sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *files, "-k", chosen)
     assert re.search(r"^[3-9] passed", output, flags=re.MULTILINE), output
