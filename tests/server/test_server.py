@@ -89,6 +89,11 @@ async def test_by_default_a_wrong_password_is_answered_after_a_second() -> None:
     assert waits.keys() == {"error", "auth_success"} and waits["error"] >= 1.0
 
 
+async def test_a_host_has_the_limits_of_the_protocol_by_default() -> None:
+    async with Host("x") as host:
+        assert host.limits == Limits()
+
+
 @pytest.mark.parametrize(
     ("first", "code"),
     [
