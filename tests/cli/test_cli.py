@@ -101,6 +101,18 @@ def test_every_option_is_documented(name: str) -> None:
     assert {option for option in documented if f"`{option}" in part} <= options
 
 
+def test_the_only_options_that_help_hides_are_an_old_name() -> None:
+    hidden = [
+        (command.name, option)
+        for command in (main, *commands(main))
+        for parameter in command.params
+        if getattr(parameter, "hidden", False)
+        for option in (*parameter.opts, *parameter.secondary_opts)
+        if option.startswith("-")
+    ]
+    assert sorted(hidden) == [("diff", "--anyway"), ("export", "--anyway"), ("replay", "--anyway")]
+
+
 FILES: list[tuple[str, ...]] = [
     ("info", "FILE"),
     ("verify", "FILE"),
