@@ -22,8 +22,8 @@ import orjson
 
 from measure import Figure, in_turns, ratio, summary
 from nmes import protocol
-from nmes.evaluation import Episode, Job, brain_of, evaluate, evaluate_all
-from nmes.evaluation.task import CREATURE, Task
+from nmes.evaluation import Episode, Job, Task, brain_of, evaluate, evaluate_all
+from nmes.evaluation.task import CREATURE
 from nmes.genome import Genome
 from nmes.world import World
 

@@ -17,7 +17,7 @@ from statistics import median
 
 from measure import Figure, in_turns, summary
 from nmes import World
-from nmes.playback.restore import make_world
+from nmes.playback import make_world
 from nmes.recording import Recorder, Recording
 
 CUBES = 150

@@ -17,7 +17,7 @@ import mujoco
 
 from measure import Figure, in_turns, ratio, summary
 from nmes import World
-from nmes.playback.recording_replay import replay
+from nmes.playback import replay
 from nmes.recording import Recorder
 
 FLIGHT = 59  # ticks from one push to the next; with the one in which the push acts, a second

@@ -11,7 +11,7 @@ from nmes.cli._plot import Bars, Curves, write_plot
 from nmes.cli._progress import progress_bars
 from nmes.errors import ProofError
 from nmes.evaluation import scores_so_far
-from nmes.playback.watch import watch
+from nmes.playback import watch
 from nmes.recording import Recording
 from nmes.view.time_series import TimeSeries
 

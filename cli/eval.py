@@ -17,8 +17,7 @@ from nmes.cli._eval_scores import print_csv, print_json, print_table
 from nmes.cli._genomes import find_genomes
 from nmes.cli._recording_plot import plot_recordings
 from nmes.errors import DocumentError
-from nmes.evaluation import Evaluation, Job, Proof, prove
-from nmes.evaluation.task import Task
+from nmes.evaluation import Evaluation, Job, Proof, Task, prove
 from nmes.genome.genome import SHIPPED
 from nmes.recording import Recording
 

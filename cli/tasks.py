@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.table import Table
 
 from nmes.errors import DocumentError
-from nmes.evaluation.task import Task
+from nmes.evaluation import Task
 
 __all__ = ["command"]
 

@@ -33,7 +33,7 @@ from nmes.evaluation.episode import METADATA, Episode, Result, brain_of
 from nmes.evaluation.parallel import Lost, in_processes, on_ray
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
-from nmes.recording.recorder import Recorder
+from nmes.recording import Recorder
 from nmes.world import World
 
 if TYPE_CHECKING:

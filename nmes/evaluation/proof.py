@@ -21,7 +21,7 @@ from nmes.errors import ProofError, RecordingError, WorldError
 from nmes.evaluation.episode import ANY_CONTROLS, METADATA, Episode, Result, Step, brain_of
 from nmes.evaluation.task import CREATURE, Task
 from nmes.genome import Genome
-from nmes.playback.recording_replay import replay
+from nmes.playback import replay
 from nmes.protocol import Request
 from nmes.recording import Kind, Recording
 from nmes.world import World

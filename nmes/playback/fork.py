@@ -11,8 +11,7 @@ from typing import Any
 
 from nmes.errors import NmesError
 from nmes.playback.restore import restore_into
-from nmes.recording import Recording
-from nmes.recording.recorder import Recorder
+from nmes.recording import Recorder, Recording
 from nmes.recording.records import PARENT
 from nmes.world import World
 

@@ -12,8 +12,8 @@ import numpy as np
 
 from nmes.backend import Array
 from nmes.errors import FilmError
+from nmes.playback import watch
 from nmes.playback.report import fingerprint_differences
-from nmes.playback.watch import watch
 from nmes.recording import Kind, Recording
 from nmes.recording.viewer_messages import Shape, decode_poses, decode_shapes
 from nmes.world import World

@@ -14,9 +14,8 @@ import orjson
 from nmes.backend import Array, load_backend
 from nmes.errors import ProofError, RecordingError
 from nmes.evaluation import scores_so_far
+from nmes.playback import ReplayReport, replay, watch
 from nmes.playback.inputs import recorded_inputs
-from nmes.playback.recording_replay import ReplayReport, replay
-from nmes.playback.watch import watch
 from nmes.recording import Kind, Recording
 from nmes.recording.viewer_messages import Shape
 from nmes.view.canvas import Canvas, load_rerun

@@ -27,7 +27,7 @@ from nmes.backends.mujoco3d.forest import Body, spanning_forest
 from nmes.backends.mujoco3d.model import SPARE, CompiledModel, occupy, set_mean_inertia
 from nmes.backends.mujoco3d.scenery import Scenery
 from nmes.errors import SimulationFault
-from nmes.playback.recording_replay import replay
+from nmes.playback import replay
 from nmes.recording import Recorder
 from nmes.world.journal import Journal
 

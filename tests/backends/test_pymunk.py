@@ -235,7 +235,7 @@ REPLAY = """
 import os
 import subprocess
 import sys
-from nmes.playback.recording_replay import replay
+from nmes.playback import replay
 
 for number in range(int(sys.argv[1])):
     report = replay(f"{number}.mcap")

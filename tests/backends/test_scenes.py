@@ -28,7 +28,7 @@ from nmes.backend.rotation import quaternion_from_euler
 from nmes.backends.mujoco3d import MujocoBackend, MujocoSimulation
 from nmes.backends.mujoco3d.arenas import parts
 from nmes.errors import RejectedMessage, WorldError
-from nmes.playback.recording_replay import replay
+from nmes.playback import replay
 from nmes.world import scenery
 
 Reply = dict[str, Any]

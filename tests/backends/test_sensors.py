@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from nmes import World
 from nmes.backend import Array
 from nmes.backend.rotation import conjugate, euler_from_quaternion, normalize, quaternion_from_euler, rotate
-from nmes.playback.recording_replay import replay
+from nmes.playback import replay
 from nmes.world import readings
 from recordings import record, rewrite, send
 

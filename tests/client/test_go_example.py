@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from layout import ROOT
-from nmes.playback.recording_replay import replay
+from nmes.playback import replay
 from servers import PASSWORD, served
 
 GO = shutil.which("go", path=os.pathsep.join([os.environ.get("PATH", os.defpath), "/usr/local/go/bin"]))

@@ -11,10 +11,9 @@ import pytest
 from creatures import SINE, cpg, exploding, mlp, snake
 from layout import ROOT
 from nmes.errors import ProofError
-from nmes.evaluation import Evaluation, evaluate, prove
-from nmes.evaluation.task import Task
+from nmes.evaluation import Evaluation, Task, evaluate, prove
 from nmes.genome import Genome
-from nmes.playback.recording_replay import replay
+from nmes.playback import replay
 
 DASH = {
     "format": "nmes-task/1",

@@ -18,13 +18,12 @@ from test_evaluation import task
 from creatures import SINE, cpg, snake
 from nmes.cli import main
 from nmes.errors import LeaderboardError, ProofError
-from nmes.evaluation import evaluate, prove
+from nmes.evaluation import Task, evaluate, prove
 from nmes.evaluation.leaderboard import Leaderboard
-from nmes.evaluation.task import CREATURE, Task
+from nmes.evaluation.task import CREATURE
 from nmes.genome import Genome
 from nmes.protocol import parse, request_from
-from nmes.recording import Recording
-from nmes.recording.recorder import Recorder
+from nmes.recording import Recorder, Recording
 from nmes.world import World
 from recordings import Line, rewrite
 

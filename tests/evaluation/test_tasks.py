@@ -15,8 +15,7 @@ from click.testing import CliRunner
 from layout import ROOT
 from nmes.cli import main
 from nmes.errors import DocumentError
-from nmes.evaluation import evaluate, prove
-from nmes.evaluation.task import Limits, Task
+from nmes.evaluation import Limits, Task, evaluate, prove
 from nmes.genome import Genome
 from nmes.genome.body import Body, BodyCube
 from nmes.objective import Quantity

@@ -18,7 +18,7 @@ import numpy as np
 import orjson
 import pytest
 
-from nmes.playback.recording_replay import replay
+from nmes.playback import replay
 from nmes.protocol import parse
 from nmes.recording import Recorder, Recording
 from nmes.world import World

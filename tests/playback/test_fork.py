@@ -14,10 +14,9 @@ import programs
 from nmes import Client
 from nmes.cli import main
 from nmes.errors import RecordingError
-from nmes.playback import world_at
+from nmes.playback import replay, world_at
 from nmes.playback.diff import compare
 from nmes.playback.fork import fork
-from nmes.playback.recording_replay import replay
 from nmes.recording import Kind, Recorder, Recording
 from nmes.world import World
 from processes import process, ready

@@ -6,8 +6,8 @@ from typing import Any
 import pytest
 
 from goldens import CORPUS, REPLAYS, Golden, contents, make, positions
+from nmes.playback import replay
 from nmes.playback.drift import measure_drift
-from nmes.playback.recording_replay import replay
 from nmes.recording import Recording
 
 goldens = pytest.mark.parametrize("golden", CORPUS, ids=lambda golden: golden.name)

@@ -17,13 +17,11 @@ from hypothesis import strategies as st
 import programs
 from nmes.backend.fingerprint import fingerprint
 from nmes.cli import main
-from nmes.playback import Divergence, states, world_at
+from nmes.playback import Divergence, replay, states, watch, world_at
 from nmes.playback.drift import measure_drift
 from nmes.playback.export import messages
 from nmes.playback.log import Log
 from nmes.playback.log_replay import replay_log
-from nmes.playback.recording_replay import replay
-from nmes.playback.watch import watch
 from nmes.protocol import Request, parse
 from nmes.recording import REFUSED_LIMIT, Recorder, Recording
 from nmes.world import World

@@ -19,7 +19,7 @@ import demo
 from layout import PROJECT, ROOT
 from nmes import objective
 from nmes.cli import SUBCOMMANDS
-from nmes.evaluation.task import Task
+from nmes.evaluation import Task
 from nmes.protocol import COMMANDS, DELIMITER
 
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])

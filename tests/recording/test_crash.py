@@ -15,8 +15,7 @@ import pytest
 
 from nmes import protocol
 from nmes.errors import CommandFailed, Disconnected, NmesError, RecordingError
-from nmes.playback import world_at
-from nmes.playback.recording_replay import replay
+from nmes.playback import replay, world_at
 from nmes.recording import Kind, Recorder, Recording
 from nmes.world import World
 from recordings import record, send

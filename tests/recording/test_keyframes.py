@@ -17,8 +17,7 @@ import programs
 from histories import FRAMES, histories, play_history
 from nmes.cli import main
 from nmes.errors import RecordingError
-from nmes.playback import states, world_at
-from nmes.playback.recording_replay import replay
+from nmes.playback import replay, states, world_at
 from nmes.recording import Kind, Recorder, Recording, mcap_reader
 from nmes.world import World
 from recordings import Line, record, rewrite, send

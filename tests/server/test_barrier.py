@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from nmes import World, protocol
-from nmes.playback.recording_replay import replay
+from nmes.playback import replay
 from nmes.recording import Kind, Recording
 from servers import Peer, Served, served, until
 

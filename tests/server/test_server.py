@@ -14,7 +14,7 @@ import pytest
 import nmes.server.connection
 from nmes import protocol
 from nmes.errors import Disconnected, NmesError, RecordingError, WorldError
-from nmes.playback.recording_replay import replay
+from nmes.playback import replay
 from nmes.protocol import DELIMITER, Limits
 from nmes.recording import Kind, Recorder, Recording
 from nmes.server import Host

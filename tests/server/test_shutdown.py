@@ -10,8 +10,7 @@ from pathlib import Path
 
 from nmes import Client
 from nmes.errors import Disconnected
-from nmes.playback import world_at
-from nmes.playback.recording_replay import replay
+from nmes.playback import replay, world_at
 from nmes.recording import Recording
 from processes import process, ready
 from servers import PASSWORD, PATIENCE, Peer, types

@@ -14,7 +14,7 @@ import pytest
 
 import nmes.server.threads
 from nmes.errors import RecordingError
-from nmes.playback.recording_replay import replay
+from nmes.playback import replay
 from nmes.protocol import Limits
 from nmes.recording import Kind, Recorder, Recording
 from nmes.server.hosted_world import HostedWorld

@@ -17,7 +17,7 @@ from click.testing import CliRunner, Result
 from nmes import AsyncClient, Client
 from nmes.cli import main
 from nmes.errors import CommandFailed, Disconnected, RecordingError, RejectedMessage, WorldError
-from nmes.playback.recording_replay import replay
+from nmes.playback import replay
 from nmes.protocol import validate_reply
 from nmes.recording import Kind, Recording
 from nmes.server import Host

@@ -12,7 +12,7 @@ import pytest
 from nmes import protocol
 from nmes.objective import FOLDS, QUANTITIES, Objective
 from nmes.objective.trajectory import ObservedBodies, RunningQuantities, Trajectory, touches
-from nmes.playback.recording_replay import replay
+from nmes.playback import replay
 from nmes.world import World
 from recordings import record, send
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from nmes import World, protocol
 from nmes.errors import WorldError
-from nmes.playback.recording_replay import replay
+from nmes.playback import replay
 from nmes.recording import Recorder, Recording
 
 Command = dict[str, Any]
