@@ -14,8 +14,8 @@ from nmes.world.clients import Client
 def heights_above_the_start(patch: MonkeyPatch) -> None:
     """It measures height from where a cube was spawned."""
 
-    def lower(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        reply = answer(world, client, c)
+    def lower(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        reply = answer(world, client, command)
         if reply.get("metric") == "height":
             reply["value"] -= world.entities.cube(reply["cube_name"]).origin[1]
         return reply
@@ -27,8 +27,8 @@ def heights_above_the_start(patch: MonkeyPatch) -> None:
 def displacements_without_sign(patch: MonkeyPatch) -> None:
     """It tells how far a cube is along an axis, forwards or backwards."""
 
-    def size(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        reply = answer(world, client, c)
+    def size(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        reply = answer(world, client, command)
         return {**reply, "value": abs(reply["value"])}
 
     around(patch, "compute_reward", size)
@@ -38,8 +38,8 @@ def displacements_without_sign(patch: MonkeyPatch) -> None:
 def objectives_of_all(patch: MonkeyPatch) -> None:
     """It shares the objectives of one connection with all."""
 
-    def share(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        reply = answer(world, client, c)
+    def share(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        reply = answer(world, client, command)
         for other in world._clients.values():
             other.objectives = client.objectives
         return reply
@@ -51,11 +51,11 @@ def objectives_of_all(patch: MonkeyPatch) -> None:
 def any_expression(patch: MonkeyPatch) -> None:
     """It takes expressions that cannot be used, and says nothing."""
 
-    def take(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+    def take(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
         try:
-            return answer(world, client, c)
+            return answer(world, client, command)
         except NmesError:
-            return answer(world, client, {**c, "expression": "height"})
+            return answer(world, client, {**command, "expression": "height"})
 
     around(patch, "set_objective", take)
 
@@ -64,8 +64,8 @@ def any_expression(patch: MonkeyPatch) -> None:
 def creatures_that_are_not_there(patch: MonkeyPatch) -> None:
     """It tells names of a creature's cubes that no cube has."""
 
-    def rename(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        reply = answer(world, client, c)
+    def rename(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        reply = answer(world, client, command)
         return {**reply, "cubes": {part: f"{name}_0" for part, name in reply["cubes"].items()}}
 
     around(patch, "spawn_creature", rename)
@@ -75,13 +75,13 @@ def creatures_that_are_not_there(patch: MonkeyPatch) -> None:
 def half_creatures(patch: MonkeyPatch) -> None:
     """It leaves the first cube of a creature that it cannot make."""
 
-    def leave(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+    def leave(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
         try:
-            return answer(world, client, c)
+            return answer(world, client, command)
         except NmesError:
-            part = c["genome"]["body"]["cubes"][0]["id"]
-            if world.entities.cubes.get(f"{c['name']}.{part}") is None:
-                world.entities.spawn({"type": "spawn_cube", "cube_name": f"{c['name']}.{part}"})
+            part = command["genome"]["body"]["cubes"][0]["id"]
+            if world.entities.cubes.get(f"{command['name']}.{part}") is None:
+                world.entities.spawn({"type": "spawn_cube", "cube_name": f"{command['name']}.{part}"})
             raise
 
     around(patch, "spawn_creature", leave)
@@ -91,8 +91,8 @@ def half_creatures(patch: MonkeyPatch) -> None:
 def creatures_driven_backwards(patch: MonkeyPatch) -> None:
     """It takes a creature's controls with the wrong sign."""
 
-    def mirror(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        return answer(world, client, {**c, "controls": [-control for control in c["controls"]]})
+    def mirror(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        return answer(world, client, {**command, "controls": [-control for control in command["controls"]]})
 
     around(patch, "drive", mirror)
 
@@ -101,8 +101,8 @@ def creatures_driven_backwards(patch: MonkeyPatch) -> None:
 def senses_too_many(patch: MonkeyPatch) -> None:
     """It tells one value more than a creature has sensors."""
 
-    def more(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        reply = answer(world, client, c)
+    def more(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        reply = answer(world, client, command)
         return {**reply, "values": [*reply["values"], 0.0]}
 
     around(patch, "sense", more)

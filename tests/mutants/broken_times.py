@@ -16,7 +16,8 @@ from nmes.backend import BodySpec, BodyState, JointParams, SceneSpec
 from nmes.server.barrier import StepBarrier
 from nmes.server.clock import Clock
 from nmes.server.hosted_world import HostedWorld
-from nmes.world import World, entities, joint_params, readings, scenery
+from nmes.world import World, joint_params, readings, scenery
+from nmes.world import entities as entities_module
 from nmes.world.clients import Client, Clients
 from nmes.world.entities import Cube, Entities, Joint
 from nmes.world.subscription import Subscription
@@ -40,9 +41,9 @@ def lockstep_that_runs(patch: MonkeyPatch) -> None:
 def answers_before_it_steps(patch: MonkeyPatch) -> None:
     """It tells the frame and the time from before a step."""
 
-    def early(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+    def early(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
         frame, time = world.frame, world.time
-        return {**answer(world, client, c), "frame": frame, "t": time}
+        return {**answer(world, client, command), "frame": frame, "t": time}
 
     around(patch, "step", early)
 
@@ -51,10 +52,10 @@ def answers_before_it_steps(patch: MonkeyPatch) -> None:
 def steps_in_realtime(patch: MonkeyPatch) -> None:
     """It steps a world that ticks by itself."""
 
-    def force(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+    def force(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
         paused, world.paused = world.paused, True
         try:
-            return answer(world, client, c)
+            return answer(world, client, command)
         finally:
             world.paused = paused
 
@@ -64,7 +65,11 @@ def steps_in_realtime(patch: MonkeyPatch) -> None:
 @defect("10.2", "10.1:1")
 def two_ticks_a_step(patch: MonkeyPatch) -> None:
     """It ticks once more than it is told to."""
-    around(patch, "step", lambda answer, world, client, c: answer(world, client, {**c, "ticks": c.get("ticks", 1) + 1}))
+    around(
+        patch,
+        "step",
+        lambda answer, world, client, command: answer(world, client, {**command, "ticks": command.get("ticks", 1) + 1}),
+    )
 
 
 @defect("10.10", mode="realtime")
@@ -128,9 +133,9 @@ def twice_as_fast_as_the_clock(patch: MonkeyPatch) -> None:
 def steps_in_batches_at_a_barrier(patch: MonkeyPatch) -> None:
     """It takes a step in a batch at a barrier for done."""
 
-    def let_in(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+    def let_in(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
         world.in_batch = False
-        return answer(world, client, c)
+        return answer(world, client, command)
 
     around(patch, "step", let_in)
 
@@ -139,10 +144,10 @@ def steps_in_batches_at_a_barrier(patch: MonkeyPatch) -> None:
 def no_steps_in_a_pause(patch: MonkeyPatch) -> None:
     """It ticks no further in a pause, though told to step."""
 
-    def stay(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+    def stay(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
         if world.paused:
             return {"type": "stepped", "frame": world.frame, "t": world.time}
-        return answer(world, client, c)
+        return answer(world, client, command)
 
     around(patch, "step", stay)
 
@@ -154,10 +159,10 @@ def _events(patch: MonkeyPatch, change: Callable[[Client, Clients], None]) -> No
     """Has a world's clients changed before each tick's events."""
     tick = Clients.tick
 
-    def changed(clients: Clients, *given: Any) -> None:
+    def changed(clients: Clients, *arguments: Any) -> None:
         for client in clients.values():
             change(client, clients)
-        tick(clients, *given)
+        tick(clients, *arguments)
 
     patch.setattr(Clients, "tick", changed)
 
@@ -168,7 +173,9 @@ def subscriptions_leak(patch: MonkeyPatch) -> None:
 
     def leak(client: Client, clients: Clients) -> None:
         if client.subscription is None:
-            client.subscription = next((c.subscription for c in clients.values() if c.subscription is not None), None)
+            client.subscription = next(
+                (other.subscription for other in clients.values() if other.subscription is not None), None
+            )
 
     _events(patch, leak)
 
@@ -177,7 +184,7 @@ def subscriptions_leak(patch: MonkeyPatch) -> None:
 def nothing_is_removed(patch: MonkeyPatch) -> None:
     """It does not tell subscribers that a cube is gone."""
     changes = Subscription.changes
-    patch.setattr(Subscription, "changes", lambda told, *given: (changes(told, *given)[0], []))
+    patch.setattr(Subscription, "changes", lambda subscription, *arguments: (changes(subscription, *arguments)[0], []))
 
 
 @defect("11.2:2", "11.2:10")
@@ -194,7 +201,7 @@ def every_tick_told(patch: MonkeyPatch) -> None:
 @defect("11.4")
 def no_way_out_of_a_subscription(patch: MonkeyPatch) -> None:
     """It goes on telling those who unsubscribed."""
-    around(patch, "unsubscribe", lambda answer, world, client, c: {"type": "unsubscribed"})
+    around(patch, "unsubscribe", lambda answer, world, client, command: {"type": "unsubscribed"})
 
 
 @defect("11.8", "11.9")
@@ -202,9 +209,9 @@ def moved_since_the_last_tick(patch: MonkeyPatch) -> None:
     """It compares a cube with where it was a tick ago, not with what it told last, and so never tells a slow one."""
     changes = Subscription.changes
 
-    def forgetful(told: Subscription, version: int, names: list[str], states: Any) -> Any:
-        result = changes(told, version, names, states)
-        told._sent[:] = states[:, :7]
+    def forgetful(subscription: Subscription, version: int, names: list[str], states: Any) -> Any:
+        result = changes(subscription, version, names, states)
+        subscription._sent[:] = states[:, :7]
         return result
 
     patch.setattr(Subscription, "changes", forgetful)
@@ -227,16 +234,16 @@ def subscribed_twice_told_twice(patch: MonkeyPatch) -> None:
     times: dict[int, int] = {}
     tick = Clients.tick
 
-    def count(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+    def count(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
         times[client.number] = times.get(client.number, 0) + 1
-        return answer(world, client, c)
+        return answer(world, client, command)
 
-    def repeat(clients: Clients, emit: Any, *given: Any) -> None:
+    def repeat(clients: Clients, emit: Any, *arguments: Any) -> None:
         def again(client: int, event: bytes) -> None:
             for _ in range(times.get(client, 1)):
                 emit(client, event)
 
-        tick(clients, again, *given)
+        tick(clients, again, *arguments)
 
     around(patch, "subscribe", count)
     patch.setattr(Clients, "tick", repeat)
@@ -247,9 +254,9 @@ def a_tick_lost(patch: MonkeyPatch) -> None:
     """It tells all ticks but each third."""
     tick = Clients.tick
 
-    def lose(clients: Clients, emit: Any, frame: int, *given: Any) -> None:
+    def lose(clients: Clients, emit: Any, frame: int, *arguments: Any) -> None:
         if frame % 3:
-            tick(clients, emit, frame, *given)
+            tick(clients, emit, frame, *arguments)
 
     patch.setattr(Clients, "tick", lose)
 
@@ -261,18 +268,18 @@ def a_tick_lost(patch: MonkeyPatch) -> None:
 def forces_that_last_two_ticks(patch: MonkeyPatch) -> None:
     """It applies a force during two ticks."""
     apply, tick = Entities.apply, World.tick
-    held: list[tuple[Entities, Cube, JsonObject]] = []
+    pushes: list[tuple[Entities, Cube, JsonObject]] = []
 
-    def remember(world: Entities, cube: Cube, c: JsonObject) -> None:
-        apply(world, cube, c)
-        held.append((world, cube, c))
+    def remember(entities: Entities, cube: Cube, command: JsonObject) -> None:
+        apply(entities, cube, command)
+        pushes.append((entities, cube, command))
 
     def again(world: World) -> None:
         tick(world)
-        for where, cube, c in held:
-            if where is world.entities and where.cubes.get(cube.name) is cube and "force" in c:
-                apply(where, cube, {"force": c["force"]})
-        held.clear()
+        for entities, cube, command in pushes:
+            if entities is world.entities and entities.cubes.get(cube.name) is cube and "force" in command:
+                apply(entities, cube, {"force": command["force"]})
+        pushes.clear()
 
     patch.setattr(Entities, "apply", remember)
     patch.setattr(World, "tick", again)
@@ -281,13 +288,20 @@ def forces_that_last_two_ticks(patch: MonkeyPatch) -> None:
 def _pushes(patch: MonkeyPatch, change: Callable[[Entities, Cube, JsonObject], JsonObject]) -> None:
     """Has what acts on cubes changed."""
     apply = Entities.apply
-    patch.setattr(Entities, "apply", lambda held, cube, c: apply(held, cube, change(held, cube, c)))
+    patch.setattr(
+        Entities, "apply", lambda entities, cube, command: apply(entities, cube, change(entities, cube, command))
+    )
 
 
 @defect("13.8")
 def impulses_twice(patch: MonkeyPatch) -> None:
     """It applies an impulse twice."""
-    _pushes(patch, lambda held, cube, c: {**c, "impulse": [2 * x for x in c["impulse"]]} if "impulse" in c else c)
+    _pushes(
+        patch,
+        lambda entities, cube, command: (
+            {**command, "impulse": [2 * x for x in command["impulse"]]} if "impulse" in command else command
+        ),
+    )
 
 
 @defect("13.8")
@@ -295,7 +309,9 @@ def impulses_are_velocities(patch: MonkeyPatch) -> None:
     """It changes a velocity by the impulse, whatever the mass."""
     _pushes(
         patch,
-        lambda held, cube, c: {**c, "impulse": [cube.mass * x for x in c["impulse"]]} if "impulse" in c else c,
+        lambda entities, cube, command: (
+            {**command, "impulse": [cube.mass * x for x in command["impulse"]]} if "impulse" in command else command
+        ),
     )
 
 
@@ -306,14 +322,14 @@ def the_last_force_only(patch: MonkeyPatch) -> None:
     last: dict[str, JsonObject] = {}
     tick = World.tick
 
-    def remember(held: Entities, cube: Cube, c: JsonObject) -> None:
-        last[cube.name] = c
+    def remember(entities: Entities, cube: Cube, command: JsonObject) -> None:
+        last[cube.name] = command
 
     def act(world: World) -> None:
-        for name, c in last.items():
+        for name, command in last.items():
             cube = world.entities.cubes.get(name)
             if cube is not None:
-                apply(world.entities, cube, c)
+                apply(world.entities, cube, command)
         last.clear()
         tick(world)
 
@@ -326,13 +342,13 @@ def impulses_before_the_tick(patch: MonkeyPatch) -> None:
     """It changes a velocity as soon as it is told of an impulse."""
     apply = Entities.apply
 
-    def at_once(held: Entities, cube: Cube, c: JsonObject) -> None:
-        if "impulse" in c and not cube.frozen:
-            state = held.simulation.body_state(cube.body)
-            x, y, z = (v + p / cube.mass for v, p in zip(state.linear_velocity, c["impulse"], strict=True))
-            held.simulation.set_body_state(cube.body, replace(state, linear_velocity=(x, y, z)))
-            c = {key: value for key, value in c.items() if key != "impulse"}
-        apply(held, cube, c)
+    def at_once(entities: Entities, cube: Cube, command: JsonObject) -> None:
+        if "impulse" in command and not cube.frozen:
+            state = entities.simulation.body_state(cube.body)
+            x, y, z = (v + p / cube.mass for v, p in zip(state.linear_velocity, command["impulse"], strict=True))
+            entities.simulation.set_body_state(cube.body, replace(state, linear_velocity=(x, y, z)))
+            command = {key: value for key, value in command.items() if key != "impulse"}
+        apply(entities, cube, command)
 
     patch.setattr(Entities, "apply", at_once)
 
@@ -341,8 +357,8 @@ def impulses_before_the_tick(patch: MonkeyPatch) -> None:
 def turned_about_another_axis(patch: MonkeyPatch) -> None:
     """It turns a cube about y where it should about x, and so on."""
 
-    def turn(held: Entities, cube: Cube, c: JsonObject) -> JsonObject:
-        return {key: [v[2], v[0], v[1]] if key == "angular_impulse" else v for key, v in c.items()}
+    def turn(entities: Entities, cube: Cube, command: JsonObject) -> JsonObject:
+        return {key: [v[2], v[0], v[1]] if key == "angular_impulse" else v for key, v in command.items()}
 
     _pushes(patch, turn)
 
@@ -351,11 +367,11 @@ def turned_about_another_axis(patch: MonkeyPatch) -> None:
 def pushed_on_the_other_side(patch: MonkeyPatch) -> None:
     """It takes the arm of a push from the point to the centre."""
 
-    def mirror(held: Entities, cube: Cube, c: JsonObject) -> JsonObject:
-        if "at" not in c:
-            return c
-        centre = held.simulation.body_state(cube.body).position
-        return {**c, "at": [2 * a - b for a, b in zip(centre, c["at"], strict=True)]}
+    def mirror(entities: Entities, cube: Cube, command: JsonObject) -> JsonObject:
+        if "at" not in command:
+            return command
+        centre = entities.simulation.body_state(cube.body).position
+        return {**command, "at": [2 * a - b for a, b in zip(centre, command["at"], strict=True)]}
 
     _pushes(patch, mirror)
 
@@ -397,7 +413,7 @@ def no_ground(patch: MonkeyPatch) -> None:
 def ice(patch: MonkeyPatch) -> None:
     """It knows no friction."""
 
-    patch.setattr(entities, "BodySpec", lambda **given: BodySpec(**{**given, "friction": 0.0}))
+    patch.setattr(entities_module, "BodySpec", lambda **fields: BodySpec(**{**fields, "friction": 0.0}))
 
 
 @defect("13.17")
@@ -405,12 +421,12 @@ def frozen_cubes_move(patch: MonkeyPatch) -> None:
     """It moves a frozen cube that something pushes."""
     apply = Entities.apply
 
-    def shift(held: Entities, cube: Cube, c: JsonObject) -> None:
-        apply(held, cube, c)
+    def shift(entities: Entities, cube: Cube, command: JsonObject) -> None:
+        apply(entities, cube, command)
         if cube.frozen:
-            state = held.simulation.body_state(cube.body)
+            state = entities.simulation.body_state(cube.body)
             x, y, z = state.position
-            held.simulation.set_body_state(cube.body, replace(state, position=(x + 0.01, y, z)))
+            entities.simulation.set_body_state(cube.body, replace(state, position=(x + 0.01, y, z)))
 
     patch.setattr(Entities, "apply", shift)
 
@@ -421,13 +437,13 @@ def frozen_cubes_keep_their_velocity(patch: MonkeyPatch) -> None:
     freeze = Entities.freeze
     velocities: dict[int, BodyState] = {}
 
-    def keep(held: Entities, cube: Cube, frozen: bool) -> None:
-        state = held.simulation.body_state(cube.body)
+    def keep(entities: Entities, cube: Cube, frozen: bool) -> None:
+        state = entities.simulation.body_state(cube.body)
         if frozen and not cube.frozen:
             velocities[cube.body] = state
-        freeze(held, cube, frozen)
+        freeze(entities, cube, frozen)
         if not frozen and cube.body in velocities:
-            held.simulation.set_body_state(
+            entities.simulation.set_body_state(
                 cube.body, replace(state, linear_velocity=velocities.pop(cube.body).linear_velocity)
             )
 
@@ -480,10 +496,10 @@ def joined_cubes_push_each_other(patch: MonkeyPatch) -> None:
 def removed_joints_hold(patch: MonkeyPatch) -> None:
     """It tells of a removed joint no more, and lets it hold."""
 
-    def keep(held: Entities, joint: Joint) -> None:
+    def keep(entities: Entities, joint: Joint) -> None:
         with MonkeyPatch.context() as inner:
-            inner.setattr(held.simulation, "remove_joint", lambda number: None)
-            cut(held, joint)
+            inner.setattr(entities.simulation, "remove_joint", lambda number: None)
+            cut(entities, joint)
 
     cut = Entities.cut
     patch.setattr(Entities, "cut", keep)
@@ -495,10 +511,10 @@ def planes_with_depth(patch: MonkeyPatch) -> None:
     for name in ("cube_state", "cube_info"):
         tell = getattr(readings, name)
 
-        def deep(held: Entities, cube: Cube, tell: Any = tell) -> JsonObject:
-            told: JsonObject = tell(held, cube)
-            x, y, _ = told["position"]
-            return {**told, "position": (x, y, 0.25)}
+        def deep(entities: Entities, cube: Cube, tell: Any = tell) -> JsonObject:
+            reading: JsonObject = tell(entities, cube)
+            x, y, _ = reading["position"]
+            return {**reading, "position": (x, y, 0.25)}
 
         patch.setattr(readings, name, deep)
 
@@ -508,9 +524,9 @@ def quaternions_that_grow(patch: MonkeyPatch) -> None:
     """It tells quaternions that are not of unit length."""
     state = readings.cube_state
 
-    def long(held: Entities, cube: Cube) -> JsonObject:
-        told = state(held, cube)
-        return {**told, "quaternion": tuple(1.1 * x for x in told["quaternion"])}
+    def long(entities: Entities, cube: Cube) -> JsonObject:
+        reading = state(entities, cube)
+        return {**reading, "quaternion": tuple(1.1 * x for x in reading["quaternion"])}
 
     patch.setattr(readings, "cube_state", long)
 
@@ -519,14 +535,14 @@ def quaternions_that_grow(patch: MonkeyPatch) -> None:
 def nothing_jumps(patch: MonkeyPatch) -> None:
     """It knows no restitution."""
 
-    patch.setattr(entities, "BodySpec", lambda **given: BodySpec(**{**given, "restitution": 0.0}))
+    patch.setattr(entities_module, "BodySpec", lambda **fields: BodySpec(**{**fields, "restitution": 0.0}))
 
 
 @defect("13.44")
 def everything_jumps(patch: MonkeyPatch) -> None:
     """It lets all cubes jump off the ground, whatever they are told to be."""
 
-    patch.setattr(entities, "BodySpec", lambda **given: BodySpec(**{**given, "restitution": 0.8}))
+    patch.setattr(entities_module, "BodySpec", lambda **fields: BodySpec(**{**fields, "restitution": 0.8}))
 
 
 @defect("13.36", backend="mujoco")
@@ -544,9 +560,9 @@ def joints_read_backwards(patch: MonkeyPatch) -> None:
     """It tells a joint's position with the wrong sign."""
     info = Entities.joint_info
 
-    def mirror(held: Entities, joint: Joint) -> JsonObject:
-        told = info(held, joint)
-        return {**told, "position": -told["position"]}
+    def mirror(entities: Entities, joint: Joint) -> JsonObject:
+        reading = info(entities, joint)
+        return {**reading, "position": -reading["position"]}
 
     patch.setattr(Entities, "joint_info", mirror)
 
@@ -556,9 +572,9 @@ def joints_that_do_not_hold(patch: MonkeyPatch) -> None:
     """It tells of joints, and lets the cubes fly apart."""
     connect = Entities.connect
 
-    def pretend(held: Entities, *given: Any) -> str:
-        name = connect(held, *given)
-        held.simulation.remove_joint(held.joint(name).number)
+    def pretend(entities: Entities, *arguments: Any) -> str:
+        name = connect(entities, *arguments)
+        entities.simulation.remove_joint(entities.joint(name).number)
         return name
 
     patch.setattr(Entities, "connect", pretend)
@@ -567,7 +583,7 @@ def joints_that_do_not_hold(patch: MonkeyPatch) -> None:
 @defect("13.22", backend="mujoco")
 def nothing_touches(patch: MonkeyPatch) -> None:
     """It tells no contacts."""
-    patch.setattr(readings, "contact_list", lambda *given: [])
+    patch.setattr(readings, "contact_list", lambda *arguments: [])
 
 
 # -- determinism ------------------------------------------------------------------------------------------------------
@@ -579,7 +595,7 @@ _chance = itertools.count(1)
 def names_by_chance(patch: MonkeyPatch) -> None:
     """It makes names up that the seed does not determine."""
     patch.setattr(
-        Entities, "draw", lambda held, prefix, count: f"{prefix}_{count}_{next(_chance) * 2654435761 % 2**32:08x}"
+        Entities, "draw", lambda entities, prefix, count: f"{prefix}_{count}_{next(_chance) * 2654435761 % 2**32:08x}"
     )
 
 
@@ -588,12 +604,12 @@ def names_without_the_seed(patch: MonkeyPatch) -> None:
     """It makes the same names up whatever the seed."""
     draw = Entities.draw
 
-    def constant(held: Entities, prefix: str, count: int) -> str:
-        seed, held._seed = held._seed, 7
+    def constant(entities: Entities, prefix: str, count: int) -> str:
+        seed, entities._seed = entities._seed, 7
         try:
-            return draw(held, prefix, count)
+            return draw(entities, prefix, count)
         finally:
-            held._seed = seed
+            entities._seed = seed
 
     patch.setattr(Entities, "draw", constant)
 
@@ -603,9 +619,9 @@ def a_little_noise(patch: MonkeyPatch) -> None:
     """It pushes cubes a little, each time otherwise."""
     _pushes(
         patch,
-        lambda held, cube, c: {
+        lambda entities, cube, command: {
             key: [x * (1 + 1e-12 * next(_chance)) for x in value] if key in ("force", "impulse") else value
-            for key, value in c.items()
+            for key, value in command.items()
         },
     )
 
@@ -614,9 +630,9 @@ def a_little_noise(patch: MonkeyPatch) -> None:
 def a_reset_keeps_the_frame(patch: MonkeyPatch) -> None:
     """It goes on counting frames after a reset."""
 
-    def keep(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+    def keep(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
         frame = world.frame
-        reply = answer(world, client, c)
+        reply = answer(world, client, command)
         world.frame = frame
         return reply
 
@@ -627,9 +643,9 @@ def a_reset_keeps_the_frame(patch: MonkeyPatch) -> None:
 def a_reset_keeps_the_names(patch: MonkeyPatch) -> None:
     """It goes on counting names after a reset."""
 
-    def keep(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+    def keep(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
         spawned = world.entities._spawned
-        reply = answer(world, client, c)
+        reply = answer(world, client, command)
         world.entities._spawned = spawned
         return reply
 
@@ -640,10 +656,10 @@ def a_reset_keeps_the_names(patch: MonkeyPatch) -> None:
 def a_reset_ends_subscriptions(patch: MonkeyPatch) -> None:
     """It forgets subscriptions in a reset."""
 
-    def forget(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+    def forget(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
         for other in world._clients.values():
             other.subscription = None
-        return answer(world, client, c)
+        return answer(world, client, command)
 
     around(patch, "reset", forget)
 
@@ -652,9 +668,9 @@ def a_reset_ends_subscriptions(patch: MonkeyPatch) -> None:
 def owners_after_a_reset(patch: MonkeyPatch) -> None:
     """It lets a connection own a cube of before the reset, when there is one of that name again."""
 
-    def keep(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+    def keep(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
         owned = {other.number: other.owned for other in world._clients.values()}
-        reply = answer(world, client, c)
+        reply = answer(world, client, command)
         for number, name in owned.items():
             world._clients[number].owned = name
         return reply
@@ -667,11 +683,11 @@ def looking_changes_it(patch: MonkeyPatch) -> None:
     """It moves a cube a little whenever somebody looks at it."""
     info = readings.cube_info
 
-    def nudge(held: Entities, cube: Cube) -> JsonObject:
-        told = info(held, cube)
-        state = held.simulation.body_state(cube.body)
+    def nudge(entities: Entities, cube: Cube) -> JsonObject:
+        reading = info(entities, cube)
+        state = entities.simulation.body_state(cube.body)
         x, y, z = state.position
-        held.simulation.set_body_state(cube.body, replace(state, position=(x + 1e-9, y, z)))
-        return told
+        entities.simulation.set_body_state(cube.body, replace(state, position=(x + 1e-9, y, z)))
+        return reading
 
     patch.setattr(readings, "cube_info", nudge)

@@ -32,8 +32,8 @@ def a_reply_too_many(patch: MonkeyPatch) -> None:
     reply = Session.reply
 
     def twice(session: Session, request: Request, encoded: bytes) -> bytes:
-        said = reply(session, request, encoded)
-        return said * 2 if request.type == "ping" else said
+        answer = reply(session, request, encoded)
+        return answer * 2 if request.type == "ping" else answer
 
     patch.setattr(Session, "reply", twice)
 
@@ -263,8 +263,8 @@ def _not_silent(patch: MonkeyPatch, speaks: Callable[[Request, bytes], bool]) ->
     reply = Session.reply
 
     def loud(session: Session, request: Request, encoded: bytes) -> bytes:
-        said = reply(session, request, encoded)
-        return said or (encoded + DELIMITER if speaks(request, encoded) else b"")
+        answer = reply(session, request, encoded)
+        return answer or (encoded + DELIMITER if speaks(request, encoded) else b"")
 
     patch.setattr(Session, "reply", loud)
 
@@ -439,19 +439,19 @@ def _change_ids(patch: MonkeyPatch, change: Callable[[Any], Any]) -> None:
 @defect("4.3:zero", "4.3:true", "4.3:list")
 def ids_as_text(patch: MonkeyPatch) -> None:
     """It echoes every id as a string."""
-    _change_ids(patch, lambda given: given if isinstance(given, str) else json.dumps(given))
+    _change_ids(patch, lambda identifier: identifier if isinstance(identifier, str) else json.dumps(identifier))
 
 
 @defect("4.3:null", "4.3:zero")
 def ids_that_are_false_lost(patch: MonkeyPatch) -> None:
     """It takes the ids 0, null, false and "" for none."""
-    _change_ids(patch, lambda given: given or NO_ID)
+    _change_ids(patch, lambda identifier: identifier or NO_ID)
 
 
 @defect("4.4:2**53+1", only_strict=True)
 def ids_as_doubles(patch: MonkeyPatch) -> None:
     """It reads integers as doubles, and tells another id than it was given."""
-    _change_ids(patch, lambda given: int(float(given)) if type(given) is int else given)
+    _change_ids(patch, lambda identifier: int(float(identifier)) if type(identifier) is int else identifier)
 
 
 @defect("7.10:cube_not_found", "7.10:invalid", "7.10:unknown_type")

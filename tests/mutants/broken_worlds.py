@@ -15,7 +15,8 @@ from nmes.backend.rotation import multiply, quaternion_from_euler
 from nmes.errors import RejectedMessage, WorldError
 from nmes.protocol import messages, session
 from nmes.schemas.documents import CompiledSchema
-from nmes.world import World, entities, joint_params
+from nmes.world import World, joint_params
+from nmes.world import entities as entities_module
 from nmes.world.clients import Client
 from nmes.world.commands import general
 from nmes.world.entities import Cube, Entities, Joint
@@ -56,10 +57,10 @@ def euler_angles_in_another_order(patch: MonkeyPatch) -> None:
 def half_edges(patch: MonkeyPatch) -> None:
     """It takes the edges of a cube for the halves of them."""
 
-    def double(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        if isinstance(c.get("size"), list):
-            c = {**c, "size": [2 * edge for edge in c["size"]]}
-        return answer(world, client, c)
+    def double(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        if isinstance(command.get("size"), list):
+            command = {**command, "size": [2 * edge for edge in command["size"]]}
+        return answer(world, client, command)
 
     around(patch, "spawn_cube", double)
 
@@ -67,13 +68,13 @@ def half_edges(patch: MonkeyPatch) -> None:
 @defect("5.5")
 def another_default(patch: MonkeyPatch) -> None:
     """It makes cubes of 2 kg where no mass is given."""
-    around(patch, "spawn_cube", lambda answer, world, client, c: answer(world, client, {"mass": 2.0, **c}))
+    around(patch, "spawn_cube", lambda answer, world, client, command: answer(world, client, {"mass": 2.0, **command}))
 
 
 @defect("5.3")
 def the_list_always(patch: MonkeyPatch) -> None:
     """It lists all cubes after a spawn, though told not to."""
-    around(patch, "spawn_cube", lambda answer, world, client, c: answer(world, client, {**c, "list": True}))
+    around(patch, "spawn_cube", lambda answer, world, client, command: answer(world, client, {**command, "list": True}))
 
 
 @defect("5.11")
@@ -81,16 +82,16 @@ def despawn_leaves_joints(patch: MonkeyPatch) -> None:
     """It goes on telling the joints of a despawned cube in its neighbour's info."""
     cut = Entities.cut
 
-    def keep(held: Entities, joint: Joint) -> None:
-        cut(held, joint)
+    def keep(entities: Entities, joint: Joint) -> None:
+        cut(entities, joint)
         joint.cube1.joints[joint.name] = joint.cube2.joints[joint.name] = None
 
-    def despawn(held: Entities, cube: Cube) -> list[str]:
-        gone = [name for name in cube.joints if name in held.joints]
+    def despawn(entities: Entities, cube: Cube) -> list[str]:
+        gone = [name for name in cube.joints if name in entities.joints]
         for name in gone:
-            keep(held, held.joints[name])
+            keep(entities, entities.joints[name])
         cube.joints.clear()
-        return whole(held, cube) or gone
+        return whole(entities, cube) or gone
 
     whole = Entities.despawn
     patch.setattr(Entities, "despawn", despawn)
@@ -99,12 +100,12 @@ def despawn_leaves_joints(patch: MonkeyPatch) -> None:
 @defect("5.16")
 def removed_joints_listed(patch: MonkeyPatch) -> None:
     """It goes on listing joints that are gone."""
-    told: dict[str, JsonObject] = {}
+    joints: dict[str, JsonObject] = {}
 
-    def keep(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        reply = answer(world, client, c)
-        told.update((joint["joint_name"], joint) for joint in reply["joints"])
-        return {**reply, "joints": list(told.values())}
+    def keep(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        reply = answer(world, client, command)
+        joints.update((joint["joint_name"], joint) for joint in reply["joints"])
+        return {**reply, "joints": list(joints.values())}
 
     around(patch, "get_joint_list", keep)
 
@@ -112,18 +113,20 @@ def removed_joints_listed(patch: MonkeyPatch) -> None:
 @defect("5.11")
 def despawn_tells_no_joints(patch: MonkeyPatch) -> None:
     """It does not say which joints went with a cube."""
-    around(patch, "despawn_cube", lambda answer, world, client, c: {**answer(world, client, c), "joints": []})
+    around(
+        patch, "despawn_cube", lambda answer, world, client, command: {**answer(world, client, command), "joints": []}
+    )
 
 
 @defect("5.13:fixed", "5.13:hinge", backend="mujoco")
 def anchors_in_the_first_cube(patch: MonkeyPatch) -> None:
     """It puts a joint into its first cube where no position is given."""
 
-    def put(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        cube = world.entities.cubes.get(c["cube1"])
-        if cube is not None and "position" not in c:
-            c = {**c, "position": list(world.simulation.body_state(cube.body).position)}
-        return answer(world, client, c)
+    def put(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        cube = world.entities.cubes.get(command["cube1"])
+        if cube is not None and "position" not in command:
+            command = {**command, "position": list(world.simulation.body_state(cube.body).position)}
+        return answer(world, client, command)
 
     around(patch, "create_joint", put)
 
@@ -132,17 +135,17 @@ def anchors_in_the_first_cube(patch: MonkeyPatch) -> None:
 def joints_with_the_wrong_axis(patch: MonkeyPatch) -> None:
     """It gives every joint the axis z."""
     patch.setattr(FieldReader, "axis", lambda reader, kind, value: (0.0, 0.0, 1.0))
-    patch.setattr(entities, "JointSpec", lambda *given: replace(JointSpec(*given), axis=(0.0, 0.0, 1.0)))
+    patch.setattr(entities_module, "JointSpec", lambda *fields: replace(JointSpec(*fields), axis=(0.0, 0.0, 1.0)))
 
 
 @defect("5.18:damping", "5.18:limit_upper", backend="mujoco")
 def parameters_forgotten(patch: MonkeyPatch) -> None:
     """It repeats a parameter of a joint, and does not set it."""
 
-    def forget(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        joint = world.entities.joint(c["joint_name"])
+    def forget(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        joint = world.entities.joint(command["joint_name"])
         before = joint.params
-        reply = answer(world, client, c)
+        reply = answer(world, client, command)
         joint.params = before
         return reply
 
@@ -154,9 +157,9 @@ def motors_stay_off(patch: MonkeyPatch) -> None:
     """It does not switch a motor on that gets a velocity."""
     adjust = joint_params.adjust
 
-    def off(kind: str, params: Any, given: Any, engine_step: float, path: str | None) -> joint_params.Params:
-        adjusted = adjust(kind, params, given, engine_step, path)
-        if "motor_enabled" not in given:
+    def off(kind: str, params: Any, changes: Any, engine_step: float, path: str | None) -> joint_params.Params:
+        adjusted = adjust(kind, params, changes, engine_step, path)
+        if "motor_enabled" not in changes:
             adjusted["motor_enabled"] = params["motor_enabled"]
         return adjusted
 
@@ -168,14 +171,14 @@ def removed_joints_stay_in_cubes(patch: MonkeyPatch) -> None:
     """It goes on naming a removed joint in its cubes' info."""
     cut = Entities.cut
 
-    def keep(held: Entities, joint: Joint) -> None:
-        cut(held, joint)
+    def keep(entities: Entities, joint: Joint) -> None:
+        cut(entities, joint)
         joint.cube1.joints[joint.name] = joint.cube2.joints[joint.name] = None
 
-    def remove(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+    def remove(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
         with MonkeyPatch.context() as inner:
             inner.setattr(Entities, "cut", keep)
-            return answer(world, client, c)
+            return answer(world, client, command)
 
     around(patch, "remove_joint", remove)
 
@@ -186,8 +189,8 @@ def a_state_forgets_the_rest(patch: MonkeyPatch) -> None:
     around(
         patch,
         "set_cube_state",
-        lambda answer, world, client, c: answer(
-            world, client, {"linear_velocity": [0, 0, 0], "angular_velocity": [0, 0, 0], **c}
+        lambda answer, world, client, command: answer(
+            world, client, {"linear_velocity": [0, 0, 0], "angular_velocity": [0, 0, 0], **command}
         ),
     )
 
@@ -196,15 +199,15 @@ def a_state_forgets_the_rest(patch: MonkeyPatch) -> None:
 def frozen_for_ever(patch: MonkeyPatch) -> None:
     """It freezes cubes and never lets them go."""
     freeze = Entities.freeze
-    patch.setattr(Entities, "freeze", lambda held, cube, frozen: freeze(held, cube, frozen or cube.frozen))
+    patch.setattr(Entities, "freeze", lambda entities, cube, frozen: freeze(entities, cube, frozen or cube.frozen))
 
 
 @defect("5.26")
 def a_world_without_velocities(patch: MonkeyPatch) -> None:
     """It leaves the velocities out of world_state."""
 
-    def leave_out(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        reply = answer(world, client, c)
+    def leave_out(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        reply = answer(world, client, command)
         return {**reply, "cubes": [{k: v for k, v in cube.items() if "velocity" not in k} for cube in reply["cubes"]]}
 
     around(patch, "get_world_state", leave_out)
@@ -214,10 +217,10 @@ def a_world_without_velocities(patch: MonkeyPatch) -> None:
 def a_batch_stops_at_an_error(patch: MonkeyPatch) -> None:
     """It leaves the rest of a batch undone when one of its commands fails."""
 
-    def stop(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+    def stop(answer: Answer, world: World, client: Client, batch: JsonObject) -> JsonObject:
         results: list[JsonObject] = []
-        for command in c["commands"]:
-            results += answer(world, client, {**c, "commands": [command]})["results"]
+        for command in batch["commands"]:
+            results += answer(world, client, {**batch, "commands": [command]})["results"]
             if results[-1]["type"] == "error":
                 break
         return {"type": "batch_result", "results": results}
@@ -229,9 +232,9 @@ def a_batch_stops_at_an_error(patch: MonkeyPatch) -> None:
 def a_batch_is_undone(patch: MonkeyPatch) -> None:
     """It undoes a batch of which a command fails."""
 
-    def undo(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+    def undo(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
         before = world.snapshot()
-        reply = answer(world, client, c)
+        reply = answer(world, client, command)
         if any(result["type"] == "error" for result in reply["results"]):
             world.restore(before)
         return reply
@@ -243,8 +246,8 @@ def a_batch_is_undone(patch: MonkeyPatch) -> None:
 def a_batch_without_ids(patch: MonkeyPatch) -> None:
     """It loses the ids of a batch's commands."""
 
-    def lose(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        results = answer(world, client, c)["results"]
+    def lose(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        results = answer(world, client, command)["results"]
         return {"type": "batch_result", "results": [{k: v for k, v in r.items() if k != "id"} for r in results]}
 
     around(patch, "batch", lose)
@@ -286,16 +289,21 @@ def unknown_fields_refused(patch: MonkeyPatch) -> None:
 @defect("4.11")
 def types_in_any_case(patch: MonkeyPatch) -> None:
     """It takes PING for ping."""
-    _before_checks(patch, lambda c: {**c, "type": c["type"].lower()} if isinstance(c.get("type"), str) else c)
+    _before_checks(
+        patch,
+        lambda command: (
+            {**command, "type": command["type"].lower()} if isinstance(command.get("type"), str) else command
+        ),
+    )
 
 
 @defect("6.1:spawn_cube.mass", "4.10:text")
 def text_for_numbers(patch: MonkeyPatch) -> None:
     """It takes anything but a number for a mass of 1 kg."""
 
-    def mend(c: JsonObject) -> JsonObject:
-        mass = c.get("mass", 1.0)
-        return c if type(mass) in (int, float) else {**c, "mass": 1.0}
+    def mend(command: JsonObject) -> JsonObject:
+        mass = command.get("mass", 1.0)
+        return command if type(mass) in (int, float) else {**command, "mass": 1.0}
 
     _before_checks(patch, mend)
 
@@ -304,9 +312,11 @@ def text_for_numbers(patch: MonkeyPatch) -> None:
 def any_parameter(patch: MonkeyPatch) -> None:
     """It says that it sets parameters that there are not."""
 
-    def mend(c: JsonObject) -> JsonObject:
-        known = c.get("param_name") in joint_params.CAPABILITY
-        return c if c.get("type") != "set_joint_param" or known else {"type": "ping", "id": c.get("id")}
+    def mend(command: JsonObject) -> JsonObject:
+        known = command.get("param_name") in joint_params.CAPABILITY
+        return (
+            command if command.get("type") != "set_joint_param" or known else {"type": "ping", "id": command.get("id")}
+        )
 
     _before_checks(patch, mend)
 
@@ -340,17 +350,17 @@ def codes_of_its_own(patch: MonkeyPatch) -> None:
 def joined_twice(patch: MonkeyPatch) -> None:
     """It joins a pair a second time when the other cube is named first."""
 
-    def twice(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+    def twice(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
         reply = None
         try:
-            return answer(world, client, c)
+            return answer(world, client, command)
         except WorldError as error:
             if error.code != "joint_exists":
                 raise
             for joint in world.entities.joints.values():
-                if (joint.cube1.name, joint.cube2.name) == (c["cube1"], c["cube2"]):
+                if (joint.cube1.name, joint.cube2.name) == (command["cube1"], command["cube2"]):
                     raise
-                if (joint.cube2.name, joint.cube1.name) == (c["cube1"], c["cube2"]):
+                if (joint.cube2.name, joint.cube1.name) == (command["cube1"], command["cube2"]):
                     reply = {"type": "joint_created", "joint_name": f"{joint.name}x"}
         assert reply is not None
         return reply
@@ -363,10 +373,10 @@ def limits_upside_down(patch: MonkeyPatch) -> None:
     """It takes limits of which the lower is above the upper."""
     adjust = joint_params.adjust
 
-    def sort(kind: str, params: Any, given: Any, engine_step: float, path: str | None) -> joint_params.Params:
-        if given.get("limit_lower", 0) > given.get("limit_upper", float("inf")):
-            given = {**given, "limit_lower": given["limit_upper"], "limit_upper": given["limit_lower"]}
-        return adjust(kind, params, given, engine_step, path)
+    def sort(kind: str, params: Any, changes: Any, engine_step: float, path: str | None) -> joint_params.Params:
+        if changes.get("limit_lower", 0) > changes.get("limit_upper", float("inf")):
+            changes = {**changes, "limit_lower": changes["limit_upper"], "limit_upper": changes["limit_lower"]}
+        return adjust(kind, params, changes, engine_step, path)
 
     patch.setattr(joint_params, "adjust", sort)
 
@@ -375,9 +385,9 @@ def limits_upside_down(patch: MonkeyPatch) -> None:
 def a_refused_spawn_disowns(patch: MonkeyPatch) -> None:
     """It forgets what a connection owns when it refuses to spawn."""
 
-    def disown(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+    def disown(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
         client.owned = None
-        return answer(world, client, c)
+        return answer(world, client, command)
 
     around(patch, "spawn_cube", disown)
 
@@ -386,11 +396,11 @@ def a_refused_spawn_disowns(patch: MonkeyPatch) -> None:
 def a_cube_of_that_name_again(patch: MonkeyPatch) -> None:
     """It replaces a cube by another one of the same name."""
 
-    def replace_it(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        cube = world.entities.cubes.get(c.get("cube_name", "") + ("_BASE" if c.get("is_base") else ""))
+    def replace_it(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        cube = world.entities.cubes.get(command.get("cube_name", "") + ("_BASE" if command.get("is_base") else ""))
         if cube is not None:
             world.entities.despawn(cube)
-        return answer(world, client, c)
+        return answer(world, client, command)
 
     around(patch, "spawn_cube", replace_it)
 
@@ -419,11 +429,11 @@ def fields_without_their_place(patch: MonkeyPatch) -> None:
 @defect("8.2")
 def names_used_again(patch: MonkeyPatch) -> None:
     """It gives the name of a despawned cube to the next one without a name."""
-    patch.setattr(Entities, "draw", lambda held, prefix, count: f"{prefix}_{_lowest(held, prefix)}_00000000")
+    patch.setattr(Entities, "draw", lambda entities, prefix, count: f"{prefix}_{_lowest(entities, prefix)}_00000000")
 
 
-def _lowest(held: Entities, prefix: str) -> int:
-    taken = {*held.cubes, *held.joints}
+def _lowest(entities: Entities, prefix: str) -> int:
+    taken = {*entities.cubes, *entities.joints}
     return next(n for n in range(1, 1 << 20) if f"{prefix}_{n}_00000000" not in taken)
 
 
@@ -431,9 +441,9 @@ def _lowest(held: Entities, prefix: str) -> int:
 def the_first_cube_owned(patch: MonkeyPatch) -> None:
     """It lets a connection own the first cube that it spawned, not the last."""
 
-    def first(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+    def first(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
         owned = client.owned
-        reply = answer(world, client, c)
+        reply = answer(world, client, command)
         client.owned = owned or client.owned
         return reply
 
@@ -444,10 +454,10 @@ def the_first_cube_owned(patch: MonkeyPatch) -> None:
 def the_last_cube_of_all_owned(patch: MonkeyPatch) -> None:
     """It lets all own the cube that was spawned last, whoever did it."""
 
-    def last(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+    def last(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
         names = world.cubes()
         client.owned = names[-1] if names else None
-        return answer(world, client, c)
+        return answer(world, client, command)
 
     for kind in ("apply_physics", "apply_force", "get_cube_state"):
         around(patch, kind, last)
@@ -458,15 +468,15 @@ def an_older_cube_owned_again(patch: MonkeyPatch) -> None:
     """It lets a connection whose cube is gone own the one that it spawned before."""
     spawned: dict[int, list[str]] = {}
 
-    def remember(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        reply = answer(world, client, c)
+    def remember(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        reply = answer(world, client, command)
         spawned.setdefault(client.number, []).append(reply["spawned"])
         return reply
 
-    def older(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+    def older(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
         there = [name for name in spawned.get(client.number, []) if world.entities.cubes.get(name) is not None]
         client.owned = there[-1] if there else None
-        return answer(world, client, c)
+        return answer(world, client, command)
 
     around(patch, "spawn_cube", remember)
     around(patch, "apply_physics", older)
@@ -491,10 +501,10 @@ def cubes_go_with_their_connection(patch: MonkeyPatch) -> None:
 def bases_without_suffix(patch: MonkeyPatch) -> None:
     """It calls a base as it was told, without _BASE."""
 
-    def plain(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        if not c.get("is_base"):
-            return answer(world, client, c)
-        reply = answer(world, client, {**c, "is_base": False})
+    def plain(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        if not command.get("is_base"):
+            return answer(world, client, command)
+        reply = answer(world, client, {**command, "is_base": False})
         world.entities.freeze(world.entities.cube(reply["spawned"]), True)
         return reply
 
@@ -505,9 +515,9 @@ def bases_without_suffix(patch: MonkeyPatch) -> None:
 def bases_that_move(patch: MonkeyPatch) -> None:
     """It does not freeze a base."""
 
-    def let_go(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        reply = answer(world, client, c)
-        if c.get("is_base"):
+    def let_go(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        reply = answer(world, client, command)
+        if command.get("is_base"):
             world.entities.freeze(world.entities.cube(reply["spawned"]), False)
         return reply
 
@@ -518,7 +528,8 @@ def bases_that_move(patch: MonkeyPatch) -> None:
 def names_without_case(patch: MonkeyPatch) -> None:
     """It takes names that differ only by case for one."""
     _before_checks(
-        patch, lambda c: {k: v.lower() if k == "cube_name" and isinstance(v, str) else v for k, v in c.items()}
+        patch,
+        lambda command: {k: v.lower() if k == "cube_name" and isinstance(v, str) else v for k, v in command.items()},
     )
 
 
@@ -527,7 +538,9 @@ def names_with_white_space(patch: MonkeyPatch) -> None:
     """It replaces white space in names."""
     _before_checks(
         patch,
-        lambda c: {k: "_".join(v.split()) if k == "cube_name" and isinstance(v, str) else v for k, v in c.items()},
+        lambda command: {
+            k: "_".join(v.split()) if k == "cube_name" and isinstance(v, str) else v for k, v in command.items()
+        },
     )
 
 
@@ -537,7 +550,7 @@ def cubes_in_order_of_names(patch: MonkeyPatch) -> None:
     around(
         patch,
         "get_cube_list",
-        lambda answer, world, client, c: {"type": "cube_list", "cubes": sorted(world.cubes())},
+        lambda answer, world, client, command: {"type": "cube_list", "cubes": sorted(world.cubes())},
     )
 
 
@@ -545,8 +558,8 @@ def cubes_in_order_of_names(patch: MonkeyPatch) -> None:
 def one_name_for_all_joints(patch: MonkeyPatch) -> None:
     """It gives joints the name of their first cube."""
 
-    def name(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        return {**answer(world, client, c), "joint_name": f"joint_of_{c['cube1']}"}
+    def name(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        return {**answer(world, client, command), "joint_name": f"joint_of_{command['cube1']}"}
 
     around(patch, "create_joint", name)
 
@@ -556,12 +569,12 @@ def a_world_for_each(patch: MonkeyPatch) -> None:
     """It shows each client only the cubes that it spawned itself."""
     spawned: dict[int, list[str]] = {}
 
-    def remember(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        reply = answer(world, client, c)
+    def remember(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        reply = answer(world, client, command)
         spawned.setdefault(client.number, []).append(reply["spawned"])
         return reply
 
-    def own(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+    def own(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
         mine = spawned.get(client.number, [])
         return {"type": "cube_list", "cubes": [name for name in world.cubes() if name in mine]}
 
@@ -573,7 +586,7 @@ def a_world_for_each(patch: MonkeyPatch) -> None:
 
 
 def _refuse(code: str) -> Callable[[Answer, World, Client, JsonObject], JsonObject]:
-    def refuse(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
+    def refuse(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
         raise WorldError(code, "this server has no such thing")
 
     return refuse
@@ -588,13 +601,19 @@ def claimed_and_lacking(patch: MonkeyPatch) -> None:
 @defect("16.2:set_joint_param")
 def required_and_lacking(patch: MonkeyPatch) -> None:
     """It does not have set_joint_param, which all must have."""
-    _before_checks(patch, lambda c: {**c, "type": "?"} if c.get("type") == "set_joint_param" else c)
+    _before_checks(
+        patch, lambda command: {**command, "type": "?"} if command.get("type") == "set_joint_param" else command
+    )
 
 
 @defect("16.3:hinge", only_strict=True)
 def joints_that_it_does_not_claim(patch: MonkeyPatch) -> None:
     """It makes a fixed joint where it has none of the kind that was asked for."""
-    around(patch, "create_joint", lambda answer, world, client, c: answer(world, client, {**c, "joint_type": "fixed"}))
+    around(
+        patch,
+        "create_joint",
+        lambda answer, world, client, command: answer(world, client, {**command, "joint_type": "fixed"}),
+    )
 
 
 @defect("16.4", only_strict=True)
@@ -608,8 +627,8 @@ def claims_that_are_none(patch: MonkeyPatch) -> None:
 def parameters_of_joints_that_have_none(patch: MonkeyPatch) -> None:
     """It says that it sets the stiffness of a fixed joint."""
 
-    def pretend(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        return {"type": "joint_param_set", **{key: c[key] for key in ("joint_name", "param_name", "value")}}
+    def pretend(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        return {"type": "joint_param_set", **{key: command[key] for key in ("joint_name", "param_name", "value")}}
 
     around(patch, "set_joint_param", pretend)
 
@@ -617,15 +636,15 @@ def parameters_of_joints_that_have_none(patch: MonkeyPatch) -> None:
 @defect("12.8", config={"limits": {"cubes": 200}})
 def more_cubes_than_the_limit(patch: MonkeyPatch) -> None:
     """It tells a limit of cubes and does not hold to it."""
-    patch.setattr(Entities, "require_room", lambda held, cubes=0, joints=0: None)
+    patch.setattr(Entities, "require_room", lambda entities, cubes=0, joints=0: None)
 
 
 @defect("17.1:0")
 def what_is_spawned_owned_by_all(patch: MonkeyPatch) -> None:
     """It lets everybody own what anybody spawns."""
 
-    def share(answer: Answer, world: World, client: Client, c: JsonObject) -> JsonObject:
-        reply = answer(world, client, c)
+    def share(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        reply = answer(world, client, command)
         for other in world._clients.values():
             other.owned = reply["spawned"]
         return reply
