@@ -108,8 +108,8 @@ def test_the_work_of_a_motor_is_the_energy_that_its_load_gains(backend: str, kin
     wire("set_objective", expression="energy", cubes=["wheel"])
     inertia = 2 * (1 + 1) / 12 if kind == "hinge" else 2.0
     axis = [0, 0, 1] if kind == "hinge" else [1, 0, 0]
-    made = {"cube1": "base_BASE", "cube2": "wheel", "joint_type": kind, "axis": axis, "position": [3, 50, 0]}
-    joint = wire("create_joint", **made, motor_max_force=4 * inertia, motor_target_velocity=100)["joint_name"]
+    fields = {"cube1": "base_BASE", "cube2": "wheel", "joint_type": kind, "axis": axis, "position": [3, 50, 0]}
+    joint = wire("create_joint", **fields, motor_max_force=4 * inertia, motor_target_velocity=100)["joint_name"]
     wire("step", ticks=240)
     speed = wire("get_joint_info", joint_name=joint)["velocity"]
     assert speed == pytest.approx(4, rel=0.02)
@@ -150,10 +150,10 @@ def test_a_creature_scores_what_its_trajectory_scores_bit_for_bit() -> None:
     sizes, masses = zip(
         *((i["size"], i["mass"]) for i in (wire("get_cube_info", cube_name=n) for n in names)), strict=True
     )
-    cast = ObservedBodies((*ids, "ball"), len(ids), np.array(sizes), np.array(masses), 60, (1.0, 2.0, 3.0))
+    bodies = ObservedBodies((*ids, "ball"), len(ids), np.array(sizes), np.array(masses), 60, (1.0, 2.0, 3.0))
     numbers = range(1, len(names) + 1)  # of bodies, and of the joints, in the engine
     joints = range(1, len(spawned["joints"]) + 1)
-    trace = Trajectory(cast, 60, len(joints), contacts=True)
+    trajectory = Trajectory(bodies, 60, len(joints), contacts=True)
     clients = [wire.client]
     for index, text in enumerate(texts):
         if index % 16 == 15:
@@ -166,14 +166,14 @@ def test_a_creature_scores_what_its_trajectory_scores_bit_for_bit() -> None:
             wire("drive", creature="it", controls=[math.sin(row / 4)] * len(spawned["motors"]))
             wire("step")
         track.note()
-        trace.touches[row] = touches(world.simulation, numbers, len(ids))
-    trace.states[:], trace.rows = track.states(0, 61), 61
-    trace.meter(0, *track.drives(0, 61))
+        trajectory.touches[row] = touches(world.simulation, numbers, len(ids))
+    trajectory.states[:], trajectory.rows = track.states(0, 61), 61
+    trajectory.meter(0, *track.drives(0, 61))
     scores = {}
     for index, text in enumerate(texts):
         owner = clients[(index + 1) // 16]
         scores[text] = send(world, owner, type="compute_reward", objective=f"n{index}")["value"]
-    assert scores == {text: trace.value(Objective(text)) for text in texts}
+    assert scores == {text: trajectory.value(Objective(text)) for text in texts}
     assert scores["final.energy"] > 0.1
 
 
@@ -277,8 +277,10 @@ def test_a_reward_that_differs_from_the_recorded_one_is_a_divergence(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = record(tmp_path / "rewarded.mcap", play, {"backend": "mujoco"})
-    told = RunningQuantities.values
-    monkeypatch.setattr(RunningQuantities, "values", lambda *given: {q: v + 1e-9 for q, v in told(*given).items()})
+    values = RunningQuantities.values
+    monkeypatch.setattr(
+        RunningQuantities, "values", lambda *arguments: {q: v + 1e-9 for q, v in values(*arguments).items()}
+    )
     report = replay(path)
     assert report.verdict == "diverged"
     assert report.divergence is not None and "reward" in str(report.divergence)
@@ -291,19 +293,19 @@ def test_a_restored_world_has_the_energy_and_objectives_of_the_saved_one() -> No
     first("set_objective", expression="height", name="lost", cubes=cubes[:1])
     first("drive", creature="it", controls=[1.0])
     first("step", ticks=20)
-    held = first.world.snapshot()
+    snapshot = first.world.snapshot()
     second = Wire()
-    second.world.restore(held)
+    second.world.restore(snapshot)
 
-    def told(wire: Wire) -> list[float]:
+    def rewards(wire: Wire) -> list[float]:
         return [wire.worth(), *(wire.metric("energy", cube=name) for name in cubes)]
 
-    assert told(first) == told(second)
-    assert min(told(first)) > 0.0
+    assert rewards(first) == rewards(second)
+    assert min(rewards(first)) > 0.0
     for wire in (first, second):
         wire("drive", creature="it", controls=[-1.0])
         wire("step", ticks=20)
-    assert told(first) == told(second)
+    assert rewards(first) == rewards(second)
     joint = first("get_joint_list")["joints"][0]["joint_name"]
     for wire in (first, second):
         wire("remove_joint", joint_name=joint)

@@ -41,11 +41,11 @@ def test_a_restored_world_continues_with_the_same_replies_and_digests(
     first.join()
     first.join()
     play_history(first, [("say", 0, FRAMES[0]), ("say", 0, FRAMES[6]), ("tick", 3, None), *what[:cut]])
-    held = first.snapshot()
+    snapshot = first.snapshot()
     second = World(config)
     play_history(second, [("join", 0, None), ("tick", 3, None), ("say", 0, FRAMES[0])])  # it has a past of its own
-    second.restore(held)
-    assert second.snapshot() == held
+    second.restore(snapshot)
+    assert second.snapshot() == snapshot
     one, other = watched(first), watched(second)
     assert (first.digest(), first.cubes(), first.clients()) == (second.digest(), second.cubes(), second.clients())
     play_history(first, what[cut:])
@@ -74,11 +74,11 @@ def test_a_restored_structure_continues_in_a_fresh_process(backend: str, number:
     program = programs.draw(number, 80)
     world = World({"backend": backend, "mode": "lockstep", "seed": number})
     programs.play(world, program[:cut])
-    held = world.snapshot()
+    snapshot = world.snapshot()
     replies, digests = programs.play(world, program[cut:])
     child = subprocess.run(
         [sys.executable, "-c", CHILD, str(number), str(cut), backend],
-        input=held,
+        input=snapshot,
         capture_output=True,
         cwd=SUPPORT,
         timeout=120,
@@ -129,14 +129,14 @@ def test_a_faulted_world_has_no_snapshot() -> None:
         world.tick()
     with pytest.raises(WorldError, match="stopped at frame"):
         world.snapshot()
-    kept = sum(what[0] == "keyframe" for what in seen)
+    keyframes = sum(what[0] == "keyframe" for what in seen)
     for _ in range(20):
         world.tick()
-    assert sum(what[0] == "keyframe" for what in seen) == kept
+    assert sum(what[0] == "keyframe" for what in seen) == keyframes
 
 
-def damaged(held: bytes, **changes: object) -> bytes:
-    line, _, engine = held.partition(b"\n")
+def damaged(snapshot: bytes, **changes: object) -> bytes:
+    line, _, engine = snapshot.partition(b"\n")
     return orjson.dumps({**json.loads(line), **changes}) + b"\n" + engine
 
 
@@ -152,27 +152,27 @@ def test_an_invalid_snapshot_is_refused_and_changes_nothing() -> None:
         ):
             assert world.execute(client, command)["type"] != "error"
         world.tick()
-        held = world.snapshot()
-        state = json.loads(held.partition(b"\n")[0])
+        snapshot = world.snapshot()
+        state = json.loads(snapshot.partition(b"\n")[0])
         lame = {**state["clients"][0], "subscription": {**state["clients"][0]["subscription"], "sent": "AAAA"}}
         loose = {**state["assembly"], "cubes": []}
         for bad, why in (
             (b"", "no snapshot"),
             (b"[]\n", "no snapshot"),
             (b"\xff\n{}", "no snapshot"),
-            (damaged(held, version=2), "version 2"),
-            (damaged(held, frame="7"), "not a snapshot"),
-            (damaged(held, sensors=[]), "not a snapshot"),
+            (damaged(snapshot, version=2), "version 2"),
+            (damaged(snapshot, frame="7"), "not a snapshot"),
+            (damaged(snapshot, sensors=[]), "not a snapshot"),
             (other.snapshot(), "another config"),
-            (damaged(held, clients=[lame]), "does not fit together"),
-            (damaged(held, assembly=loose), "does not fit together"),
-            (held[:-9], "does not fit together"),
-            (held.partition(b"\n")[0] + b"\n", "does not fit together"),
+            (damaged(snapshot, clients=[lame]), "does not fit together"),
+            (damaged(snapshot, assembly=loose), "does not fit together"),
+            (snapshot[:-9], "does not fit together"),
+            (snapshot.partition(b"\n")[0] + b"\n", "does not fit together"),
         ):
             with pytest.raises(WorldError, match=why) as caught:
                 world.restore(bad)
             assert caught.value.code == "bad_snapshot"
-        assert world.snapshot() == held
+        assert world.snapshot() == snapshot
 
 
 # -- keyframes -------------------------------------------------------------------------------------------------------
@@ -189,8 +189,8 @@ def test_keyframes_are_taken_at_their_interval_between_inputs() -> None:
     world.execute(client, {"type": "reset"})
     world.execute(client, {"type": "step", "ticks": 4})
     world.execute(client, {"type": "step", "ticks": 1})
-    told = [(kind, len(list(row))) for kind, row in groupby(what[0] for what in seen if what[0] != "command")]
-    assert told == [
+    runs = [(kind, len(list(row))) for kind, row in groupby(what[0] for what in seen if what[0] != "command")]
+    assert runs == [
         *[("tick", 14), ("reply", 1), ("keyframe", 1)],  # due at 6 and at 12, it waits for the command's end
         *[("tick", 4), ("keyframe", 1), ("tick", 3 + 4)],  # at 18, by the clock
         *[("reply", 1), ("keyframe", 1)],
@@ -201,8 +201,8 @@ def test_keyframes_are_taken_at_their_interval_between_inputs() -> None:
     world.execute(client, {"type": "step", "ticks": 5})
     world.execute(client, {"type": "reset"})
     world.execute(client, {"type": "step", "ticks": 6})
-    told = [(kind, len(list(row))) for kind, row in groupby(what[0] for what in seen if what[0] != "command")]
-    assert told == [
+    runs = [(kind, len(list(row))) for kind, row in groupby(what[0] for what in seen if what[0] != "command")]
+    assert runs == [
         *[("reply", 1), ("keyframe", 1), ("tick", 5)],  # 25 to 30: of an episode that is over
         *[("reply", 2), ("tick", 6), ("reply", 1), ("keyframe", 1)],
     ]
@@ -213,11 +213,11 @@ def test_answers_after_a_reset_do_not_depend_on_the_history_before() -> None:
         world.execute(1, {"type": "reset", "seed": 8})
         for n, x in enumerate((0.0, 0.3, 2.0)):
             world.execute(1, {"type": "spawn_cube", "cube_name": f"c{n}", "position": [x, 1.0 + n, 0]})
-        found = []
+        replies = []
         for _ in range(40):
             world.execute(1, {"type": "step"})
-            found.append([world.execute(1, {"type": "get_cube_info", "cube_name": f"c{n}"}) for n in range(3)])
-        return found
+            replies.append([world.execute(1, {"type": "get_cube_info", "cube_name": f"c{n}"}) for n in range(3)])
+        return replies
 
     fresh = World({"mode": "lockstep", "keyframes": 0.25})
     fresh.join()

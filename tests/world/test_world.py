@@ -446,15 +446,15 @@ def test_a_state_event_holds_what_moved_past_the_thresholds(drive: Driver) -> No
 )
 def test_a_state_event_equals_the_world_state(cubes: list[tuple[list[float], str]]) -> None:
     drive = Driver(backend="ballistic")
-    told: list[bytes] = []
-    drive.world.emit = lambda client, event: told.append(event)
+    events: list[bytes] = []
+    drive.world.emit = lambda client, event: events.append(event)
     for i, (rotation, name) in enumerate(cubes):
         spin = [0.1 * i, -1.0 / 3.0, 0.0]
         drive.ok("spawn_cube", cube_name=name, position=[2 * i, 9, 1e-7], rotation=rotation, angular_velocity=spin)
     drive.ok("subscribe", events=["state"])
     drive.ok("step")
     state = drive.ok("get_world_state")["cubes"]
-    (event,) = told
+    (event,) = events
     assert event == protocol.encode({"type": "state", "t": 1 / 60, "frame": 1, "cubes": state, "removed": []})
     drive.world.close()
 
