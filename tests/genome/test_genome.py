@@ -224,15 +224,15 @@ def test_sensor_patterns_match_the_body_s_parts() -> None:
 
 def graph(*connections: Document, root: str = "body", **parts: Any) -> Document:
     """A graph: parts by name, each [size, recursive_limit]."""
-    made = [
+    part_documents = [
         {"id": name, "size": size, "recursive_limit": limit, "joint": {"type": "hinge"}}
         for name, (size, limit) in parts.items()
     ]
-    return {"root": root, "parts": made, "connections": list(connections)}
+    return {"root": root, "parts": part_documents, "connections": list(connections)}
 
 
-def grown(given: Document) -> Genome:
-    return Genome({"format": "nmes-genome/1", "name": "grown", "body": {"graph": given}})
+def grown(document: Document) -> Genome:
+    return Genome({"format": "nmes-genome/1", "name": "grown", "body": {"graph": document}})
 
 
 def test_a_recursive_part_repeats_up_to_its_limit() -> None:
@@ -270,18 +270,18 @@ def test_a_part_grows_away_from_the_face_that_it_stands_on(face: str, at: list[f
 
 
 def test_mirrored_parts_are_mirror_images_and_move_as_such() -> None:
-    given = graph(
+    document = graph(
         {"from": "body", "to": "hip", "face": "+z", "at": [0.5, 0], "rotation": [0.2, 0.3, 0.1], "mirror": "z"},
         {"from": "hip", "to": "leg", "face": "-y", "at": [0.8, 0.1], "rotation": [0, 0.4, 0.2]},
         body=([1, 0.3, 0.5], 1),
         hip=([0.4, 0.2, 0.2], 1),
         leg=([0.5, 0.1, 0.1], 1),
     )  # fmt: skip
-    for part in given["parts"][1:]:
+    for part in document["parts"][1:]:
         part["joint"] = {
             "type": "hinge", "axis": [0.3, 1, 0.4], "motor": {"mode": "position", "range": [-1, 1], "max_effort": 500}
         }  # fmt: skip
-    genome = grown(given)
+    genome = grown(document)
     assert [cube.id for cube in genome.body.cubes] == ["body", "hip", "leg", "hip.mirror", "leg.mirror"]
     assert [(j.id, j.cube1) for j in genome.body.joints][2:] == [("hip.mirror", "body"), ("leg.mirror", "hip.mirror")]
     world = World({"mode": "lockstep", "gravity": [0, 0, 0]})
@@ -301,12 +301,12 @@ def test_mirrored_parts_are_mirror_images_and_move_as_such() -> None:
 
 
 def test_mirrored_parts_of_mirrored_parts_have_unique_names() -> None:
-    given = graph(
+    document = graph(
         {"from": "body", "to": "side", "face": "+x", "mirror": "x"},
         {"from": "side", "to": "leg", "face": "+z", "mirror": "z"},
         body=(0.4, 1), side=(0.2, 1), leg=([0.5, 0.1, 0.1], 1),
     )  # fmt: skip
-    body = grown(given).body
+    body = grown(document).body
     assert [cube.id for cube in body.cubes] == [
         "body", "side", "leg", "leg.mirror", "side.mirror", "leg.2.mirror", "leg.2",
     ]  # fmt: skip
@@ -317,26 +317,26 @@ def test_mirrored_parts_of_mirrored_parts_have_unique_names() -> None:
 
 
 def test_terminal_parts_grow_at_the_end_only() -> None:
-    given = graph(
+    document = graph(
         {"from": "body", "to": "body", "face": "+x"},
         {"from": "body", "to": "hand", "face": "+y", "terminal": True},
         body=(0.4, 4), hand=(0.2, 1),
     )  # fmt: skip
-    body = grown(given).body
+    body = grown(document).body
     assert [(joint.cube1, joint.cube2) for joint in body.joints if joint.cube2.startswith("hand")] == [
         ("body.4", "hand")
     ]
 
 
 def test_scaling_a_part_scales_its_limits_springs_and_effort() -> None:
-    given = graph({"from": "body", "to": "leg", "face": "+x", "scale": 2}, body=(1, 1), leg=(0.5, 1))
-    given["parts"][1]["joint"] = {
+    document = graph({"from": "body", "to": "leg", "face": "+x", "scale": 2}, body=(1, 1), leg=(0.5, 1))
+    document["parts"][1]["joint"] = {
         "type": "slide",
         "limits": [-0.1, 0.2],
         "stiffness": 3,
         "motor": {"mode": "position", "range": [0, 0.1], "max_effort": 7},
     }
-    (joint,) = grown(given).body.joints
+    (joint,) = grown(document).body.joints
     assert (joint.limits, joint.stiffness, joint.motor.max_effort if joint.motor else 0) == ((-0.2, 0.4), 24, 56)
 
 
@@ -345,7 +345,7 @@ def link(face: str, end: str = "body", **more: Any) -> Document:
 
 
 @pytest.mark.parametrize(
-    ("given", "place", "message"),
+    ("document", "place", "message"),
     [
         (graph(root="boddy", body=(1, 1)), "root", "there is no part 'boddy'"),
         (graph(link("+x", "x"), body=(1, 1)), "connections/0/to", "no part 'x'"),
@@ -360,14 +360,14 @@ def link(face: str, end: str = "body", **more: Any) -> Document:
         ),
     ],
 )
-def test_a_graph_that_cannot_grow_is_refused_with_the_reason(given: Document, place: str, message: str) -> None:
-    findings, place = problems_of_graph(given), f"body/graph/{place}".rstrip("/")
+def test_a_graph_that_cannot_grow_is_refused_with_the_reason(document: Document, place: str, message: str) -> None:
+    findings, place = problems_of_graph(document), f"body/graph/{place}".rstrip("/")
     assert any(at == place and message in words for at, words in findings), findings
 
 
-def problems_of_graph(given: Document) -> list[tuple[str, str]]:
+def problems_of_graph(document: Document) -> list[tuple[str, str]]:
     with pytest.raises(DocumentError) as caught:
-        grown(given)
+        grown(document)
     return list(caught.value.problems)
 
 
@@ -412,9 +412,9 @@ _graph = st.builds(
 
 @given(_graph)
 @settings(max_examples=120, deadline=None)
-def test_any_graph_grows_into_a_valid_body_or_is_refused_with_the_reason(given: Document) -> None:
+def test_any_graph_grows_into_a_valid_body_or_is_refused_with_the_reason(document: Document) -> None:
     try:
-        genome = grown(given)
+        genome = grown(document)
     except DocumentError as error:
         assert error.problems and all(words for _, words in error.problems)
         return
@@ -422,7 +422,7 @@ def test_any_graph_grows_into_a_valid_body_or_is_refused_with_the_reason(given: 
     assert len(body.joints) == len(body.cubes) - 1 < MOST_CUBES
     assert body.bounds()[0][1] == pytest.approx(0, abs=1e-6)
     assert genome.expanded().body == body
-    assert grown(copy.deepcopy(given)).body == body
+    assert grown(copy.deepcopy(document)).body == body
     world = World({"mode": "lockstep"})
     client = world.join()
     reply = world.execute(client, {"type": "spawn_creature", "genome": genome.document, "name": "c"})
@@ -465,8 +465,10 @@ def test_a_graph_grows_the_same_in_every_process() -> None:
 
 
 def test_an_expanded_genome_expands_to_itself() -> None:
-    given = graph({"from": "body", "to": "body", "face": "+x", "rotation": [0.1, 0.2, 0.3]}, body=([0.3, 0.2, 0.1], 9))
-    assert read_body(grow(given), None, "body/graph") == grown(given).expanded().body
+    document = graph(
+        {"from": "body", "to": "body", "face": "+x", "rotation": [0.1, 0.2, 0.3]}, body=([0.3, 0.2, 0.1], 9)
+    )
+    assert read_body(grow(document), None, "body/graph") == grown(document).expanded().body
 
 
 # -- files and names --------------------------------------------------------------------------------------------------
