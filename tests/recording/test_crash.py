@@ -80,12 +80,12 @@ def crash(folder: Path, interval: float, seed: int) -> None:
         talker.join(PATIENCE)
         assert not talker.is_alive()
     recording = Recording(announcement["recording"])
-    kept = {str(protocol.parse(item.data).id) for item in recording if item.kind is Kind.COMMAND}
+    recorded_ids = {str(protocol.parse(item.data).id) for item in recording if item.kind is Kind.COMMAND}
     assert recording.damage is not None and recording.damage.cut
     # A host flushes twice in each interval, so that it keeps it where it comes to that half an interval late.
     for talker in talkers:
         due = {name for name, at in talker.answered if at < killed - interval or not interval}
-        assert due <= kept, f"seed {seed}: lost {sorted(due - kept)[:5]} of {len(due)}"
+        assert due <= recorded_ids, f"seed {seed}: lost {sorted(due - recorded_ids)[:5]} of {len(due)}"
     report = replay(recording)
     assert (report.verdict, report.cut) == ("reproduced", True)
     assert report.ticks == report.frames[1] == recording.summary().ticks

@@ -125,21 +125,21 @@ def test_a_missing_or_additional_keyframe_is_found(long_file: Path, tmp_path: Pa
 @pytest.mark.parametrize("whole", [True, False])
 def test_a_world_can_be_restored_at_every_frame(long_file: Path, tmp_path: Path, whole: bool) -> None:
     path = long_file if whole else cut(long_file, tmp_path / "cut.mcap")
-    recording, kept = Recording(path), digests(Recording(path))
+    recording, tick_digests = Recording(path), digests(Recording(path))
     assert recording.complete == whole
-    assert recording.last_frame == len(kept) > 100
-    for frame in (*range(0, len(kept), 3), len(kept)):
+    assert recording.last_frame == len(tick_digests) > 100
+    for frame in (*range(0, len(tick_digests), 3), len(tick_digests)):
         start = recording.start(frame)
         assert start.frame == max([0, *(k for k in keyframes(recording) if k <= frame)])
         world = world_at(recording, frame)
         assert world.ticks == frame and world.fault is None
-        if frame < len(kept):  # the next tick is to come, and all before it has acted
+        if frame < len(tick_digests):  # the next tick is to come, and all before it has acted
             world.tick()
-            assert world.digest().hex() == kept[frame]
+            assert world.digest().hex() == tick_digests[frame]
         world.close()
     world = world_at(recording)
-    assert world.ticks == len(kept)
-    for frame in (-1, len(kept) + 1, 10**6):
+    assert world.ticks == len(tick_digests)
+    for frame in (-1, len(tick_digests) + 1, 10**6):
         with pytest.raises(RecordingError) as caught:
             world_at(recording, frame)
         assert caught.value.code == "no_such_frame"
@@ -176,9 +176,9 @@ def test_a_replay_from_any_frame_equals_the_replay_from_the_beginning(
     config = {"backend": backend, "keyframes": 0.08}
     path = record(tmp_path_factory.mktemp("any") / "x.mcap", play, config, pose_rate=pose_rate)
     recording = Recording(path)
-    kept = digests(recording)
-    assert recording.last_frame == len(kept)
-    frame %= len(kept) + 1
+    tick_digests = digests(recording)
+    assert recording.last_frame == len(tick_digests)
+    frame %= len(tick_digests) + 1
     report = replay(recording, first=frame)
     assert report.verdict == "reproduced", report.divergence
     assert replay(recording).verdict == "reproduced"
@@ -196,15 +196,15 @@ def test_structures_are_restored_at_every_frame(tmp_path: Path, number: int) -> 
 
     path = record(tmp_path / "x.mcap", play, {"backend": "mujoco", "keyframes": 0.5})
     recording = Recording(path)
-    kept = digests(recording)
-    for frame in range(1, len(kept), 47):
+    tick_digests = digests(recording)
+    for frame in range(1, len(tick_digests), 47):
         report = replay(recording, first=frame)
         assert report.verdict == "reproduced", (frame, report.divergence)
         # The frame before, and a tick: the state right after the tick, before anything else was sent.
         world = world_at(recording, frame - 1)
         if not world.execute(world.clients()[0], {"type": "ping"})["type"] == "error":
             world.tick()
-            assert world.digest().hex() == kept[frame - 1]
+            assert world.digest().hex() == tick_digests[frame - 1]
         world.close()
 
 
@@ -257,13 +257,13 @@ def test_a_restored_world_accepts_commands(long_file: Path) -> None:
 def test_an_engine_without_snapshots_is_replayed_from_the_beginning(tmp_path: Path) -> None:
     path = record(tmp_path / "x.mcap", long, {"backend": "pymunk", "keyframes": 0.25})
     recording = Recording(path)
-    kept = digests(recording)
+    tick_digests = digests(recording)
     assert not keyframes(recording)
-    for frame in range(0, len(kept), 17):
+    for frame in range(0, len(tick_digests), 17):
         world = world_at(recording, frame)
         assert world.ticks == frame
     report = replay(path, first=100)
-    assert (report.verdict, report.frames, report.ticks) == ("reproduced", (0, len(kept)), len(kept))
+    assert (report.verdict, report.frames, report.ticks) == ("reproduced", (0, len(tick_digests)), len(tick_digests))
 
 
 def test_a_divergence_before_the_restored_frame_is_reported(long_file: Path, tmp_path: Path) -> None:

@@ -77,8 +77,8 @@ def test_client_messages_are_kept_byte_for_byte(tmp_path: Path) -> None:
 def test_long_refused_frames_are_cut_with_a_note(tmp_path: Path) -> None:
     raw = b"x" * (REFUSED_LIMIT + 5)
     path = record(tmp_path / "x.mcap", lambda world, client: world.handle(client, protocol.parse(raw)))
-    (kept,) = [item.data for item in Recording(path) if item.kind is Kind.REFUSED]
-    assert kept == b"x" * REFUSED_LIMIT + b"... (65541 bytes in all)"
+    (frame,) = [item.data for item in Recording(path) if item.kind is Kind.REFUSED]
+    assert frame == b"x" * REFUSED_LIMIT + b"... (65541 bytes in all)"
 
 
 def test_records_have_simulation_time_and_wall_clock_time(busy_file: Path) -> None:
