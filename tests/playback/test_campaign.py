@@ -135,7 +135,7 @@ Event = tuple[Any, ...]
 
 
 def events_of(lines: list[Line]) -> list[tuple[int, Event]]:
-    """Returns what happened, each tick by itself, with the numbers of the records that say so."""
+    """The events of a history, each tick by itself, with the numbers of the records that tell of them."""
     events: list[tuple[int, Event]] = []
     for number, line in enumerate(lines):
         if line.topic == "ticks":

@@ -42,14 +42,14 @@ def test_each_golden_is_reproduced(golden: Golden) -> None:
 def test_every_part_of_a_golden_with_keyframes_is_reproduced() -> None:
     (golden,) = [golden for golden in CORPUS if "keyframes" in golden.config]
     recording = Recording(golden.recording)
-    kept, ticks = recording.summary().keyframes, description(golden)["ticks"]
+    keyframes, ticks = recording.summary().keyframes, description(golden)["ticks"]
     starts = set()
     for first in (*range(0, ticks, 11), ticks):
         report = replay(recording, first=first, ignore_fingerprint=True)
         assert report.frames[1] == ticks
         starts.add(report.frames[0])
         assert report.differences or report.verdict == "reproduced", report.divergence
-    assert len(starts) == kept + 1 > 6
+    assert len(starts) == keyframes + 1 > 6
 
 
 @goldens

@@ -67,8 +67,8 @@ def test_the_same_engine_answers_the_same(tmp_path: Path, backend: str, play: Ca
             other.spawn_cube("in_the_way")
         report = against(path, lambda: server.client().connect(), tolerance=0.0)
         assert (report.verdict, report.fields) == ("equal", [])
-        kept = sum(report.kept_back.values())
-        assert report.commands == report.equal == summary.commands.total() + summary.refused - kept
+        kept_back = sum(report.kept_back.values())
+        assert report.commands == report.equal == summary.commands.total() + summary.refused - kept_back
         assert report.ticks == summary.ticks > 0
         assert report.values > 50
         assert report.differences == {} and report.renamed == {} and report.ended is None
