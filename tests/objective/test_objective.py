@@ -273,38 +273,39 @@ def test_one_expression_serves_many_threads() -> None:
 # -- quantities -------------------------------------------------------------------------------------------------------
 
 
-def random_trace(seed: int, n: int = 3, ticks: int = 20, **cast: Any) -> Trajectory:
-    """A trace of cubes that are anywhere: a body, and one cube besides."""
+def random_trajectory(seed: int, n: int = 3, ticks: int = 20, **changes: Any) -> Trajectory:
+    """A trajectory of cubes that are anywhere: a body, and one cube besides."""
     random = np.random.default_rng(seed)
-    given = {"target": (1.0, 2.0, 3.0), "tick_rate": 50, **cast}
+    fields = {"target": (1.0, 2.0, 3.0), "tick_rate": 50, **changes}
     ids = tuple("abcdefgh"[: n + 1])
-    trace = Trajectory(
-        ObservedBodies(ids, n, random.uniform(0.1, 2, (n + 1, 3)), random.uniform(0.1, 5, n + 1), **given),
+    trajectory = Trajectory(
+        ObservedBodies(ids, n, random.uniform(0.1, 2, (n + 1, 3)), random.uniform(0.1, 5, n + 1), **fields),
         ticks,
         2,
         contacts=True,
     )
-    trace.states[:] = random.normal(size=trace.states.shape)
-    trace.states[:, :, 3:7] /= np.linalg.norm(trace.states[:, :, 3:7], axis=2, keepdims=True)
-    trace.meter(0, *random.normal(size=(2, *trace.work.shape)))
-    trace.touches[:] = random.uniform(size=trace.touches.shape) < 0.5
-    trace.rows = ticks + 1
-    return trace
+    trajectory.states[:] = random.normal(size=trajectory.states.shape)
+    trajectory.states[:, :, 3:7] /= np.linalg.norm(trajectory.states[:, :, 3:7], axis=2, keepdims=True)
+    trajectory.meter(0, *random.normal(size=(2, *trajectory.work.shape)))
+    trajectory.touches[:] = random.uniform(size=trajectory.touches.shape) < 0.5
+    trajectory.rows = ticks + 1
+    return trajectory
 
 
-def reckon(trace: Trajectory, row: int, quantity: Quantity) -> float:
+def reckon(trajectory: Trajectory, row: int, quantity: Quantity) -> float:
     """The definitions of docs/objectives.md, one cube and one corner at a time."""
     name, _, axis = quantity.name.partition(".")
-    cast = trace.bodies
-    who = range(cast.body) if quantity.cube is None else [cast.cubes.index(quantity.cube)]
-    mass = sum(cast.masses[i] for i in who)
+    bodies = trajectory.bodies
+    who = range(bodies.body) if quantity.cube is None else [bodies.cubes.index(quantity.cube)]
+    mass = sum(bodies.masses[i] for i in who)
 
     def mean(at: int, first: int) -> Any:
-        return sum(cast.masses[i] * trace.states[at, i, first : first + 3] for i in who) / mass
+        return sum(bodies.masses[i] * trajectory.states[at, i, first : first + 3] for i in who) / mass
 
     centre, start, velocity = mean(row, 0), mean(0, 0), mean(row, 7)
     corners = [
-        trace.states[row, i, :3] + rotate(tuple(trace.states[row, i, 3:7]), tuple(cast.sizes[i] / 2 * (x, y, z)))
+        trajectory.states[row, i, :3]
+        + rotate(tuple(trajectory.states[row, i, 3:7]), tuple(bodies.sizes[i] / 2 * (x, y, z)))
         for i in who
         for x in (-1, 1)
         for y in (-1, 1)
@@ -313,27 +314,27 @@ def reckon(trace: Trajectory, row: int, quantity: Quantity) -> float:
 
     def aim(target: Any) -> Any:
         if isinstance(target, str):
-            return trace.states[row, cast.cubes.index(target), :3]
+            return trajectory.states[row, bodies.cubes.index(target), :3]
         return start if target is None else target
 
-    up = [rotate(tuple(trace.states[k, 0, 3:7]), (0.0, 1.0, 0.0))[1] for k in range(row + 1)]
+    up = [rotate(tuple(trajectory.states[k, 0, 3:7]), (0.0, 1.0, 0.0))[1] for k in range(row + 1)]
     vectors = {"position": centre, "displacement": centre - start, "velocity": velocity}
     if axis == "horizontal":
         return float(np.hypot(vectors[name][0], vectors[name][2]))
     if axis:
         return float(vectors[name]["xyz".index(axis)])
     plain: dict[str, Callable[[], Any]] = {
-        "time": lambda: row / cast.tick_rate,
+        "time": lambda: row / bodies.tick_rate,
         "speed": lambda: np.linalg.norm(velocity),
-        "distance": lambda: np.linalg.norm(centre - aim(cast.target)),
+        "distance": lambda: np.linalg.norm(centre - aim(bodies.target)),
         "height": lambda: centre[1],
         "lowest": lambda: min(corner[1] for corner in corners),
         "highest": lambda: max(corner[1] for corner in corners),
         "reach": lambda: max(np.linalg.norm(corner - centre) for corner in corners),
-        "uprightness": lambda: rotate(tuple(trace.states[row, who[0], 3:7]), (0.0, 1.0, 0.0))[1],
-        "time_upright": lambda: sum(cosine >= 0.5 for cosine in up[1:]) / cast.tick_rate,
-        "energy": lambda: trace.work[row].sum(),
-        "contacts": lambda: sum(trace.touches[row, i, 0 if quantity.cube else 1] for i in who),
+        "uprightness": lambda: rotate(tuple(trajectory.states[row, who[0], 3:7]), (0.0, 1.0, 0.0))[1],
+        "time_upright": lambda: sum(cosine >= 0.5 for cosine in up[1:]) / bodies.tick_rate,
+        "energy": lambda: trajectory.work[row].sum(),
+        "contacts": lambda: sum(trajectory.touches[row, i, 0 if quantity.cube else 1] for i in who),
         "cubes": lambda: len(who),
         "mass": lambda: mass,
     }
@@ -343,11 +344,11 @@ def reckon(trace: Trajectory, row: int, quantity: Quantity) -> float:
 @pytest.mark.parametrize("name", QUANTITIES)
 @pytest.mark.parametrize("target", [None, (1.0, 2.0, 3.0), "d"])
 def test_each_quantity_is_as_defined(name: str, target: Any) -> None:
-    trace = random_trace(1, target=target)
+    trajectory = random_trajectory(1, target=target)
     for cube in (None, "b", "d") if name in CUBE_QUANTITIES else (None,):
-        expected = [reckon(trace, row, Quantity(name, cube)) for row in range(trace.rows)]
-        assert trace.series(Quantity(name, cube)) == pytest.approx(np.array(expected), abs=1e-12)
-        values = trace.values(Quantity(name, cube, fold) for fold in FOLDS)
+        expected = [reckon(trajectory, row, Quantity(name, cube)) for row in range(trajectory.rows)]
+        assert trajectory.series(Quantity(name, cube)) == pytest.approx(np.array(expected), abs=1e-12)
+        values = trajectory.values(Quantity(name, cube, fold) for fold in FOLDS)
         assert list(values.values()) == pytest.approx(
             [expected[-1], expected[0], min(expected), max(expected), np.mean(expected)]
         )
@@ -361,58 +362,61 @@ EVERYTHING = [
 
 @pytest.mark.parametrize("n", [1, 2, 7])
 def test_running_quantities_equal_those_of_the_whole_trajectory_bit_for_bit(n: int) -> None:
-    trace = random_trace(n, n)
-    quantities = [q if q.cube != "d" else Quantity(q.name, trace.bodies.cubes[-1], q.fold) for q in EVERYTHING]
-    tally = RunningQuantities(trace.bodies, quantities, trace.states[0], trace.touches[0])
+    trajectory = random_trajectory(n, n)
+    quantities = [q if q.cube != "d" else Quantity(q.name, trajectory.bodies.cubes[-1], q.fold) for q in EVERYTHING]
+    running_quantities = RunningQuantities(trajectory.bodies, quantities, trajectory.states[0], trajectory.touches[0])
     for ticks in range(21):
+        row = (trajectory.states[ticks], trajectory.work[ticks], trajectory.touches[ticks])
         if ticks:
-            tally.add(trace.states[ticks], trace.work[ticks], trace.touches[ticks])
+            running_quantities.add(*row)
             if ticks == 10:  # half way it is put down and taken up again
-                state = tally.state()
-                tally = RunningQuantities(trace.bodies, quantities, trace.states[10], trace.touches[10])
-                tally.resume(state)
-        trace.rows = ticks + 1
-        assert tally.values(trace.states[ticks], trace.work[ticks], trace.touches[ticks]) == trace.values(quantities)
+                state = running_quantities.state()
+                running_quantities = RunningQuantities(
+                    trajectory.bodies, quantities, trajectory.states[10], trajectory.touches[10]
+                )
+                running_quantities.resume(state)
+        trajectory.rows = ticks + 1
+        assert running_quantities.values(*row) == trajectory.values(quantities)
 
 
 def test_the_first_row_at_which_a_condition_holds_is_found_for_any_block_size() -> None:
-    trace = random_trace(5)
+    trajectory = random_trajectory(5)
     condition = Condition("max.speed > 1.1 && mean.height < 0.05 || time > 0.35")
-    held = []
-    for row in range(trace.rows):
-        trace.rows = row + 1
-        held.append(condition.holds(trace.values(condition.needs)))
-    trace.rows = 21
-    expected = held.index(True)
+    outcomes = []
+    for row in range(trajectory.rows):
+        trajectory.rows = row + 1
+        outcomes.append(condition.holds(trajectory.values(condition.needs)))
+    trajectory.rows = 21
+    expected = outcomes.index(True)
     assert 0 < expected < 18
-    assert trace.first(condition, 0, 21) == expected
+    assert trajectory.first(condition, 0, 21) == expected
     for size in (1, 2, 5):
-        found = [trace.first(condition, begin, begin + size) for begin in range(0, expected + 1, size)]
-        assert found[:-1] == [None] * (len(found) - 1) and found[-1] == expected
-    assert trace.first(condition, 1, 21, every=4) == next(row for row in range(4, 21, 4) if held[row])
-    assert trace.first(condition, 0, expected) is None
-    assert trace.first(Condition("true"), 3, 9, every=5) == 5
-    assert trace.first(Condition("true"), 6, 9, every=5) is None
+        rows = [trajectory.first(condition, begin, begin + size) for begin in range(0, expected + 1, size)]
+        assert rows[:-1] == [None] * (len(rows) - 1) and rows[-1] == expected
+    assert trajectory.first(condition, 1, 21, every=4) == next(row for row in range(4, 21, 4) if outcomes[row])
+    assert trajectory.first(condition, 0, expected) is None
+    assert trajectory.first(Condition("true"), 3, 9, every=5) == 5
+    assert trajectory.first(Condition("true"), 6, 9, every=5) is None
 
 
 def test_work_counts_every_motor_in_both_directions() -> None:
-    trace = Trajectory(ObservedBodies(("a",), 1, np.ones((1, 3)), np.ones(1), 10), 3, 2)
-    trace.rows = 4
+    trajectory = Trajectory(ObservedBodies(("a",), 1, np.ones((1, 3)), np.ones(1), 10), 3, 2)
+    trajectory.rows = 4
     velocities = np.array([[9.0, 9.0], [1.0, -2.0], [2.0, 0.0], [-3.0, 1.0]])
     efforts = np.array([[9.0, 9.0], [5.0, 5.0], [5.0, 5.0], [5.0, -5.0]])
-    trace.meter(0, velocities, efforts)
-    assert trace.series(Quantity("energy")).tolist() == pytest.approx([0.0, 1.5, 2.5, 4.5])
-    whole = trace.work.copy()
+    trajectory.meter(0, velocities, efforts)
+    assert trajectory.series(Quantity("energy")).tolist() == pytest.approx([0.0, 1.5, 2.5, 4.5])
+    whole = trajectory.work.copy()
     for begin, end in ((0, 1), (1, 3), (3, 3), (3, 4)):
-        trace.meter(begin, velocities[begin:end], efforts[begin:end])
-    assert (trace.work == whole).all()
+        trajectory.meter(begin, velocities[begin:end], efforts[begin:end])
+    assert (trajectory.work == whole).all()
 
 
 def test_a_turned_body_is_upright_by_its_cosine_and_as_high_as_its_top_corner() -> None:
-    trace = Trajectory(ObservedBodies(("a",), 1, np.array([[1.0, 2.0, 1.0]]), np.array([1.0]), 60), 0, 0)
-    trace.states[0, 0, 3:7] = normalize(quaternion_from_euler(0.0, 1.0, math.pi / 6))
-    trace.rows = 1
-    (up, high, reach) = (trace.series(Quantity(name))[0] for name in ("uprightness", "highest", "reach"))
+    trajectory = Trajectory(ObservedBodies(("a",), 1, np.array([[1.0, 2.0, 1.0]]), np.array([1.0]), 60), 0, 0)
+    trajectory.states[0, 0, 3:7] = normalize(quaternion_from_euler(0.0, 1.0, math.pi / 6))
+    trajectory.rows = 1
+    (up, high, reach) = (trajectory.series(Quantity(name))[0] for name in ("uprightness", "highest", "reach"))
     assert up == pytest.approx(math.cos(math.pi / 6))
     assert high == pytest.approx(math.cos(math.pi / 6) + 0.5 * math.sin(math.pi / 6))
     assert reach == pytest.approx(math.hypot(0.5, 1.0, 0.5))
