@@ -208,9 +208,9 @@ def drawn(path: Path, title: str) -> list[list[tuple[float, float]]]:
 
 def test_plots_show_score_height_energy_and_gait(folder: Path) -> None:
     task = ("--task", folder / "dash.json", "--seeds", "1,2", "--json")
-    made = run(folder / "zoo" / "b-cpg.json", *task, "--record", folder / "r", "--plot", folder / "made.svg")
-    assert made.exit_code == 0, made.output
-    (evaluation,) = json.loads(made.stdout)
+    invocation = run(folder / "zoo" / "b-cpg.json", *task, "--record", folder / "r", "--plot", folder / "made.svg")
+    assert invocation.exit_code == 0, invocation.output
+    (evaluation,) = json.loads(invocation.stdout)
     for title in ("score so far", "height of the middle (m)", "speed of the middle (m/s)", "work of the motors (J)"):
         assert len(drawn(folder / "made.svg", title)) == 2
     for line in drawn(folder / "made.svg", "work of the motors (J)"):
@@ -227,8 +227,8 @@ def test_plots_show_score_height_energy_and_gait(folder: Path) -> None:
 
 
 def test_the_score_so_far_ends_at_the_score(folder: Path) -> None:
-    made = run(folder / "zoo" / "b-cpg.json", "--task", folder / "dash.json", "--json", "--record", folder / "r")
-    (evaluation,) = json.loads(made.stdout)
+    invocation = run(folder / "zoo" / "b-cpg.json", "--task", folder / "dash.json", "--json", "--record", folder / "r")
+    (evaluation,) = json.loads(invocation.stdout)
     for path, result in zip(evaluation["recordings"], evaluation["results"], strict=True):
         scores = scores_so_far(Recording(path))
         assert scores[-1, 1] == result["score"]

@@ -30,8 +30,8 @@ def interrupt_all(number: int) -> int:
 
 
 def test_every_item_is_worked_on_once_by_workers_with_one_thread() -> None:
-    found = dict(in_processes(square, range(7), 3))
-    results = [found[i] for i in range(7)]
+    outcomes = dict(in_processes(square, range(7), 3))
+    results = [outcomes[i] for i in range(7)]
     assert [result[0] for result in results if not isinstance(result, Lost)] == [i * i for i in range(7)]
     assert {result[2] for result in results if not isinstance(result, Lost)} == {"1"}
     pids = {result[1] for result in results if not isinstance(result, Lost)}
@@ -45,10 +45,10 @@ def test_one_job_runs_in_the_calling_process() -> None:
 
 
 def test_a_worker_that_dies_loses_one_item_only() -> None:
-    found = dict(in_processes(die_over_three, range(6), 2))
-    lost = found.pop(3)
+    outcomes = dict(in_processes(die_over_three, range(6), 2))
+    lost = outcomes.pop(3)
     assert isinstance(lost, Lost) and "SIGSEGV" in lost.reason
-    assert found == {i: i for i in (0, 1, 2, 4, 5)}
+    assert outcomes == {i: i for i in (0, 1, 2, 4, 5)}
 
 
 def test_an_exception_in_a_worker_is_raised_in_the_caller() -> None:

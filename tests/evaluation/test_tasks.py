@@ -183,18 +183,18 @@ def test_an_episode_ends_at_the_first_tick_at_which_its_condition_holds_or_its_e
     ]
     task = Task({**PLAIN, "ends": ends, "limits": {"energy": 6}})
     assert Quantity("energy") in task.needs
-    trace = Trajectory(ObservedBodies(("root",), 1, np.ones((1, 3)), np.ones(1), 60), 100, 1, contacts=True)
-    trace.states[:, 0, 1] = np.arange(101) * 0.05
-    trace.rows = 101
-    assert task.ended(trace, 0, 101) == (36, "higher")
-    assert task.ended(trace, 37, 101) == (42, "high")
-    trace.meter(0, np.ones((101, 1)), np.full((101, 1), 12.5))
-    assert task.ended(trace, 0, 101) == (30, "energy")
-    assert task.ended(trace, 0, 30) is None
+    trajectory = Trajectory(ObservedBodies(("root",), 1, np.ones((1, 3)), np.ones(1), 60), 100, 1, contacts=True)
+    trajectory.states[:, 0, 1] = np.arange(101) * 0.05
+    trajectory.rows = 101
+    assert task.ended(trajectory, 0, 101) == (36, "higher")
+    assert task.ended(trajectory, 37, 101) == (42, "high")
+    trajectory.meter(0, np.ones((101, 1)), np.full((101, 1), 12.5))
+    assert task.ended(trajectory, 0, 101) == (30, "energy")
+    assert task.ended(trajectory, 0, 30) is None
     # A touch may be over before the next look.
-    trace.touches[33] = True
+    trajectory.touches[33] = True
     ends = [{"name": "touched", "when": "contacts > 0"}]
-    assert Task({**PLAIN, "ends": ends}).ended(trace, 0, 101) == (33, "touched")
+    assert Task({**PLAIN, "ends": ends}).ended(trajectory, 0, 101) == (33, "touched")
 
 
 # -- what they are worth ----------------------------------------------------------------------------------------------
