@@ -471,12 +471,12 @@ def test_a_browser_shows_coloured_cubes(browsable: tuple[subprocess.Popen[str], 
         until_time = time.monotonic() + 2 * PATIENCE
         while True:
             page.screenshot(path=tmp_path / "seen.png")
-            found = colors(np.asarray(Image.open(tmp_path / "seen.png").convert("RGB"), int))
-            if found == {"red", "green", "blue"} or time.monotonic() > until_time:
+            shown_colors = colors(np.asarray(Image.open(tmp_path / "seen.png").convert("RGB"), int))
+            if shown_colors == {"red", "green", "blue"} or time.monotonic() > until_time:
                 break
             page.wait_for_timeout(500)
         browser.close()
-    assert found == {"red", "green", "blue"}
+    assert shown_colors == {"red", "green", "blue"}
 
 
 def colors(pixels: np.ndarray[Any, np.dtype[Any]]) -> set[str]:
