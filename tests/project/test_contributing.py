@@ -138,9 +138,9 @@ def test_a_client_can_send_the_new_message_and_its_recording_replays(
     tree: Path, server: tuple[subprocess.Popen[str], dict[str, Any]], tmp_path: Path
 ) -> None:
     process, ready = server
-    said = json.loads(run(tree, sys.executable, "-c", CONVERSATION, str(ready["port"])))
-    assert said["module"].startswith(str(tree))
-    first, second, refused = said["replies"]
+    conversation = json.loads(run(tree, sys.executable, "-c", CONVERSATION, str(ready["port"])))
+    assert conversation["module"].startswith(str(tree))
+    first, second, refused = conversation["replies"]
     assert first == {"type": "distance", "distance": 5.0}
     assert second["distance"] == 5.0
     assert refused == ["cube_not_found", "cube2"]

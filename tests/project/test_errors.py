@@ -134,7 +134,7 @@ def test_the_base_of_all_is_found_where_it_is_raised(source: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("source", "found"),
+    ("source", "expected"),
     [
         ("raise WorldError('lost', 'x')", {"lost"}),
         ("raise errors.WorldError('a' if x else 'b', 'x')", {"a", "b"}),
@@ -147,8 +147,8 @@ def test_the_base_of_all_is_found_where_it_is_raised(source: str) -> None:
         ("raise WorldError(error.code, 'x')", set()),
     ],
 )
-def test_codes_are_found_in_sources(source: str, found: set[str]) -> None:
-    assert {code for code, _ in codes(ast.parse(source), ERRORS)} == found
+def test_codes_are_found_in_sources(source: str, expected: set[str]) -> None:
+    assert {code for code, _ in codes(ast.parse(source), ERRORS)} == expected
 
 
 def test_a_code_that_may_be_anything_is_noticed() -> None:

@@ -37,8 +37,8 @@ def test_a_name_is_there_in_a_process_that_asks_for_nothing_else(name: str) -> N
 
 
 def test_a_star_import_gives_all_names_and_no_other() -> None:
-    given = run("before = set(globals())\nfrom nmes import *\nprint(*sorted(set(globals()) - before - {'before'}))")
-    assert given.split() == NAMES
+    output = run("before = set(globals())\nfrom nmes import *\nprint(*sorted(set(globals()) - before - {'before'}))")
+    assert output.split() == NAMES
 
 
 def test_dir_shows_all_names() -> None:
