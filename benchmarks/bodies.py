@@ -166,10 +166,10 @@ def memory(worlds: int = 1000) -> Iterator[Figure]:
         world.execute(client, {"type": "step", "ticks": 60})
         return world
 
-    held = [live()]
+    population = [live()]
     gc.collect()
     before = resident()
-    held += [live() for _ in range(worlds)]
+    population += [live() for _ in range(worlds)]
     yield Figure("a world of 10 cubes", (resident() - before) / worlds / 1024, "KB", at_most=700)
 
 

@@ -117,7 +117,7 @@ def seeking(path: Path) -> list[float]:
 
 
 def keeping(path: Path, cubes: int) -> list[float]:
-    """Returns what ticks take more (s) on which the world saves itself than those before them."""
+    """How much longer (s) ticks take on which the world saves itself than those before them."""
     every, more = 10, []
     swarm = Swarm(path, cubes=cubes, keyframes=every / RATE)
     for _ in range(ROUNDS):

@@ -136,7 +136,7 @@ Connection = TypeVar("Connection", Stream, Socket)
 
 
 def commands(*messages: dict[str, Any]) -> bytes:
-    """Returns what goes over the wire."""
+    """Encodes commands for the wire."""
     return b"".join(json.dumps(message, separators=(",", ":")).encode() + DELIMITER for message in messages)
 
 

@@ -180,8 +180,8 @@ def figures() -> Iterator[Figure]:
                 assert client.stdin is not None and client.stdout is not None
                 client.stdin.write("\n")
                 client.stdin.flush()
-                told: dict[str, float] = json.loads(client.stdout.readline())
-                return told
+                reply: dict[str, float] = json.loads(client.stdout.readline())
+                return reply
 
             time.sleep(1.0)
             percentiles()
