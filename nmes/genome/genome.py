@@ -116,7 +116,7 @@ class Genome:
 # A creature is read where it is evaluated, and in each of its worlds.
 @lru_cache(maxsize=32)
 def _read(text: bytes) -> tuple[JsonObject | None, Body]:
-    """Returns what a genome's graph grows into (None where it has cubes), and its body; `text` is the document.
+    """Reads a genome's document: the cubes and joints that its graph grows into (None if it has none), and its body.
 
     Raises:
         DocumentError: It is not a good genome, with everything that is wrong.

@@ -20,7 +20,7 @@ from time import monotonic
 from types import TracebackType
 from typing import Any, Self
 
-from nmes.errors import NmesError, WorldError
+from nmes.errors import MachineError, NmesError, WorldError
 from nmes.protocol import Limits, complete_config
 from nmes.recording import Recording
 from nmes.server.connection import LINGER, READ, Connection
@@ -229,7 +229,7 @@ class Host:
             The address and the port that it listens on.
 
         Raises:
-            NmesError: `cannot_listen`: the address is taken, or not of this machine.
+            MachineError: `cannot_listen`: the address is taken, or not of this machine.
         """
         loop = asyncio.get_running_loop()
         try:
@@ -244,7 +244,7 @@ class Host:
             )
         except (OSError, OverflowError) as error:
             reason = getattr(error, "strerror", None) or error
-            raise NmesError("cannot_listen", f"cannot listen on {host}:{port}: {reason}") from error
+            raise MachineError("cannot_listen", f"cannot listen on {host}:{port}: {reason}") from error
         if not self._servers:
             self._tasks = [loop.create_task(self._inspect()), loop.create_task(self._flush())]
             for hosted in self.worlds.values():
@@ -260,7 +260,7 @@ class Host:
         """Serves the page of metrics over HTTP, without a password; returns the port.
 
         Raises:
-            NmesError: `cannot_listen`, as `listen`.
+            MachineError: `cannot_listen`, as `listen`.
         """
         assert self._metrics is not None
         metrics = self._metrics
@@ -279,7 +279,7 @@ class Host:
         try:
             server = await asyncio.start_server(answer, host, port)
         except OSError as error:
-            raise NmesError("cannot_listen", f"cannot listen on {host}:{port}: {error.strerror}") from error
+            raise MachineError("cannot_listen", f"cannot listen on {host}:{port}: {error.strerror}") from error
         self._metrics_servers.append(server)
         return int(server.sockets[0].getsockname()[1])
 
