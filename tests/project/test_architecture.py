@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import shutil
 import subprocess
@@ -119,3 +120,14 @@ def test_bare_imports_of_the_mapped_folders_are_banned(tmp_path: Path) -> None:
     command = [str(Path(sys.executable).parent / "ruff"), "check", "--no-cache", "--output-format=concise", "."]
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
     assert result.stdout.count("TID251") == 3
+
+
+@pytest.mark.parametrize("folder", PROJECT["tool"]["setuptools"]["package-dir"].values())
+def test_modules_and_classes_stay_small(folder: str) -> None:
+    for path in (ROOT / folder).rglob("*.py"):
+        text = path.read_text()
+        assert len(text.splitlines()) <= 600, path
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.ClassDef):
+                methods = [part for part in node.body if isinstance(part, ast.FunctionDef | ast.AsyncFunctionDef)]
+                assert len(methods) <= 30, f"{path}: {node.name}"
