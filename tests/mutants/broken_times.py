@@ -75,7 +75,7 @@ def two_ticks_a_step(patch: MonkeyPatch) -> None:
 @defect("10.10", mode="realtime")
 def the_rate_ignored(patch: MonkeyPatch) -> None:
     """It tells the rate that it was given, and goes as before."""
-    patch.setattr(Clock, "speed", property(lambda clock: float(clock._world.config["tick_rate"])))
+    patch.setattr(Clock, "_speed", property(lambda clock: float(clock._world.config["tick_rate"])))
 
 
 @defect("10.1:60")
@@ -87,7 +87,9 @@ def time_in_milliseconds(patch: MonkeyPatch) -> None:
 @defect("10.16", "10.17")
 def a_barrier_that_does_not_wait(patch: MonkeyPatch) -> None:
     """It ticks at a barrier as soon as anybody says step."""
-    patch.setattr(StepBarrier, "complete", lambda barrier: barrier._world.barrier is not None and bool(barrier.waiting))
+    patch.setattr(
+        StepBarrier, "_complete", lambda barrier: barrier._world.barrier is not None and bool(barrier.waiting)
+    )
 
 
 @defect("10.20")
@@ -126,7 +128,7 @@ def fast_is_realtime(patch: MonkeyPatch) -> None:
 @defect("10.9", mode="realtime")
 def twice_as_fast_as_the_clock(patch: MonkeyPatch) -> None:
     """It ticks twice as often in realtime as it should."""
-    patch.setattr(Clock, "speed", property(lambda clock: 2.0 * clock._world.rate * clock._world._tick_rate))
+    patch.setattr(Clock, "_speed", property(lambda clock: 2.0 * clock._world.rate * clock._world._tick_rate))
 
 
 @defect("10.21")
