@@ -6,6 +6,7 @@ import base64
 import ipaddress
 import secrets
 import ssl
+import string
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -136,7 +137,8 @@ def _password(options: Mapping[str, Any]) -> tuple[str, str]:
         raise click.UsageError(
             f"{host} can be reached from elsewhere: give a password, in {PASSWORD_VARIABLE} or with --password-file"
         )
-    return secrets.token_urlsafe(12), MADE_UP
+    # Begins with a letter: a password that begins with a dash would be taken for an option.
+    return secrets.choice(string.ascii_letters) + secrets.token_urlsafe(12), MADE_UP
 
 
 def _is_local(host: str) -> bool:

@@ -38,7 +38,7 @@ class Failed(Exception):
 @contextmanager
 def served(record_to: Path, *options: str) -> Iterator[dict[str, Any]]:
     """Runs `nmes serve` on a free port; yields its first message, which has address and recording, and the password."""
-    password = secrets.token_urlsafe()
+    password = secrets.token_hex()
     command = [*NMES, "serve", "--json", "--port", "0", "--record", str(record_to), *options]
     with tempfile.TemporaryFile("w+") as log:
         server = subprocess.Popen(
