@@ -17,6 +17,7 @@ from nmes.errors import RecordingError
 from nmes.playback import replay
 from nmes.protocol import Limits
 from nmes.recording import Kind, Recorder, Recording
+from nmes.server.connection import Connection
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.threads import Worker
 from servers import PASSWORD, PATIENCE, Peer, Served, served, until
@@ -450,6 +451,26 @@ def test_a_command_whose_commit_fails_is_answered_by_the_failed_recording(
         assert {json.loads(frame)["code"] for frame in peer.rest()} == {"recording_failed"}
         assert "a connection failed" not in caplog.text
         monkeypatch.undo()
+
+
+def test_a_mistake_on_a_lost_connection_leaves_no_client_behind(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    with gated() as (server, gate), server.peer() as peer, server.peer() as lost:
+        peer.say(LONG)
+        gate.wait()
+        lost.say({"type": "ping"})
+        until(lambda: server.call(lambda: len(server.hosted._waiting)) == 1)
+        (connection,) = server.call(lambda: list(server.hosted._waiting))
+        assert isinstance(connection, Connection)
+        server.call(connection.abort)
+        monkeypatch.setattr(HostedWorld, "submit", lambda *_: 1 / 0)
+        server.call(connection.resume)
+        assert server.call(lambda: server.hosted.clients) == 1
+        assert "ZeroDivisionError" in caplog.text
+        monkeypatch.undo()
+        gate.open()
+        assert peer.hear()["type"] == "stepped"
 
 
 def test_a_world_that_closes_goes_to_no_thread(monkeypatch: pytest.MonkeyPatch) -> None:
