@@ -118,6 +118,19 @@ def check_shape(typed: Any, schema: Any) -> None:
             assert typing.get_args(kind) == (tuple(part["enum"]) if "enum" in part else (part["const"],))
 
 
+# The commands that clients have a method for; a new one gets its own when somebody writes it.
+TYPED = """
+apply_force apply_physics batch compute_reward create_bone create_joint despawn_cube drive freeze_cube
+get_camera get_cube_info get_cube_list get_cube_state get_joint_info get_joint_list get_planets get_world_info
+get_world_state pause ping remove_joint reset resume sense set_cube_state set_joint_param set_mode
+set_objective spawn_creature spawn_cube step subscribe unsubscribe
+""".split()
+
+
+def test_no_command_has_lost_its_method() -> None:
+    assert len(TYPED) == 33 and set(TYPED) <= set(declared())
+
+
 @pytest.mark.parametrize("name", sorted(declared()))
 def test_every_command_is_declared_as_its_schema_says(name: str) -> None:
     schema = protocol.COMMANDS[name]
