@@ -216,20 +216,8 @@ class Senses:
 
     def ranges(self, exclude: int, origin: Vector, directions: Array, limit: float) -> list[float | None]:
         """Returns the distances to the surfaces of other bodies; poses must be those of the coordinates."""
-        count = len(directions)
-        distance, geom = np.empty(count), np.empty(count, np.int32)
-        mujoco.mj_multiRay(
-            self._model,
-            self._data,
-            np.array(origin),
-            directions.ravel(),
-            None,
-            True,
-            exclude,
-            geom,
-            distance,
-            None,
-            count,
-            limit,
-        )
-        return [reach if 0.0 <= reach <= limit else None for reach in distance.tolist()]
+        # One ray at a time: MuJoCo 3.17's `mj_multiRay` loses the ground's plane far from the origin.
+        model, data, start = self._model, self._data, np.array(origin)
+        geom = np.empty(1, np.int32)
+        reaches = [mujoco.mj_ray(model, data, start, way, None, True, exclude, geom) for way in directions]
+        return [reach if 0.0 <= reach <= limit else None for reach in reaches]

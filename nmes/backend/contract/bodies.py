@@ -316,6 +316,7 @@ class BodyChecks(Checks):
         sim = self.sim(gravity=ZERO)
         sim.add_body(0, box((0.0, 5.0, 0.0)))
         sim.add_body(1, box((4.0, 5.0, 0.0), size=(2.0, 1.0, 1.0)))
+        sim.add_body(2, box((-300.0, 5.0, 250.0 if self.backend().dims == 3 else 0.0)))
         sim.step(SUBSTEPS)
         directions = np.array([(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0)])
         before = sim.digest()
@@ -323,6 +324,9 @@ class BodyChecks(Checks):
         assert ahead is not None and below is not None
         assert_close([ahead, below], [3.0, 5.0], 1e-6, "distances to a body and to the ground")
         assert above is None and behind is None
+        (below,) = sim.ranges(2, directions[1:2], 20.0)
+        assert below is not None, "does not see the ground far from the origin"
+        assert_close(below, 5.0, 1e-6, "distance to the ground far from the origin")
         assert sim.ranges(0, directions[:1], 2.5) == [None], "sees beyond its limit"
         assert sim.digest() == before, "looking changed the world"
 
