@@ -8,6 +8,7 @@ painted on here and is in no model that is simulated.
 
 from __future__ import annotations
 
+import atexit
 import copy
 import importlib
 import logging
@@ -190,7 +191,9 @@ def opengl_context() -> Any:
     for platform in (chosen,) if chosen in _PLATFORMS else _PLATFORMS:
         before = os.environ.get("PYOPENGL_PLATFORM")
         try:
-            return importlib.import_module(f"mujoco.{platform}").GLContext(1, 1)
+            context = importlib.import_module(f"mujoco.{platform}").GLContext(1, 1)
+            atexit.register(context.free)  # when Python ends, its own destructor finds the module's names gone
+            return context
         except Exception as error:  # whatever a library that is not quite there does
             logger.debug("no OpenGL through %s: %s", platform, error)
             if before is None:

@@ -316,7 +316,7 @@ class BodyChecks(Checks):
         sim = self.sim(gravity=ZERO)
         sim.add_body(0, box((0.0, 5.0, 0.0)))
         sim.add_body(1, box((4.0, 5.0, 0.0), size=(2.0, 1.0, 1.0)))
-        sim.add_body(2, box((-300.0, 5.0, 250.0 if self.backend().dims == 3 else 0.0)))
+        sim.add_body(2, box((-300.0, 5.0, 250.0 if self.dims == 3 else 0.0)))
         sim.step(SUBSTEPS)
         directions = np.array([(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0)])
         before = sim.digest()
