@@ -1,17 +1,20 @@
 """Objectives and conditions: expressions over a trajectory's quantities, in Google's Common Expression Language (CEL).
 
-Hides CEL, and how names become numbers. An expression is read once: its syntax, the names in it and the kinds of its
-values are judged before anything is run, and what is wrong is refused with its place. It can add, compare and choose,
-and nothing else: there are no lists, no macros over them, no text, so its cost is bounded by its length.
+Hides the grammar, and how names become numbers. An expression is read once: its syntax, the names in it and the kinds
+of its values are judged before anything is run, and what is wrong is refused with its place. It can add, compare and
+choose, and nothing else: there are no lists, no macros over them, no text, so its cost is bounded by its length.
 
-Invariants: an expression is a pure function of the quantities that it `needs`, and may be used by several threads.
-Every number is a double: `2` means `2.0` (CEL itself would refuse `2 * height`), and there is no whole-number division.
+Invariants: an expression is a pure and total function of the quantities that it `needs`: whatever they are, nothing in
+it raises. It may be used by several threads. Every number is a double of IEEE 754: `2` means `2.0` (CEL's own readers
+refuse `2 * height`), there is no whole-number division, and what is no number (NaN) is neither less than, nor equal to,
+nor greater than anything.
 """
 
 from __future__ import annotations
 
 import difflib
 import math
+import operator
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -90,6 +93,16 @@ def _greatest(*values: float) -> float:
     return math.nan if any(map(math.isnan, values)) else max(values)
 
 
+def _quotient(a: float, b: float) -> float:
+    if b:
+        return a / b
+    return math.nan if not a or math.isnan(a) else math.copysign(math.inf, a) * math.copysign(1.0, b)
+
+
+def _choose(truth: bool, this: Any, that: Any) -> Any:
+    return this if truth else that
+
+
 _FUNCTIONS: Final[dict[str, Callable[..., float]]] = {
     "abs": abs,
     "exp": _total(math.exp, math.nan),
@@ -109,7 +122,13 @@ FUNCTIONS: Final[Mapping[str, str]] = {
 }
 """The functions of an expression, and what each gives."""
 
-# Of an expression. CEL calls itself for each operator: a thousand of them would overflow a small stack.
+_OPERATORS: Final[dict[str, Callable[..., Any]]] = {
+    **{"+": operator.add, "-": operator.sub, "*": operator.mul, "/": _quotient},
+    **{"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge},
+    **{"==": operator.eq, "!=": operator.ne, "&&": operator.and_, "||": operator.or_},
+}
+
+# Of an expression: the reader calls itself for what is nested.
 LENGTH: Final = 2000  # characters
 WORDS: Final = 500
 _NESTING: Final = 30
@@ -132,6 +151,14 @@ class _Token:
     kind: str  # a group of _TOKEN, or "end"
     text: str
     at: int
+
+
+@dataclass(frozen=True, slots=True)
+class _Value:
+    """What a part of an expression comes to: its kind, and the number of its slot."""
+
+    kind: _Kind
+    slot: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,28 +199,22 @@ class _Expression:
         self.text = text
         self._path = path
         reader = _Reader(text, path)
-        reader.read(self._kind)
+        self._result = reader.read(self._kind)
         self.needs: tuple[Quantity, ...] = tuple(reader.needs)
         """What it needs to know, in order of first use."""
-        self._functions = {name: _FUNCTIONS[name] for name in reader.called}
-        try:
-            self._program = _compile(reader.translated())
-        except ValueError as error:  # nothing is known that gets so far, but the judge here is CEL
-            raise WorldError("bad_expression", f"{path}: {str(error).splitlines()[0]}", path) from error
+        self._inputs = tuple(reader.needs.items())
+        self._slots, self._steps = tuple(reader.slots), tuple(reader.steps)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.text!r})"
 
     def _run(self, values: Mapping[Quantity, float]) -> Any:
-        variables: dict[str, Any] = {f"v{i}": float(values[quantity]) for i, quantity in enumerate(self.needs)}
-        variables.update(self._functions)
-        return self._program.execute(variables)
-
-
-def _compile(text: str) -> Any:
-    import cel  # with it come its own command line and a terminal's toolkit: only who has an expression waits for them
-
-    return cel.compile(text)
+        slots = list(self._slots)
+        for quantity, slot in self._inputs:
+            slots[slot] = float(values[quantity])
+        for slot, function, operands in self._steps:
+            slots[slot] = function(*[slots[operand] for operand in operands])
+        return slots[self._result]
 
 
 class Objective(_Expression):
@@ -231,34 +252,37 @@ class Condition(_Expression):
 
 
 class _Reader:
-    """Reads an expression by CEL's grammar, as far as objectives have it, and notes what it names.
+    """Reads an expression by CEL's grammar, as far as objectives have it, into steps that each fill a slot.
 
-    One reader reads one expression. Each method of the grammar returns the kind of value that it has read.
+    One reader reads one expression. Each method of the grammar returns the value that it has read.
+
+    Attributes:
+        needs: The slots of the quantities that the expression names, in order of first use.
+        slots: What is in each slot at first: a number or truth of the expression, else 0.
+        steps: In order: the slot to fill, the function, and the slots of what it takes. As all of them are total, both
+            sides of a choice are computed, and nothing but this order is left of how deep the expression was nested.
     """
 
     def __init__(self, text: str, path: str) -> None:
         self._text, self._path = text, path
-        self.needs: dict[Quantity, None] = {}
-        self.called: dict[str, None] = {}
-        self._out: list[str] = []
+        self.needs: dict[Quantity, int] = {}
+        self.slots: list[float | bool] = []
+        self.steps: list[tuple[int, Callable[..., Any], tuple[int, ...]]] = []
         self._depth = 0
         if len(text) > LENGTH:
             self._refuse(LENGTH, f"it is longer than {LENGTH:,} characters")
         self._tokens = self._split()
         self._next = 0
 
-    def translated(self) -> str:
-        """Returns the expression for CEL: numbers are doubles, quantities are the variables `v0`, `v1`..."""
-        return " ".join(self._out)
-
-    def read(self, expected: _Kind) -> None:
-        """Reads all of it."""
+    def read(self, expected: _Kind) -> int:
+        """Reads all of it; returns the slot that has its value in the end."""
         start = self._token
-        kind = self._choice()
+        value = self._choice()
         if self._token.kind != "end":
             self._refuse(self._token.at, f"expected an operator or the end, found {self._here()}")
-        if kind != expected:
-            self._refuse(start.at, f"it must give {_KIND[expected]}, but gives {_KIND[kind]}")
+        if value.kind != expected:
+            self._refuse(start.at, f"it must give {_KIND[expected]}, but gives {_KIND[value.kind]}")
+        return value.slot
 
     # -- words ---------------------------------------------------------------------------------------------------
 
@@ -304,140 +328,145 @@ class _Reader:
     def _is(self, *marks: str) -> bool:
         return self._token.kind == "mark" and self._token.text in marks
 
-    def _copy(self) -> _Token:
-        """Takes a mark, and passes it on to CEL."""
-        self._out.append(self._token.text)
-        return self._take()
-
     def _expect(self, mark: str, why: str) -> None:
         if not self._is(mark):
             self._refuse(self._token.at, f"expected {mark!r} {why}, found {self._here()}")
-        self._copy()
+        self._take()
+
+    # -- slots ---------------------------------------------------------------------------------------------------
+
+    def _slot(self, content: float | bool) -> int:
+        self.slots.append(content)
+        return len(self.slots) - 1
+
+    def _apply(self, kind: _Kind, function: Callable[..., Any], *operands: _Value) -> _Value:
+        slot = self._slot(0.0)
+        self.steps.append((slot, function, tuple(operand.slot for operand in operands)))
+        return _Value(kind, slot)
 
     # -- grammar -------------------------------------------------------------------------------------------------
 
-    def _want(self, expected: _Kind, kind: _Kind, at: int, what: str) -> None:
-        if kind != expected:
-            self._refuse(at, f"{what} takes {_KIND[expected]}, but this is {_KIND[kind]}")
+    def _want(self, expected: _Kind, value: _Value, at: int, what: str) -> None:
+        if value.kind != expected:
+            self._refuse(at, f"{what} takes {_KIND[expected]}, but this is {_KIND[value.kind]}")
 
-    def _chain(self, below: Callable[[], _Kind], marks: Sequence[str], takes: _Kind, gives: _Kind) -> _Kind:
-        """Reads operands of one precedence."""
+    def _chain(self, below: Callable[[], _Value], marks: Sequence[str], kind: _Kind) -> _Value:
+        """Reads operands of one precedence, and of one kind if there are several."""
         at = self._token.at
-        kind = below()
+        value = below()
         while self._is(*marks):
-            mark = self._copy().text
-            self._want(takes, kind, at, mark)
+            mark = self._take().text
+            self._want(kind, value, at, mark)
             at = self._token.at
-            self._want(takes, below(), at, mark)
-            kind = gives
-        return kind
+            other = below()
+            self._want(kind, other, at, mark)
+            value = self._apply(kind, _OPERATORS[mark], value, other)
+        return value
 
-    def _choice(self) -> _Kind:
+    def _choice(self) -> _Value:
         self._depth += 1
         if self._depth > _NESTING:
             self._refuse(self._token.at, f"it is nested more than {_NESTING} deep")
         at = self._token.at
-        kind = self._either()
+        value = self._either()
         if self._is("?"):
-            self._want("truth", kind, at, "?")
-            self._copy()
-            kind = self._either()
+            self._want("truth", value, at, "?")
+            self._take()
+            this = self._either()
             self._expect(":", "between the two choices")
             at = self._token.at
-            other = self._choice()
-            if other != kind:
-                self._refuse(at, f"the choice before ':' is {_KIND[kind]}, but this is {_KIND[other]}")
+            that = self._choice()
+            if that.kind != this.kind:
+                self._refuse(at, f"the choice before ':' is {_KIND[this.kind]}, but this is {_KIND[that.kind]}")
+            value = self._apply(this.kind, _choose, value, this, that)
         self._depth -= 1
-        return kind
+        return value
 
-    def _either(self) -> _Kind:
-        return self._chain(self._both, ("||",), "truth", "truth")
+    def _either(self) -> _Value:
+        return self._chain(self._both, ("||",), "truth")
 
-    def _both(self) -> _Kind:
-        return self._chain(self._relation, ("&&",), "truth", "truth")
+    def _both(self) -> _Value:
+        return self._chain(self._relation, ("&&",), "truth")
 
-    def _relation(self) -> _Kind:
+    def _relation(self) -> _Value:
         at = self._token.at
-        kind = self._sum()
+        value = self._sum()
         while self._is("<", "<=", ">", ">=", "==", "!="):
-            mark = self._copy().text
+            mark = self._take().text
             if mark not in ("==", "!="):
-                self._want("number", kind, at, mark)
+                self._want("number", value, at, mark)
             at = self._token.at
-            self._want(kind, self._sum(), at, f"{mark} after {_KIND[kind]}")
-            kind = "truth"
-        return kind
+            other = self._sum()
+            self._want(value.kind, other, at, f"{mark} after {_KIND[value.kind]}")
+            value = self._apply("truth", _OPERATORS[mark], value, other)
+        return value
 
-    def _sum(self) -> _Kind:
-        return self._chain(self._product, ("+", "-"), "number", "number")
+    def _sum(self) -> _Value:
+        return self._chain(self._product, ("+", "-"), "number")
 
-    def _product(self) -> _Kind:
-        return self._chain(self._signed, ("*", "/"), "number", "number")
+    def _product(self) -> _Value:
+        return self._chain(self._signed, ("*", "/"), "number")
 
-    def _signed(self) -> _Kind:
+    def _signed(self) -> _Value:
         if not self._is("-", "!"):
             return self._member()
         mark = self._token.text
-        takes: _Kind = "number" if mark == "-" else "truth"
+        kind: _Kind = "number" if mark == "-" else "truth"
+        count = 0
         while self._is(mark):
-            self._copy()
+            self._take()
+            count += 1
         at = self._token.at
-        self._want(takes, self._member(), at, mark)
-        return takes
+        value = self._member()
+        self._want(kind, value, at, mark)
+        return self._apply(kind, operator.neg if mark == "-" else operator.not_, value) if count % 2 else value
 
-    def _member(self) -> _Kind:
+    def _member(self) -> _Value:
         token = self._token
         if token.kind == "number":
             self._take()
-            whole = token.text.isdigit()
-            if math.isinf(float(token.text)):
+            number = float(token.text)
+            if math.isinf(number):
                 self._refuse(token.at, "this number is too large")
-            self._out.append(f"{token.text}.0" if whole else token.text)
-            return "number"
+            return _Value("number", self._slot(number))
         if token.kind == "name":
             return self._name()
         if self._is("("):
-            self._copy()
-            kind = self._choice()
+            self._take()
+            value = self._choice()
             self._expect(")", "after what is in parentheses")
-            return kind
+            return value
         if token.kind == "string":
             self._refuse(token.at, 'there is no text in an objective but the id in cube("id")')
         self._refuse(token.at, f"expected a value, found {self._here()}")
 
-    def _name(self) -> _Kind:
+    def _name(self) -> _Value:
         token = self._token
         if token.text in ("true", "false"):
-            self._out.append(self._take().text)
-            return "truth"
+            return _Value("truth", self._slot(self._take().text == "true"))
         following = self._tokens[self._next + 1]
         if token.text != "cube" and following.kind == "mark" and following.text == "(":
             return self._call()
         quantity = self._quantity()
         if quantity not in self.needs:
-            self.needs[quantity] = None
-        self._out.append(f"v{list(self.needs).index(quantity)}")
-        return "number"
+            self.needs[quantity] = self._slot(0.0)
+        return _Value("number", self.needs[quantity])
 
-    def _call(self) -> _Kind:
+    def _call(self) -> _Value:
         name = self._take()
         if name.text not in FUNCTIONS:
             self._refuse(name.at, f"there is no function {_clip(name.text)!r}{_near(name.text, FUNCTIONS)}")
-        self.called[name.text] = None
-        self._out.append(name.text)
-        self._copy()
-        count = 0
-        while not count or self._is(","):
-            if count:
-                self._copy()
+        arguments: list[_Value] = []
+        while not arguments or self._is(","):
+            self._take()
             at = self._token.at
-            self._want("number", self._choice(), at, f"{name.text}()")
-            count += 1
+            arguments.append(self._choice())
+            self._want("number", arguments[-1], at, f"{name.text}()")
         self._expect(")", f"after the arguments of {name.text}")
-        many = name.text in ("min", "max")
+        count, many = len(arguments), name.text in ("min", "max")
         if (count < 2) if many else (count > 1):
             self._refuse(name.at, f"{name.text} takes {'two numbers or more' if many else 'one number'}, not {count}")
-        return "number"
+        return self._apply("number", _FUNCTIONS[name.text], *arguments)
 
     def _quantity(self) -> Quantity:
         """Reads `height`, `displacement.x`, `max.speed`, `min.cube("id").position.y`."""

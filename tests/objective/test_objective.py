@@ -183,7 +183,10 @@ def test_any_text_is_a_valid_expression_or_is_refused(text: str) -> None:
             assert math.isfinite(result)
 
 
-VALUES = {"height": 3.0, "max.speed": 0.25, 'cube("a").position.x': -1.5, "min.displacement.z": 0.0}
+VALUES = {
+    **{"height": 3.0, "max.speed": 0.25, 'cube("a").position.x': -1.5, "min.displacement.z": 0.0, "energy": -0.0},
+    **{"time": math.nan, "mass": math.inf, "cubes": -1.7e308, "reach": 5e-324},
+}
 Meant = tuple[str, float]  # an expression, and what it comes to
 MEASURES = {
     "+": np.add, "-": np.subtract, "*": np.multiply, "/": np.divide, "min": np.minimum, "max": np.maximum,
@@ -240,7 +243,7 @@ def binary(a: Meant, mark: str, b: Meant) -> Meant:
 
 
 @given(numbers(3))
-def test_an_expression_has_the_value_that_python_computes(meant: Meant) -> None:
+def test_an_expression_has_the_value_that_ieee_754_gives_it(meant: Meant) -> None:
     text, value = meant
     objective = Objective(text)
     values = {quantity: VALUES[str(quantity)] for quantity in objective.needs}
@@ -249,6 +252,35 @@ def test_an_expression_has_the_value_that_python_computes(meant: Meant) -> None:
     else:
         with pytest.raises(WorldError, match="no finite number"):
             objective.value(values)
+
+
+@given(truths(3))
+def test_a_condition_has_the_truth_that_ieee_754_gives_it(meant: Meant) -> None:
+    condition = Condition(meant[0])
+    assert condition.holds({quantity: VALUES[str(quantity)] for quantity in condition.needs}) == meant[1]
+
+
+@pytest.mark.parametrize("mark", ["<", "<=", ">", ">=", "==", "!="])
+def test_what_is_no_number_is_unequal_to_everything_and_neither_less_nor_greater(mark: str) -> None:
+    for text in (f"height {mark} sqrt(-1)", f"sqrt(-1) {mark} height", f"sqrt(-1) {mark} sqrt(-1)"):
+        condition = Condition(text)
+        assert condition.holds(dict.fromkeys(condition.needs, 1.0)) == (mark == "!=")
+
+
+def test_one_row_and_many_rows_and_running_quantities_agree_about_what_is_no_number() -> None:
+    trajectory = random_trajectory(5)
+    condition = Condition("position.y < sqrt(position.x)")
+    rows = trajectory.series(Quantity("position.x")).tolist(), trajectory.series(Quantity("position.y")).tolist()
+    expected = [x >= 0 and y < math.sqrt(x) for x, y in zip(*rows, strict=True)]
+    assert not expected[0] and any(expected) and min(rows[0]) < 0
+    assert trajectory.first(condition, 0, 21) == expected.index(True)
+    running = RunningQuantities(trajectory.bodies, condition.needs, trajectory.states[0], trajectory.touches[0])
+    choice = Objective("position.y < sqrt(position.x) ? 1 : 2")
+    assert trajectory.values_so_far(choice).tolist() == [1.0 if held else 2.0 for held in expected]
+    for row, held in enumerate(expected):
+        now = trajectory.states[row], trajectory.work[row], trajectory.touches[row]
+        assert condition.holds(running.values(*now)) == held
+        running.add(*now)
 
 
 def test_one_expression_serves_many_threads() -> None:
