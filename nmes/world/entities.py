@@ -87,6 +87,7 @@ class Entities:
     def __init__(self, backend: Backend, config: Mapping[str, Any], seed: int, version: int) -> None:
         self.version = version
         self.tuned = 0
+        self._reshaped = 0
         self._backend = backend
         self._config = config
         self._seed = seed
@@ -104,6 +105,11 @@ class Entities:
         self._joined = 0
         self.tick_rate: int = config["tick_rate"]
         self.meter = EnergyMeter(self.simulation)
+
+    @property
+    def edits(self) -> int:
+        """How often something was done that an engine may compile its model anew for."""
+        return self.version + self._reshaped
 
     # -- snapshots -----------------------------------------------------------------------------------------------
 
@@ -314,6 +320,7 @@ class Entities:
             state = self.simulation.body_state(other.body)
             self.simulation.set_body_state(other.body, motion.moved(state))
         self.simulation.set_body_state(cube.body, new)
+        self._reshaped += 1
 
     def freeze(self, cube: Cube, frozen: bool) -> None:
         """Makes a cube immovable, or lets it go at rest."""
@@ -411,6 +418,8 @@ class Entities:
         self._require_param(joint.kind, name, "param_name")
         params = joint_params.adjust(joint.kind, joint.params, {name: value}, self._engine_step, path="value")
         self.simulation.set_joint_params(joint.number, joint_params.engine_params(params))
+        if params["motor_enabled"] != joint.params["motor_enabled"]:
+            self._reshaped += 1
         joint.params = params
         if params["motor_enabled"]:
             self.meter.add(joint.number)

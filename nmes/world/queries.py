@@ -7,13 +7,15 @@ Invariant: queries never change what happens later.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 from nmes import protocol
 from nmes.backend import Array, Backend, Contact, Simulation, Track, Vector
 from nmes.objective.trajectory import Flags, touches
 from nmes.schemas.documents import JsonObject
 from nmes.world.clients import Clients
+from nmes.world.costs import command_cost, rebuild_cost
 from nmes.world.creature import Creature, Creatures
 from nmes.world.entities import Entities
 from nmes.world.state import Barrier, Fault
@@ -52,6 +54,7 @@ class WorldQueries:
     _clients: Clients
     _tick_rate: int
     _past: int  # ticks before the last reset
+    _built: int  # the entities' edits that the engine has taken up
 
     @property
     def time(self) -> float:
@@ -82,6 +85,18 @@ class WorldQueries:
     def simulation(self) -> Simulation:
         """The running scene, for benchmarks and tests; whoever edits it breaks the world's promises."""
         return self.entities.simulation
+
+    def cost(self, command: Mapping[str, Any]) -> float:
+        """Returns about how long (s) a valid command takes, its ticks left out: a guess for hosts, and cheap.
+
+        A command that takes under half a millisecond, as most do, may be 0.
+        """
+        return command_cost(self.entities, command)
+
+    @property
+    def rebuild_cost(self) -> float:
+        """About how much longer (s) the next tick or snapshot takes because cubes or joints were edited; else 0."""
+        return 0.0 if self.entities.edits == self._built else rebuild_cost(self.entities)
 
     def digest(self) -> bytes:
         """Returns the hash of the engine's whole state, 16 bytes."""

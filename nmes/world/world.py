@@ -97,6 +97,7 @@ class World(WorldQueries):
         self.seed = seed
         self.frame = 0
         self.fault = None
+        self._built = self.entities.edits
 
     # -- clients -------------------------------------------------------------------------------------------------
 
@@ -218,6 +219,7 @@ class World(WorldQueries):
         simulation = self.entities.simulation
         try:
             simulation.step(self._substeps)
+            self._built = self.entities.edits
             self.entities.meter.tick()
             self._clients.measure(self.entities)
             digest = b"" if self.journal is None else simulation.digest()  # nobody else is told
@@ -291,6 +293,7 @@ class World(WorldQueries):
         if self.fault is not None:
             raise WorldError("world_faulted", f"the world stopped at frame {self.fault.frame}: {self.fault.message}")
         entities, engine = self.entities.snapshot()
+        self._built = self.entities.edits
         barrier = self.barrier
         state = {
             "seed": self.seed,
@@ -326,6 +329,7 @@ class World(WorldQueries):
             raise WorldError("bad_snapshot", f"the snapshot does not fit together: {error}") from error
         self.simulation.close()
         self.entities, self.all_creatures, self._clients = entities, creatures, clients
+        self._built = entities.edits
         self.seed, self.frame, self._past = state["seed"], state["frame"], state["ticks"] - state["frame"]
         self.fault = None
         self.mode, self.rate, self.paused = state["mode"], float(state["rate"]), state["paused"]

@@ -545,3 +545,44 @@ def test_euler_angles_and_quaternions_are_the_same_rotation(x: float, y: float, 
     assert one == pytest.approx(by_hand, abs=1e-9)
     assert rotate(conjugate(q), one) == pytest.approx((0.3, -0.4, 0.5), abs=1e-9)
     assert multiply(q, conjugate(q)) == pytest.approx((0, 0, 0, 1), abs=1e-9)
+
+
+# -- what a host is told ---------------------------------------------------------------------------------------------
+
+
+def test_a_command_that_takes_long_is_known_by_its_cost_and_one_that_does_not_costs_nothing(drive: Driver) -> None:
+    names = [drive.spawn(position=[2 * i, 2, 0]) for i in range(100)]
+    cost = drive.world.cost
+    for kind in ("ping", "apply_physics", "get_cube_state", "drive", "sense", "step", "despawn_cube", "create_joint"):
+        assert cost({"type": kind}) == 0.0
+    assert cost({"type": "get_world_state", "cubes": names[:10]}) * 10 == pytest.approx(
+        cost({"type": "get_world_state"})
+    )
+    assert cost({"type": "get_world_state", "sensors": True}) > 2 * cost({"type": "get_world_state"}) > 0
+    for kind in ("reset", "spawn_creature", "get_camera"):
+        assert cost({"type": kind}) > 0.005
+    inner = [{"type": "get_world_state"}] * 20 + [{"type": "ping"}]
+    assert cost({"type": "batch", "commands": inner}) > 20 * cost(inner[0])
+
+
+def test_what_an_engine_has_yet_to_take_up_is_known_until_the_next_tick_or_snapshot(drive: Driver) -> None:
+    world = drive.world
+    assert world.rebuild_cost == 0.0
+    a, b = drive.spawn(), drive.spawn(position=[2, 2, 0])
+    assert world.rebuild_cost > 0.0
+    world.tick()
+    assert world.rebuild_cost == 0.0
+    joint = drive.joint(a, b)
+    before = world.rebuild_cost
+    assert before > 0.0
+    world.snapshot()
+    assert world.rebuild_cost == 0.0
+    drive.ok("set_joint_param", joint_name=joint, param_name="motor_target_velocity", value=1.0)  # a motor comes
+    assert world.rebuild_cost == before
+    world.tick()
+    drive.ok("set_joint_param", joint_name=joint, param_name="motor_target_velocity", value=2.0)
+    assert world.rebuild_cost == 0.0
+    drive.ok("set_cube_state", cube_name=a, position=[0, 5, 0])
+    assert world.rebuild_cost == before
+    drive.ok("reset")
+    assert world.rebuild_cost == 0.0

@@ -1,0 +1,77 @@
+"""What commands are expected to cost: guesses from what is cheap to see, for hosts that must not be kept waiting.
+
+Hides the figures, measured on one core of a server of 2020 and rounded up. Nothing that a world does depends on them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, Final
+
+from nmes import protocol
+
+if TYPE_CHECKING:
+    from nmes.world.entities import Entities
+
+__all__ = ["command_cost", "rebuild_cost"]
+
+_COMMAND: Final = 2e-5  # s: a command of a batch, whatever it is
+_STATE, _SENSED, _NAME = 5e-6, 3e-5, 1e-7  # s a cube: its state, with its sensors, and its name in a list
+_MOVED = 2e-5  # s a cube of a structure that is put elsewhere
+_GROWTH = 0.05  # s: a genome that is read, grown, judged and made
+_EXPRESSION = 2e-3  # s: an expression of the greatest length that is read, over as many cubes as there may be
+_SCENE = 0.02  # s: a scene that is made anew
+_PICTURE, _PIXEL = 0.01, 1e-7  # s: a picture, and each of its pixels
+_BUILT, _PART = 2e-3, 1e-3  # s: a model that an engine compiles, and each cube and joint in it
+
+
+def _batch(entities: Entities, command: Mapping[str, Any]) -> float:
+    commands = command["commands"]
+    return len(commands) * _COMMAND + sum(command_cost(entities, inner) for inner in commands)
+
+
+def _world_state(entities: Entities, command: Mapping[str, Any]) -> float:
+    named = command.get("cubes")
+    count = len(entities.cubes) if named is None else len(named)
+    return count * _STATE + (len(entities.cubes) * _SENSED if command.get("sensors") else 0.0)
+
+
+def _cube_info(entities: Entities, command: Mapping[str, Any]) -> float:
+    return len(entities.cubes) * _SENSED if command.get("sensors") or "rays" in command else 0.0
+
+
+def _names(entities: Entities, command: Mapping[str, Any]) -> float:
+    return len(entities.cubes) * _NAME if command.get("list", True) else 0.0
+
+
+def _picture(entities: Entities, command: Mapping[str, Any]) -> float:
+    default = protocol.COMMANDS["get_camera"].defaults
+    pixels = command.get("width", default["width"]) * command.get("height", default["height"])
+    return float(_PICTURE + pixels * _PIXEL + len(entities.cubes) * _STATE)
+
+
+_COSTS: Final[Mapping[str, Callable[[Entities, Mapping[str, Any]], float]]] = {
+    "batch": _batch,
+    "get_camera": _picture,
+    "get_cube_info": _cube_info,
+    "get_cube_list": _names,
+    "get_joint_list": lambda entities, command: len(entities.joints) * _STATE,
+    "get_world_info": lambda entities, command: len(entities.joints) * _NAME,
+    "get_world_state": _world_state,
+    "reset": lambda entities, command: _SCENE,
+    "set_cube_state": lambda entities, command: min(len(entities.cubes), len(entities.joints) + 1) * _MOVED,
+    "set_objective": lambda entities, command: _EXPRESSION,
+    "spawn_creature": lambda entities, command: _GROWTH,
+    "spawn_cube": _names,
+}
+
+
+def command_cost(entities: Entities, command: Mapping[str, Any]) -> float:
+    """Returns about how long (s) a valid command takes, its ticks left out; 0.0 where that is next to nothing."""
+    cost = _COSTS.get(command["type"])
+    return 0.0 if cost is None else cost(entities, command)
+
+
+def rebuild_cost(entities: Entities) -> float:
+    """Returns about how long (s) an engine takes to take up that cubes or joints were edited."""
+    return _BUILT + (len(entities.cubes) + len(entities.joints)) * _PART
