@@ -8,7 +8,8 @@ it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
+from itertools import islice
 
 __all__ = [
     "BackendNotFound",
@@ -50,14 +51,23 @@ class WorldError(NmesError):
 class DocumentError(NmesError):
     """A document (a genome, a brain, a task) that is not as it must be.
 
+    Args:
+        problems: What is wrong: each a JSON Pointer without its leading slash, and words for a person. One more is
+            taken than are listed; a document of a stranger may have any number.
+
     Attributes:
-        problems: Everything that is wrong: each a JSON Pointer without its leading slash, and words for a person.
+        problems: The first of them, at most `MOST`.
+        lines: A line for each of these, and a last one, `and more`, where there are others.
     """
 
-    def __init__(self, problems: Sequence[tuple[str, str]]) -> None:
-        message = "\n".join(f"{path}: {words}" if path else words for path, words in problems)
-        super().__init__("invalid", message, problems[0][0])
-        self.problems = tuple(problems)
+    MOST = 20
+
+    def __init__(self, problems: Iterable[tuple[str, str]]) -> None:
+        first = tuple(islice(problems, self.MOST + 1))
+        self.problems = first[: self.MOST]
+        more = ["and more"] if len(first) > self.MOST else []
+        self.lines = [*(f"{path}: {words}" if path else words for path, words in self.problems), *more]
+        super().__init__("invalid", "\n".join(self.lines), first[0][0])
 
 
 class SimulationFault(NmesError):

@@ -9,9 +9,13 @@ from __future__ import annotations
 import difflib
 import hashlib
 import json
-from collections.abc import Iterable, Iterator, Mapping
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import lru_cache
+from heapq import nlargest
 from importlib.resources import files
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any, Final
 
@@ -23,6 +27,7 @@ from nmes.errors import DocumentError, RejectedMessage
 from nmes.schemas import Schema, describe, load, load_all
 
 __all__ = [
+    "CONTAINERS",
     "NESTING",
     "CompiledSchema",
     "JsonObject",
@@ -35,6 +40,7 @@ __all__ = [
     "complete",
     "did_you_mean",
     "excerpt",
+    "fits",
     "parse_document",
     "parse_json",
     "plain",
@@ -46,7 +52,12 @@ JsonObject = dict[str, Any]
 
 NESTING: Final = 200
 """How deep JSON may be nested."""
+CONTAINERS: Final = 1 << 16
+"""How many arrays and objects JSON may hold: what one costs does not show in the length of its text."""
 _EXCERPT: Final = 80  # characters of somebody's value that a message repeats
+_COMPARED, _KNOWN, _CLOSE = 24, 256, 4  # characters of a name, names it is compared with roughly, and closely
+_UNKNOWN: Final = 100  # fields that there are none of, above which an object is not looked into
+_ALIKE: Final = 0.6  # how like a name must be to be meant
 _WHOLE: Final = 2.0**53  # beyond this not every whole number is a float
 
 
@@ -54,11 +65,14 @@ _WHOLE: Final = 2.0**53  # beyond this not every whole number is a float
 
 
 def parse_json(text: bytes) -> Any:
-    """Reads strict JSON: no duplicate keys, no number that is infinite as a double, at most `NESTING` deep.
+    """Reads strict JSON: no duplicate keys, no number that is infinite as a double, within `NESTING` and `CONTAINERS`.
 
     Raises:
         RejectedMessage: It is not UTF-8 (`bad_frame`), or not strict JSON (`bad_json`).
     """
+    brackets = text.count(b"[") + text.count(b"{")
+    if brackets > CONTAINERS:  # those in strings count, which are too few to matter
+        raise RejectedMessage("bad_json", f"more than {CONTAINERS:,} arrays and objects")
     try:
         # jiter alone finds duplicate keys and keeps long integers exact; orjson alone refuses numbers that are
         # infinite as a double (1e400). Both together cost less than looking for such numbers ourselves.
@@ -66,7 +80,7 @@ def parse_json(text: bytes) -> Any:
         orjson.loads(text)
     except ValueError as error:
         raise _rejection(text, error) from None
-    if len(text) > 2 * NESTING and _too_deep(text, value):
+    if brackets > NESTING and _too_deep(value):
         raise RejectedMessage("bad_json", f"nested more than {NESTING} deep")
     return value
 
@@ -79,18 +93,16 @@ def _rejection(text: bytes, error: ValueError) -> RejectedMessage:
     return RejectedMessage("bad_json", f"not strict JSON: {_cut(str(error))}")  # it may repeat a key of any length
 
 
-def _too_deep(text: bytes, value: Any) -> bool:
-    if text.count(b"[") + text.count(b"{") <= NESTING:
-        return False
-    level: list[Any] = [value]
+def _too_deep(value: Any) -> bool:
+    level = [value]
     for _ in range(NESTING):
         level = [
             inner
             for outer in level
-            if isinstance(outer, (list, dict))
-            for inner in (outer.values() if isinstance(outer, dict) else outer)
+            for inner in (outer.values() if type(outer) is dict else outer)
+            if type(inner) is list or type(inner) is dict
         ]
-    return any(isinstance(inner, (list, dict)) for inner in level)
+    return bool(level)
 
 
 def parse_document(text: bytes) -> Any:
@@ -178,21 +190,75 @@ def check(schema: CompiledSchema, value: Any) -> None:
     """Holds a document to its schema.
 
     Raises:
-        DocumentError: It is not as the schema says, with every problem.
+        DocumentError: It is not as the schema says, with the problems.
     """
-    pairs = [(problem.pointer, problem.message) for problem in problems(schema, value)]
-    if pairs:
-        raise DocumentError(pairs)
+    found = ((problem.pointer, problem.message) for problem in problems(schema, value))
+    first = next(found, None)
+    if first is not None:
+        raise DocumentError(chain([first], found))
 
 
 def problems(schema: CompiledSchema, value: Any) -> Iterator[Problem]:
-    """Yields the problems that a schema has with a value; those of `x-when` only where there are no others."""
-    sound = True
-    for error in schema.validator.iter_errors(value):
-        sound = False
-        yield from _explain(schema.schema, error, value)
-    if sound:
+    """Yields the problems that a schema has with a value, each when it is asked for.
+
+    Arrays that are too long come first: where there are any, nothing else is looked at. Of each other array no more
+    than 20 unsound items are, so that what this costs is bounded. The problems of `x-when` come only where there are
+    no others.
+    """
+    if schema.validator.is_valid(value):
         yield from _misplaced(schema.schema, value, ())
+        return
+    within = True
+    for problem in _too_long(schema.schema, value, ()):
+        within = False
+        yield problem
+    if within:
+        for error in schema.validator.iter_errors(_abridged(schema.schema, value)):  # makes all of them at once
+            yield from _explain(schema.schema, error, value)
+
+
+def _too_long(schema: Schema, value: Any, keys: tuple[str | int, ...]) -> Iterator[Problem]:
+    """Yields the arrays that have more items than they may, without looking into them, and fields by the hundred."""
+    if isinstance(value, dict):
+        parts = schema.get("properties", {})
+        for name, part in parts.items():
+            if name in value:
+                yield from _too_long(part, value[name], (*keys, name))
+        if schema.get("additionalProperties") is False and len(value) > len(parts) + _UNKNOWN:
+            yield from (Problem((*keys, name), "there is no such field") for name in value if name not in parts)
+    elif isinstance(value, list):
+        items = schema.get("items", {})
+        if len(value) > schema.get("maxItems", len(value)):
+            yield Problem(keys, f"expected {describe(schema)}, got {len(value):,}")
+        elif "properties" in items or "items" in items:
+            for index, item in enumerate(value):
+                yield from _too_long(items, item, (*keys, index))
+
+
+def _abridged(schema: Schema, value: Any) -> Any:
+    """Returns a value with each of its arrays cut off behind the last unsound item that is to be looked at."""
+    if isinstance(value, dict):
+        parts = schema.get("properties", {})
+        return {name: _abridged(parts.get(name, {}), item) for name, item in value.items()}
+    if not isinstance(value, list) or "items" not in schema:
+        return value
+    items, unsound = schema["items"], 0
+    validator = _validator(orjson.dumps(items))
+    abridged = []
+    for item in value:
+        if validator.is_valid(item):
+            abridged.append(item)
+        else:
+            abridged.append(_abridged(items, item))
+            unsound += 1
+            if unsound == DocumentError.MOST + 1:
+                break
+    return abridged
+
+
+@lru_cache(maxsize=64)
+def _validator(schema: bytes) -> jsonschema_rs.Draft202012Validator:
+    return jsonschema_rs.Draft202012Validator(orjson.loads(schema))
 
 
 def _explain(schema: Schema, error: jsonschema_rs.ValidationError, value: Any) -> Iterator[Problem]:
@@ -326,10 +392,36 @@ class ShippedDocuments:
 # -- words ------------------------------------------------------------------------------------------------------------
 
 
+def fits(pattern: str) -> Callable[[str], bool]:
+    """Returns what tells whether a name fits a pattern: `*` stands for any characters, also none, and `?` for any one.
+
+    A name takes time in proportion to its length times the pattern's at most, whatever they are.
+    """
+    first, *middle = (re.escape(piece).replace(r"\?", ".") for piece in pattern.split("*"))
+    last = f".*{middle.pop()}" if middle else ""
+    # Each piece is sought once, from where the one before it was found first: atomic groups never try another place.
+    between = "".join(f"(?>.*?{piece})" for piece in middle if piece)
+    match = re.compile(f"{first}{between}{last}", re.DOTALL).fullmatch
+    return lambda name: match(name) is not None
+
+
 def did_you_mean(name: str | int, known: Iterable[str]) -> str:
-    """Returns `; did you mean leg?`, to stand behind a message about an unknown name, or nothing if none is near."""
-    near = difflib.get_close_matches(str(name)[:_EXCERPT], known, n=1)
-    return f"; did you mean {near[0]}?" if near else ""
+    """Returns `; did you mean leg?`, to stand behind a message about an unknown name, or nothing if none is near.
+
+    Only so much of names, and so many of them, are compared that a message costs little.
+    """
+    matcher = difflib.SequenceMatcher(b=str(name)[:_COMPARED])
+    rough = []
+    for other in islice(known, _KNOWN):
+        matcher.set_seq1(other[:_COMPARED])
+        if matcher.real_quick_ratio() >= _ALIKE and (ratio := matcher.quick_ratio()) >= _ALIKE:
+            rough.append((ratio, other))
+    near = []
+    for _, other in nlargest(_CLOSE, rough):
+        matcher.set_seq1(other[:_COMPARED])
+        near.append((matcher.ratio(), other))
+    ratio, other = max(near, default=(0.0, ""))
+    return f"; did you mean {other}?" if ratio >= _ALIKE else ""
 
 
 def excerpt(value: Any) -> str:

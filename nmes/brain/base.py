@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import copy
 import json
-import re
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar
@@ -30,6 +29,7 @@ from nmes.schemas.documents import (
     compile_schema,
     complete,
     did_you_mean,
+    fits,
     plain,
     problems,
 )
@@ -58,6 +58,7 @@ LIMIT = 1e6
 _BLOCK = 64  # steps of an open-loop brain that are computed at once
 _LINE = 64 // 8  # numbers in a 64-byte line
 _SENSORS, _MOTORS = 4096, 1024  # at most; rows stay below the 10,000 numbers from which on OpenBLAS uses threads
+_WILDCARDS = 256  # entries with wildcards in one document: each is held against all names
 _LISTED = 12  # names that a message lists
 
 
@@ -75,16 +76,22 @@ def lines(*shape: int) -> Array:
 
 
 class Findings:
-    """Collects the problems of a document, and matches its names and wildcards."""
+    """Collects the problems of a document, and matches its names and wildcards.
+
+    All its methods raise DocumentError where there are more problems than one lists.
+    """
 
     def __init__(self, where: str) -> None:
         """Begins without problems; `where` is the JSON Pointer of the document itself."""
         self._where = where
         self._found: list[tuple[str, str]] = []
+        self._wildcards = 0
 
     def add(self, pointer: str, message: str) -> None:
         """Notes a problem with the value at a pointer."""
         self._found.append(("/".join(filter(None, (self._where, pointer))), message))
+        if len(self._found) > DocumentError.MOST:
+            self.check()
 
     def check(self) -> None:
         """Raises DocumentError if anything was wrong."""
@@ -95,8 +102,14 @@ class Findings:
         """Returns the indices of the names that an entry stands for: its own, else those that fit its wildcards."""
         if entry in names:
             return [names.index(entry)]
-        pattern = re.compile(re.escape(entry).replace(r"\*", ".*").replace(r"\?", "."), re.DOTALL)
-        indices = [i for i, name in enumerate(names) if pattern.fullmatch(name)]
+        indices = []
+        if "*" in entry or "?" in entry:
+            self._wildcards += 1
+            if self._wildcards > _WILDCARDS:
+                self.add(pointer, f"a brain has at most {_WILDCARDS} entries with wildcards")
+                self.check()
+            fitting = fits(entry)
+            indices = [i for i, name in enumerate(names) if fitting(name)]
         if not indices:
             self.unknown(entry, names, what, pointer)
         return indices

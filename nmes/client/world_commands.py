@@ -36,7 +36,8 @@ class WorldCommands:
         """Reads the moving part of many cubes at one moment.
 
         Args:
-            cubes: The cubes, in the order in which they are wanted; all of them, in order of creation, if left out.
+            cubes: The cubes, at most 10,000 and each once, in the order in which they are wanted; all that there are,
+                in order of creation, if left out.
             sensors: Whether to read each cube's contacts, accelerometer and gyro too. Default: False.
 
         Returns:

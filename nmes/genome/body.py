@@ -12,7 +12,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from typing import Any, Literal
 
 import numpy as np
@@ -22,7 +21,7 @@ from nmes.backend import Array, Quaternion, Vector
 from nmes.backend.rotation import normalize, quaternion_from_euler, rotate
 from nmes.errors import DocumentError
 from nmes.genome.sensors import OF_CUBE, OF_JOINT, VECTORS
-from nmes.schemas.documents import did_you_mean
+from nmes.schemas.documents import did_you_mean, fits
 
 __all__ = ["Body", "BodyCube", "BodyJoint", "Motor", "Sensor", "corners", "read_body"]
 
@@ -31,7 +30,8 @@ Indices = npt.NDArray[np.intp]
 
 _TOUCHING = 1e-4  # m that cubes may overlap, and reach into the ground, by rounding
 _SIGNS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])  # of a box's corners
-_LISTED = 20  # overlaps that are listed one by one
+_HINTS = 5  # problems with suggestions
+_MOST_SENSORS = 4096  # as many as a brain may have
 _PARALLEL = 1e-6  # sine of the angle below which edges count as parallel
 _DRIVEN = ("hinge", "slide")
 _ROOT = ("height", "up", "velocity", "spin")  # what the root senses where a document names no sensors
@@ -163,7 +163,14 @@ class _Reader:
         self.place = place
 
     def note(self, path: str, message: str) -> None:
+        """Notes a problem; raises all of them where there are more than one lists."""
         self.problems.append((self.place if self.place is not None and path.startswith("body/") else path, message))
+        if len(self.problems) > DocumentError.MOST:
+            raise DocumentError(self.problems)
+
+    def hint(self, name: str, known: Sequence[str]) -> str:
+        """Returns what `did_you_mean` does, for the first problems: each may be held against hundreds of names."""
+        return did_you_mean(name, known) if len(self.problems) < _HINTS else ""
 
     def read(self, body: JsonObject, sensors: Sequence[JsonObject] | None) -> Body:
         cubes = [_cube(entry) for entry in body["cubes"]]
@@ -179,6 +186,9 @@ class _Reader:
             single = self.sensor(entry, f"sensors/{i}", cubes, joints)
             paths += [f"sensors/{i}"] * len(single)
             all_sensors += single
+            if len(all_sensors) > _MOST_SENSORS:
+                self.note(f"sensors/{i}", f"with it there are over {_MOST_SENSORS:,} single readings")
+                break
         self.unique(paths, [sensor.id for sensor in all_sensors], "sensor")
         if self.problems:
             raise DocumentError(self.problems)
@@ -228,7 +238,7 @@ class _Reader:
             path, ends = f"body/joints/{i}", (joint.cube1, joint.cube2)
             for field, name in zip(("cube1", "cube2"), ends, strict=True):
                 if name not in leader:
-                    self.note(f"{path}/{field}", f"there is no cube {name!r}{did_you_mean(name, names)}")
+                    self.note(f"{path}/{field}", f"there is no cube {name!r}{self.hint(name, names)}")
             pair = frozenset(ends)
             if len(pair) == 1:
                 self.note(f"{path}/cube2", f"joint {joint.id!r} joins {joint.cube1!r} to itself")
@@ -252,16 +262,11 @@ class _Reader:
         halves = np.array([cube.size for cube in cubes]) / 2.0
         one, other = _near_pairs(centres, halves)
         depths = _depths(centres[other] - centres[one], axes[one], axes[other], halves[one], halves[other])
-        overlaps = 0
         for i, j, depth in zip(one.tolist(), other.tolist(), depths.tolist(), strict=True):
             if depth <= _TOUCHING or frozenset((cubes[i].id, cubes[j].id)) in pairs:
                 continue
-            overlaps += 1
-            if overlaps <= _LISTED:
-                message = f"{cubes[i].id!r} and {cubes[j].id!r} overlap by {depth:.3g} m, and no joint joins them"
-                self.note(f"body/cubes/{j}", message)
-        if overlaps > _LISTED:
-            self.note("body/cubes", f"{overlaps - _LISTED} more pairs of cubes overlap")
+            message = f"{cubes[i].id!r} and {cubes[j].id!r} overlap by {depth:.3g} m, and no joint joins them"
+            self.note(f"body/cubes/{j}", message)
         lowest = centres[:, 1] - (halves * abs(axes[:, :, 1])).sum(axis=1)
         for i, low in enumerate(lowest.tolist()):
             if low < -_TOUCHING:
@@ -312,10 +317,10 @@ class _Reader:
     ) -> list[str]:
         """Returns the ids of the cubes or joints that fit a pattern and have such a reading."""
         names = [thing.id for thing in (joints if of == "joint" else cubes)]
-        fitting = [name for name in names if fnmatchcase(name, pattern)]
+        fitting = list(filter(fits(pattern), names))
         if not fitting:
             plain = not set(pattern) & set("*?")
-            missing = f"there is no {of} {pattern!r}{did_you_mean(pattern, names)}"
+            missing = f"there is no {of} {pattern!r}{self.hint(pattern, names)}"
             self.note(path, missing if plain else f"no {of} fits {pattern!r}")
         if of == "cube":
             return fitting

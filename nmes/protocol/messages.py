@@ -57,6 +57,7 @@ __all__ = [
 
 PROTOCOL_VERSION: Final = 1
 DELIMITER: Final = b"<???DONE???---"
+_TYPE_LENGTH: Final = 128  # characters of an unknown type that an error repeats
 
 
 class _NoId(Enum):
@@ -297,7 +298,8 @@ def parse(raw: bytes) -> Request:
     error = _check(message)
     if error is None:
         return Request(raw, message, None, kind, message.get("id", NO_ID))
-    return Request(raw, None, error, kind if isinstance(kind, str) else None, message.get("id", NO_ID))
+    known = kind if isinstance(kind, str) and len(kind) <= _TYPE_LENGTH else None
+    return Request(raw, None, error, known, message.get("id", NO_ID))
 
 
 def request_from(command: Mapping[str, Any]) -> Request:

@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 
 __all__ = ["COMMANDS"]
 
-_MOST_PROBLEMS = 20  # of a bad genome that a reply names
-_PROBLEM_LENGTH = 300  # characters of each
+_PROBLEM_LENGTH = 300  # characters of each problem of a bad genome that a reply names
 
 
 def spawn_creature(world: World, client: Client, command: JsonObject) -> JsonObject:
@@ -43,11 +42,8 @@ def spawn_creature(world: World, client: Client, command: JsonObject) -> JsonObj
 
 
 def _bad_genome(error: DocumentError) -> WorldError:
-    problems = [f"{path}: {text}"[:_PROBLEM_LENGTH] for path, text in error.problems[:_MOST_PROBLEMS]]
-    if len(error.problems) > _MOST_PROBLEMS:
-        problems.append(f"and {len(error.problems) - _MOST_PROBLEMS} more")
-    path = f"genome/{error.problems[0][0]}".rstrip("/")
-    return WorldError("invalid", "genome: " + "\n".join(problems), path)
+    problems = "\n".join(line[:_PROBLEM_LENGTH] for line in error.lines)
+    return WorldError("invalid", f"genome: {problems}", f"genome/{error.problems[0][0]}".rstrip("/"))
 
 
 def drive(world: World, client: Client, command: JsonObject) -> JsonObject:
