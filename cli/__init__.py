@@ -10,7 +10,7 @@ from typing import Any, cast
 
 import click
 
-from nmes.errors import NmesError
+from nmes.errors import NmesError, visible
 
 __all__ = ["main"]
 
@@ -52,12 +52,15 @@ class _Group(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         try:
             return super().invoke(ctx)
+        except click.ClickException as error:  # the message may repeat what a stranger has named
+            error.message = visible(error.message, keep="\n")
+            raise
         except NmesError as error:
-            raise click.ClickException(error.message) from error
+            raise click.ClickException(visible(error.message, keep="\n")) from error
         except OSError as error:
             if error.filename is None:  # about no file that somebody has named
                 raise
-            raise click.ClickException(f"{error.filename}: {error.strerror}") from error
+            raise click.ClickException(visible(f"{error.filename}: {error.strerror}")) from error
 
 
 @click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})

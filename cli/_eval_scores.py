@@ -7,14 +7,14 @@ import sys
 from collections import Counter
 from collections.abc import Sequence
 
-import click
-import orjson
 from rich.console import Console
 from rich.table import Table
 
+from nmes.cli._json import print_json
+from nmes.errors import visible
 from nmes.evaluation import Evaluation
 
-__all__ = ["print_csv", "print_json", "print_table"]
+__all__ = ["print_csv", "print_results", "print_table"]
 
 _CSV = (
     "genome",
@@ -31,16 +31,18 @@ _CSV = (
 )
 
 
-def print_json(evaluations: Sequence[Evaluation]) -> None:
+def print_results(evaluations: Sequence[Evaluation]) -> None:
     """Prints evaluations as a JSON list."""
-    click.echo(orjson.dumps([each.to_json() for each in evaluations], option=orjson.OPT_INDENT_2))
+    print_json([each.to_json() for each in evaluations])
 
 
 def print_csv(evaluations: Sequence[Evaluation]) -> None:
     """Prints evaluations as CSV, a line each."""
-    writer = csv.DictWriter(sys.stdout, _CSV, extrasaction="ignore", lineterminator="\n")
+    writer = csv.DictWriter(sys.stdout, _CSV, lineterminator="\n")
     writer.writeheader()
-    writer.writerows(each.to_json() for each in evaluations)
+    for each in evaluations:
+        row = each.to_json()
+        writer.writerow({name: visible(row[name]) if isinstance(row[name], str) else row[name] for name in _CSV})
 
 
 def print_table(evaluations: Sequence[Evaluation]) -> None:
@@ -51,11 +53,12 @@ def print_table(evaluations: Sequence[Evaluation]) -> None:
         console.print()
     for each in evaluations:
         if each.error is not None:
-            reason = each.error.replace("\n", "\n  ")
-            console.print(f"{each.genome}: {reason}", soft_wrap=True)
+            reason = visible(each.error, keep="\n").replace("\n", "\n  ")
+            console.print(f"{visible(each.genome)}: {reason}", soft_wrap=True)
         for result in each.results:
             if result.fault is not None:
-                console.print(f"{each.genome}, seed {result.seed}, tick {result.ticks}: {result.fault}", soft_wrap=True)
+                place = f"{each.genome}, seed {result.seed}, tick {result.ticks}"
+                console.print(visible(f"{place}: {result.fault}"), soft_wrap=True)
 
 
 def _table(evaluations: Sequence[Evaluation]) -> Table:
@@ -65,9 +68,9 @@ def _table(evaluations: Sequence[Evaluation]) -> Table:
         table.add_column(title, justify="right", no_wrap=True)
     names = Counter(each.genome for each in evaluations)
     for each in evaluations:
-        ambiguous = names[each.genome] > 1 and each.genome_hash
+        name, ambiguous = visible(each.genome), names[each.genome] > 1 and each.genome_hash
         table.add_row(
-            f"{each.genome} {each.genome_hash[:4]}" if ambiguous else each.genome,
+            f"{name}\n{each.genome_hash[:16]}" if ambiguous else name,
             each.task,
             _runs([result.seed for result in each.results]),
             _number(each.score, 3),

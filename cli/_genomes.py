@@ -8,6 +8,7 @@ from pathlib import Path
 
 import click
 
+from nmes.errors import visible
 from nmes.genome import Genome
 
 __all__ = ["find_genomes"]
@@ -24,7 +25,7 @@ def find_genomes(arguments: Iterable[str]) -> list[str]:
         if Path(name).is_dir():
             inside = sorted(str(path) for path in Path(name).glob("*.json"))
             if not inside:
-                raise click.UsageError(f"there is no .json file in {name}")
+                raise click.UsageError(f"there is no .json file in {visible(name)}")
             names += inside
         elif Path(name).exists() or name in Genome.names():
             names.append(name)
@@ -32,5 +33,7 @@ def find_genomes(arguments: Iterable[str]) -> list[str]:
             names += matching
         else:
             shipped = ", ".join(Genome.names())
-            raise click.UsageError(f"there is no file {name}, and no genome of that name ships (there are {shipped})")
+            raise click.UsageError(
+                f"there is no file {visible(name)}, and no genome of that name ships (there are {shipped})"
+            )
     return list(dict.fromkeys(names))

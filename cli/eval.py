@@ -13,10 +13,10 @@ import orjson
 from click.core import ParameterSource
 
 from nmes.cli._eval_jobs import run_jobs
-from nmes.cli._eval_scores import print_csv, print_json, print_table
+from nmes.cli._eval_scores import print_csv, print_results, print_table
 from nmes.cli._genomes import find_genomes
 from nmes.cli._recording_plot import plot_recordings
-from nmes.errors import DocumentError
+from nmes.errors import DocumentError, visible
 from nmes.evaluation import Evaluation, Job, Proof, Task, prove
 from nmes.genome.genome import SHIPPED
 from nmes.recording import Recording
@@ -111,7 +111,7 @@ def command(
         if record is not None:
             record.mkdir(parents=True, exist_ok=True)
         evaluations, whole = run_jobs(work, jobs or os.cpu_count() or 1, ray, resume)
-    (print_json if as_json else print_csv if as_csv else print_table)(evaluations)
+    (print_results if as_json else print_csv if as_csv else print_table)(evaluations)
     if plot_to is not None:
         _plot(evaluations, plot_to)
     sys.exit(0 if whole and all(each.error is None and not each.faults for each in evaluations) else 1)
@@ -144,7 +144,7 @@ def _jobs(genomes: Sequence[str], task: str, seeds: tuple[int, ...] | None, reco
     try:
         document = orjson.dumps(Task.load(task).document)
     except DocumentError as error:
-        raise click.BadParameter(f"{task}:\n{error.message}", param_hint="--task") from error
+        raise click.BadParameter(f"{visible(task)}:\n{error.message}", param_hint="--task") from error
     folder = None if record is None else str(record)
     return [Job(Path(name).stem, _read_genome(name), document, seeds, folder) for name in find_genomes(genomes)]
 

@@ -13,7 +13,8 @@ from rich.table import Table
 from rich.text import Text
 
 from nmes.cli._genomes import find_genomes
-from nmes.errors import DocumentError
+from nmes.cli._json import print_json
+from nmes.errors import DocumentError, visible
 from nmes.genome import Genome
 from nmes.genome.body import Body
 
@@ -62,13 +63,13 @@ def check(context: click.Context, files: list[str], as_json: bool) -> None:
             row["problems"] = [{"path": path, "message": message} for path, message in error.problems]
         rows.append(row)
     if as_json:
-        click.echo(orjson.dumps(rows, option=orjson.OPT_INDENT_2))
+        print_json(rows)
     else:
         for row in rows:
-            click.echo(f"{row['file']}: {_verdict(row['problems'])}")
+            click.echo(f"{visible(row['file'])}: {_verdict(row['problems'])}")
             for problem in row["problems"]:
                 place = f"{problem['path']}: " if problem["path"] else ""
-                click.echo(f"  {place}{problem['message']}")
+                click.echo(f"  {visible(place + problem['message'])}")
     context.exit(1 if any(row["problems"] for row in rows) else 0)
 
 
@@ -98,11 +99,12 @@ def show(files: list[str], output: Path | None, as_json: bool) -> None:
     """
     genomes = [_load(file) for file in files]
     if as_json:
-        click.echo(orjson.dumps([_about(genome) for genome in genomes], option=orjson.OPT_INDENT_2))
+        print_json([_about(genome) for genome in genomes])
     if output is not None:
         _draw(genomes, output)
         if not as_json:
-            click.echo(f"drew {genomes[0].name if len(genomes) == 1 else f'{len(genomes)} genomes'} to {output}")
+            what = visible(genomes[0].name) if len(genomes) == 1 else f"{len(genomes)} genomes"
+            click.echo(f"drew {what} to {visible(str(output))}")
     elif not as_json:
         console = Console(highlight=False, markup=False)
         if not console.is_terminal:
@@ -117,7 +119,7 @@ def _load(file: str) -> Genome:
     try:
         return Genome.load(file)
     except DocumentError as error:
-        raise click.ClickException(f"{file}:\n{error.message}") from error
+        raise click.ClickException(f"{visible(file)}:\n{error.message}") from error
 
 
 def _draw(genomes: list[Genome], output: Path) -> None:
@@ -170,9 +172,9 @@ def _print(console: Console, genome: Genome) -> None:
     about, body = _about(genome), genome.body
     by = f" by {about['author']}" if about["author"] else ""
     licence = f" ({about['license']})" if about["license"] else ""
-    console.print(Text(f"{genome.name}{by}{licence}", style="bold"))
+    console.print(Text(visible(f"{genome.name}{by}{licence}"), style="bold"))
     if about["description"]:
-        console.print(about["description"])
+        console.print(visible(about["description"], keep="\n"))
     width, height, depth = about["size"]
     console.print(
         f"{len(body.cubes)} cubes, {len(body.joints)} joints, {len(body.motors)} motors, {len(body.sensors)} sensors; "
@@ -228,11 +230,10 @@ def expand(files: list[str], output: Path | None) -> None:
         nmes genome expand centipede
         nmes genome expand centipede -o centipede-expanded.json
     """
-    genomes = [_load(file).expanded() for file in files]
-    texts = [orjson.dumps(genome.document, option=orjson.OPT_INDENT_2) + b"\n" for genome in genomes]
+    documents = [_load(file).expanded().document for file in files]
     if output is None:
-        for text in texts:
-            click.echo(text, nl=False)
+        for document in documents:
+            print_json(document)
         return
     targets = [output]
     if len(files) > 1 or output.is_dir():
@@ -240,10 +241,10 @@ def expand(files: list[str], output: Path | None) -> None:
         if len(set(targets)) < len(targets):
             raise click.UsageError("two of these files have the same name: expand them one by one")
     try:
-        for target, text in zip(targets, texts, strict=True):
+        for target, document in zip(targets, documents, strict=True):
             target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(text)
+            target.write_bytes(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
     except OSError as error:
         raise click.ClickException(f"cannot write {error.filename}: {error.strerror}") from error
     for target in targets:
-        click.echo(f"wrote {target}")
+        click.echo(f"wrote {visible(str(target))}")

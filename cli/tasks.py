@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import click
-import orjson
 from rich.console import Console
 from rich.table import Table
 
-from nmes.errors import DocumentError
+from nmes.cli._json import print_json
+from nmes.errors import DocumentError, visible
 from nmes.evaluation import Task
 
 __all__ = ["command"]
@@ -32,15 +32,15 @@ def command(name: str | None, as_json: bool) -> None:
         try:
             task = Task.load(name)
         except DocumentError as error:
-            raise click.UsageError(f"{name}:\n{error.message}") from error
+            raise click.UsageError(f"{visible(name)}:\n{error.message}") from error
         if as_json:
-            click.echo(orjson.dumps(task.document, option=orjson.OPT_INDENT_2))
+            print_json(task.document)
         else:
             _show(task)
         return
     tasks = [Task.load(name) for name in Task.names()]
     if as_json:
-        click.echo(orjson.dumps([task.document for task in tasks], option=orjson.OPT_INDENT_2))
+        print_json([task.document for task in tasks])
         return
     table = Table("task", "engine", "seconds", "seeds", "objective", box=None, pad_edge=False)
     for task in tasks:
@@ -55,10 +55,10 @@ def _show(task: Task) -> None:
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
     table.add_row("task", task.name)
-    table.add_row("asked", task.description)
-    table.add_row("objective", task.objective.text)
+    table.add_row("asked", visible(task.description, keep="\n"))
+    table.add_row("objective", visible(task.objective.text, keep="\n"))
     for title, condition in task.ends:
-        table.add_row(f"ends: {title}", condition.text)
+        table.add_row(f"ends: {title}", visible(condition.text, keep="\n"))
     table.add_row("lasts", f"{task.duration:g} s, after {document['settle']:g} s to settle")
     table.add_row("limits", ", ".join(f"{limit} {value:,}" for limit, value in document["limits"].items()) or "none")
     table.add_row("seeds", ", ".join(map(str, task.seeds)))

@@ -1,4 +1,4 @@
-"""The errors that NMES raises, and the codes they carry.
+"""The errors that NMES raises, the codes they carry, and how a stranger's text is shown in them.
 
 Every error has a stable `code` (the string that goes over the wire where the error reaches a client; docs/errors.md
 lists all of them), a message for a person, and, where one value is to blame, a `path`: the JSON Pointer of that value
@@ -27,7 +27,24 @@ __all__ = [
     "SigningError",
     "SimulationFault",
     "WorldError",
+    "visible",
 ]
+
+
+def visible(text: str, *, keep: str = "") -> str:
+    r"""Returns a text with every character that does not print written as Python's escape, such as `\n` or `\x1b`.
+
+    Names come from documents, recordings and servers of strangers. A line feed in one would forge a row of a table, an
+    escape would command the terminal, and an override of the direction of writing would show other letters than there
+    are. What does not print are controls, formats, separators but the space, surrogates, and what Unicode leaves free.
+
+    Args:
+        text: The text, of any origin.
+        keep: Characters that are left as they are: a line feed in a text of several lines.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in keep else c.encode("unicode_escape").decode() for c in text)
 
 
 class NmesError(Exception):
@@ -66,7 +83,7 @@ class DocumentError(NmesError):
         first = tuple(islice(problems, self.MOST + 1))
         self.problems = first[: self.MOST]
         more = ["and more"] if len(first) > self.MOST else []
-        self.lines = [*(f"{path}: {words}" if path else words for path, words in self.problems), *more]
+        self.lines = [*(f"{visible(path)}: {words}" if path else words for path, words in self.problems), *more]
         super().__init__("invalid", "\n".join(self.lines), first[0][0])
 
 

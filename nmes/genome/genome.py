@@ -110,7 +110,7 @@ class Genome:
         return Genome({**self._document, "body": self._document["body"] if self._grown is None else self._grown})
 
     def __repr__(self) -> str:
-        return f"Genome({self.name!r}, {self.hash[:12]})"
+        return f"Genome({self.name!r}, {self.hash[:16]})"
 
 
 # A creature is read where it is evaluated, and in each of its worlds.

@@ -22,6 +22,7 @@ from test_evaluation import DASH
 from creatures import cpg, exploding, mlp, snake
 from nmes.cli import main
 from nmes.evaluation import scores_so_far
+from nmes.genome import Genome
 from nmes.recording import Recording
 from nmes.world import World
 from recordings import record, send
@@ -95,9 +96,11 @@ def test_a_table_fits_80_columns_and_tells_namesakes_apart(folder: Path) -> None
     for i in range(2):
         (folder / f"{i}.json").write_text(json.dumps(snake(name="sidewinder", author=f"author {i}")))
     table = run(folder / "0.json", folder / "1.json", "--task", "walk", "--seeds", "4-6,9", "--jobs", 1).stdout
-    rows = [line.split() for line in table.splitlines() if line.startswith("sidewinder")]
-    assert [row[0] for row in rows] == ["sidewinder"] * 2 and rows[0][1] != rows[1][1]
-    assert all(row[2:4] == ["walk", "4-6,9"] and len(row) == 10 for row in rows)
+    lines = [line.split() for line in table.splitlines()]
+    rows = [place for place, words in enumerate(lines) if words[:1] == ["sidewinder"]]
+    assert [lines[row][1:3] for row in rows] == [["walk", "4-6,9"]] * 2 and all(len(lines[row]) == 9 for row in rows)
+    hashes = [lines[row + 1] for row in rows]
+    assert hashes == [[Genome.load(folder / f"{i}.json").hash[:16]] for i in range(2)]
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,118 @@
+"""Names of strangers: they forge no row of a table, and no command of theirs reaches a terminal."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+
+from creatures import snake
+from nmes.cli import main
+from nmes.errors import DocumentError, visible
+from nmes.genome import Genome
+
+HOSTILE = "walker\n  1  99.9  forged\r\x1b[31m\x9b2J\u202egnp\u2028\u200b\x7f\ufeff"
+SAFE = r"walker\n  1  99.9  forged\r\x1b[31m\x9b2J\u202egnp\u2028\u200b\x7f\ufeff"
+
+
+def printable(text: str) -> bool:
+    return all(line.isprintable() for line in text.split("\n"))
+
+
+def output(*arguments: str | Path) -> str:
+    """Runs a command; returns all that it wrote, in which nothing may be that does not print."""
+    result = CliRunner().invoke(main, [*map(str, arguments)])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    assert printable(result.output), ascii(result.output)
+    return result.output
+
+
+@given(st.text())
+def test_what_does_not_print_is_escaped_and_all_else_is_left(text: str) -> None:
+    shown = visible(text)
+    assert shown.isprintable()
+    assert text.isprintable() == (shown == text)
+    assert visible(text, keep="\n").split("\n") == [visible(line) for line in text.split("\n")]
+
+
+def test_a_hostile_name_is_escaped_whole() -> None:
+    assert visible(HOSTILE) == SAFE
+    assert visible("Zoë's 蛇 (2)") == "Zoë's 蛇 (2)"
+
+
+@pytest.mark.parametrize("field", ["name", "author", "license"])
+@pytest.mark.parametrize("sign", ["\n", "\t", "\x00", "\x1b", "\x7f", "\x9b", "\u202e", "\u2028", "\u200b", "\ufeff"])
+def test_a_genome_with_signs_that_do_not_print_in_its_names_is_refused(field: str, sign: str) -> None:
+    for text in (f"a{sign}b", f"ab{sign}"):
+        with pytest.raises(DocumentError, match=f"{field}: expected a .* printable characters"):
+            Genome(snake(**{field: text}))
+
+
+@pytest.fixture
+def genome(tmp_path: Path) -> Path:
+    """A good genome with hostile text wherever a schema allows it, in a file with a hostile name."""
+    path = tmp_path / f"{HOSTILE}.json"
+    path.write_text(json.dumps(snake(description=HOSTILE)))
+    return path
+
+
+@pytest.fixture
+def ill(tmp_path: Path) -> Path:
+    """A genome with a hostile name, and fields that there are not."""
+    path = tmp_path / "ill" / f"{HOSTILE}.json"
+    path.parent.mkdir()
+    path.write_text(json.dumps(snake(name=HOSTILE, author=HOSTILE, **{HOSTILE: 1})))
+    return path
+
+
+@pytest.fixture
+def task(tmp_path: Path) -> Path:
+    """A task with a hostile description, and conditions that are laid out with line feeds."""
+    path = tmp_path / "task.json"
+    document = {
+        "format": "nmes-task/1",
+        "name": "dash",
+        "description": HOSTILE,
+        "duration": 0.1,
+        "seeds": [1],
+        "objective": "displacement.horizontal\r\n+ 0.0",
+        "ends": [{"name": "up", "when": "height\r\n> 100.0"}],
+    }
+    path.write_text(json.dumps(document))
+    return path
+
+
+def test_nmes_genome_shows_hostile_names(genome: Path, ill: Path, tmp_path: Path) -> None:
+    assert SAFE in output("genome", "check", genome)
+    assert SAFE in output("genome", "check", ill) and "\\u202e" in output("genome", "check", ill, "--json")
+    assert "\\x1b" in output("genome", "show", genome)
+    assert json.loads(output("genome", "show", genome, "--json"))[0]["description"] == HOSTILE
+    assert json.loads(output("genome", "expand", genome))["description"] == HOSTILE
+    assert SAFE in output("genome", "expand", genome, "-o", tmp_path / HOSTILE)
+    assert "\\x1b" in output("genome", "show", ill)
+    output("genome", "show", genome, "-o", tmp_path / f"{HOSTILE}.png")
+
+
+def test_nmes_tasks_shows_hostile_text(task: Path) -> None:
+    assert "\\x1b" in output("tasks", task)
+    assert json.loads(output("tasks", task, "--json"))["description"] == HOSTILE
+    assert SAFE in output("tasks", HOSTILE)
+
+
+def test_nmes_eval_shows_hostile_names(ill: Path, task: Path, tmp_path: Path) -> None:
+    arguments = ("eval", ill, "--task", task, "--jobs", "1")
+    table = output(*arguments)
+    assert "\\x1b" in table and sum("forged" in line for line in table.splitlines() if line.startswith("  1")) == 0
+    (row,) = json.loads(output(*arguments, "--json"))
+    assert row["genome"] == HOSTILE
+    (row,) = csv.DictReader(io.StringIO(output(*arguments, "--csv")))
+    assert row["genome"] == SAFE
+    assert SAFE in output("eval", ill.with_suffix(""), "--task", task)
+    assert SAFE in output("eval", "walker", "--task", tmp_path / HOSTILE)
+    assert "\\x1b" in output("eval", "--from-recording", ill)
