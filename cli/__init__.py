@@ -5,7 +5,10 @@ A subcommand's file exposes a click command named `command`. Exit codes: 0 good,
 
 from __future__ import annotations
 
+import errno
 import importlib
+import sys
+from contextlib import suppress
 from typing import Any, cast
 
 import click
@@ -35,6 +38,8 @@ SUBCOMMANDS = {
     "worlds": "List the worlds of a host.",
 }
 
+_FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # standard output leads to a disk that is full
+
 
 class _Group(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
@@ -58,6 +63,10 @@ class _Group(click.Group):
         except NmesError as error:
             raise click.ClickException(visible(error.message, keep="\n")) from error
         except OSError as error:
+            if error.errno in _FULL:
+                with suppress(OSError):
+                    sys.stdout.close()  # what it still holds would be tried again at the end
+                raise click.ClickException(f"cannot write: {error.strerror}") from error
             if error.filename is None:  # about no file that somebody has named
                 raise
             raise click.ClickException(visible(f"{error.filename}: {error.strerror}")) from error

@@ -8,6 +8,8 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from nmes.cli._output import whole_file
+
 __all__ = ["Bars", "Curves", "write_plot"]
 
 COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#000000")
@@ -120,7 +122,8 @@ class Bars:
 
 def write_plot(path: Path, title: str, panels: Sequence[Curves | Bars]) -> None:
     """Writes an SVG file of panels, one below the other, over the same time."""
-    path.write_text("\n".join(_svg(title, panels)) + "\n")
+    with whole_file(path) as unfinished:
+        unfinished.write_text("\n".join(_svg(title, panels)) + "\n", "utf-8")
 
 
 def _svg(title: str, panels: Sequence[Curves | Bars]) -> Iterator[str]:

@@ -15,6 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from nmes.cli._address import split_address
+from nmes.cli._output import whole_file
 from nmes.cli._password import PASSWORD_VARIABLE, choose_password, password_options
 from nmes.conformance import (
     CASES,
@@ -120,9 +121,9 @@ def command(
         sys.exit(2)
     scripts = _save(report)
     if page is not None:
-        page.write_text(to_html(report), "utf-8")
+        _write(page, to_html(report))
     if junit is not None:
-        junit.write_text(to_junit(report), "utf-8")
+        _write(junit, to_junit(report))
     if as_json:
         click.echo(orjson.dumps(to_json(report), option=orjson.OPT_INDENT_2))
     else:
@@ -187,9 +188,14 @@ def _save(report: Report) -> dict[str, Path]:
         if result.script is not None:
             path = Path(f"conform-{result.case.number.replace(':', '-')}-{report.options.seed}.json")
             about = {"suite": suite_hash(), "expected": result.expected, "received": result.received}
-            path.write_text(write_script(result.script, case=result.case.number, seed=report.options.seed, **about))
+            _write(path, write_script(result.script, case=result.case.number, seed=report.options.seed, **about))
             paths[result.case.number] = path
     return paths
+
+
+def _write(path: Path, text: str) -> None:
+    with whole_file(path) as unfinished:
+        unfinished.write_text(text, "utf-8")
 
 
 def _load(path: Path) -> Script:

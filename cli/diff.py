@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from nmes.cli._drift import plot
+from nmes.cli._output import check_output
 from nmes.cli.info import open_recording
 from nmes.playback.diff import Comparison, compare
 from nmes.recording import Recording
@@ -43,6 +44,7 @@ def command(first: Recording, second: Recording, plot_to: Path | None, keep_goin
     \b
         nmes diff before.mcap after.mcap --plot apart.svg
     """
+    check_output(plot_to, first.path, second.path)
     comparison = compare(first, second, keep_going=keep_going)
     if plot_to is not None:
         plot(f"Drift of {second.path.name} from the recording on {first.path.name}", comparison.drifts, plot_to)

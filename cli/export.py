@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
 
 import click
 
+from nmes.cli._output import whole_file
 from nmes.cli.info import open_recording
 from nmes.playback import states
 from nmes.playback.export import messages, state_rows, write_csv, write_jsonl, write_parquet
@@ -30,7 +35,10 @@ def command(recording: Recording, kind: str, what: str | None, output: Path | No
     """Write a recording as data for other programs.
 
     States are not in a recording: they are made by running it again, and each tick is compared with its recorded
-    digest.
+    digest. Of a recording that is cut or damaged, what comes before is written.
+
+    Exit status: 0 all of it is written; 1 what comes before the damage, or nothing; 2 wrong usage, or no
+    recording.
 
     For example:
 
@@ -44,7 +52,23 @@ def command(recording: Recording, kind: str, what: str | None, output: Path | No
     rows = messages(recording) if as_messages else state_rows(states(recording, keep_going=keep_going))
     if kind == "parquet":
         assert output is not None
-        write_parquet(rows, output)
-        return
-    with click.open_file(str(output) if output is not None else "-", "w", encoding="utf-8") as file:
-        (write_jsonl if kind == "jsonl" else write_csv)(rows, file)
+        with whole_file(output, recording.path) as unfinished:
+            write_parquet(rows, unfinished)
+    else:
+        with _text(output, recording.path) as file:
+            (write_jsonl if kind == "jsonl" else write_csv)(rows, file)
+    if recording.damage is not None:
+        click.echo(f"{recording.path} ends early, and so does what was written: {recording.damage.message}", err=True)
+        sys.exit(1)
+
+
+@contextmanager
+def _text(output: Path | None, source: Path) -> Iterator[IO[str]]:
+    """Opens the file to write, or standard output."""
+    if output is None:
+        file = click.get_text_stream("stdout", "utf-8")
+        yield file
+        file.flush()
+    else:
+        with whole_file(output, source) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as file:
+            yield file

@@ -8,6 +8,7 @@ import click
 import orjson
 
 from nmes.cli.info import open_recording
+from nmes.errors import RecordingError
 from nmes.playback.fork import fork
 from nmes.recording import Recording
 from nmes.world import World
@@ -39,7 +40,7 @@ def command(recording: Recording, frame: int | None, output: Path, as_json: bool
     """
     world = World(recording.config)
     try:
-        fork(recording, world, output, frame).close()
+        _write(recording, world, output, frame)
         done = {"file": str(output), "parent": str(recording.path), "frame": world.ticks, "cubes": len(world.cubes())}
     finally:
         world.close()
@@ -47,3 +48,12 @@ def command(recording: Recording, frame: int | None, output: Path, as_json: bool
         click.echo(orjson.dumps(done, option=orjson.OPT_INDENT_2))
     else:
         click.echo(f"frame {done['frame']:,} of {recording.path}, {done['cubes']:,} cubes: {output}")
+
+
+def _write(recording: Recording, world: World, output: Path, frame: int | None) -> None:
+    recorder = fork(recording, world, output, frame)
+    try:
+        recorder.close()
+    except RecordingError:
+        output.unlink()  # half of a new file is of no use
+        raise

@@ -10,6 +10,7 @@ import click
 import orjson
 from rich.filesize import decimal
 
+from nmes.cli._output import check_output
 from nmes.errors import RecordingError
 from nmes.recording import Recording
 
@@ -44,6 +45,7 @@ def command(recording: Recording, plot_to: Path | None, as_json: bool) -> None:
         nmes info run.mcap
         nmes info run.mcap --plot run.svg
     """
+    check_output(plot_to, recording.path)
     about = _about(recording)
     if plot_to is not None:
         from nmes.cli._recording_plot import plot_recordings  # its imports take long, and all commands import this

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from nmes.cli._output import check_output
 from nmes.cli._progress import progress_bars
 from nmes.cli.info import open_recording
 from nmes.recording import Recording
@@ -83,6 +84,7 @@ def command(
         nmes render a.mcap b.mcap c.mcap -o all.mp4
         nmes render walk.mcap -o last.png
     """
+    check_output(output, *(recording.path for recording in recordings))
     cut = Cut(camera, target, begin, end, speed)
     with progress_bars() as progress:
         film(recordings, output, cut, fps=fps, size=size, progress=progress)

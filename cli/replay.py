@@ -17,6 +17,7 @@ from rich.console import Console
 from nmes.cli import _against, _drift
 from nmes.cli._address import split_address
 from nmes.cli._connection import connection_options, connector
+from nmes.cli._output import check_output
 from nmes.cli._progress import progress_bars
 from nmes.cli._replay_report import log_lines, replay_lines
 from nmes.cli.info import open_recording
@@ -102,6 +103,7 @@ def command(recording: Recording | Log, **options: Any) -> None:
         _check_log(used)
         sys.exit(_run_log(recording, options["ignore_fingerprint"], as_json))
     _check(options, used)
+    check_output(options["plot_to"], recording.path)
     if options["against"] is not None:
         sys.exit(_run_remotely(recording, as_json, **options))
     if options["backend"] is not None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -10,6 +11,7 @@ import click
 
 from nmes.cli._address import split_address
 from nmes.cli._connection import connection_options, connector
+from nmes.cli._output import whole_file
 from nmes.cli._progress import progress_bars
 from nmes.cli.info import open_recording
 from nmes.recording import Recording
@@ -61,25 +63,27 @@ def command(
     if len(what) > 2:
         raise click.UsageError("two recordings at most can be seen side by side; nmes render takes more")
     argument = next(parameter for parameter in context.command.params if parameter.name == "what")
-    show = partial(screen, web=web, save=save, host=host, port=port)
-    if len(what) == 1 and ":" in what[0] and not Path(what[0]).exists():
-        address = split_address(context, argument, what[0])
-        assert address is not None
-        client = connector(address, world=world, **connection)()
-        with client, show(f"{client.welcome['world']} at {what[0]}") as display:
+    with ExitStack() as opened:
+        unfinished = None if save is None else opened.enter_context(whole_file(save, *what))
+        show = partial(screen, web=web, save=unfinished, host=host, port=port)
+        if len(what) == 1 and ":" in what[0] and not Path(what[0]).exists():
+            address = split_address(context, argument, what[0])
+            assert address is not None
+            client = connector(address, world=world, **connection)()
+            with client, show(f"{client.welcome['world']} at {what[0]}") as display:
+                _announce(display, save)
+                try:
+                    show_live(client, display.stream, fps)
+                    click.echo("The world was closed")
+                    _stay(display, web)
+                except KeyboardInterrupt:
+                    click.echo()
+            return
+        recordings = [open_recording(context, argument, one) for one in what]
+        with show(" and ".join(recording.path.stem for recording in recordings)) as display:
             _announce(display, save)
-            try:
-                show_live(client, display.stream, fps)
-                click.echo("The world was closed")
-                _stay(display, web)
-            except KeyboardInterrupt:
-                click.echo()
-        return
-    recordings = [open_recording(context, argument, one) for one in what]
-    with show(" and ".join(recording.path.stem for recording in recordings)) as display:
-        _announce(display, save)
-        _show(recordings, display, fps)
-        _stay(display, web)
+            _show(recordings, display, fps)
+            _stay(display, web)
 
 
 def _show(recordings: list[Recording], display: Screen, fps: float) -> None:

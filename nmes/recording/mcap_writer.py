@@ -83,7 +83,12 @@ class Writer:
         self._sealed = False
         self._synced = 0  # how much was written when the disk last had all of it; and how much has been
         self._written = 0
-        self._append(MAGIC + encode_records(Header(profile=profile, library=library)))
+        try:
+            self._append(MAGIC + encode_records(Header(profile=profile, library=library)))
+        except RecordingError:
+            self._file.close()
+            self.path.unlink()
+            raise
 
     @property
     def size(self) -> int:

@@ -117,6 +117,7 @@ class Recorder:
                 self.keyframe(past)
         except RecordingError:
             self._writer.close()
+            self.path.unlink()  # nothing of the history is in it yet
             raise
 
     # -- the journal -----------------------------------------------------------------------------------------------

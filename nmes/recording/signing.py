@@ -79,8 +79,13 @@ def sign(recording: Recording, key: Ed25519PrivateKey, path: str | os.PathLike[s
         "signed": orjson.loads(statement),
     }
     try:
-        with open(target, "xb") as file:
-            file.write(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
+        file = open(target, "xb")
+        try:
+            with file:
+                file.write(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
+        except OSError:
+            target.unlink()
+            raise
     except FileExistsError:
         raise SigningError("signing_failed", f"{target} exists already") from None
     except OSError as error:

@@ -1,0 +1,61 @@
+"""The files that commands write: never one of their inputs, and there whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+
+__all__ = ["check_output", "whole_file"]
+
+
+def check_output(output: Path | None, *inputs: str | os.PathLike[str]) -> None:
+    """Refuses an output that is one of the inputs: the same file, whatever the two are called; None is none.
+
+    Raises:
+        UsageError: It is one.
+    """
+    for path in inputs:
+        if output is not None and output.exists() and os.path.exists(path) and os.path.samefile(output, path):
+            raise click.UsageError(f"{output} is what is read ({path}): write to another file")
+
+
+@contextmanager
+def whole_file(output: Path, *inputs: str | os.PathLike[str]) -> Iterator[Path]:
+    """Gives the path of a new file beside `output`, which takes its place once it is whole.
+
+    Until then, and where something fails, a file that was there before stays as it is. What is no regular file (a
+    device, a pipe) cannot be replaced: its own path is given.
+
+    Args:
+        output: The file to write. Where it is a link, what it leads to is written.
+        inputs: The files that it is made from.
+
+    Raises:
+        UsageError: It is one of the inputs.
+        ClickException: It cannot be written.
+    """
+    check_output(output, *inputs)
+    target = Path(os.path.realpath(output))
+    if target.exists() and not target.is_file():
+        unfinished = target
+    else:
+        unfinished = target.with_name(f".{secrets.token_hex(8)}{target.suffix}")
+    try:
+        with unfinished.open("ab"):  # found before the work, not after it
+            pass
+        yield unfinished
+        if unfinished != target:
+            if target.exists():
+                shutil.copymode(target, unfinished)
+            unfinished.replace(target)
+    except OSError as error:
+        raise click.ClickException(f"cannot write {output}: {error.strerror or error}") from error
+    finally:
+        if unfinished != target:
+            unfinished.unlink(missing_ok=True)
