@@ -58,7 +58,7 @@ class _Group(click.Group):
         try:
             return super().invoke(ctx)
         except click.ClickException as error:  # the message may repeat what a stranger has named
-            error.message = visible(error.message, keep="\n")
+            vars(error)["message"] = visible(error.message, keep="\n")  # to type checkers it is final
             raise
         except NmesError as error:
             raise click.ClickException(visible(error.message, keep="\n")) from error

@@ -13,6 +13,7 @@ from rich.table import Table
 from nmes.cli._json import print_json
 from nmes.errors import visible
 from nmes.evaluation import Evaluation
+from nmes.evaluation.identity import borrows_name
 
 __all__ = ["print_csv", "print_results", "print_table"]
 
@@ -46,11 +47,14 @@ def print_csv(evaluations: Sequence[Evaluation]) -> None:
 
 
 def print_table(evaluations: Sequence[Evaluation]) -> None:
-    """Prints evaluations as a table, and below it why creatures or episodes have no score."""
+    """Prints evaluations as a table; below it which tasks have borrowed names, and why there is no score."""
     console = Console(markup=False, highlight=False)
     console.print(_table(evaluations))
-    if any(each.error is not None or each.faults for each in evaluations):
+    borrowed = {each.task_hash: each.task for each in evaluations if borrows_name(each.task, each.task_hash)}
+    if borrowed or any(each.error is not None or each.faults for each in evaluations):
         console.print()
+    for digest, task in borrowed.items():
+        console.print(f"{task} is not the task of that name that ships: its hash is {digest[:16]}", soft_wrap=True)
     for each in evaluations:
         if each.error is not None:
             reason = visible(each.error, keep="\n").replace("\n", "\n  ")

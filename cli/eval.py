@@ -18,6 +18,7 @@ from nmes.cli._genomes import find_genomes
 from nmes.cli._recording_plot import plot_recordings
 from nmes.errors import DocumentError, visible
 from nmes.evaluation import Evaluation, Job, Proof, Task, prove
+from nmes.evaluation.identity import borrows_name
 from nmes.genome.genome import SHIPPED
 from nmes.recording import Recording
 
@@ -142,9 +143,13 @@ def _check_usage(context: click.Context) -> None:
 def _jobs(genomes: Sequence[str], task: str, seeds: tuple[int, ...] | None, record: Path | None) -> list[Job]:
     """Returns a job for each genome that the arguments mean."""
     try:
-        document = orjson.dumps(Task.load(task).document)
+        asked = Task.load(task)
     except DocumentError as error:
         raise click.BadParameter(f"{visible(task)}:\n{error.message}", param_hint="--task") from error
+    if borrows_name(asked.name, asked.hash):
+        message = f"{visible(task)} is another task than the {asked.name} that ships: give it a name of its own"
+        raise click.BadParameter(message, param_hint="--task")
+    document = orjson.dumps(asked.document)
     folder = None if record is None else str(record)
     return [Job(Path(name).stem, _read_genome(name), document, seeds, folder) for name in find_genomes(genomes)]
 

@@ -1,103 +1,71 @@
 """Leaderboards: a SQLite file of scores, and beside it the recordings that prove them.
 
 It hides the tables and where the recordings lie: `board.sqlite` has its recordings in `board.recordings`, each under
-the SHA-256 of its content.
+the SHA-256 of its content, a signature beside it.
 
 Invariants:
 
 - An entry is made from `Proof`s alone: one recording a seed of the task, each replayed on this machine and scored from
-  its log.
-- One entry a task and genome; both are known by their hashes, so that an edited task or genome is another one.
-- A recording that an entry stands on is never written to. An entry whose proof fails is not listed until it holds.
+  its log. All that it says follows from them.
+- The file lists the tasks that it takes, by their hashes. One entry a task and creature: a copy by another name is no
+  other creature.
+- An author's name belongs to the first key that signed under it.
+- A recording that an entry stands on is never written to. An entry that is marked as broken is not listed.
+- What is in the file may be of anybody: rows are read one by one, and a file of other tables is refused.
 """
 
 from __future__ import annotations
 
 import os
+import secrets
 import shutil
 import sqlite3
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
-from datetime import UTC, datetime
-from hashlib import file_digest, sha256
-from math import fsum
+import unicodedata
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from hashlib import file_digest
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import orjson
 
-from nmes.errors import LeaderboardError, NmesError
+from nmes.errors import LeaderboardError
+from nmes.evaluation.identity import borrows_name, shipped_hash
+from nmes.evaluation.leaderboard_entry import COLUMNS, Entry, Verdict, examine, facts, read_row
 from nmes.evaluation.parallel import Lost, in_processes
+from nmes.evaluation.proof import recorded_genome
+from nmes.evaluation.task import Task
+from nmes.genome import Genome
+from nmes.recording.signing import SUFFIX
 
 if TYPE_CHECKING:
     from nmes.evaluation.proof import Proof
 
-__all__ = ["Entry", "Leaderboard"]
+__all__ = ["Leaderboard"]
 
-_VERSION = 1
+_VERSION = 2
 _KIND = 0x4E4D4553  # "NMES": the file's application_id
-_TABLES = """
-CREATE TABLE entries (
+_TABLES = (
+    "CREATE TABLE tasks (hash TEXT PRIMARY KEY, name TEXT NOT NULL) STRICT",
+    """CREATE TABLE entries (
     id INTEGER PRIMARY KEY,
     task TEXT NOT NULL,
     task_hash TEXT NOT NULL,
     name TEXT NOT NULL,
     genome_hash TEXT NOT NULL,
+    creature_hash TEXT NOT NULL,
     author TEXT NOT NULL,
+    key TEXT NOT NULL,
     score REAL NOT NULL,
     recordings TEXT NOT NULL,
-    fingerprint TEXT NOT NULL,
-    genome BLOB NOT NULL,
-    added TEXT NOT NULL,
-    refused TEXT,
-    UNIQUE (task_hash, genome_hash)
-) STRICT;
-CREATE INDEX best ON entries (task, task_hash, score DESC);
-"""
-_COLUMNS = "id, task, task_hash, name, genome_hash, author, score, recordings, fingerprint, added, refused"
-
-
-@dataclass(frozen=True, slots=True)
-class Entry:
-    """One line of a leaderboard.
-
-    Attributes:
-        id: Its number in the file.
-        task: The task's name.
-        task_hash: SHA-256 of the task, hexadecimal.
-        name: The genome's name.
-        genome_hash: SHA-256 of the genome, hexadecimal.
-        author: Whose genome it is; empty where nobody says.
-        score: The mean over the task's seeds, in whatever the task's objective measures.
-        recordings: SHA-256 of the recordings' files, hexadecimal, one a seed of the task, in its order.
-        fingerprint: What the score's last bits depend on: versions, binaries, processor.
-        added: When it was listed: UTC, ISO 8601.
-        refused: Why its proof did not hold when it was last verified; None while it does.
-    """
-
-    id: int
-    task: str
-    task_hash: str
-    name: str
-    genome_hash: str
-    author: str
-    score: float
-    recordings: tuple[str, ...]
-    fingerprint: dict[str, str]
-    added: str
-    refused: str | None
-
-    @property
-    def recording_hash(self) -> str:
-        """One hash for all recordings: the file's own, or SHA-256 over the files' hashes, a line each."""
-        if len(self.recordings) == 1:
-            return self.recordings[0]
-        return sha256("".join(f"{each}\n" for each in self.recordings).encode()).hexdigest()
-
-    def to_json(self) -> dict[str, Any]:
-        """Returns the entry as plain data."""
-        return {**{name: getattr(self, name) for name in self.__slots__}, "recording_hash": self.recording_hash}
+    recorded TEXT NOT NULL,
+    broken TEXT,
+    UNIQUE (task_hash, creature_hash)
+) STRICT""",
+)
+_SCHEMA = "SELECT type, name, tbl_name, sql FROM sqlite_schema ORDER BY name"
+_LONGEST = 1 << 20  # bytes of a row that are read: 1,000 recordings, the most that there can be, are 67 kB
 
 
 class Leaderboard:
@@ -105,7 +73,7 @@ class Leaderboard:
 
     Args:
         path: The SQLite file.
-        create: Make it if it is not there.
+        create: Make it if it is not there; it takes the tasks that ship with the package.
 
     Raises:
         LeaderboardError: It is not there, or no leaderboard, or cannot be read (`no_leaderboard`). Every other method
@@ -118,8 +86,10 @@ class Leaderboard:
         if not create and not self.path.is_file():
             raise LeaderboardError("no_leaderboard", f"there is no leaderboard {self.path}")
         with self._trouble():
-            self._db = sqlite3.connect(self.path)
+            self._db = sqlite3.connect(self.path, isolation_level=None)
             try:
+                self._db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST)
+                self._db.text_factory = lambda raw: raw.decode(errors="backslashreplace")
                 self._begin(create)
             except BaseException:
                 self._db.close()
@@ -129,142 +99,213 @@ class Leaderboard:
         kind, version = (
             self._db.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version")
         )
-        empty = (kind, version) == (0, 0) and not self._db.execute("SELECT 1 FROM sqlite_schema").fetchone()
+        tables = self._db.execute(_SCHEMA).fetchall()
+        empty = (kind, version, tables) == (0, 0, [])
         if empty and create:
-            with self._db:
-                self._db.executescript(
-                    f"BEGIN; PRAGMA application_id = {_KIND}; PRAGMA user_version = {_VERSION}; {_TABLES} COMMIT;"
-                )
+            self._create()
         elif kind != _KIND:
             what = "empty" if empty else "a database, but no leaderboard"
             raise LeaderboardError("no_leaderboard", f"{self.path} is {what}")
         elif version != _VERSION:
-            raise LeaderboardError(
-                "no_leaderboard", f"{self.path} is a leaderboard of format {version}, not {_VERSION}"
-            )
+            what = f"{self.path} is a leaderboard of format {version}, not {_VERSION}"
+            raise LeaderboardError("no_leaderboard", f"{what}: make a new one of its recordings")
+        elif tables != _own_tables():
+            raise LeaderboardError("no_leaderboard", f"{self.path} is a leaderboard with tables of somebody else")
+
+    def _create(self) -> None:
+        with self._transaction():
+            for table in _TABLES:
+                self._db.execute(table)
+            shipped = [(shipped_hash(name), name) for name in Task.names()]
+            self._db.executemany("INSERT INTO tasks VALUES (?, ?)", shipped)
+            self._db.execute(f"PRAGMA application_id = {_KIND}")
+            self._db.execute(f"PRAGMA user_version = {_VERSION}")
 
     def close(self) -> None:
         """Closes the file."""
         self._db.close()
 
-    def add(self, proofs: Sequence[Proof], author: str | None = None) -> Entry:
-        """Lists the score that recordings prove, and keeps copies of them.
+    # -- tasks -------------------------------------------------------------------------------------------------------
+
+    def allow(self, task: Task) -> None:
+        """Takes entries on a task from now on.
+
+        Raises:
+            LeaderboardError: It has the name of one that ships, and is another (`borrowed_name`).
+        """
+        if borrows_name(task.name, task.hash):
+            what = f"the name {task.name} is that of a task that ships, and this is another: give it a name of its own"
+            raise LeaderboardError("borrowed_name", what)
+        with self._trouble():
+            self._db.execute("INSERT OR IGNORE INTO tasks VALUES (?, ?)", (task.hash, task.name))
+
+    def tasks(self) -> list[tuple[str, str]]:
+        """Returns name and hash of the tasks on which entries are taken, sorted."""
+        with self._trouble():
+            return self._db.execute("SELECT name, hash FROM tasks ORDER BY name, hash").fetchall()
+
+    def _takes(self, task_hash: str) -> bool:
+        return self._db.execute("SELECT 1 FROM tasks WHERE hash = ?", (task_hash,)).fetchone() is not None
+
+    # -- entries -----------------------------------------------------------------------------------------------------
+
+    def add(self, proofs: Sequence[Proof]) -> Entry:
+        """Lists the score that recordings prove, and keeps copies of them and of their signatures.
 
         Args:
             proofs: Of one genome on one task: one for each of its seeds, in any order.
-            author: Whose the genome is; where None, whom the genome names.
 
         Raises:
             LeaderboardError: They are of several genomes or tasks, or not one a seed (`incomplete`); an episode has
-                no score (`no_score`); the genome is listed for this task already (`already_listed`); a file is not
-                the one that was proved any more (`changed`).
+                no score (`no_score`); the task is none that is taken (`task_not_taken`); the creature is listed for
+                this task already (`already_listed`); the author's name belongs to another key (`author_taken`); a file
+                is not the one that was proved any more (`changed`).
+            SigningError: The signature beside a recording is none of it.
         """
-        task, genome = proofs[0].task, proofs[0].genome
-        by_seed = {proof.result.seed: proof for proof in proofs}
-        same = all((proof.task.hash, proof.genome.hash) == (task.hash, genome.hash) for proof in proofs)
-        if not same or sorted(by_seed) != sorted(task.seeds) or len(proofs) != len(by_seed):
-            seeds = ", ".join(map(str, task.seeds))
-            what = f"{genome.name} on {task.name}: it takes one recording for each of the seeds {seeds}"
-            raise LeaderboardError("incomplete", what)
-        ordered = [by_seed[seed] for seed in task.seeds]
-        scores = [proof.result.score for proof in ordered if proof.result.score is not None]
-        if len(scores) < len(ordered):
-            raise LeaderboardError(
-                "no_score", f"{genome.name} on {task.name}: an episode faulted, so there is no score"
-            )
-        row = (
-            task.name,
-            task.hash,
-            genome.name,
-            genome.hash,
-            str(genome.document.get("author", "")) if author is None else author,
-            fsum(scores) / len(scores),
-            orjson.dumps([proof.recording_hash for proof in ordered]).decode(),
-            orjson.dumps(dict(ordered[0].fingerprint), option=orjson.OPT_SORT_KEYS).decode(),
-            orjson.dumps(genome.document),
-            datetime.now(UTC).isoformat(timespec="seconds"),
-        )
-        with self._trouble(), self._db:
-            try:
-                number = self._db.execute(
-                    "INSERT INTO entries (task, task_hash, name, genome_hash, author, score, recordings, fingerprint,"
-                    " genome, added) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
-                    row,
-                ).lastrowid
-            except sqlite3.IntegrityError as error:
-                what = f"{genome.name} ({genome.hash[:12]}) is listed for the task {task.name} already"
-                raise LeaderboardError("already_listed", what) from error
+        row = facts(proofs)
+        with self._transaction():
+            self._check(row)
+            columns = ", ".join(row)
+            values = [orjson.dumps(value).decode() if isinstance(value, tuple) else value for value in row.values()]
+            places = ", ".join("?" * len(row))
+            number = self._db.execute(f"INSERT INTO entries ({columns}) VALUES ({places})", values).lastrowid
             # Within the transaction: an entry without its recordings is never seen.
             self.recordings.mkdir(exist_ok=True)
-            for proof in ordered:
+            for proof in proofs:
                 self._keep(proof)
-        (entry,) = self._select("WHERE id = ?", number)
-        return entry
+        assert number is not None
+        return Entry(id=number, broken=None, **row)
+
+    def _check(self, row: Mapping[str, Any]) -> None:
+        """Refuses an entry that may not be listed here."""
+        task, task_hash = row["task"], row["task_hash"]
+        if not self._takes(task_hash) or borrows_name(task, task_hash):
+            what = f"{self.path} does not take the task {task} ({task_hash[:16]})"
+            raise LeaderboardError("task_not_taken", f"{what}: see `nmes leaderboard tasks`")
+        author = _folded(row["author"])
+        for other in self.entries(broken=True):
+            if (other.task_hash, other.creature_hash) == (task_hash, row["creature_hash"]):
+                what = f"this creature is listed for the task {task} already: {other.name!r} by {other.signed_author!r}"
+                raise LeaderboardError("already_listed", what)
+            owned = other.key and other.broken is None and author == _folded(other.author) != ""
+            if owned and other.key != row["key"]:
+                what = f"entries by {other.author!r} are signed with another key ({other.key[:16]})"
+                raise LeaderboardError("author_taken", what)
 
     def _keep(self, proof: Proof) -> None:
         copy = self.recording(proof.recording_hash)
-        part = copy.with_suffix(".part")
-        shutil.copyfile(proof.path, part)
-        with part.open("rb") as file:
-            if file_digest(file, "sha256").hexdigest() != proof.recording_hash:
-                raise LeaderboardError("changed", f"{proof.path} was changed while it was looked at")
-        part.replace(copy)
+        part = copy.with_suffix(f".{secrets.token_hex(8)}")
+        try:
+            shutil.copyfile(proof.path, part)
+            with part.open("rb") as file:
+                if file_digest(file, "sha256").hexdigest() != proof.recording_hash:
+                    raise LeaderboardError("changed", f"{proof.path} was changed while it was looked at")
+            part.replace(copy)
+            if Path(f"{proof.path}{SUFFIX}").is_file():
+                shutil.copyfile(f"{proof.path}{SUFFIX}", part)
+                part.replace(f"{copy}{SUFFIX}")
+        finally:
+            part.unlink(missing_ok=True)
 
-    def entries(self, *, task: str | None = None, top: int | None = None, refused: bool = False) -> list[Entry]:
+    def entries(self, *, task: str | None = None, top: int | None = None, broken: bool = False) -> list[Entry]:
         """Returns the entries task by task, the highest score first.
 
         Args:
             task: Only those of the task with this name.
             top: Only so many of each task.
-            refused: Also those whose proof did not hold.
+            broken: Also those that are marked as broken.
         """
-        rank = "row_number() OVER (PARTITION BY task, task_hash ORDER BY score DESC, id) AS rank"
-        where = "WHERE (?1 IS NULL OR task = ?1) AND (?2 OR refused IS NULL)"
-        return self._select(
-            "WHERE rank <= ?3 ORDER BY task, task_hash, rank",
-            task,
-            refused,
-            (1 << 62) if top is None else top,
-            source=f"(SELECT {_COLUMNS}, {rank} FROM entries {where})",
-        )
+        found = [
+            entry
+            for entry in self._rows()
+            if isinstance(entry, Entry) and task in (None, entry.task) and (broken or entry.broken is None)
+        ]
+        found.sort(key=lambda entry: (entry.task, entry.task_hash, -entry.score, entry.id))
+        groups = groupby(found, key=lambda entry: (entry.task, entry.task_hash))
+        return [entry for _, group in groups for entry in list(group)[:top]]
 
-    def genome(self, entry: Entry) -> bytes:
-        """Returns an entry's genome, as JSON."""
-        with self._trouble():
-            (document,) = self._db.execute("SELECT genome FROM entries WHERE id = ?", (entry.id,)).fetchone()
-        return bytes(document)
+    def genome(self, entry: Entry) -> Genome:
+        """Returns an entry's genome, as the first of its recordings has it.
+
+        Raises:
+            LeaderboardError: It is another one's (`changed`).
+            RecordingError, ProofError, DocumentError: It cannot be read.
+        """
+        genome = recorded_genome(self.recording(entry.recordings[0]))
+        if genome.hash != entry.genome_hash:
+            raise LeaderboardError("changed", f"the recordings of {entry.name!r} are of another genome")
+        return genome
 
     def recording(self, recording_hash: str) -> Path:
         """Returns the path of the recording with this hash."""
         return self.recordings / f"{recording_hash}.mcap"
 
-    def verify(self, *, jobs: int = 1) -> Iterator[tuple[Entry, str | None]]:
-        """Runs every entry's recordings again, and notes whether they prove it.
+    def verify(self, *, jobs: int = 1) -> Iterator[Verdict]:
+        """Runs every entry's recordings again, and compares all that they prove with what it says; writes nothing.
 
         Args:
             jobs: In how many processes.
 
         Yields:
-            An entry, and why its proof does not hold, or None, as they are ready.
+            A verdict for each entry, as they are ready.
         """
-        entries = self.entries(refused=True)
-        work = [(entry, [str(self.recording(each)) for each in entry.recordings]) for entry in entries]
-        for index, verdict in in_processes(_examine, work, jobs):
-            refused = verdict.reason if isinstance(verdict, Lost) else verdict
-            with self._trouble(), self._db:
-                self._db.execute("UPDATE entries SET refused = ? WHERE id = ?", (refused, entries[index].id))
-            yield entries[index], refused
+        work = []
+        seen: set[tuple[str, str]] = set()
+        for entry in self._rows():
+            if isinstance(entry, Verdict):
+                yield entry
+                continue
+            reason = None if self._takes(entry.task_hash) else "the leaderboard does not take its task"
+            if (entry.task_hash, entry.creature_hash) in seen:
+                reason = "its creature is listed for its task already"
+            seen.add((entry.task_hash, entry.creature_hash))
+            if reason is not None:
+                yield Verdict(entry.id, entry.task, entry.name, "broken", reason)
+            else:
+                work.append((entry, [self.recording(each) for each in entry.recordings]))
+        for index, verdict in in_processes(examine, work, jobs):
+            entry = work[index][0]
+            if isinstance(verdict, Lost):
+                verdict = Verdict(entry.id, entry.task, entry.name, "not_judged", verdict.reason)
+            elif verdict.verdict == "holds" and borrows_name(entry.task, entry.task_hash):
+                reason = f"its task is another {entry.task} than the one that ships with this version"
+                verdict = Verdict(entry.id, entry.task, entry.name, "not_judged", reason)
+            yield verdict
 
-    def _select(self, clause: str, *values: object, source: str = "entries") -> list[Entry]:
+    def mark(self, verdicts: Iterable[Verdict]) -> None:
+        """Writes down which entries are broken, and that others hold again; what was not judged stays as it is."""
+        marks = [(each.reason, each.id) for each in verdicts if each.verdict != "not_judged"]
+        with self._transaction():
+            for mark in marks:
+                with suppress(sqlite3.DataError):  # a row that is too long to be read, and so is never listed
+                    self._db.execute("UPDATE entries SET broken = ?1 WHERE id = ?2 AND broken IS NOT ?1", mark)
+
+    def __len__(self) -> int:
         with self._trouble():
-            rows = self._db.execute(f"SELECT {_COLUMNS} FROM {source} {clause}", values).fetchall()
-        entries = []
-        for row in rows:
-            fields = dict(zip(Entry.__slots__, row, strict=True))
-            fields["recordings"] = tuple(orjson.loads(fields["recordings"]))
-            fields["fingerprint"] = orjson.loads(fields["fingerprint"])
-            entries.append(Entry(**fields))
-        return entries
+            (count,) = self._db.execute("SELECT count(*) FROM entries").fetchone()
+        return int(count)
+
+    def _rows(self) -> Iterator[Entry | Verdict]:
+        """Yields the entries in the order of their numbers; for a row that is none, the verdict on it."""
+        columns = ", ".join(COLUMNS)
+        with self._trouble():
+            numbers = [number for (number,) in self._db.execute("SELECT id FROM entries ORDER BY id")]
+        for number in numbers:
+            try:
+                yield read_row(self._db.execute(f"SELECT {columns} FROM entries WHERE id = ?", (number,)).fetchone())
+            except (ValueError, sqlite3.Error) as error:
+                yield Verdict(number, "", "", "broken", f"its row cannot be read: {error}")
+
+    @contextmanager
+    def _transaction(self) -> Iterator[None]:
+        with self._trouble():
+            self._db.execute("BEGIN IMMEDIATE")
+            try:
+                yield
+            except BaseException:
+                self._db.execute("ROLLBACK")
+                raise
+            self._db.execute("COMMIT")
 
     @contextmanager
     def _trouble(self) -> Iterator[None]:
@@ -274,24 +315,17 @@ class Leaderboard:
             raise LeaderboardError("no_leaderboard", f"{self.path}: {error}") from error
 
 
-def _examine(work: tuple[Entry, list[str]]) -> str | None:
-    """Returns the reason why recordings do not prove an entry, or None."""
-    from nmes.evaluation.proof import prove  # here, since whoever looks at a list needs no engine: that takes seconds
+def _own_tables() -> list[tuple[str, ...]]:
+    """Returns the schema of a new leaderboard: no view, no trigger, no other type."""
+    database = sqlite3.connect(":memory:")
+    try:
+        for table in _TABLES:
+            database.execute(table)
+        return database.execute(_SCHEMA).fetchall()
+    finally:
+        database.close()
 
-    entry, paths = work
-    scores = []
-    for path, expected in zip(paths, entry.recordings, strict=True):
-        try:
-            proof = prove(path, brain=True)
-        except NmesError as error:
-            return error.message
-        if proof.recording_hash != expected:
-            return f"{path} is not the recording that was listed"
-        if (proof.task.hash, proof.genome.hash) != (entry.task_hash, entry.genome_hash):
-            return f"{path} is of another genome or task"
-        if proof.result.score is None:
-            return f"{path}: {proof.result.fault}"
-        scores.append(proof.result.score)
-    if fsum(scores) / len(scores) != entry.score:
-        return f"the recordings prove a score of {fsum(scores) / len(scores)!r}, not {entry.score!r}"
-    return None
+
+def _folded(author: str) -> str:
+    """Returns an author's name as it is compared: wide, small or padded letters make no other name."""
+    return " ".join(unicodedata.normalize("NFKC", author).casefold().split())

@@ -13,9 +13,9 @@ from pathlib import Path
 
 from PIL import Image
 
-from nmes.errors import DocumentError
-from nmes.evaluation.leaderboard import Entry, Leaderboard
-from nmes.genome import Genome
+from nmes.errors import NmesError, visible
+from nmes.evaluation.leaderboard import Leaderboard
+from nmes.evaluation.leaderboard_entry import Entry
 from nmes.genome.preview import render_body
 
 __all__ = ["write_page"]
@@ -65,35 +65,40 @@ def write_page(
     entries = board.entries(task=task, top=top)
     sections: dict[tuple[str, str], list[str]] = {}
     for entry in entries:
-        items = sections.setdefault((entry.task, entry.task_hash), [])
-        items.append(_item(entry, len(items) + 1, board.genome(entry)))
+        items = sections.setdefault((entry.task_title, entry.task_hash), [])
+        items.append(_item(entry, len(items) + 1, _picture(entry, board)))
     parts = [
-        f"<h2>{escape(name)} <small><code>{digest[:12]}</code></small></h2>\n<ol>\n{''.join(items)}</ol>"
+        f"<h2>{_text(name)} <small><code>{digest[:16]}</code></small></h2>\n<ol>\n{''.join(items)}</ol>"
         for (name, digest), items in sections.items()
     ]
     count = f"{len(entries):,} {'entry' if len(entries) == 1 else 'entries'}."
-    page = _PAGE.format(title=escape(board.path.stem), count=count, tasks="\n".join(parts))
+    page = _PAGE.format(title=_text(board.path.stem), count=count, tasks="\n".join(parts))
     Path(path).write_text(page, encoding="utf-8")
     return len(entries)
 
 
-def _item(entry: Entry, rank: int, document: bytes) -> str:
-    by = f" by {escape(entry.author)}" if entry.author else ""
-    hashes = f"genome <code>{entry.genome_hash[:12]}</code>, recording <code>{entry.recording_hash[:12]}</code>"
+def _text(text: str) -> str:
+    return escape(visible(text), quote=True)
+
+
+def _item(entry: Entry, rank: int, picture: str) -> str:
+    by = f" by {_text(entry.signed_author)}" if entry.signed_author else ""
+    hashes = f"genome <code>{entry.genome_hash[:16]}</code>, recording <code>{entry.recording_hash[:16]}</code>"
     return (
-        f'<li>{_picture(entry, document)}<div><span class="score">{entry.score:.6g}</span>'
-        f"<b>{rank}. {escape(entry.name)}</b>{by}<br><small>{hashes}<br>{escape(entry.added[:10])}</small></div></li>\n"
+        f'<li>{picture}<div><span class="score">{entry.score:.6g}</span>'
+        f"<b>{rank}. {_text(entry.name)}</b>{by}<br><small>{hashes}<br>recorded {_text(entry.recorded[:10])}</small>"
+        "</div></li>\n"
     )
 
 
-def _picture(entry: Entry, document: bytes) -> str:
+def _picture(entry: Entry, board: Leaderboard) -> str:
     try:
-        body = Genome.parse(document).body
-    except DocumentError as error:  # the file was edited by hand, or written by another version
-        return f"<div>no picture: {escape(error.message)}</div>"
+        body = board.genome(entry).body
+    except (NmesError, OSError) as error:  # a file was edited by hand, or is gone
+        return f"<div>no picture: {_text(str(error))}</div>"
     image = Image.fromarray(render_body(body, _WIDTH, _HEIGHT)).quantize(_COLORS)
     file = io.BytesIO()
     image.save(file, "PNG", optimize=True)
     source = base64.b64encode(file.getvalue()).decode()
     size = f'width="{_WIDTH}" height="{_HEIGHT}"'
-    return f'<img {size} alt="{escape(entry.name, quote=True)}" src="data:image/png;base64,{source}">'
+    return f'<img {size} alt="{_text(entry.name)}" src="data:image/png;base64,{source}">'

@@ -7,13 +7,14 @@ creature's own motors was touched.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from hashlib import file_digest
 from itertools import chain, islice
 
 import numpy as np
-import orjson
 
 from nmes import protocol
 from nmes.backend import Array
@@ -24,9 +25,10 @@ from nmes.genome import Genome
 from nmes.playback import replay
 from nmes.protocol import Request
 from nmes.recording import Kind, Recording
+from nmes.schemas.documents import parse_document
 from nmes.world import World
 
-__all__ = ["Proof", "prove", "scores_so_far"]
+__all__ = ["Proof", "prove", "recorded_genome", "scores_so_far"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +42,7 @@ class Proof:
         path: The recording.
         recording_hash: SHA-256 of the file, hexadecimal.
         fingerprint: What the last bits depend on.
+        recorded: When the recording was closed by the clock of who made it: UTC, ISO 8601, to the second.
     """
 
     genome: Genome
@@ -48,6 +51,7 @@ class Proof:
     path: str
     recording_hash: str
     fingerprint: Mapping[str, str]
+    recorded: str
 
 
 def prove(recording: str | os.PathLike[str], *, brain: bool = False) -> Proof:
@@ -72,7 +76,23 @@ def prove(recording: str | os.PathLike[str], *, brain: bool = False) -> Proof:
     checker, task, genome = _check(source, brain)
     with open(recording, "rb") as file:
         digest = file_digest(file, "sha256").hexdigest()
-    return Proof(genome, task, checker.result(), str(recording), digest, source.fingerprint)
+    return Proof(genome, task, checker.result(), str(recording), digest, source.fingerprint, _closed(source))
+
+
+def recorded_genome(recording: str | os.PathLike[str]) -> Genome:
+    """Returns the creature that a recording says it is of; nothing is run.
+
+    Raises:
+        RecordingError, ProofError, DocumentError: As by `prove`.
+    """
+    return _recorded_episode(Recording(recording))[1]
+
+
+def _closed(source: Recording) -> str:
+    try:
+        return datetime.fromisoformat(source.end["closed"]).astimezone(UTC).isoformat(timespec="seconds")
+    except (KeyError, ValueError, OverflowError) as error:
+        raise ProofError("not_an_evaluation", f"{source.path} does not say when it was closed") from error
 
 
 def scores_so_far(recording: Recording) -> Array:
@@ -135,7 +155,10 @@ def _recorded_episode(recording: Recording) -> tuple[Task, Genome, int]:
         spawn = protocol.parse(first.data).command
     if about is None or not {"task", "seed"} <= about.keys() or spawn is None or spawn["type"] != "spawn_creature":
         raise ProofError("not_an_evaluation", f"{recording.path} is no recording of `nmes eval`")
-    return Task(orjson.loads(about["task"])), Genome(spawn["genome"]), int(about["seed"])
+    task = Task(parse_document(about["task"].encode()))
+    if not re.fullmatch("0|[1-9][0-9]{0,18}", about["seed"]):
+        raise ProofError("not_an_evaluation", f"{recording.path} names no seed, but {about['seed'][:40]!r}")
+    return task, Genome(spawn["genome"]), int(about["seed"])
 
 
 class _Checker:

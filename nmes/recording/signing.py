@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import base64
 import os
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +28,7 @@ from cryptography.hazmat.primitives.serialization import (
 from nmes.errors import SigningError
 from nmes.recording.reader import Recording
 
-__all__ = ["SUFFIX", "check_signature", "private_key", "public_key", "sign"]
+__all__ = ["SUFFIX", "check_signature", "private_key", "public_key", "sign", "signer"]
 
 SUFFIX = ".sig"  # added to the recording's name
 _VERSION = "nmes-signature-1"
@@ -104,15 +105,45 @@ def check_signature(recording: Recording, key: Ed25519PublicKey, path: str | os.
     Raises:
         SigningError: The owner did not, or the recording is damaged (`bad_signature`).
     """
-    statement = _statement(recording)
     path = path if path is not None else _beside(recording)
+    signature, _ = _signature(path)
+    _verify(recording, key, signature, path)
+
+
+def signer(recording: Recording) -> str:
+    """Returns the key that signed a recording, as the signature beside it says: it did, but whose it is nobody says.
+
+    Returns:
+        SHA-256 of the public key's 32 bytes, 64 hexadecimal digits; nothing where there is no signature.
+
+    Raises:
+        SigningError: The signature is not that key's of this recording, or the recording is damaged (`bad_signature`).
+    """
+    path = _beside(recording)
+    if not path.is_file():
+        return ""
+    signature, raw = _signature(path)
+    try:
+        key = Ed25519PublicKey.from_public_bytes(raw)
+    except ValueError as error:
+        raise SigningError("bad_signature", f"{path} is no signature") from error
+    _verify(recording, key, signature, path)
+    return sha256(raw).hexdigest()
+
+
+def _signature(path: str | os.PathLike[str]) -> tuple[bytes, bytes]:
+    """Reads a signature's file: the signature, and the public key that it says made it."""
     try:
         document: Any = orjson.loads(_read(path))
-        signature = base64.b64decode(document["signature"], validate=True)
+        signature, key = (base64.b64decode(document[name], validate=True) for name in ("signature", "public_key"))
     except (ValueError, KeyError, TypeError) as error:
         raise SigningError("bad_signature", f"{path} is no signature") from error
+    return signature, key
+
+
+def _verify(recording: Recording, key: Ed25519PublicKey, signature: bytes, path: str | os.PathLike[str]) -> None:
     try:
-        key.verify(signature, statement)
+        key.verify(signature, _statement(recording))
     except InvalidSignature:
         raise SigningError(
             "bad_signature", f"{path} is not this key's signature of this recording, as it is now"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import sqlite3
 import subprocess
@@ -41,16 +42,25 @@ def proofs(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     return [
         path
         for brain, name in ((SINE, "wave"), (cpg(4), "<b>chain</b>"))
-        for path in evaluate(Genome(snake(brain, name=name)), task(), record=folder).recordings
+        for path in evaluate(Genome(snake(brain, name=name, author="Ada & Co")), task(), record=folder).recordings
     ]
 
 
 @pytest.fixture
 def board(tmp_path: Path, proofs: list[str]) -> Path:
     """A leaderboard with both."""
-    path = tmp_path / "board.sqlite"
-    result = run("add", path, *proofs, "--author", "Ada & Co")
+    path = new_board(tmp_path / "board.sqlite", task())
+    result = run("add", path, *proofs)
     assert result.exit_code == 0, result.output
+    return path
+
+
+def new_board(path: Path, *tasks: Task) -> Path:
+    """Makes a leaderboard that takes these tasks."""
+    board = Leaderboard(path, create=True)
+    for each in tasks:
+        board.allow(each)
+    board.close()
     return path
 
 
@@ -62,9 +72,11 @@ def test_proved_entries_are_listed_best_first(board: Path, proofs: list[str]) ->
     scores = [prove(path).result.score for path in proofs[:2]]
     (wave,) = (entry for entry in shown if entry["name"] == "wave")
     assert wave["score"] == pytest.approx(sum(score for score in scores if score is not None) / 2, abs=0)
-    assert wave["author"] == "Ada & Co" and wave["task"] == "dash" and wave["fingerprint"]["backend"] == "mujoco"
+    assert wave["author"] == "Ada & Co" and wave["task"] == "dash" and wave["key"] == ""
     for digest in wave["recordings"]:
         assert Recording(board.with_suffix(".recordings") / f"{digest}.mcap").complete
+    closed = max(prove(path).recorded for path in proofs[:2])
+    assert wave["recorded"] == closed and closed.endswith("+00:00")
     lines = run("show", board).stdout.splitlines()
     assert len(lines) == 3 and "wave" in lines[1] + lines[2] and lines[1].split()[2] == "1"
     assert run("show", board, "--task", "walk").stdout.count("\n") == 1
@@ -75,6 +87,7 @@ def test_proved_entries_are_listed_best_first(board: Path, proofs: list[str]) ->
 def test_entries_are_listed_once_and_whole(board: Path, proofs: list[str], tmp_path: Path) -> None:
     again = run("add", board, *proofs[:2])
     assert again.exit_code == 1 and "listed for the task dash already" in again.stderr
+    new_board(tmp_path / "other.sqlite", task())
     part = run("add", tmp_path / "other.sqlite", proofs[0])
     assert part.exit_code == 1 and "one recording for each of the seeds 3, 4" in part.stderr
     assert list(Leaderboard(tmp_path / "other.sqlite").entries()) == []
@@ -154,8 +167,8 @@ def test_a_recording_in_which_somebody_pushes_the_creature_is_refused(tmp_path: 
 @pytest.mark.parametrize(
     ("change", "reason"),
     [
-        ("UPDATE entries SET score = score + 1 WHERE name = 'wave'", "prove a score of"),
-        ("UPDATE entries SET task_hash = genome_hash WHERE name = 'wave'", "of another genome or task"),
+        ("UPDATE entries SET score = score + 1 WHERE name = 'wave'", "score: listed "),
+        ("UPDATE entries SET task_hash = genome_hash WHERE name = 'wave'", "does not take its task"),
     ],
 )
 def test_a_forged_entry_is_found_and_hidden(board: Path, change: str, reason: str) -> None:
@@ -163,14 +176,14 @@ def test_a_forged_entry_is_found_and_hidden(board: Path, change: str, reason: st
         true = database.execute("SELECT score, task_hash FROM entries WHERE name = 'wave'").fetchone()
         database.execute(change)
     database.close()
-    result = run("verify", board, "--jobs", "1")
+    result = run("verify", board, "--jobs", "1", "--write")
     assert result.exit_code == 1 and reason in result.stdout and "1 of 2 entries hold" in result.stdout
     assert [entry.name for entry in Leaderboard(board).entries()] == ["<b>chain</b>"]
-    assert "refused:" in run("show", board, "--refused").stdout
+    assert "(broken: " in run("show", board, "--broken").stdout
     with sqlite3.connect(board) as database:
         database.execute("UPDATE entries SET score = ?, task_hash = ? WHERE name = 'wave'", true)
     database.close()
-    assert run("verify", board, "--jobs", "1").exit_code == 0 and len(Leaderboard(board).entries()) == 2
+    assert run("verify", board, "--jobs", "1", "--write").exit_code == 0 and len(Leaderboard(board).entries()) == 2
 
 
 def test_a_forged_or_missing_recording_is_found(board: Path, tmp_path: Path) -> None:
@@ -186,6 +199,13 @@ def test_a_forged_or_missing_recording_is_found(board: Path, tmp_path: Path) -> 
     file.write_bytes(content)
     new = forged(str(file), tmp_path / "new.mcap", lambda drive: {**drive, "controls": [0.0, 0.0, 0.0]})
     file.write_bytes(new.read_bytes())
+    assert "is not the recording that was listed" in run("verify", board, "--jobs", "1").stdout
+    digest = hashlib.sha256(new.read_bytes()).hexdigest()
+    file.rename(file.with_stem(digest))
+    with sqlite3.connect(board) as database:
+        recordings = json.dumps([wave.recordings[0], digest])
+        database.execute("UPDATE entries SET recordings = ? WHERE name = 'wave'", (recordings,))
+    database.close()
     result = run("verify", board, "--jobs", "1")
     assert result.exit_code == 1 and "frame" in result.stdout
 
@@ -207,8 +227,8 @@ def test_ten_thousand_entries_are_shown_whole(board: Path) -> None:
     with sqlite3.connect(board) as database:
         database.execute(
             "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 10000)"
-            " INSERT INTO entries SELECT NULL, task, task_hash, name || i, printf('%064x', i), author, score - i,"
-            " recordings, fingerprint, genome, added, NULL FROM entries, n WHERE name = 'wave'"
+            " INSERT INTO entries SELECT NULL, task, task_hash, name || i, genome_hash, printf('%064x', i), author,"
+            " key, score - i, recordings, recorded, NULL FROM entries, n WHERE name = 'wave'"
         )
     database.close()
     began = time.perf_counter()
@@ -232,6 +252,8 @@ def test_a_leaderboard_page_is_one_file_with_a_picture_of_each_creature(board: P
 def test_a_task_that_is_edited_is_another_task(board: Path, proofs: list[str], tmp_path: Path) -> None:
     easier = Task({**task().document, "objective": "10 + displacement.horizontal"})
     evaluation = evaluate(Genome(snake(name="wave")), easier, record=tmp_path)
+    assert run("add", board, *evaluation.recordings).exit_code == 1
+    new_board(board, easier)
     assert run("add", board, *evaluation.recordings).exit_code == 0
     shown = Leaderboard(board).entries()
     assert len(shown) == 3 and len({entry.task_hash for entry in shown}) == 2

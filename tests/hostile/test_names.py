@@ -51,7 +51,7 @@ def test_a_hostile_name_is_escaped_whole() -> None:
 def test_a_genome_with_signs_that_do_not_print_in_its_names_is_refused(field: str, sign: str) -> None:
     for text in (f"a{sign}b", f"ab{sign}"):
         with pytest.raises(DocumentError, match=f"{field}: expected a .* printable characters"):
-            Genome(snake(**{field: text}))
+            Genome({**snake(), field: text})
 
 
 @pytest.fixture
@@ -67,7 +67,7 @@ def ill(tmp_path: Path) -> Path:
     """A genome with a hostile name, and fields that there are not."""
     path = tmp_path / "ill" / f"{HOSTILE}.json"
     path.parent.mkdir()
-    path.write_text(json.dumps(snake(name=HOSTILE, author=HOSTILE, **{HOSTILE: 1})))
+    path.write_text(json.dumps({**snake(name=HOSTILE, author=HOSTILE), HOSTILE: 1}))
     return path
 
 

@@ -1,0 +1,122 @@
+"""What counts as the same creature, and which tasks ship: a name makes nothing new, and nothing ours.
+
+A creature is what it does: its body as it has grown, its sensors and its brain. Names, authors, words, parents and
+colours are not, nor are the ids of parts, where the whole stands, what is left out because it is the default, and
+differences below a billionth. What is changed by more, or put into another order, is another creature.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from functools import cache
+from importlib.resources import files
+from typing import Any, Final
+
+import numpy as np
+import orjson
+
+from nmes.brain.base import Brain, Findings
+from nmes.evaluation.task import SHIPPED, Task
+from nmes.genome import Genome
+from nmes.genome.body import Body, BodyJoint
+from nmes.schemas.documents import parse_document
+
+__all__ = ["borrows_name", "creature_hash", "shipped_hash"]
+
+_DIGITS: Final = 9  # behind the point: what differs by less is the same
+_AXES: Final = {"hinge": (0.0, 0.0, 1.0), "slide": (1.0, 0.0, 0.0)}  # of joints that name none
+_MOTORS, _SENSORS = ("motor", "motors", "outputs"), ("sensor", "inputs")
+
+
+def creature_hash(genome: Genome) -> str:
+    """Returns a SHA-256 over all of a creature that acts: its body, its sensors and its brain; 64 hexadecimal digits.
+
+    Raises:
+        DocumentError: Its brain is not a good one for its body.
+        MissingPackage: Its brain needs a package that is not installed.
+    """
+    brain = _brain(genome.brain()) if "brain" in genome.document else None
+    return hashlib.sha256(orjson.dumps(_rounded([*_body(genome.body), brain]))).hexdigest()
+
+
+def _body(body: Body) -> list[Any]:
+    """Returns cubes, joints and sensors with places in the body for ids, and the root in the origin."""
+    cubes = {cube.id: index for index, cube in enumerate(body.cubes)}
+    joints = {joint.id: index for index, joint in enumerate(body.joints)}
+    origin = np.array(body.cubes[0].position)
+    shapes, bonds = [], []
+    for cube in body.cubes:
+        place = np.array(cube.position) - origin, _half(cube.quaternion)
+        shapes.append((cube.size, cube.mass, *place, cube.friction, cube.restitution))
+    for joint in body.joints:
+        motor = joint.motor
+        drive = None if motor is None else (motor.mode, motor.low, motor.high, motor.max_effort)
+        ends = cubes[joint.cube1], cubes[joint.cube2], np.array(joint.anchor) - origin
+        bonds.append((joint.kind, *ends, _axis(joint), joint.limits, joint.stiffness, joint.damping, drive))
+    senses = [
+        (sensor.type, sensor.axis, (cubes if sensor.of == "cube" else joints)[sensor.target]) for sensor in body.sensors
+    ]
+    return [shapes, bonds, senses]
+
+
+def _half(quaternion: Sequence[float]) -> np.ndarray[Any, Any]:
+    """Returns the one of the two quaternions of a rotation whose last number that is not zero is positive."""
+    rounded = [number for number in _rounded(quaternion) if number]
+    return np.array(quaternion) * (-1.0 if rounded[-1] < 0.0 else 1.0)
+
+
+def _axis(joint: BodyJoint) -> Any:
+    """Returns an axis of length 1; None for joints that need none, or take theirs from where their cubes are."""
+    axis = _AXES.get(joint.kind) if joint.axis is None else joint.axis
+    return None if axis is None or joint.kind in ("fixed", "pin") else np.array(axis) / np.linalg.norm(axis)
+
+
+def _brain(brain: Brain) -> list[Any]:
+    """Returns a brain whose names are the places of the motors, sensors and nodes that they stand for."""
+    sensors, motors, document = json.loads(brain.form())
+    document = {"inputs": ["*"], "outputs": ["*"], **document}
+    nodes = [node["id"] for node in document.get("nodes", ())]
+    return [_places(document, sensors, motors, nodes), brain.to_vector()]
+
+
+def _places(value: Any, sensors: list[str], motors: list[str], nodes: list[str], names: list[str] | None = None) -> Any:
+    """Replaces names and wildcards by the list of places that they stand for; `names` are those that a text is of."""
+    if isinstance(value, dict):
+        ends = nodes or motors  # what the links of a brain link
+        kinds = dict.fromkeys(_SENSORS, sensors) | dict.fromkeys(_MOTORS, motors)
+        kinds |= {"from": ends, "to": ends, "id": nodes}
+        return {key: _places(item, sensors, motors, nodes, kinds.get(key)) for key, item in sorted(value.items())}
+    if isinstance(value, list):
+        return [_places(item, sensors, motors, nodes, names) for item in value]
+    if isinstance(value, str) and names is not None:
+        return Findings("").match(value, names, "", "")
+    return value
+
+
+def _rounded(value: Any) -> Any:
+    """Returns plain data with every number rounded; whole ones look alike, whichever type they have."""
+    if isinstance(value, dict):
+        return {key: _rounded(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray):
+        return _rounded(value.tolist())
+    if isinstance(value, (list, tuple)):
+        return [_rounded(item) for item in value]
+    if isinstance(value, (int, float)) and not isinstance(value, bool):
+        return round(float(value), _DIGITS) + 0.0  # which makes -0.0 to 0.0
+    return value
+
+
+@cache
+def shipped_hash(task: str) -> str | None:
+    """Returns the hash of the task of that name that ships with the package; None if there is none."""
+    if task not in Task.names():
+        return None
+    # Not Task.load, to which a file of that name comes first.
+    return Task(parse_document((files(SHIPPED.package) / SHIPPED.folder / f"{task}.json").read_bytes())).hash
+
+
+def borrows_name(task: str, task_hash: str) -> bool:
+    """Tells whether a task has the name of one that ships, but is another."""
+    return shipped_hash(task) not in (None, task_hash)

@@ -1,0 +1,590 @@
+"""Leaderboards under attack: files that were edited, copies, borrowed names; each entry is judged by itself."""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+import sqlite3
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner, Result
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+
+from creatures import SINE, WAVE, cpg, mlp, snake
+from nmes.cli import main
+from nmes.errors import BackendNotFound, MissingPackage, ProofError, RecordingError
+from nmes.evaluation import Task, evaluate, leaderboard_entry, prove
+from nmes.evaluation.identity import creature_hash
+from nmes.evaluation.leaderboard import Leaderboard
+from nmes.evaluation.parallel import Lost
+from nmes.genome import Genome
+
+DASH: dict[str, Any] = {
+    "format": "nmes-task/1",
+    "name": "dash",
+    "description": "Get away from the start.",
+    "duration": 0.5,
+    "seeds": [3, 4],
+    "vary": {"yaw": [-1, 1], "drop": [0.01, 0.1]},
+    "objective": "displacement.horizontal",
+}
+COLUMNS = ("task", "task_hash", "name", "genome_hash", "creature_hash", "author", "key", "score", "recorded")
+
+
+def run(*arguments: str | Path) -> Result:
+    """Runs `nmes leaderboard`; a traceback is a failure, and so is a character that does not print."""
+    result = CliRunner().invoke(main, ["leaderboard", *map(str, arguments)])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    assert all(line.isprintable() for line in result.output.split("\n")), ascii(result.output)
+    return result
+
+
+def verdicts(board: Path, *options: str) -> tuple[int, dict[str, tuple[str, str]]]:
+    """Verifies a board; returns the exit status, and by the name of each entry its verdict and the reason."""
+    result = run("verify", board, "--jobs", "1", "--json", *options)
+    assert result.stdout, result.output
+    return result.exit_code, {row["name"]: (row["verdict"], row["reason"] or "") for row in json.loads(result.stdout)}
+
+
+def proofs_of(folder: Path, genome: dict[str, Any], task: dict[str, Any] = DASH) -> list[str]:
+    folder.mkdir(exist_ok=True)
+    evaluation = evaluate(Genome(genome), Task(task), record=folder)
+    assert evaluation.error is None and evaluation.faults == 0
+    return list(evaluation.recordings)
+
+
+@pytest.fixture(scope="module")
+def proofs(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    """Recordings of two creatures, two episodes each."""
+    folder = tmp_path_factory.mktemp("proofs")
+    creatures = (snake(SINE, name="wave"), snake(cpg(4), name="chain"))
+    return [path for creature in creatures for path in proofs_of(folder, creature)]
+
+
+@pytest.fixture(scope="module")
+def dash(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The task's file."""
+    path = tmp_path_factory.mktemp("task") / "dash.json"
+    path.write_text(json.dumps(DASH))
+    return path
+
+
+@pytest.fixture
+def board(tmp_path: Path, proofs: list[str], dash: Path) -> Path:
+    """A leaderboard with both."""
+    path = tmp_path / "board.sqlite"
+    assert run("tasks", path, "--allow", dash).exit_code == 0
+    assert run("add", path, *proofs).exit_code == 0
+    return path
+
+
+def edit(board: Path, *statements: str) -> None:
+    with sqlite3.connect(board) as database:
+        for statement in statements:
+            database.execute(statement)
+    database.close()
+
+
+def entry(board: Path, name: str = "wave") -> leaderboard_entry.Entry:
+    (found,) = (each for each in Leaderboard(board).entries(broken=True) if each.name == name)
+    return found
+
+
+# -- what a row says --------------------------------------------------------------------------------------------------
+
+
+def test_an_entry_with_its_best_seed_twice_is_broken(board: Path) -> None:
+    wave = entry(board)
+    paths = {each: Leaderboard(board).recording(each) for each in wave.recordings}
+    scores = {prove(path).result.score: each for each, path in paths.items()}
+    best = max(score for score in scores if score is not None)
+    twice = json.dumps([scores[best]] * 2)
+    edit(board, f"UPDATE entries SET recordings = '{twice}', score = {best!r} WHERE name = 'wave'")
+    status, found = verdicts(board)
+    assert status == 1 and found["wave"][0] == "broken" and found["chain"] == ("holds", "")
+    once = json.dumps([scores[best]])
+    edit(board, f"UPDATE entries SET recordings = '{once}' WHERE name = 'wave'")
+    status, found = verdicts(board)
+    assert status == 1 and "one recording for each of the seeds 3, 4" in found["wave"][1]
+
+
+@pytest.mark.parametrize("column", COLUMNS)
+def test_every_column_is_compared_with_what_the_recordings_prove(board: Path, column: str) -> None:
+    new = {
+        "task": "sprint", "name": "mine", "author": "Eve", "key": "ab" * 32, "recorded": "2001-02-03T04:05:06+00:00",
+        "score": 99.5,
+    }.get(column, "cd" * 32)  # fmt: skip
+    number = entry(board).id
+    edit(board, f"UPDATE entries SET {column} = {new!r} WHERE id = {number}")
+    result = run("verify", board, "--jobs", "1", "--json")
+    rows = {row["id"]: row for row in json.loads(result.stdout)}
+    assert result.exit_code == 1 and rows.pop(number)["verdict"] == "broken"
+    assert [row["verdict"] for row in rows.values()] == ["holds"]
+    text = run("verify", board, "--jobs", "1").stdout
+    assert f"{column}: listed " in text or (column == "task_hash" and "does not take" in text)
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [
+        ("recordings", "'[]'"),
+        ("recordings", "'garbage'"),
+        ("recordings", "'{}'"),
+        ("recordings", "''"),
+        ("recordings", "'[1, null]'"),
+        ("recordings", """'["../../board", "../../board"]'"""),
+        ("recordings", """'["/dev/zero", "/dev/zero"]'"""),
+        ("recordings", "'[' || substr(replace(hex(zeroblob(30000)), '00', '\"x\",'), 2) || '1]'"),
+        ("recordings", "CAST(zeroblob(100000000) AS TEXT)"),
+        ("recordings", "CAST(x'ff5b5d' AS TEXT)"),
+        ("score", "9e999"),
+        ("score", "-9e999"),
+        ("name", "printf('%.2000000c', 'x')"),
+        ("name", "CAST(x'fffe00' AS TEXT)"),
+        ("task_hash", "'x'"),
+        ("creature_hash", "''"),
+        ("author", "char(0) || char(27) || '[2J' || char(10) || 'row'"),
+        ("recorded", "'yesterday'"),
+    ],
+)
+def test_a_hostile_row_is_broken_and_the_others_are_judged(board: Path, column: str, value: str) -> None:
+    number = entry(board).id
+    edit(board, f"UPDATE entries SET {column} = {value} WHERE id = {number}")
+    result = run("verify", board, "--jobs", "1", "--json", "--write")
+    rows = {row["id"]: row for row in json.loads(result.stdout)}
+    assert result.exit_code == 1 and rows.pop(number)["verdict"] == "broken"
+    assert [row["verdict"] for row in rows.values()] == ["holds"]
+    assert [each.name for each in Leaderboard(board).entries()] == ["chain"]
+    for arguments in (("show", board), ("show", board, "--broken"), ("verify", board, "--jobs", "1")):
+        run(*arguments)
+    assert run("export", board, "-o", board.with_suffix(".html")).exit_code == 0
+
+
+@pytest.mark.parametrize("value", ["'much'", "x'00'", "NULL"])
+def test_a_value_of_another_type_is_broken(board: Path, value: str) -> None:
+    select = "SELECT sql FROM sqlite_schema WHERE name = 'entries'"
+    with sqlite3.connect(board) as database:  # makes the table take anything, and hides that afterwards
+        (sql,) = database.execute(select).fetchone()
+        database.execute("PRAGMA writable_schema = ON")
+        loose = sql.replace("REAL NOT NULL", "BLOB").replace(") STRICT", ")")
+        database.execute("UPDATE sqlite_schema SET sql = ? WHERE name = 'entries'", (loose,))
+    database.close()
+    edit(board, f"UPDATE entries SET score = {value} WHERE name = 'wave'")
+    assert run("verify", board).exit_code == 2
+    with sqlite3.connect(board) as database:
+        database.execute("PRAGMA writable_schema = ON")
+        database.execute("UPDATE sqlite_schema SET sql = ? WHERE name = 'entries'", (sql,))
+    database.close()
+    status, found = verdicts(board)
+    assert status == 1 and found[""][0] == "broken" and found["chain"][0] == "holds"
+
+
+@pytest.mark.parametrize(
+    "statements",
+    [
+        ["CREATE TRIGGER t AFTER UPDATE ON entries BEGIN DELETE FROM entries; END"],
+        ["ALTER TABLE entries RENAME TO e", "CREATE VIEW entries AS SELECT * FROM e"],
+        ["ALTER TABLE entries ADD COLUMN more TEXT DEFAULT 'x'"],
+        ["DROP TABLE tasks"],
+        ["CREATE TABLE more (x)"],
+        ["DROP TABLE entries", "CREATE TABLE entries (id, task)"],
+        ["PRAGMA user_version = 1"],
+        ["PRAGMA user_version = 99"],
+        ["PRAGMA application_id = 7"],
+    ],
+)
+def test_a_database_of_other_tables_is_no_leaderboard(board: Path, proofs: list[str], statements: list[str]) -> None:
+    edit(board, *statements)
+    before = board.read_bytes()
+    page = board.with_suffix(".html")
+    commands: list[list[str]] = [["show"], ["verify", "--write"], ["export", "-o", str(page)], ["add"], ["tasks"]]
+    for command in commands:
+        result = run(command[0], board, *command[1:], *(proofs if command == ["add"] else ()))
+        assert result.exit_code == 2 and "board.sqlite is " in result.stderr
+    assert board.read_bytes() == before
+
+
+def test_two_rows_of_one_creature_are_not_both_held(board: Path) -> None:
+    columns = "task, task_hash, name, genome_hash, creature_hash, author, key, score, recordings, recorded"
+    index = "SELECT type, name, tbl_name, rootpage, sql FROM sqlite_schema WHERE name = 'sqlite_autoindex_entries_1'"
+    with sqlite3.connect(board) as database:  # takes the index away, adds a row, and puts the index back
+        (kept,) = database.execute(index).fetchall()
+        (sql,) = database.execute("SELECT sql FROM sqlite_schema WHERE name = 'entries'").fetchone()
+        database.execute("PRAGMA writable_schema = ON")
+        database.execute("DELETE FROM sqlite_schema WHERE name = 'sqlite_autoindex_entries_1'")
+        other = sql.replace("UNIQUE (task_hash, creature_hash)", "CHECK (1)")
+        database.execute("UPDATE sqlite_schema SET sql = ? WHERE name = 'entries'", (other,))
+    database.close()
+    edit(board, f"INSERT INTO entries ({columns}) SELECT {columns} FROM entries WHERE name = 'wave'")
+    with sqlite3.connect(board) as database:
+        database.execute("PRAGMA writable_schema = ON")
+        database.execute("UPDATE sqlite_schema SET sql = ? WHERE name = 'entries'", (sql,))
+        database.execute("INSERT INTO sqlite_schema VALUES (?, ?, ?, ?, ?)", kept)
+    database.close()
+    result = run("verify", board, "--jobs", "1", "--json")
+    assert [row["verdict"] for row in json.loads(result.stdout)] == ["holds", "holds", "broken"]
+
+
+# -- recordings -------------------------------------------------------------------------------------------------------
+
+
+def _empty(path: Path) -> None:
+    path.write_bytes(b"")
+
+
+def _garbage(path: Path) -> None:
+    path.write_bytes(b"\x89MCAP0\r\n" + bytes(range(256)) * 40)
+
+
+def _folder(path: Path) -> None:
+    path.unlink()
+    path.mkdir()
+
+
+def _pipe(path: Path) -> None:
+    path.unlink()
+    os.mkfifo(path)
+
+
+def _endless(path: Path) -> None:
+    path.unlink()
+    path.symlink_to("/dev/zero")
+
+
+def _circle(path: Path) -> None:
+    path.unlink()
+    path.symlink_to(path)
+
+
+@pytest.mark.parametrize("harm", [Path.unlink, _empty, _garbage, _folder, _pipe, _endless, _circle])
+def test_a_recording_that_is_none_breaks_its_entry_alone(board: Path, harm: Callable[[Path], None]) -> None:
+    harm(Leaderboard(board).recording(entry(board).recordings[0]))
+    status, found = verdicts(board)
+    assert status == 1 and found["wave"][0] == "broken" and found["chain"][0] == "holds"
+    assert run("export", board, "-o", board.with_suffix(".html")).exit_code == 0
+
+
+def test_a_recording_of_another_entry_is_no_proof(board: Path) -> None:
+    other = json.dumps(entry(board, "chain").recordings)
+    edit(board, f"UPDATE entries SET recordings = '{other}' WHERE name = 'wave'")
+    status, found = verdicts(board)
+    assert status == 1 and found["wave"][0] == "broken" and "name: listed 'wave'" in found["wave"][1]
+
+
+REASONS: list[Exception] = [
+    ProofError("not_comparable", "it comes out otherwise on this machine"),
+    BackendNotFound("there is no engine 'mujoco' here"),
+    MissingPackage("an ONNX brain needs onnxruntime"),
+    RecordingError("recording_unreadable", "cannot read it: Input/output error"),
+    RecordingError("unknown_format", "a recording of format 99"),
+    MemoryError(),
+    OSError(5, "Input/output error"),
+    KeyError("frame"),
+    RecursionError("maximum recursion depth exceeded"),
+]
+
+
+@pytest.mark.parametrize("reason", REASONS, ids=lambda reason: getattr(reason, "code", type(reason).__name__))
+def test_what_cannot_be_judged_here_is_neither_held_nor_broken_nor_marked(
+    board: Path, monkeypatch: pytest.MonkeyPatch, reason: Exception
+) -> None:
+    first = entry(board).recordings[0]
+
+    def refuse(path: Path, **options: Any) -> Any:
+        if Path(path).stem == first:
+            raise reason
+        return prove(path, **options)
+
+    monkeypatch.setattr(leaderboard_entry, "prove", refuse)
+    before = board.read_bytes()
+    status, found = verdicts(board, "--write")
+    assert status == 3 and found["wave"][0] == "not_judged" and found["chain"][0] == "holds"
+    assert board.read_bytes() == before
+    assert "could not be judged here" in run("verify", board, "--jobs", "1").stdout
+    edit(board, "UPDATE entries SET score = 7.0 WHERE name = 'chain'")
+    status, found = verdicts(board, "--write")
+    assert status == 1 and found["wave"][0] == "not_judged" and found["chain"][0] == "broken"
+    assert [each.name for each in Leaderboard(board).entries()] == ["wave"]
+
+
+def test_an_entry_whose_worker_was_killed_is_not_judged(board: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from nmes.evaluation import leaderboard
+
+    def killed(function: Any, work: list[Any], jobs: int) -> Iterator[tuple[int, Any]]:
+        for index, item in enumerate(work):
+            yield index, Lost("the process that worked on it was killed by SIGKILL") if index == 0 else function(item)
+
+    monkeypatch.setattr(leaderboard, "in_processes", killed)
+    status, found = verdicts(board, "--write")
+    assert status == 3 and sorted(verdict for verdict, _ in found.values()) == ["holds", "not_judged"]
+    assert len(Leaderboard(board).entries()) == 2
+
+
+def test_verify_writes_only_when_it_is_told_to(board: Path) -> None:
+    edit(board, "UPDATE entries SET score = 7.0 WHERE name = 'wave'")
+    before = board.read_bytes()
+    assert run("verify", board, "--jobs", "1").exit_code == 1
+    assert board.read_bytes() == before and len(Leaderboard(board).entries()) == 2
+    assert run("verify", board, "--jobs", "1", "--write").exit_code == 1
+    assert [each.name for each in Leaderboard(board).entries()] == ["chain"]
+    assert "wave (broken: score: listed 7.0" in run("show", board, "--broken").stdout
+    proved = [prove(Leaderboard(board).recording(each)) for each in entry(board).recordings]
+    true = leaderboard_entry.facts(proved)["score"]
+    edit(board, f"UPDATE entries SET score = {true!r} WHERE name = 'wave'")
+    assert run("verify", board, "--jobs", "1", "--write").exit_code == 0 and len(Leaderboard(board).entries()) == 2
+
+
+# -- copies -----------------------------------------------------------------------------------------------------------
+
+
+def renamed(document: dict[str, Any]) -> dict[str, Any]:
+    """Renames every cube and joint of a snake, wherever they are named."""
+    text = json.dumps(document)
+    for i in range(9):
+        text = text.replace(f'"c{i}"', f'"part-{9 - i}"').replace(f'"j{i}"', f'"bend-{9 - i}"')
+    changed: dict[str, Any] = json.loads(text)
+    return changed
+
+
+def shifted(document: dict[str, Any]) -> dict[str, Any]:
+    changed = copy.deepcopy(document)
+    for cube in changed["body"]["cubes"]:
+        cube["position"] = [cube["position"][0] + 3.5, cube["position"][1] + 0.25, cube["position"][2] - 1.25]
+    for joint in changed["body"]["joints"]:
+        joint["anchor"] = [joint["anchor"][0] + 3.5, joint["anchor"][1] + 0.25, joint["anchor"][2] - 1.25]
+    return changed
+
+
+def with_parts(document: dict[str, Any], **changes: Any) -> dict[str, Any]:
+    changed = copy.deepcopy(document)
+    for cube in changed["body"]["cubes"]:
+        cube.update(changes)
+    return changed
+
+
+def written_out(document: dict[str, Any]) -> dict[str, Any]:
+    """Writes out what a document leaves out: axes, zeros, the brain's defaults."""
+    changed = copy.deepcopy(document)
+    for cube in changed["body"]["cubes"]:
+        cube["rotation"] = [0, 0, 0, -2]
+    for joint in changed["body"]["joints"]:
+        joint.update(axis=[0, 0, 2], stiffness=0, damping=0)
+    brain = changed["brain"]
+    for oscillator in brain.get("oscillators", ()):
+        oscillator.setdefault("phase", 0)
+    return changed
+
+
+COPIES: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
+    "names": lambda genome: {**genome, "name": "mine", "author": "Eve", "description": "mine", "parents": ["ab" * 32]},
+    "licence": lambda genome: {**genome, "license": "MIT"},
+    "colours": lambda genome: with_parts(genome, color=[1, 0, 0]),
+    "ids": renamed,
+    "elsewhere": shifted,
+    "defaults": written_out,
+    "noise": lambda genome: with_parts(genome, mass=0.5 + 1e-13),
+}
+
+
+@pytest.mark.parametrize("change", COPIES.values(), ids=COPIES)
+@pytest.mark.parametrize("brain", [SINE, cpg(4), mlp(4)], ids=["sine", "cpg", "mlp"])
+def test_a_copy_is_the_same_creature(brain: dict[str, Any], change: Callable[[Any], Any]) -> None:
+    original = snake(brain)
+    copied = Genome(change(original))
+    assert copied.hash != Genome(original).hash
+    assert creature_hash(copied) == creature_hash(Genome(original))
+
+
+@pytest.mark.parametrize("name", Genome.names())
+def test_a_creature_that_ships_is_none_of_the_others_and_the_same_when_expanded(name: str) -> None:
+    genome = Genome.load(name)
+    assert creature_hash(genome.expanded()) == creature_hash(genome)
+    assert sum(creature_hash(Genome.load(other)) == creature_hash(genome) for other in Genome.names()) == 1
+
+
+OTHERS: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
+    "mass": lambda genome: with_parts(genome, mass=0.5001),
+    "friction": lambda genome: with_parts(genome, friction=0.9),
+    "brain": lambda genome: {**genome, "brain": cpg(4)},
+    "no brain": lambda genome: {key: value for key, value in genome.items() if key != "brain"},
+    "amplitude": lambda genome: {**genome, "brain": {"kind": "sine", "oscillators": [{**WAVE[0], "amplitude": 0.7}]}},
+    "one motor": lambda genome: {**genome, "brain": {"kind": "sine", "oscillators": [{**WAVE[0], "motor": "j0"}]}},
+    "sensors": lambda genome: {**genome, "sensors": [{"type": "height", "cube": "c0"}]},
+}
+
+
+@pytest.mark.parametrize("change", OTHERS.values(), ids=OTHERS)
+def test_a_change_of_body_sensors_or_brain_makes_another_creature(change: Callable[[Any], Any]) -> None:
+    assert creature_hash(Genome(change(snake()))) != creature_hash(Genome(snake()))
+
+
+def test_a_renamed_copy_is_not_listed(board: Path, tmp_path: Path) -> None:
+    copied = {**renamed(snake(SINE, name="wave")), "name": "mine", "author": "Eve"}
+    result = run("add", board, *proofs_of(tmp_path / "copy", copied))
+    assert result.exit_code == 1 and "'wave' by 'Ada (unsigned)'" in result.stderr
+    assert len(Leaderboard(board).entries()) == 2
+
+
+# -- authors ----------------------------------------------------------------------------------------------------------
+
+
+def key_in(path: Path, seed: int) -> Path:
+    key = Ed25519PrivateKey.from_private_bytes(bytes([seed]) * 32)
+    path.write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    return path
+
+
+def signed(recordings: list[str], key: Path) -> list[str]:
+    for recording in recordings:
+        done = CliRunner().invoke(main, ["sign", recording, "--key", str(key)])
+        assert done.exit_code == 0, done.output
+    return recordings
+
+
+def test_an_author_counts_when_all_recordings_are_signed_by_one_key(tmp_path: Path, dash: Path) -> None:
+    board, ada, eve = tmp_path / "board.sqlite", key_in(tmp_path / "ada.pem", 1), key_in(tmp_path / "eve.pem", 2)
+    run("tasks", board, "--allow", dash)
+    claimed = proofs_of(tmp_path / "1", snake(SINE, name="claimed", author="Bob"))
+    assert run("add", board, *claimed).exit_code == 0
+    mine = signed(proofs_of(tmp_path / "2", snake(cpg(4), name="mine")), ada)
+    assert run("add", board, *mine).exit_code == 0
+    listed = entry(board, "mine")
+    assert len(listed.key) == 64 and entry(board, "claimed").key == ""
+    table = run("show", board).stdout
+    assert f"Ada (key {listed.key[:16]})" in table and "Bob (unsigned)" in table
+    page = tmp_path / "board.html"
+    run("export", board, "-o", page)
+    assert f"Ada (key {listed.key[:16]})" in page.read_text() and "Bob (unsigned)" in page.read_text()
+    # The name is that key's now: however it is written, and whoever would like it.
+    for number, (author, key) in enumerate((("Ada", eve), ("Ada", None), ("ADA ", eve), ("\uff21da", None))):
+        other = proofs_of(tmp_path / f"x{number}", snake(mlp(4, seed=number), name="other", author=author))
+        refused = run("add", board, *(other if key is None else signed(other, key)))
+        assert refused.exit_code == 1 and "another key" in refused.stderr
+    half = proofs_of(tmp_path / "5", snake(mlp(4, seed=9), name="half", author="Cleo"))
+    signed(half[:1], eve)
+    assert run("add", board, *half).exit_code == 0 and entry(board, "half").key == ""
+    mixed = proofs_of(tmp_path / "6", snake(mlp(4, seed=8), name="mixed", author="Dora"))
+    signed(mixed[:1], ada)
+    signed(mixed[1:], eve)
+    assert run("add", board, *mixed).exit_code == 0 and entry(board, "mixed").key == ""
+    more = signed(proofs_of(tmp_path / "7", snake(mlp(4, seed=7), name="more")), ada)
+    assert run("add", board, *more).exit_code == 0 and entry(board, "more").key == listed.key
+    assert verdicts(board)[0] == 0
+
+
+def test_a_signature_that_is_gone_or_of_another_recording_is_found(tmp_path: Path, dash: Path) -> None:
+    board, ada = tmp_path / "board.sqlite", key_in(tmp_path / "ada.pem", 1)
+    run("tasks", board, "--allow", dash)
+    mine = signed(proofs_of(tmp_path / "1", snake(name="mine")), ada)
+    wrong = proofs_of(tmp_path / "2", snake(cpg(4), name="wrong"))
+    for path, other in zip(wrong, mine, strict=True):
+        Path(f"{path}.sig").write_bytes(Path(f"{other}.sig").read_bytes())
+    refused = run("add", board, *wrong)
+    assert refused.exit_code == 1 and "signature" in refused.stderr
+    assert run("add", board, *mine).exit_code == 0
+    signature = Path(f"{Leaderboard(board).recording(entry(board, 'mine').recordings[0])}.sig")
+    content = signature.read_bytes()
+    signature.unlink()
+    status, found = verdicts(board)
+    assert status == 1 and "key: listed " in found["mine"][1]
+    signature.write_bytes(content[:100])
+    assert verdicts(board)[0] == 1
+    for nonsense in (b"", b"[]", b'{"signature": 1}', b'{"signature": "", "public_key": "AAAA"}', b"\xff" * 99):
+        signature.write_bytes(nonsense)
+        assert verdicts(board)[0] == 1
+
+
+# -- tasks ------------------------------------------------------------------------------------------------------------
+
+
+def borrowed(path: Path) -> Path:
+    document = {**Task.load("walk").document, "objective": "1000000.0", "duration": 0.2, "seeds": [1], "settle": 0.1}
+    path.write_text(json.dumps(document))
+    return path
+
+
+def test_a_task_with_a_borrowed_name_is_refused(board: Path, tmp_path: Path) -> None:
+    path = borrowed(tmp_path / "mine.json")
+    evaluated = CliRunner().invoke(main, ["eval", "walker", "--task", str(path)])
+    assert evaluated.exit_code == 2 and "walk" in evaluated.stderr and "ships" in evaluated.stderr
+    refused = run("tasks", board, "--allow", path)
+    assert refused.exit_code == 2 and "ships" in refused.stderr
+    recorded = proofs_of(tmp_path / "forged", Genome.load("walker").document, json.loads(path.read_text()))
+    added = run("add", board, *recorded)
+    assert added.exit_code == 1 and "does not take" in added.stderr
+    # And in the table of tasks, by hand.
+    task = Task.load(path)
+    edit(board, f"INSERT INTO tasks VALUES ('{task.hash}', 'walk')")
+    assert run("add", board, *recorded).exit_code == 1
+    rescored = CliRunner().invoke(main, ["eval", "--from-recording", *recorded])
+    assert rescored.exit_code == 0 and task.hash[:16] in rescored.stdout
+
+
+def test_an_entry_on_a_task_with_a_borrowed_name_is_not_held(board: Path) -> None:
+    edit(board, "UPDATE entries SET task = 'walk' WHERE name = 'wave'")
+    status, found = verdicts(board)
+    assert status == 1 and found["wave"][0] == "broken"
+    task_hash = entry(board).task_hash
+    assert f"walk (not the one that ships) {task_hash[:16]}" in run("show", board).stdout
+    run("export", board, "-o", board.with_suffix(".html"))
+    assert "walk (not the one that ships)" in board.with_suffix(".html").read_text()
+
+
+def test_a_board_takes_the_tasks_that_ship_and_those_it_is_told_to(
+    tmp_path: Path, dash: Path, proofs: list[str]
+) -> None:
+    board = tmp_path / "board.sqlite"
+    refused = run("add", board, *proofs)
+    assert refused.exit_code == 1 and "does not take the task dash" in refused.stderr
+    listed = json.loads(run("tasks", board, "--json").stdout)
+    assert listed == [{"name": name, "hash": Task.load(name).hash} for name in Task.names()]
+    assert run("tasks", board, "--allow", dash).exit_code == 0
+    assert ["dash", Task(DASH).hash] in [line.split() for line in run("tasks", board).stdout.splitlines()]
+    assert run("add", board, *proofs).exit_code == 0
+    edit(board, f"DELETE FROM tasks WHERE hash = '{Task(DASH).hash}'")
+    assert verdicts(board)[0] == 1
+
+
+def test_hashes_are_shown_with_16_digits(board: Path) -> None:
+    wave, table, page = entry(board), run("show", board).stdout, board.with_suffix(".html")
+    run("export", board, "-o", page)
+    for text in (table, page.read_text()):
+        for digest in (wave.task_hash, wave.genome_hash, wave.recording_hash):
+            assert digest[:16] in text
+
+
+# -- names and files --------------------------------------------------------------------------------------------------
+
+
+def test_hostile_names_are_shown_and_forge_no_row(board: Path) -> None:
+    hostile = "'x' || char(10) || 'forged' || char(27) || '[31m' || char(8238) || '<script>'"
+    edit(
+        board,
+        *(f"UPDATE entries SET {column} = {hostile} WHERE name = 'chain'" for column in ("task", "author", "broken")),
+    )
+    edit(board, f"UPDATE entries SET name = {hostile} WHERE name = 'chain'")
+    for arguments in (("show",), ("show", "--broken"), ("show", "--json"), ("verify", "--jobs", "1")):
+        text = run(arguments[0], board, *arguments[1:]).stdout
+        assert not any(line.startswith("forged") for line in text.splitlines())
+    assert r"x\nforged\x1b[31m\u202e" in run("show", board, "--broken").stdout
+    edit(board, "UPDATE entries SET broken = NULL")
+    page = board.with_suffix(".html")
+    run("export", board, "-o", page)
+    text = page.read_text()
+    assert "<script>" not in text and r"x\nforged\x1b[31m\u202e&lt;script&gt;" in text
+
+
+@pytest.mark.parametrize("link", [None, Path.symlink_to, Path.hardlink_to])
+def test_a_page_does_not_take_the_place_of_its_board(board: Path, link: Callable[[Path, Path], None] | None) -> None:
+    page, before = board, board.read_bytes()
+    if link is not None:
+        page = board.with_name("page.html")
+        link(page, board)
+    result = run("export", board, "-o", page)
+    assert result.exit_code == 2 and "board.sqlite" in result.stderr
+    assert board.read_bytes() == before
