@@ -216,11 +216,18 @@ class _Reader:
                 self.note(f"{path}/limits", f"{who} is a {kind}, which has no limits")
             elif kind == "conetwist" and min(limits) < 0.0:
                 self.note(f"{path}/limits", f"the swing and twist of {who} must not be negative")
-            elif kind != "conetwist" and limits[0] > limits[1]:
-                low, high = limits
-                self.note(f"{path}/limits", f"the lower limit of {who}, {low:g}, is above the upper, {high:g}")
+            elif kind != "conetwist":
+                self.limits(limits, who, f"{path}/limits")
         if motor is not None and motor.low == motor.high:
             self.note(f"{path}/motor/range", f"both ends of the motor of {who} are {motor.low:g}: it could do nothing")
+
+    def limits(self, limits: tuple[float, float], who: str, path: str) -> None:
+        """Notes limits that are the wrong way round, or exclude position 0: the solver would fling such a body apart."""
+        low, high = limits
+        if low > high:
+            self.note(path, f"the lower limit of {who}, {low:g}, is above the upper, {high:g}")
+        elif not low <= 0.0 <= high:
+            self.note(path, f"the limits of {who}, {low:g} to {high:g}, exclude 0, the position in which it is built")
 
     def structure(self, cubes: Sequence[BodyCube], joints: Sequence[BodyJoint]) -> None:
         """Notes joints that lead nowhere, and cubes that no joint ties to the rest."""
