@@ -1,13 +1,17 @@
-"""Many motors driven and many joints read at once, for controllers that do both at every tick.
+"""Many motors driven and many joints read at once, for controllers that do both at every tick; what motors worked.
 
 Hides where in MuJoCo's arrays they are. A target that is set here is a control of the data at once, and becomes a
 parameter of its joint only in `sync`, since making new parameters costs more than all the rest; so `sync` comes before
 anything that looks at the parameters of joints. An `ActuatorBatch` belongs to one compiled model and its data.
+
+The work of motors is that of every engine step, with the effort that the integrator applied: where a motor brakes in
+proportion to its velocity, the implicit integrators take the velocity after the step, and MuJoCo tells the effort at
+the velocity before it. A motor at the bound of its effort brakes no more than that.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import mujoco
@@ -18,7 +22,9 @@ from nmes.backend import Array
 from nmes.backends.mujoco3d.forest import Joint
 from nmes.backends.mujoco3d.model import CompiledModel
 
-__all__ = ["ActuatorBatch", "compact"]
+__all__ = ["ActuatorBatch", "WorkLog", "compact"]
+
+_IMPLICIT = (mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
 
 Joints = tuple[int, ...]
 Indices = slice | npt.NDArray[np.intp]
@@ -49,20 +55,29 @@ class _Coordinates(NamedTuple):
 
 
 class ActuatorBatch:
-    """Motors and joints of one model; `joints` are all joints by number."""
+    """Motors and joints of one model; `joints` are all joints by number.
+
+    Attributes:
+        step_efforts: What motors gave in each engine step of the last step, array (steps, motors), N m or N.
+        step_speeds: `qvel` before the first and after each of them, array (steps + 1, dofs).
+        version: Another number whenever these became other arrays, or parameters of a motor changed.
+    """
 
     def __init__(self, compiled: CompiledModel, data: mujoco.MjData, joints: Mapping[int, Joint]) -> None:
-        self._compiled, self._joints = compiled, joints
+        self.compiled, self._joints = compiled, joints
         self._qpos, self._qvel, self._ctrl, self._efforts = data.qpos, data.qvel, data.ctrl, data.actuator_force
         self._asleep = data.tree_asleep
         self._motors: dict[Joints, _Motors | None] = {}  # None where there is no fast way
         self._coordinates: dict[Joints, _Coordinates | None] = {}
-        self._powered: Sequence[int] | None = None  # the joints that powers were last looked up for
+        self.step_efforts, self.step_speeds = np.zeros((0, len(data.ctrl))), np.zeros((1, len(data.qvel)))
+        self._slots: list[tuple[Array, Array]] = []
+        self.version = 0
         self._unsynced: dict[Joints, None] = {}  # those whose controls are newer than their parameters
 
     def forget(self) -> None:
         """Looks motors up again, since more than the target of a joint has changed."""
         self._motors.clear()
+        self.version += 1
 
     def set_targets(self, joints: Joints, targets: Array) -> list[int] | None:
         """Sets the targets of motors; returns the bodies of the model that this wakes, None where it has to be slow."""
@@ -79,7 +94,7 @@ class ActuatorBatch:
         return []
 
     def _locate_motors(self, joints: Joints) -> _Motors | None:
-        driven, compiled = [self._joints[joint] for joint in joints], self._compiled
+        driven, compiled = [self._joints[joint] for joint in joints], self.compiled
         # A motor without strength has no control: its target is nowhere but in its parameters.
         if not all(joint.number in compiled.actuator and joint.params.max_effort > 0.0 for joint in driven):
             return None
@@ -92,7 +107,7 @@ class ActuatorBatch:
         """Makes the parameters of joints have the targets that were set."""
         for joints in self._unsynced:
             for number in joints:
-                joint, target = self._joints[number], float(self._ctrl[self._compiled.actuator[number]])
+                joint, target = self._joints[number], float(self._ctrl[self.compiled.actuator[number]])
                 joint.params = joint.params.with_target(target)
         self._unsynced.clear()
 
@@ -110,7 +125,7 @@ class ActuatorBatch:
         return out
 
     def _locate_joints(self, joints: Joints) -> _Coordinates | None:
-        slots, actuator = self._compiled.joint, self._compiled.actuator
+        slots, actuator = self.compiled.joint, self.compiled.actuator
         if any(joint not in slots for joint in joints):  # a joint between frozen bodies is in no model
             return None
         rows = [row for row, joint in enumerate(joints) if joint in actuator]
@@ -121,22 +136,70 @@ class ActuatorBatch:
             compact([actuator[joints[row]] for row in rows]),
         )
 
-    def powers(self, joints: Sequence[int], out: Array, *, edited: bool) -> bool:
-        """Writes the power of the motors of joints, W; returns False where that has to be slow.
+    # -- work -----------------------------------------------------------------------------------------------------
 
-        The same list, whole and unchanged, is looked up only once: then it costs one multiplication.
-        """
-        if joints is not self._powered:
-            actuator = self._compiled.actuator
-            if edited or any(joint not in actuator for joint in joints):
-                return False
-            self._motor_at = compact([actuator[joint] for joint in joints])
-            self._speed_at = compact([self._compiled.joint[joint].v for joint in joints])
-            self._motor_efforts, self._speeds = self._efforts[self._motor_at], self._qvel[self._speed_at]
-            self._powered = joints
-        if not isinstance(self._motor_at, slice):  # a slice is a view and follows the engine, an array is a copy
-            self._motor_efforts = self._efforts[self._motor_at]
-        if not isinstance(self._speed_at, slice):
-            self._speeds = self._qvel[self._speed_at]
-        np.multiply(self._motor_efforts, self._speeds, out=out)
-        return True
+    def begin(self, steps: int) -> Iterator[tuple[Array, Array]]:
+        """Begins a step: yields where efforts and `qvel` belong as each of its engine steps ends."""
+        if len(self.step_efforts) != steps:
+            self.step_efforts = np.zeros((steps, self.step_efforts.shape[1]))
+            self.step_speeds = np.zeros((steps + 1, len(self._qvel)))
+            self._slots = list(zip(self.step_efforts, self.step_speeds[1:], strict=True))
+            self.version += 1
+        self.step_speeds[0] = self._qvel
+        return iter(self._slots)
+
+
+class WorkLog:
+    """The power of some joints' motors, tick by tick: kept as the engine has it, computed many ticks at a time.
+
+    Args:
+        joints: The joints, with motors or without.
+        rows: The number of ticks that there is room for.
+    """
+
+    def __init__(self, joints: Sequence[int], rows: int) -> None:
+        self._joints = joints
+        self._powers = np.zeros((rows, 2, len(joints)))
+        self._known = self._rows = 0  # rows of which the powers are computed, and rows in all
+        self._batch: ActuatorBatch | None = None
+        self._version = 0
+
+    def note(self, batch: ActuatorBatch) -> None:
+        """Keeps what the motors of the model that runs gave in its last step."""
+        if batch is not self._batch or batch.version != self._version:
+            self._settle()
+            self._locate(batch)
+        row = self._rows
+        self._efforts[row], self._speeds[row] = batch.step_efforts[:, self._motors], batch.step_speeds[:, self._dofs]
+        self._rows = row + 1
+
+    def powers(self, begin: int, end: int) -> Array:
+        """Returns the mean powers of the motors in rows, and their mean sizes, array (rows, 2, joints), W."""
+        self._settle()
+        return self._powers[begin:end]
+
+    def _locate(self, batch: ActuatorBatch) -> None:
+        """Looks up where the joints' motors are, and how they brake; makes room for rows of them."""
+        compiled = batch.compiled
+        model, actuator = compiled.model, compiled.actuator
+        self._columns = [column for column, joint in enumerate(self._joints) if joint in actuator]
+        self._motors = compact([actuator[self._joints[column]] for column in self._columns])
+        self._dofs = compact([compiled.joint[self._joints[column]].v for column in self._columns])
+        self._braking = model.actuator_biasprm[self._motors, 2] * float(model.opt.integrator in _IMPLICIT)
+        self._bounds = model.actuator_forcerange[self._motors, 1].copy()
+        rows, steps, motors = len(self._powers), len(batch.step_efforts), len(self._columns)
+        self._efforts, self._speeds = np.empty((rows, steps, motors)), np.empty((rows, steps + 1, motors))
+        self._batch, self._version = batch, batch.version
+
+    def _settle(self) -> None:
+        """Computes the powers of the rows that are new."""
+        begin, end = self._known, self._rows
+        self._known = end
+        if begin < end and self._efforts.shape[1]:
+            efforts, before, after = self._efforts[begin:end], self._speeds[begin:end, :-1], self._speeds[begin:end, 1:]
+            bounded = np.abs(efforts) >= self._bounds
+            efforts = efforts + np.where(bounded, 0.0, self._braking * (after - before))
+            powers = efforts * (before + after) / 2.0
+            steps = powers.shape[1]
+            for size, each in enumerate((powers, np.abs(powers))):
+                self._powers[begin:end, size, self._columns] = np.add.accumulate(each, axis=1)[:, -1] / steps

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping, Sequence
+from itertools import islice
 
 import mujoco
 import numpy as np
@@ -111,6 +112,7 @@ class RunningModel:
         self.qpos, self.qvel, self.efforts = data.qpos, data.qvel, data.actuator_force
         self.senses = Senses(compiled, data, self.scenery)
         self.motors = ActuatorBatch(compiled, data, joints)
+        self._driven = model.nu > 0
         for joint in compiled.joint_index:
             self.drive(joints[joint])
 
@@ -228,6 +230,7 @@ class RunningModel:
             SimulationFault: The engine cannot go on; the state is the one before the call.
         """
         mujoco.mj_getState(self.model, self.data, self._before, STATE)
+        self._slots = self.motors.begin(substeps) if self._driven else iter(())
         try:
             if wrenches.forces or wrenches.impulses:
                 self._advance_pushed(substeps, wrenches)
@@ -274,9 +277,20 @@ class RunningModel:
             return
         while self.depenetration.bodies and steps:
             self.depenetration.step(self.compiled, self.data)
+            self._keep()
             steps -= 1
-        if steps:
+        if self._driven:
+            step, model, data, efforts, qvel = mujoco.mj_step, self.model, self.data, self.efforts, self.qvel
+            for effort, speed in islice(self._slots, steps):
+                step(model, data)
+                effort[:], speed[:] = efforts, qvel
+        elif steps:
             mujoco.mj_step(self.model, self.data, steps)
+
+    def _keep(self) -> None:
+        """Keeps what motors gave in an engine step, if there are any."""
+        for effort, speed in islice(self._slots, 1):
+            effort[:], speed[:] = self.efforts, self.qvel
 
     def _advance_attracted(self, steps: int) -> None:
         """Takes engine steps in a field of gravity that is another at every place: a force on each body, each step."""
@@ -287,6 +301,7 @@ class RunningModel:
                 self.depenetration.step(self.compiled, self.data)
             else:
                 mujoco.mj_step(self.model, self.data)
+            self._keep()
         self._xfrc[:] = applied
 
     def _go_back(self) -> None:

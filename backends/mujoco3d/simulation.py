@@ -33,6 +33,7 @@ from nmes.backend.rotation import conjugate, cross, dot, minus, multiply, plus, 
 from nmes.backends.mujoco3d.compiler import compile_model
 from nmes.backends.mujoco3d.forest import Forest, Joint, relative_orientation
 from nmes.backends.mujoco3d.model import CompiledModel
+from nmes.backends.mujoco3d.motors import WorkLog
 from nmes.backends.mujoco3d.rebuild import apply_edits
 from nmes.backends.mujoco3d.rendering import Renderer
 from nmes.backends.mujoco3d.running import RunningModel, Wrenches
@@ -196,9 +197,10 @@ class MujocoSimulation(Simulation):
         return super().joint_readings(joints) if readings is None else readings
 
     def powers(self, joints: Sequence[int], out: Array) -> None:
-        """Writes powers, of all motors at once where nothing was edited since the last step."""
-        if not self.running.motors.powers(joints, out, edited=self.structure.edited):
-            super().powers(joints, out)
+        """Writes powers, as a track keeps them."""
+        log = WorkLog(joints, 1)
+        log.note(self.running.motors)
+        out[:] = log.powers(0, 1)[0]
 
     # -- sensors ------------------------------------------------------------------------------------------------
 

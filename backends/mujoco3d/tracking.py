@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nmes.backend import Array, Simulation, Track
-from nmes.backends.mujoco3d.motors import compact
+from nmes.backends.mujoco3d.motors import WorkLog, compact
 from nmes.backends.mujoco3d.running import RunningModel
 from nmes.backends.mujoco3d.structure import Structure
 
@@ -48,7 +48,7 @@ class MujocoTrack(Track):
         self._data: mujoco.MjData | None = None  # that of which the views are
         self._pose, self._turn = np.empty((rows, n, 3)), np.empty((rows, n, 4))
         self._motion, self._centre = np.empty((rows, n, 6)), np.empty((rows, n, 3))
-        self._velocity, self._effort = np.empty((rows, m)), np.empty((rows, m))
+        self._position, self._work = np.empty((rows, m)), WorkLog(joints, rows)
         # Where the rows come from: views of what lies in one piece in the engine's arrays, and what must be gathered.
         self._views: list[tuple[Array, Array]] = []
         self._gathered: list[tuple[Array, Array, npt.NDArray[np.intp]]] = []
@@ -59,13 +59,17 @@ class MujocoTrack(Track):
         if self._structure.edited:
             self._note_slowly(row)
         else:
-            self._running.refresh()
+            if self._bodies:
+                self._running.refresh()
             if self._running.data is not self._data:
                 self._locate()
             for rows, view in self._views:
                 rows[row] = view
             for rows, array, index in self._gathered:
                 rows[row] = array[index]
+            if not self._modelled:
+                self._read_positions(row)
+        self._work.note(self._running.motors)
         self.rows = row + 1
 
     def _locate(self) -> None:
@@ -76,16 +80,16 @@ class MujocoTrack(Track):
         roots = compiled.model.body_rootid[bodies].tolist()
         # Bodies of one tree share its centre of mass, which numpy then copies to them all.
         roots = roots[:1] if len(set(roots)) == 1 else roots
-        slots = [compiled.joint[joint].v for joint in self._joints]
-        motors = [compiled.actuator[joint] for joint in self._joints]
+        # A joint between frozen bodies is in no model: then all are read one by one.
+        self._modelled = all(joint in compiled.joint for joint in self._joints)
+        slots = [compiled.joint[joint].q for joint in self._joints] if self._modelled else []
         self._views, self._gathered = [], []
         for rows, array, places in (
             (self._pose, data.xpos, bodies),
             (self._turn, data.xquat, bodies),
             (self._motion, data.cvel, bodies),
             (self._centre, data.subtree_com, roots),
-            (self._velocity, data.qvel, slots),
-            (self._effort, data.actuator_force, motors),
+            *([(self._position, data.qpos, slots)] if slots else []),
         ):
             index = compact(places)
             if isinstance(index, slice):
@@ -99,9 +103,10 @@ class MujocoTrack(Track):
         self._pose[row] = self._centre[row] = states[:, 0:3]
         self._turn[row] = states[:, (6, 3, 4, 5)]
         self._motion[row, :, :3], self._motion[row, :, 3:] = states[:, 10:13], states[:, 7:10]
-        readings = [self._simulation.joint_state(joint) for joint in self._joints]
-        self._velocity[row] = [reading.velocity for reading in readings]
-        self._effort[row] = [reading.effort for reading in readings]
+        self._read_positions(row)
+
+    def _read_positions(self, row: int) -> None:
+        self._position[row] = self._simulation.joint_readings(self._joints)[:, 0]
 
     def states(self, begin: int, end: int) -> Array:
         """Returns the states of rows, array (rows, n, 13)."""
@@ -119,6 +124,10 @@ class MujocoTrack(Track):
         out[:, :, 10:13] = motion[:, :, :3]
         return out
 
-    def drives(self, begin: int, end: int) -> tuple[Array, Array]:
-        """Returns the joints' velocities and efforts in rows, each (rows, m)."""
-        return self._velocity[begin:end], self._effort[begin:end]
+    def positions(self, begin: int, end: int) -> Array:
+        """Returns the joints' positions in rows, array (rows, m)."""
+        return self._position[begin:end]
+
+    def powers(self, begin: int, end: int) -> Array:
+        """Returns the powers of the joints' motors in rows, array (rows, 2, m)."""
+        return self._work.powers(begin, end)

@@ -11,7 +11,7 @@ from pymunk._chipmunk_cffi import ffi
 
 from nmes.backend import BodySpec, JointParams
 
-__all__ = ["Body", "Joint", "Point", "signed_impulse"]
+__all__ = ["Body", "Joint", "Point"]
 
 _SERVO_RATE = 15.0  # 1/s: a servo closes in like exp(-rate t), so it does not overshoot unless its effort is short
 _FAR = 1e5  # m behind the anchor of a slide, where the rod that drives it along its axis is held
@@ -60,6 +60,9 @@ class Joint:
     structure: list[pymunk.Constraint] = field(default_factory=list)
     spring: pymunk.DampedRotarySpring | pymunk.DampedSpring | None = None
     motor: pymunk.GearJoint | pymunk.PinJoint | None = None
+    impulse: ctypes.c_double = field(default_factory=ctypes.c_double)  # of the motor in the last engine step
+    speed: float = 0.0  # when the last engine step of a motor ended
+    works: tuple[float, float] = (0.0, 0.0)  # what the motor worked in the last step, and the sum of its sizes, J
 
     def constraints(self) -> list[pymunk.Constraint]:
         """Returns all constraints, in the order in which they are added to the space; none while it is not built."""
@@ -91,6 +94,7 @@ class Joint:
             )
         if has_motor:
             self.motor = pymunk.PinJoint(*rod) if slides else pymunk.GearJoint(a, b, 0.0, 1.0)
+            self.impulse = _signed_impulse(self.motor)
         for constraint in self.constraints():
             constraint.collide_bodies = False
         self.adjust()
@@ -144,6 +148,22 @@ class Joint:
         velocity = b.velocity_at_world_point(here) - a.velocity_at_world_point(here)
         return axis.dot(here - anchor), axis.dot(velocity)
 
+    def begin(self) -> None:
+        """Counts the motor's work anew."""
+        self.speed, self.works = self.velocity(), (0.0, 0.0)
+
+    def keep(self) -> None:
+        """Adds what the motor worked in an engine step: its impulse times the mean velocity."""
+        before, self.speed = self.speed, self.velocity()
+        work = self.sign * self.impulse.value * (before + self.speed) / 2.0
+        self.works = self.works[0] + work, self.works[1] + abs(work)
+
+    def velocity(self) -> float:
+        """Returns the velocity of a hinge or slide, rad/s or m/s."""
+        if self.kind == "slide":
+            return self.measure()[1]
+        return self.sign * (self.two.body.angular_velocity - self.one.body.angular_velocity)
+
     def is_driving(self) -> bool:
         """Tells whether the motor still has something to do, so that the bodies must not fall asleep."""
         if self.params.motor == "velocity":
@@ -151,7 +171,7 @@ class Joint:
         return self.params.motor == "position" and abs(self.measure()[0] - self.params.target_position) > 1e-3
 
 
-def signed_impulse(motor: pymunk.GearJoint | pymunk.PinJoint) -> float:
-    """Returns the impulse of the last engine step on the second body."""
+def _signed_impulse(motor: pymunk.GearJoint | pymunk.PinJoint) -> ctypes.c_double:
+    """Returns the impulse of the last engine step on the second body, as long as the motor lives."""
     address = int(ffi.cast("uintptr_t", motor._constraint)) + 8 * _SIGNED_IMPULSE[type(motor)]
-    return math.copysign(motor.impulse, ctypes.c_double.from_address(address).value)
+    return ctypes.c_double.from_address(address)

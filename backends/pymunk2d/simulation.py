@@ -33,7 +33,7 @@ from nmes.backend import (
     Simulation,
     Vector,
 )
-from nmes.backends.pymunk2d.joints import Body, Joint, signed_impulse
+from nmes.backends.pymunk2d.joints import Body, Joint
 from nmes.backends.pymunk2d.scenery import add_scenery
 from nmes.errors import SimulationFault, WorldError
 
@@ -54,7 +54,7 @@ class PymunkSimulation(Simulation):
     """A Chipmunk space."""
 
     def __init__(self, scene: SceneSpec) -> None:
-        self._timestep = scene.timestep
+        self._timestep = self._elapsed = scene.timestep  # of an engine step, and of the last `step`
         self._space = space = pymunk.Space()
         space.gravity = scene.gravity[:2]
         space.collision_slop = OVERLAP
@@ -237,8 +237,15 @@ class PymunkSimulation(Simulation):
         anchor, axis = j.where()
         world_axis = (axis.x, axis.y, 0.0) if j.kind == "slide" else (0.0, 0.0, j.sign)
         position, velocity = j.measure() if j.kind in ("hinge", "slide") else (0.0, 0.0)
-        effort = 0.0 if j.motor is None else j.sign * signed_impulse(j.motor) / self._timestep
+        effort = 0.0 if j.motor is None else j.sign * j.impulse.value / self._timestep
         return JointState(position, velocity, effort, (anchor.x, anchor.y, 0.0), world_axis)
+
+    def powers(self, joints: Sequence[int], out: Array) -> None:
+        """Writes powers, from the motors' impulses in each engine step."""
+        for column, joint in enumerate(joints):
+            j = self._joints[joint]
+            out[:, column] = (0.0, 0.0) if j.motor is None else j.works
+        out /= self._elapsed
 
     def contacts(self, body: int) -> list[Contact]:
         """Returns the body's contacts in the last step, each the mean of its points, ordered by partner."""
@@ -264,7 +271,9 @@ class PymunkSimulation(Simulation):
         for b in self._pushed.values():
             b.body.velocity += pymunk.Vec2d(*b.impulse) / b.spec.mass
             b.body.angular_velocity += b.spin / b.body.moment
-        for j in self._joints.values():
+        driven = [j for j in self._joints.values() if j.motor is not None]
+        for j in driven:
+            j.begin()
             if j.motor is not None and j.is_driving():
                 j.motor.activate_bodies()
         for _ in range(substeps):
@@ -278,6 +287,9 @@ class PymunkSimulation(Simulation):
                 self._rows = before
                 worst = list(self._bodies)[int(np.argmax(extent))]
                 raise SimulationFault("diverged", "a body moves too fast or is too far away", worst)
+            for j in driven:
+                j.keep()
+        self._elapsed = substeps * self._timestep
         for b in list(self._pushed.values()):
             self._clear_wrench(b)
 
@@ -294,7 +306,7 @@ class PymunkSimulation(Simulation):
         for j in self._joints.values():
             state.update(struct.pack(f"<{len(j.structure)}d", *(c.impulse for c in j.structure)))
             if j.motor is not None:
-                state.update(struct.pack("<d", signed_impulse(j.motor)))
+                state.update(struct.pack("<d", j.impulse.value))
         return state.digest()
 
     def close(self) -> None:

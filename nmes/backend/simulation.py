@@ -38,7 +38,7 @@ class Track(ABC):
     Args:
         simulation: The scene.
         bodies: The bodies whose states are kept.
-        joints: The joints whose readings are kept: hinges and slides with motors.
+        joints: The joints whose positions and powers are kept: hinges and slides.
 
     Attributes:
         rows: The number of rows that are kept.
@@ -58,8 +58,12 @@ class Track(ABC):
         """Returns the states of the rows from `begin` to before `end`, array (rows, n, 13), as `Simulation.states`."""
 
     @abstractmethod
-    def drives(self, begin: int, end: int) -> tuple[Array, Array]:
-        """Returns the joints' velocities and efforts in those rows, each (rows, m), as `Simulation.joint_state`."""
+    def positions(self, begin: int, end: int) -> Array:
+        """Returns the joints' positions in those rows, array (rows, m), as `Simulation.joint_state`."""
+
+    @abstractmethod
+    def powers(self, begin: int, end: int) -> Array:
+        """Returns the powers of the joints' motors in those rows, array (rows, 2, m), as `Simulation.powers`."""
 
 
 class _PlainTrack(Track):
@@ -68,20 +72,22 @@ class _PlainTrack(Track):
     def __init__(self, simulation: Simulation, bodies: Sequence[int], joints: Sequence[int], rows: int) -> None:
         super().__init__(simulation, bodies, joints)
         self._states = np.empty((rows, len(bodies), 13))
-        self._velocities, self._efforts = np.empty((2, rows, len(joints)))
+        self._positions, self._powers = np.empty((rows, len(joints))), np.empty((rows, 2, len(joints)))
 
     def note(self) -> None:
         self._states[self.rows] = self._simulation.states(self._bodies)
-        readings = [self._simulation.joint_state(joint) for joint in self._joints]
-        self._velocities[self.rows] = [reading.velocity for reading in readings]
-        self._efforts[self.rows] = [reading.effort for reading in readings]
+        self._positions[self.rows] = self._simulation.joint_readings(self._joints)[:, 0]
+        self._simulation.powers(self._joints, self._powers[self.rows])
         self.rows += 1
 
     def states(self, begin: int, end: int) -> Array:
         return self._states[begin:end]
 
-    def drives(self, begin: int, end: int) -> tuple[Array, Array]:
-        return self._velocities[begin:end], self._efforts[begin:end]
+    def positions(self, begin: int, end: int) -> Array:
+        return self._positions[begin:end]
+
+    def powers(self, begin: int, end: int) -> Array:
+        return self._powers[begin:end]
 
 
 class Simulation(ABC):
@@ -164,15 +170,19 @@ class Simulation(ABC):
         return np.array([float(bool(self.contacts(body))) for body in bodies])
 
     def powers(self, joints: Sequence[int], out: Array) -> None:
-        """Writes the power of joints' motors, effort times velocity as `joint_state` has them, W.
+        """Writes what joints' motors gave in the last step: their mean power, and the mean size of it, W.
+
+        The mean power times the length of the step is the work that the motor did on the scene. So an engine with
+        motors overrides this, unless what it tells as a step ends is so throughout the step.
 
         Args:
             joints: Asked for right after a step; the same tuple for as long as they stay the same.
-            out: Array (n,).
+            out: Array (2, n).
         """
-        for row, joint in enumerate(joints):
+        for column, joint in enumerate(joints):
             state = self.joint_state(joint)
-            out[row] = state.effort * state.velocity
+            power = state.effort * state.velocity
+            out[:, column] = power, abs(power)
 
     @abstractmethod
     def contacts(self, body: int) -> list[Contact]:
@@ -219,7 +229,7 @@ class Simulation(ABC):
         raise NotImplementedError
 
     def track(self, bodies: Sequence[int], joints: Sequence[int], rows: int) -> Track:
-        """Returns a Track that keeps up to `rows` rows of states of bodies and readings of joints with motors.
+        """Returns a Track that keeps up to `rows` rows of bodies' states and of joints' positions and powers.
 
         An engine overrides it where it can keep a row at less cost than by being asked for it.
         """

@@ -216,7 +216,7 @@ class _Observer:
         if begin == end:
             return None
         trajectory.states[begin:end] = self._track.states(begin, end)
-        trajectory.meter(begin, *self._track.drives(begin, end))
+        trajectory.meter(begin, self._track.powers(begin, end)[:, 1])
         trajectory.rows = end
         stop = self._task.ended(trajectory, max(begin, 1), end)
         if stop is None:

@@ -222,7 +222,7 @@ class _Reader:
             self.note(f"{path}/motor/range", f"both ends of the motor of {who} are {motor.low:g}: it could do nothing")
 
     def limits(self, limits: tuple[float, float], who: str, path: str) -> None:
-        """Notes limits that are the wrong way round, or exclude position 0: the solver would fling such a body apart."""
+        """Notes limits that are the wrong way round, or exclude 0, from where a solver would fling the body."""
         low, high = limits
         if low > high:
             self.note(path, f"the lower limit of {who}, {low:g}, is above the upper, {high:g}")

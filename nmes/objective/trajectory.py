@@ -88,15 +88,14 @@ class Trajectory:
         self.rows = 0
         self._watts: Array = np.zeros(motors)  # the sum of each motor's power over the rows of which the work is known
 
-    def meter(self, begin: int, velocities: Array, efforts: Array) -> None:
-        """Writes `work` of some rows, given what the motors' joints did; of all rows in order, many at a time or few.
+    def meter(self, begin: int, powers: Array) -> None:
+        """Writes `work` of some rows, given what the motors gave; of all rows in order, many at a time or few.
 
         Args:
             begin: The first row.
-            velocities: In each row, shape (k, m), rad/s or m/s.
-            efforts: What the motors gave, the same shape, N m or N.
+            powers: The mean size of each motor's power in the tick of each row, shape (k, m), W.
         """
-        powers = np.abs(velocities * efforts)
+        powers = powers.copy()
         if begin == 0:
             powers[:1] = 0.0  # what they gave before the start
             self._watts = np.zeros(powers.shape[1])

@@ -1,8 +1,7 @@
 """The work of the motors of a world.
 
 Hides where the sums are kept, and that they are taken of many ticks at once. The work of a motor in a tick is the
-size of its effort times its joint's velocity, both as they are when the tick ends, times the tick: a motor that brakes
-works too, and what a motor gives for less than a tick counts as far as it lasts to its end.
+size of its effort times its joint's velocity, over all engine steps of the tick: a motor that brakes works too.
 
 Invariants: a motor counts from the tick after it was first switched on, whether it runs or not; sums are taken tick by
 tick, in watts, so that neither asking nor saving changes a bit of them.
@@ -27,22 +26,19 @@ class EnergyMeter:
         self._simulation = simulation
         self._watts: dict[int, float] = {}  # the sums by joint, in the order in which they came, but for what is kept
         self._numbers: tuple[int, ...] | None = ()  # None while joints come and go: nothing is kept then
-        self._kept: Array = np.zeros((_ROWS, 0))
-        self._slots: list[Array] = []  # its rows
-        self._ticks = 0  # rows that are filled
+        self._track = simulation.track([], [], 0)
 
     @property
     def numbers(self) -> tuple[int, ...]:
         """The joints that are metered, in the order in which they came: the same tuple until that changes."""
         if self._numbers is None:
             self._numbers = tuple(self._watts)
-            self._kept = np.zeros((_ROWS, len(self._numbers)))
-            self._slots = list(self._kept)
+            self._track = self._simulation.track([], self._numbers, _ROWS)
         return self._numbers
 
     def powers(self) -> Array:
         """Returns the size of the power of each of `numbers`, array (m,), W; to be asked right after `tick`."""
-        return np.abs(self._slots[self._ticks - 1]) if self.numbers else np.zeros(0)
+        return self._track.powers(self._track.rows - 1, self._track.rows)[0, 1] if self.numbers else np.zeros(0)
 
     def add(self, joint: int, watts: float = 0.0) -> None:
         """Meters a joint from now on, if it is not yet; `watts` is the sum that it has."""
@@ -68,15 +64,14 @@ class EnergyMeter:
         """Takes the power of a tick that has just ended."""
         numbers = self._numbers if self._numbers is not None else self.numbers
         if numbers:
-            if self._ticks == _ROWS:
+            if self._track.rows == _ROWS:
                 self._settle()
-            self._simulation.powers(numbers, self._slots[self._ticks])
-            self._ticks += 1
+            self._track.note()
 
     def _settle(self) -> None:
         """Adds what is kept to the sums, tick by tick."""
-        if self._ticks:
-            rows = np.abs(self._kept[: self._ticks])
+        if self._track.rows:
+            rows = self._track.powers(0, self._track.rows)[:, 1]
             sums = np.add.accumulate(np.vstack([list(self._watts.values()), rows]))[-1]
             self._watts = dict(zip(self._watts, sums.tolist(), strict=True))
-            self._ticks = 0
+            self._track = self._simulation.track([], self._numbers or (), _ROWS)

@@ -19,6 +19,7 @@ from nmes.backend import (
     JointSpec,
     JointState,
     SceneSpec,
+    Simulation,
     Vector,
 )
 from nmes.backend.contract import BackendContract
@@ -313,6 +314,11 @@ class DrivesTooHard(PlantedInThePlane):
             super().add_joint(joint, replace(spec, params=strong))
 
 
+class MetersMotorsAsAStepEnds(PlantedInThePlane):
+    class Defect(PymunkSimulation):
+        powers = Simulation.powers
+
+
 class ForgetsLimits(PlantedInThePlane):
     class Defect(PymunkSimulation):
         def add_joint(self, joint: int, spec: JointSpec) -> None:
@@ -407,6 +413,7 @@ CAUGHT = {
     ReadsEffortWithoutSign: "drives_motors",
     ReadsJointsTheOtherWay: "reads_joints",
     DrivesTooHard: "drives_motors",
+    MetersMotorsAsAStepEnds: "power_is_what_the_motor_gives_to_the_scene",
     ForgetsLimits: "stops_at_limits",
     HoldsOnToLimits: "stops_at_limits",
     SpringsTooSoftly: "hangs_a_mass_on_a_spring",

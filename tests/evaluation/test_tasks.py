@@ -188,7 +188,7 @@ def test_an_episode_ends_at_the_first_tick_at_which_its_condition_holds_or_its_e
     trajectory.rows = 101
     assert task.ended(trajectory, 0, 101) == (36, "higher")
     assert task.ended(trajectory, 37, 101) == (42, "high")
-    trajectory.meter(0, np.ones((101, 1)), np.full((101, 1), 12.5))
+    trajectory.meter(0, np.full((101, 1), 12.5))
     assert task.ended(trajectory, 0, 101) == (30, "energy")
     assert task.ended(trajectory, 0, 30) is None
     # A touch may be over before the next look.

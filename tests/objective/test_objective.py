@@ -318,7 +318,7 @@ def random_trajectory(seed: int, n: int = 3, ticks: int = 20, **changes: Any) ->
     )
     trajectory.states[:] = random.normal(size=trajectory.states.shape)
     trajectory.states[:, :, 3:7] /= np.linalg.norm(trajectory.states[:, :, 3:7], axis=2, keepdims=True)
-    trajectory.meter(0, *random.normal(size=(2, *trajectory.work.shape)))
+    trajectory.meter(0, random.uniform(0.0, 2.0, trajectory.work.shape))
     trajectory.touches[:] = random.uniform(size=trajectory.touches.shape) < 0.5
     trajectory.rows = ticks + 1
     return trajectory
@@ -431,16 +431,15 @@ def test_the_first_row_at_which_a_condition_holds_is_found_for_any_block_size() 
     assert trajectory.first(Condition("true"), 6, 9, every=5) is None
 
 
-def test_work_counts_every_motor_in_both_directions() -> None:
+def test_work_adds_up_what_every_motor_gave_since_the_start() -> None:
     trajectory = Trajectory(ObservedBodies(("a",), 1, np.ones((1, 3)), np.ones(1), 10), 3, 2)
     trajectory.rows = 4
-    velocities = np.array([[9.0, 9.0], [1.0, -2.0], [2.0, 0.0], [-3.0, 1.0]])
-    efforts = np.array([[9.0, 9.0], [5.0, 5.0], [5.0, 5.0], [5.0, -5.0]])
-    trajectory.meter(0, velocities, efforts)
+    powers = np.array([[81.0, 81.0], [5.0, 10.0], [10.0, 0.0], [15.0, 5.0]])
+    trajectory.meter(0, powers)
     assert trajectory.series(Quantity("energy")).tolist() == pytest.approx([0.0, 1.5, 2.5, 4.5])
     whole = trajectory.work.copy()
     for begin, end in ((0, 1), (1, 3), (3, 3), (3, 4)):
-        trajectory.meter(begin, velocities[begin:end], efforts[begin:end])
+        trajectory.meter(begin, powers[begin:end])
     assert (trajectory.work == whole).all()
 
 

@@ -168,7 +168,7 @@ def test_a_creature_scores_what_its_trajectory_scores_bit_for_bit() -> None:
         track.note()
         trajectory.touches[row] = touches(world.simulation, numbers, len(ids))
     trajectory.states[:], trajectory.rows = track.states(0, 61), 61
-    trajectory.meter(0, *track.drives(0, 61))
+    trajectory.meter(0, track.powers(0, 61)[:, 1])
     scores = {}
     for index, text in enumerate(texts):
         owner = clients[(index + 1) // 16]

@@ -201,7 +201,7 @@ class JointChecks(Checks):
                 assert_close([after.velocity, after.effort], [reading.velocity, 0.0], 1e-3, f"{kind}: coasting")
 
     def test_tells_power(self) -> None:
-        """The power of motors is effort times velocity, of as many joints as are asked for, motors or not."""
+        """Motors have powers where joints have motors, of as many joints as are asked for, and of no other joint."""
         self.need("motor")
         kind = next(kind for kind in ("hinge", "slide") if self.can(f"joint.{kind}"))
         motor = JointParams("velocity", target_velocity=2.0, max_effort=1.0)
@@ -213,19 +213,39 @@ class JointChecks(Checks):
             axis = (0.0, 0.0, 1.0) if kind == "hinge" else (1.0, 0.0, 0.0)
             spec = JointSpec(kind, 10 * number, 10 * number + 1, (x + 2.0, 0.0, 0.0), axis, params)
             sim.add_joint(number, spec)
-        all_powers = []
         for tick, joints in enumerate([(0, 1, 2)] * 4 + [(2,), (1,), (2, 0), (), (0, 1, 2)]):
             if tick == 3:
                 sim.set_joint_params(0, JointParams())
             sim.step(SUBSTEPS)
-            expected = [(state := sim.joint_state(number)).effort * state.velocity for number in joints]
-            powers = np.full(len(joints), np.nan)
+            powers, alone = np.full((2, len(joints)), np.nan), np.full((2, 1), np.nan)
             sim.powers(joints, powers)
-            assert powers.tolist() == expected, f"tick {tick}: joints {joints}"
-            all_powers += expected
+            for column, number in enumerate(joints):
+                sim.powers((number,), alone)
+                assert powers[:, column].tolist() == alone[:, 0].tolist(), f"tick {tick}: joints {joints}"
+                assert number != 1 or not alone.any(), "a joint without a motor has no power"
+                assert number != 0 or tick < 3 or not alone.any(), "a motor that is off has no power"
             if 0 in joints and tick < 3:
-                assert powers[0] > 0.0, "a motor that accelerates has power"
-        assert 0.0 in all_powers
+                assert powers[0, 0] == powers[1, 0] > 0.0, "a motor that accelerates has power"
+
+    def test_power_is_what_the_motor_gives_to_the_scene(self) -> None:
+        """What a motor gives a cube is the cube's kinetic energy, however fast it reaches its velocity, and turns."""
+        self.need("motor")
+        for kind in ("hinge", "slide"):
+            if not self.can(f"joint.{kind}"):
+                continue
+            for effort in (5.0, 500.0):  # at its bound, and far below it
+                sim = self.machine(kind, JointParams("velocity", target_velocity=2.0, max_effort=effort))
+                inertia, work, size, powers = (1.0 / 6.0 if kind == "hinge" else 1.0), 0.0, 0.0, np.zeros((2, 1))
+                for target in (2.0, -2.0):
+                    sim.set_joint_params(0, JointParams("velocity", target_velocity=target, max_effort=effort))
+                    for _ in range(60):
+                        sim.step(SUBSTEPS)
+                        sim.powers((0,), powers)
+                        work, size = work + powers[0, 0] * TICK, size + powers[1, 0] * TICK
+                        given = inertia * sim.joint_state(0).velocity ** 2 / 2.0
+                        assert_close([work], [given], 0.01 * inertia, f"{kind}: work at {effort}")
+                        assert size >= abs(work) - 1e-9, f"{kind}: the size of the work at {effort}"
+                assert effort > 5.0 or size > 1.5 * work, f"{kind}: braking counts in the size of the work"
 
     def test_keeps_track(self) -> None:
         """A track holds what states and readings said when its rows were kept, also while the structure changes."""
@@ -240,15 +260,17 @@ class JointChecks(Checks):
             if row == 6:
                 sim.add_body(7, box((30.0, 0.5, 0.0)))
             track.note()
-            reading = sim.joint_state(0)
-            records.append((sim.states(bodies), reading.velocity, reading.effort))
+            powers = np.zeros((2, 1))
+            sim.powers([0], powers)
+            records.append((sim.states(bodies), sim.joint_state(0).position, powers))
             sim.step(SUBSTEPS)
         assert track.rows == 9
-        states, (velocities, efforts) = track.states(0, 9), track.drives(2, 9)
-        for row, (state, velocity, effort) in enumerate(records):
+        states, positions, tracked = track.states(0, 9), track.positions(2, 9), track.powers(2, 9)
+        for row, (state, position, powers) in enumerate(records):
             assert np.array_equal(states[row], state), f"row {row}: states"
             if row >= 2:
-                assert (velocities[row - 2, 0], efforts[row - 2, 0]) == (velocity, effort), f"row {row}: readings"
+                assert positions[row - 2, 0] == position, f"row {row}: position"
+                assert np.array_equal(tracked[row - 2], powers), f"row {row}: powers"
         assert np.array_equal(track.states(3, 5), states[3:5])
 
     def test_holds_servos(self) -> None:
