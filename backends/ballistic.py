@@ -88,8 +88,8 @@ class BallisticSimulation(Simulation):
             raise WorldError("unsupported", f"ballistic has only fixed joints, no {spec.kind!r}", "joint_type")
         body = self._bodies[spec.body1]
         back = _matrix(body.quaternion).T
-        anchor = _vector(back @ np.subtract(spec.anchor, body.position))
-        self._joints[joint] = replace(spec, anchor=anchor, axis=_vector(back @ spec.axis))
+        anchor = _vector(_apply(back, np.subtract(spec.anchor, body.position)))
+        self._joints[joint] = replace(spec, anchor=anchor, axis=_vector(_apply(back, spec.axis)))
         self._clusters = None
 
     def remove_joint(self, joint: int) -> None:
@@ -132,7 +132,9 @@ class BallisticSimulation(Simulation):
         spec = self._joints[joint]
         body = self._bodies[spec.body1]
         out = _matrix(body.quaternion)
-        return JointState(0.0, 0.0, 0.0, _vector(out @ spec.anchor + body.position), _vector(out @ spec.axis))
+        return JointState(
+            0.0, 0.0, 0.0, _vector(_apply(out, spec.anchor) + body.position), _vector(_apply(out, spec.axis))
+        )
 
     def contacts(self, body: int) -> list[Contact]:
         b = self._bodies[body]
@@ -197,7 +199,7 @@ class BallisticSimulation(Simulation):
         """Adds the impulses to a body's own motion; `_advance` shares it among the cluster."""
         b.linear = _add(b.linear, b.impulse, 1.0 / b.spec.mass)
         if b.angular_impulse != ZERO:
-            b.angular = _add(b.angular, _vector(np.linalg.solve(_inertia(b), b.angular_impulse)))
+            b.angular = _add(b.angular, _vector(_apply(_inverse(_inertia(b)), b.angular_impulse)))
 
     def _advance(self, cluster: list[_Body], h: float) -> None:
         """Moves a cluster by one engine step: the parabola, the rotation, then the ground."""
@@ -228,16 +230,16 @@ class BallisticSimulation(Simulation):
         inertia, spin, torque = np.zeros((3, 3)), np.zeros(3), np.zeros(3)
         for b in cluster:
             arm, own = np.subtract(b.position, centre), _inertia(b)
-            inertia += own + b.spec.mass * (arm @ arm * np.eye(3) - np.outer(arm, arm))
-            spin += own @ b.angular + b.spec.mass * np.array(cross(_vector(arm), b.linear))
+            inertia += own + b.spec.mass * ((arm * arm).sum() * np.eye(3) - np.outer(arm, arm))
+            spin += _apply(own, b.angular) + b.spec.mass * np.array(cross(_vector(arm), b.linear))
             torque += np.add(b.torque, cross(_vector(arm), b.force))
-        yielding = np.linalg.inv(inertia)
-        half = _matrix(_rotation(yielding @ spin, h / 2))
-        turn = _rotation(half @ yielding @ half.T @ (spin + torque * h / 2), h)
+        yielding = _inverse(inertia)
+        half = _matrix(_rotation(_apply(yielding, spin), h / 2))
+        turn = _rotation(_apply(half, _apply(yielding, _apply(half.T, spin + torque * h / 2))), h)
         matrix = _matrix(turn)
-        angular = _vector(matrix @ yielding @ matrix.T @ (spin + torque * h))
+        angular = _vector(_apply(matrix, _apply(yielding, _apply(matrix.T, spin + torque * h))))
         for b in cluster:
-            reach = _vector(matrix @ np.subtract(b.position, centre))
+            reach = _vector(_apply(matrix, np.subtract(b.position, centre)))
             b.position, b.quaternion = _add(centre, reach), normalize(multiply(turn, b.quaternion))
             b.linear, b.angular = _add(velocity, cross(angular, reach)), angular
 
@@ -290,11 +292,23 @@ def _add(a: Vector, b: Vector, scale: float = 1.0) -> Vector:
 
 def _mean(vectors: list[Vector], cluster: list[_Body], mass: float) -> Vector:
     """Returns the mean of one vector a body, by mass."""
-    return _vector(np.array([b.spec.mass / mass for b in cluster]) @ np.array(vectors))
+    return _vector((np.array([[b.spec.mass / mass] for b in cluster]) * vectors).sum(axis=0))
 
 
 def _tuples(fields: dict[str, Any]) -> dict[str, Any]:
     return {name: tuple(value) if isinstance(value, list) else value for name, value in fields.items()}
+
+
+def _apply(matrix: Array, vector: Any) -> Array:
+    """Returns a matrix times a vector; unlike BLAS, in the same order of sums on every processor."""
+    return np.asarray((matrix * vector).sum(axis=1))
+
+
+def _inverse(matrix: Array) -> Array:
+    """Returns the inverse of a matrix (3, 3), by Cramer's rule."""
+    a, b, c = matrix
+    columns = np.array([np.cross(b, c), np.cross(c, a), np.cross(a, b)])
+    return np.asarray(columns.T / (a * columns[0]).sum())
 
 
 def _matrix(q: Quaternion) -> Array:
@@ -319,7 +333,8 @@ def _inertia(b: _Body) -> Array:
     """Returns a box's moment of inertia about its centre, in world directions."""
     x, y, z = (edge * edge for edge in b.spec.size)
     turn = _matrix(b.quaternion)
-    return turn * (np.array((y + z, x + z, x + y)) * b.spec.mass / 12.0) @ turn.T
+    own = turn * (np.array((y + z, x + z, x + y)) * b.spec.mass / 12.0)
+    return np.asarray((own[:, None] * turn).sum(axis=2))
 
 
 def _reach(b: _Body) -> float:

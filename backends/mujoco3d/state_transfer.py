@@ -184,7 +184,8 @@ def _project(
     for index, body in sorted(parts):
         state = states[body]
         turn = data.ximat[index].reshape(3, 3)
-        spin = turn @ (model.body_inertia[index] * (turn.T @ np.array(state.angular_velocity)))
+        own = (turn.T * state.angular_velocity).sum(axis=1)  # not `@`: BLAS adds up as it suits the processor
+        spin = (turn * (model.body_inertia[index] * own)).sum(axis=1)
         push = model.body_mass[index] * np.array(state.linear_velocity)
         mujoco.mj_applyFT(model, data, push, spin, data.xipos[index], index, momentum)
     velocity = np.zeros((1, model.nv))

@@ -38,7 +38,7 @@ def _landscape(space: pymunk.Space, points: Sequence[Point]) -> list[pymunk.Segm
     """Returns thick segments whose upper sides are the line through the points."""
     line = np.array(points)
     ways = np.diff(line, axis=0)
-    up = np.column_stack([-ways[:, 1], ways[:, 0]]) / np.linalg.norm(ways, axis=1)[:, None]
+    up = np.column_stack([-ways[:, 1], ways[:, 0]]) / np.sqrt((ways * ways).sum(axis=1))[:, None]
     before, after = np.vstack([up[:1], up]), np.vstack([up, up[-1:]])
     radius = float(ways[:, 0].min()) / 4
     middles = line - radius * (before + after) / (1.0 + np.sum(before * after, axis=1))[:, None]

@@ -222,7 +222,9 @@ class PymunkSimulation(Simulation):
         rows = self._read()[[ranks[body] for body in bodies]]
         states = np.zeros((len(bodies), 13))
         states[:, 0:2] = rows[:, 0:2]
-        states[:, 5], states[:, 6] = np.sin(rows[:, 2] / 2), np.cos(rows[:, 2] / 2)
+        halves = (rows[:, 2] / 2).tolist()
+        # The C library's, as Chipmunk's own are; numpy has others for other processors.
+        states[:, 5], states[:, 6] = list(map(math.sin, halves)), list(map(math.cos, halves))
         states[:, 7:9] = rows[:, 3:5]
         states[:, 12] = rows[:, 5]
         return states

@@ -4,10 +4,9 @@ A brain is two things. A `Brain` is a checked document, tied to the names of a b
 changes. A `Kernel` is what runs: arrays, buffers, a clock of its own. Kernels are written for any number of brains at
 once: their arrays may have an axis in front, so that one brain and a batch of brains run the very same code.
 
-Invariants. A row of a batch is bit-equal to that brain alone, whatever the batch: sums of products are `numpy.vecdot`
-over rows that each begin on a 64-byte line and are filled up with zeros (how a library treats the ends of a row and
-rows that begin elsewhere thus never shows), and all else is taken element by element. Nothing depends on anything but
-the document, the seed, dt and the inputs. Outputs are finite and from -1 to 1.
+Invariants. A row of a batch is bit-equal to that brain alone, whatever the batch: sums and functions are those of
+`nmes.brain.arithmetic`, and all else is added and multiplied element by element. Nothing depends on anything but the
+document, the seed, dt, the inputs and the C library. Outputs are finite and from -1 to 1.
 """
 
 from __future__ import annotations
@@ -45,7 +44,6 @@ __all__ = [
     "Kernel",
     "OpenLoop",
     "Parameter",
-    "lines",
     "stack",
 ]
 
@@ -56,20 +54,9 @@ LIMIT = 1e6
 """What goes through a brain, sensors' values first, is kept within this, so that no sum overflows."""
 
 _BLOCK = 64  # steps of an open-loop brain that are computed at once
-_LINE = 64 // 8  # numbers in a 64-byte line
-_SENSORS, _MOTORS = 4096, 1024  # at most; rows stay below the 10,000 numbers from which on OpenBLAS uses threads
+_SENSORS, _MOTORS = 4096, 1024  # at most
 _WILDCARDS = 256  # entries with wildcards in one document: each is held against all names
 _LISTED = 12  # names that a message lists
-
-
-def lines(*shape: int) -> Array:
-    """Returns zeros of a shape whose last axis is rounded up to whole lines of 64 bytes, and that begin on one."""
-    *front, last = shape
-    whole = (*front, -(-last // _LINE) * _LINE)
-    count = int(np.prod(whole))
-    room = np.zeros(count + _LINE)
-    skip = -room.ctypes.data % 64 // 8
-    return room[skip : skip + count].reshape(whole)
 
 
 # -- documents --------------------------------------------------------------------------------------------------------

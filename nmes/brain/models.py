@@ -18,7 +18,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from nmes.brain.base import Array, Brain, Findings, JsonObject, Kernel, Parameter, lines
+from nmes.brain.arithmetic import weigh
+from nmes.brain.base import Array, Brain, Findings, JsonObject, Kernel, Parameter
 from nmes.brain.naming import Entries, Inputs, Outputs
 from nmes.errors import MissingPackage
 
@@ -183,9 +184,9 @@ class OnnxKernel(Kernel):
         self._sessions = [_session(model.tobytes()) for model in models.reshape(-1, models.shape[-1])]
         ins, outs = self._sessions[0].get_inputs(), self._sessions[0].get_outputs()
         self._names = [outs[0].name]
-        self._sums = lines(count, sensors + 1)
+        self._sums = np.zeros((count, sensors + 1))
         self._sums[:, :sensors] = entries.spread(np.eye(count))
-        self._row = lines(*lead, 1, sensors + 1)
+        self._row = np.zeros((*lead, 1, sensors + 1))
         self._inputs = Inputs(self._row, sensors)
         self._seen = np.zeros((*lead, count))
         self._fed = np.zeros((len(self._sessions), *_sizes(ins[0], count)), _TYPES[ins[0].type])
@@ -199,7 +200,7 @@ class OnnxKernel(Kernel):
     def step(self, inputs: Array) -> Array:
         """Goes one control step on."""
         self._inputs.read(inputs)
-        np.vecdot(self._sums, self._row, out=self._seen)
+        weigh(self._sums, self._row, self._seen)
         self._fed[...] = self._seen.reshape(self._fed.shape)
         rows = self._raw.reshape(len(self._sessions), -1)
         for session, feed, row in zip(self._sessions, self._feeds, rows, strict=True):

@@ -11,13 +11,15 @@ Computation 10 (2002).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
 from typing import Final
 
 import numpy as np
 
-from nmes.brain.base import LIMIT, Array, Brain, Findings, Indices, JsonObject, Kernel, lines
+from nmes.brain.arithmetic import each, weigh
+from nmes.brain.base import LIMIT, Array, Brain, Findings, Indices, JsonObject, Kernel
 from nmes.brain.naming import Entries, Inputs, Outputs
 
 __all__ = ["CtrnnBrain", "GraphBrain", "MlpBrain"]
@@ -26,29 +28,29 @@ __all__ = ["CtrnnBrain", "GraphBrain", "MlpBrain"]
 
 
 def _tanh(sums: Array) -> None:
-    np.tanh(sums, out=sums)
+    each(math.tanh, sums)
 
 
 def _sigmoid(sums: Array) -> None:
     # exp(-s) would overflow; this is the same.
     np.multiply(sums, 0.5, out=sums)
-    np.tanh(sums, out=sums)
+    each(math.tanh, sums)
     np.multiply(sums, 0.5, out=sums)
     np.add(sums, 0.5, out=sums)
 
 
 def _sin(sums: Array) -> None:
-    np.sin(sums, out=sums)
+    each(math.sin, sums)
 
 
 def _cos(sums: Array) -> None:
-    np.cos(sums, out=sums)
+    each(math.cos, sums)
 
 
 def _gauss(sums: Array) -> None:
     np.multiply(sums, sums, out=sums)
     np.multiply(sums, -1.0, out=sums)  # numpy 2.4's negative is wrong in place where numbers stand 64 bytes apart
-    np.exp(sums, out=sums)
+    each(math.exp, sums)
 
 
 def _step(sums: Array) -> None:
@@ -103,17 +105,15 @@ class MlpKernel(Kernel):
     ) -> None:
         """Takes for each layer a matrix (*lead, units, what is before + 1), whose last column are the biases."""
         lead = matrices[0].shape[:-2]
-        source = lines(*lead, 1, inputs + 1)
+        source = np.zeros((*lead, 1, inputs + 1))
         self._inputs = Inputs(source, inputs)
         self._layers = []
         for name, matrix in zip(activations, matrices, strict=True):
-            units, before = matrix.shape[-2:]
-            weights = lines(*lead, units, before)
-            weights[..., :before] = matrix
-            row = lines(*lead, 1, units + 1)
+            units = matrix.shape[-2]
+            row = np.zeros((*lead, 1, units + 1))
             row[..., 0, units] = 1.0
             target = row[..., 0, :units]
-            self._layers.append((weights, source, target, _ACTIVATIONS[name]))
+            self._layers.append((matrix, source, target, _ACTIVATIONS[name]))
             source = row
         self._last = target
         self._outputs = Outputs(owner, activations[-1] in _UNBOUNDED)
@@ -125,7 +125,7 @@ class MlpKernel(Kernel):
         """Goes one control step on."""
         self._inputs.read(inputs)
         for weights, source, target, activate in self._layers:
-            np.vecdot(weights, source, out=target)
+            weigh(weights, source, target)
             activate(target)
         return self._outputs.pick(self._last)
 
@@ -177,11 +177,11 @@ class CtrnnKernel(Kernel):
         *lead, n, m = input_weights.shape
         self._taus = taus
         self._biases = biases
-        self._drive = lines(*lead, n, m + 1 + n)  # of [inputs, 1, u]
+        self._drive = np.zeros((*lead, n, m + 1 + n))  # of [inputs, 1, u]
         self._drive[..., :m] = 0.5 * input_weights
         self._drive[..., m] = 0.5 * (biases + 0.5 * weights.sum(axis=-1))
         self._drive[..., m + 1 : m + 1 + n] = 0.25 * weights
-        self._row = lines(*lead, 1, m + 1 + n)
+        self._row = np.zeros((*lead, 1, m + 1 + n))
         self._inputs = Inputs(self._row, m)
         self._u = self._row[..., 0, m + 1 : m + 1 + n]
         self._v, self._pull = np.empty_like(biases), np.empty_like(biases)
@@ -189,20 +189,23 @@ class CtrnnKernel(Kernel):
 
     def reset(self, seeds: Sequence[int], dt: float) -> None:
         """Goes to the start, at which every y is 0."""
-        self._keep = np.exp(-dt / self._taus)
+        self._keep = -dt / self._taus
+        each(math.exp, self._keep)
         self._take = 1.0 - self._keep
         self._v[...] = 0.5 * self._biases
-        self._u[...] = np.tanh(self._v)
+        self._u[...] = self._v
+        each(math.tanh, self._u)
 
     def step(self, inputs: Array) -> Array:
         """Goes one control step on."""
         self._inputs.read(inputs)
         v, pull = self._v, self._pull
-        np.vecdot(self._drive, self._row, out=pull)
+        weigh(self._drive, self._row, pull)
         np.multiply(pull, self._take, out=pull)
         np.multiply(v, self._keep, out=v)
         np.add(v, pull, out=v)
-        np.tanh(v, out=self._u)
+        self._u[...] = v
+        each(math.tanh, self._u)
         return self._outputs.pick(self._u)
 
 
@@ -247,15 +250,13 @@ class GraphKernel(Kernel):
     ) -> None:
         """Takes a matrix (*lead, nodes, columns) of [inputs, 1, the nodes now, the nodes a step before]."""
         *lead, n, columns = matrix.shape
-        weights = lines(*lead, n, columns)
-        weights[..., :columns] = matrix
-        self._row = lines(*lead, 1, columns)
+        self._row = np.zeros((*lead, 1, columns))
         self._inputs = Inputs(self._row, inputs)
         self._now = self._row[..., 0, inputs + 1 : inputs + 1 + n]
         self._before = self._row[..., 0, inputs + 1 + n : columns]
         self._sums = [np.empty((*lead, which.stop - which.start)) for which, _ in groups]
         self._groups = [
-            (weights[..., which, :], sums, self._now[..., which], _ACTIVATIONS[name])
+            (matrix[..., which, :], sums, self._now[..., which], _ACTIVATIONS[name])
             for (which, name), sums in zip(groups, self._sums, strict=True)
         ]
         self._outputs = Outputs(owner, unbounded)
@@ -269,7 +270,7 @@ class GraphKernel(Kernel):
         self._inputs.read(inputs)
         self._before[...] = self._now
         for weights, sums, values, activate in self._groups:
-            np.vecdot(weights, self._row, out=sums)
+            weigh(weights, self._row, sums)
             activate(sums)
             values[...] = sums
         return self._outputs.pick(self._now)

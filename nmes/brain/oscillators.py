@@ -13,11 +13,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from math import tau
+from math import exp, sin, tau
 
 import numpy as np
 
-from nmes.brain.base import LIMIT, Array, Brain, Findings, Indices, JsonObject, Kernel, OpenLoop, lines
+from nmes.brain.arithmetic import each, weigh
+from nmes.brain.base import LIMIT, Array, Brain, Findings, Indices, JsonObject, Kernel, OpenLoop
 
 __all__ = ["CpgBrain", "SineBrain"]
 
@@ -70,7 +71,9 @@ class SineKernel(OpenLoop):
     def _more(self, count: int) -> Array:
         times = _times(self._steps, count, self._dt, self._speed)
         self._steps += count
-        return _kept(self._offset + self._amplitude * np.sin(self._speed * times + self._phase))
+        waves = self._speed * times + self._phase
+        each(sin, waves)
+        return _kept(self._offset + self._amplitude * waves)
 
 
 class SineBrain(Brain):
@@ -116,12 +119,11 @@ class CpgKernel(Kernel):
         self._x = slice(self._n + 1, self._n + 1 + self._m)
         self._s = slice(self._n + 1 + self._m, self._n + 1 + self._m + self._edges)
         self._apart = self._differences()
-        self._shifts = lines(*offsets.shape)
-        self._shifts[..., : self._m] = offsets
+        self._shifts = offsets
 
     def _differences(self) -> Array:
         """Returns the matrix that gives phase_from - phase_to - lag for each edge."""
-        apart = lines(*self._lead, self._edges, self._n + 1)
+        apart = np.zeros((*self._lead, self._edges, self._n + 1))
         each = np.arange(self._edges)
         apart[..., each, self._source] = 1.0
         apart[..., each, self._target] = -1.0
@@ -132,7 +134,7 @@ class CpgKernel(Kernel):
         """Goes to the start."""
         self._dt = dt
         self._steps = 0
-        self._onward = lines(*self._lead, self._n, self._s.stop)
+        self._onward = np.zeros((*self._lead, self._n, self._s.stop))
         each = np.arange(self._n)
         self._onward[..., each, each] = 1.0
         self._onward[..., self._one] = dt * self._speed
@@ -147,7 +149,7 @@ class CpgKernel(Kernel):
 
     def _rows(self, count: int) -> Array:
         """Returns as many rows of [phases, 1, inputs, s]: (count, *lead, 1, columns)."""
-        rows = lines(count, *self._lead, 1, self._s.stop)
+        rows = np.zeros((count, *self._lead, 1, self._s.stop))
         rows[..., self._one] = 1.0
         return rows
 
@@ -157,7 +159,9 @@ class CpgKernel(Kernel):
         That solves r'' = a (a/4 (R - r) - r') from rest at r = 0, for R = 1. The shape is that of `_times`.
         """
         z = 0.5 * self._convergence * _times(self._steps, count, self._dt, self._speed)
-        grown: Array = 1.0 - (1.0 + z) * np.exp(-z)
+        rest = -z
+        each(exp, rest)
+        grown: Array = 1.0 - (1.0 + z) * rest
         return grown
 
 
@@ -171,7 +175,9 @@ class FreeCpgKernel(CpgKernel, OpenLoop):
 
     def _more(self, count: int) -> Array:
         phases = self._linked(count) if self._edges else self._unlinked(count)
-        swing = self._grown(count) * self._amplitude * np.sin(phases)
+        waves = phases.copy()
+        each(sin, waves)
+        swing = self._grown(count) * self._amplitude * waves
         self._steps += count
         return _kept(self._offset + swing)
 
@@ -183,13 +189,13 @@ class FreeCpgKernel(CpgKernel, OpenLoop):
         seen = self._apart.shape[-1]
         phases: Array = rows[..., 0, : self._n]
         phases[0] = self._state
-        vecdot, sin, apart, onward = np.vecdot, np.sin, self._apart, self._onward
+        apart, onward = self._apart, self._onward
         # Iterating makes the views of all steps cheaply.
         steps = zip(rows[..., :seen], rows[..., 0, self._s], rows, phases[1:], strict=False)
         for differences, pulls, row, after in steps:
-            vecdot(apart, differences, out=pulls)
-            sin(pulls, out=pulls)
-            vecdot(onward, row, out=after)
+            weigh(apart, differences, pulls)
+            each(sin, pulls)
+            weigh(onward, row, after)
         self._state = phases[-1].copy()
         return phases[:-1]
 
@@ -203,7 +209,7 @@ class ListeningCpgKernel(CpgKernel):
         """Goes to the start."""
         super().reset(seeds, dt)
         self._row = self._rows(1)[0]
-        self._heard = lines(*self._lead, 1, self._m)
+        self._heard = np.zeros((*self._lead, 1, self._m))
         self._low, self._high = np.full(self._m, -LIMIT), np.full(self._m, LIMIT)
         self._shape = self._grown(0)
         self._phases, self._pulls = self._row[..., 0, : self._n], self._row[..., 0, self._s]
@@ -223,16 +229,17 @@ class ListeningCpgKernel(CpgKernel):
         np.maximum(inputs, self._low, out=x)
         np.minimum(x, self._high, out=x)
         self._inputs[...] = x
-        np.sin(self._phases, out=out)
+        out[...] = self._phases
+        each(sin, out)
         np.multiply(out, self._shape[at] * self._amplitude, out=out)
         np.add(out, self._offset, out=out)
-        np.vecdot(self._shifts, self._heard, out=shift)
+        weigh(self._shifts, self._heard, shift)
         np.add(out, shift, out=out)
         np.maximum(out, self._floor, out=out)
         np.minimum(out, self._ceiling, out=out)
-        np.vecdot(self._apart, self._differences_of, out=self._pulls)
-        np.sin(self._pulls, out=self._pulls)
-        np.vecdot(self._onward, self._row, out=shift)
+        weigh(self._apart, self._differences_of, self._pulls)
+        each(sin, self._pulls)
+        weigh(self._onward, self._row, shift)
         self._phases[...] = shift
         self._steps += 1
         return out

@@ -138,7 +138,7 @@ class Body:
 
 def corners(cube: BodyCube) -> Array:
     """Returns the eight corners of a cube, shape (8, 3), m."""
-    return np.asarray(_SIGNS * cube.size @ _axes(cube) + cube.position)
+    return np.asarray(((_SIGNS * cube.size)[:, :, None] * _axes(cube)).sum(axis=1) + cube.position)
 
 
 def read_body(body: JsonObject, sensors: Sequence[JsonObject] | None, place: str | None = None) -> Body:
@@ -428,8 +428,8 @@ def _depths(arms: Array, axes1: Array, axes2: Array, halves1: Array, halves2: Ar
     length = np.sqrt((crossed * crossed).sum(axis=2))
     crossed /= np.maximum(length, _PARALLEL)[..., None]
     axes = np.concatenate([axes1, axes2, crossed], axis=1)
-    reach = (abs(axes @ axes1.transpose(0, 2, 1)) * halves1[:, None]).sum(axis=2)
-    reach += (abs(axes @ axes2.transpose(0, 2, 1)) * halves2[:, None]).sum(axis=2)
+    reach = (abs((axes[:, :, None] * axes1[:, None]).sum(axis=3)) * halves1[:, None]).sum(axis=2)
+    reach += (abs((axes[:, :, None] * axes2[:, None]).sum(axis=3)) * halves2[:, None]).sum(axis=2)
     depths = reach - abs((axes * arms[:, None]).sum(axis=2))
     depths[:, 6:][length < _PARALLEL] = np.inf  # parallel edges span no plane of their own
     return np.asarray(depths.min(axis=1))

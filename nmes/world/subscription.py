@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from math import pi, sin
 from typing import Any, Self
 
 import numpy as np
@@ -87,9 +88,9 @@ class Subscription:
             np.sqrt(np.sum((poses[:, 3:] - sent[:, 3:]) ** 2, axis=1)),
             np.sqrt(np.sum((poses[:, 3:] + sent[:, 3:]) ** 2, axis=1)),
         )
-        angle = 4.0 * np.arcsin(np.minimum(1.0, chord / 2.0))
+        most = 2.0 * sin(min(self.rotation_threshold / 4.0, pi / 2.0))  # chord of the threshold
         # Written as "not within", so that NaN (never sent) counts as moved.
-        moved = np.flatnonzero(~((distance <= self.position_threshold) & (angle <= self.rotation_threshold)))
+        moved = np.flatnonzero(~((distance <= self.position_threshold) & (chord <= most)))
         sent[moved] = poses[moved]
         return _encode([names[i] for i in moved.tolist()], states[moved]) if len(moved) else b"", removed
 

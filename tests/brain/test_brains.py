@@ -30,7 +30,6 @@ from brain_documents import (
 )
 from nmes import schemas
 from nmes.brain import KINDS, load_brain, stack
-from nmes.brain.base import lines
 
 
 def test_every_kind_has_a_schema_and_every_schema_a_kind() -> None:
@@ -191,29 +190,4 @@ def test_results_do_not_depend_on_process_threads_or_math_library() -> None:
 
     assert len(output().splitlines()) == len(made) + 1
     assert output() == output(OPENBLAS_NUM_THREADS="1", PYTHONHASHSEED="1")
-    # Routines for old processors look at where rows begin; their sums may differ, but never between rows.
-    output(OPENBLAS_CORETYPE="Prescott")
-
-
-def test_every_row_is_aligned_to_64_bytes_and_padded_with_zeros() -> None:
-    for shape in ((1,), (8,), (3, 9), (2, 3, 17)):
-        made = [lines(*shape) for _ in range(5)]
-        assert all(rows.ctypes.data % 64 == 0 and rows.strides[-1] == 8 for rows in made)
-        assert all(stride % 64 == 0 for rows in made for stride in rows.strides[:-1])
-        assert not np.any(made)
-
-
-@pytest.mark.parametrize("function", [np.sin, np.cos, np.tanh, np.exp], ids=lambda f: str(f.__name__))
-def test_numpy_computes_the_same_sine_at_any_place_in_an_array(function: Any) -> None:
-    # What batches rest on. Vectors are handled in registers, their ends otherwise.
-    draw = np.random.default_rng(0)
-    values = np.concatenate([draw.normal(size=2000) * size for size in (1e-8, 0.1, 1.0, 10.0, 1e3)])
-    values = values[np.abs(values) < 700]
-    expected = function(values)
-    for length in range(1, 34):
-        for offset in range(8):
-            at = int(draw.integers(0, len(values) - length))
-            room, out = np.zeros(length + offset), np.zeros((length + offset, 3))
-            room[offset:] = values[at : at + length]
-            function(room[offset:], out=out[offset:, 1])
-            assert bits(out[offset:, 1]) == bits(expected[at : at + length])
+    assert output() == output(OPENBLAS_CORETYPE="Prescott")

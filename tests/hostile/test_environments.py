@@ -1,0 +1,158 @@
+"""Equal arithmetic in every environment: what processors, libraries and settings may change, and what they must not."""
+
+from __future__ import annotations
+
+import ast
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import pytest
+from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
+
+from layout import ROOT
+
+# -- what no module may call ------------------------------------------------------------------------------------------
+
+# Whose bits follow from what the processor has: products by BLAS, and functions with a variant for each set of vector
+# instructions. What adds, multiplies, divides or takes square roots element by element, and sums by `add.reduce`, is
+# the same everywhere.
+FORBIDDEN = {
+    *("dot", "vdot", "vecdot", "matvec", "vecmat", "matmul", "inner", "tensordot", "einsum", "linalg", "convolve"),
+    *("sin", "cos", "tan", "arcsin", "arccos", "arctan", "arctan2", "sinh", "cosh", "tanh", "arcsinh", "arccosh"),
+    *("arctanh", "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "power", "float_power", "cbrt", "hypot"),
+    *("logaddexp", "sinc", "interp", "unwrap", "polyfit", "polyval", "fft", "corrcoef", "cov"),
+}
+JUDGED = ("nmes/backend", "nmes/brain", "nmes/world", "nmes/genome", "nmes/objective", "nmes/evaluation", "backends")
+EXCEPTIONS = {
+    "nmes/genome/preview.py": "draws a picture",
+    "backends/mujoco3d/rendering.py": "draws a picture",
+    "nmes/backend/contract": "judges an engine; no world rests on it",
+}
+
+
+def judged() -> list[str]:
+    files = (path for folder in JUDGED for path in sorted((ROOT / folder).rglob("*.py")))
+    names = [str(path.relative_to(ROOT)) for path in files]
+    return [name for name in names if not name.startswith(tuple(EXCEPTIONS))]
+
+
+def hazards(source: str) -> Iterator[tuple[int, str]]:
+    """Yields the lines of a module, with what is called there, whose bits depend on the processor."""
+    for node in ast.walk(ast.parse(source)):
+        match node:
+            case ast.BinOp(op=ast.MatMult()) | ast.AugAssign(op=ast.MatMult()):
+                yield node.lineno, "@"
+            case ast.Attribute(value=ast.Name(id="np" | "numpy"), attr=name) if name in FORBIDDEN:
+                yield node.lineno, f"np.{name}"
+            case ast.ImportFrom(module="numpy" | "numpy.linalg", names=names):
+                yield from ((node.lineno, alias.name) for alias in names if alias.name in FORBIDDEN)
+
+
+@pytest.mark.parametrize("name", judged())
+def test_no_number_that_reaches_a_world_or_a_score_depends_on_the_processor(name: str) -> None:
+    assert list(hazards((ROOT / name).read_text())) == []
+
+
+def test_the_hazards_are_found_where_there_are_some() -> None:
+    source = "a @ b\na @= b\nnp.sin(x)\nnp.linalg.norm(x)\nfrom numpy import exp, add\nnp.add(x, y)\n"
+    assert sorted(line for line, _ in hazards(source)) == [1, 2, 3, 4, 5]
+    for name in EXCEPTIONS:
+        assert Path(ROOT / name).exists()
+        assert any(list(hazards(path.read_text())) for path in _python(ROOT / name)), f"{name} needs no exception"
+
+
+def _python(path: Path) -> list[Path]:
+    return sorted(path.rglob("*.py")) if path.is_dir() else [path]
+
+
+# -- the same bits in every environment -------------------------------------------------------------------------------
+
+# Of each kind of brain a creature or two: how each comes out after two seconds, and whether recordings are reproduced.
+PROGRAM = """
+import json, sys
+from nmes.evaluation import Task, evaluate
+from nmes.genome import Genome
+from nmes.playback import replay
+
+asked = json.load(sys.stdin)
+task = {"format": "nmes-task/1", "name": "go", "description": "Go.", "duration": 2, "settle": 0, "seeds": [1]}
+task = Task(task | {"objective": "displacement.x + velocity.y + energy"})
+scores = {}
+for path in asked["genomes"]:
+    with open(path, "rb") as file:
+        evaluation = evaluate(Genome.parse(file.read()), task)
+    scores[path] = [evaluation.error, *(repr(result) for result in evaluation.results)]
+print(json.dumps({
+    "scores": scores,
+    "verdicts": {path: replay(path, ignore_fingerprint=True).divergence is None for path in asked["recordings"]},
+}))
+"""
+
+CREATURES = ("biped", "centipede", "inchworm", "juggler", "lurcher", "roller", "seeker", "walker")
+
+
+def _numpy(*kept: str) -> dict[str, str]:
+    """Returns the setting that takes from numpy all sets of instructions that it could choose but those."""
+    there = [name for name in __cpu_dispatch__ if __cpu_features__[name] and name not in kept]
+    return {"NPY_DISABLE_CPU_FEATURES": " ".join(there)} if there else {}
+
+
+_AVX512 = ",".join(f"-AVX512{part}" for part in ("F", "VL", "BW", "DQ", "CD", "ER"))
+
+ALIKE: dict[str, dict[str, str]] = {
+    "numpy without AVX-512": _numpy("X86_V3"),
+    "numpy without any set": _numpy(),
+    "BLAS for Haswell": {"OPENBLAS_CORETYPE": "Haswell"},
+    "BLAS for Skylake": {"OPENBLAS_CORETYPE": "SkylakeX"},
+    "BLAS for Nehalem, one thread": {"OPENBLAS_CORETYPE": "Nehalem", "OPENBLAS_NUM_THREADS": "1"},
+    "x86-64-v3": {
+        **_numpy("X86_V3"),
+        "OPENBLAS_CORETYPE": "Haswell",
+        "GLIBC_TUNABLES": f"glibc.cpu.hwcaps={_AVX512}",
+    },
+    "memory, hashes, place and time": {
+        **{"PYTHONMALLOC": "malloc", "MALLOC_PERTURB_": "165", "MALLOC_ARENA_MAX": "1", "PYTHONHASHSEED": "77"},
+        **{"LC_ALL": "C", "TZ": "Asia/Tokyo", "OMP_NUM_THREADS": "1"},
+    },
+}
+
+
+def outcome(environment: dict[str, str], recordings: tuple[str, ...]) -> dict[str, Any]:
+    genomes = [str(ROOT / f"nmes/genome/shipped/{name}.json") for name in CREATURES]
+    asked = {"genomes": genomes, "recordings": recordings}
+    process = subprocess.run(
+        [sys.executable, "-c", PROGRAM],
+        input=json.dumps(asked),
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+    )
+    assert process.returncode == 0, process.stderr
+    outcome = json.loads(process.stdout)
+    assert isinstance(outcome, dict)
+    return outcome
+
+
+def goldens(*names: str) -> tuple[str, ...]:
+    """Returns the files of some recordings of the corpus, of all if none is named."""
+    return tuple(str(path) for path in sorted((ROOT / "replays").glob("*.mcap")) if not names or path.stem in names)
+
+
+SOME = goldens("mujoco-keyframes", "mujoco-landscape", "pymunk-pole")
+
+
+@cache
+def here(recordings: tuple[str, ...]) -> dict[str, Any]:
+    return outcome({}, recordings)
+
+
+@pytest.mark.parametrize("name", ALIKE)
+def test_creatures_and_recordings_come_out_the_same_to_the_last_bit(name: str) -> None:
+    assert outcome(ALIKE[name], SOME) == here(SOME)
+    assert all(here(SOME)["verdicts"].values())
