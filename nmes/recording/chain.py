@@ -23,14 +23,15 @@ from nmes.recording.mcap_format import (
     split_chunk,
 )
 from nmes.recording.mcap_reader import Block
-from nmes.recording.records import BOXES, KEYFRAMES, SEQUENCE_MASK, Kind, Record, next_head
+from nmes.recording.records import BOXES, KEYFRAMES, SEQUENCE_MASK, Kind, Record, next_head, who_said
 from nmes.schemas import load
 
 __all__ = ["Chain"]
 
-_CLIENT_TOPIC = re.compile(r"client/(\d{1,9})/(commands|replies|refused)")
+_CLIENT_TOPIC = re.compile(r"client/(\d{1,9})/(commands|replies|refused)")  # until version 3 of the format
 _CLIENT_KINDS = {"commands": Kind.COMMAND, "replies": Kind.REPLY, "refused": Kind.REFUSED}
 _KINDS = {"clients": Kind.JOINED, "ticks": Kind.TICKS, "faults": Kind.FAULT, "/tf": Kind.POSES, "/scene": Kind.SCENE}
+_SAID = (Kind.COMMAND, Kind.REPLY)
 _KINDS[KEYFRAMES] = Kind.KEYFRAME
 _SHAPES = {
     kind: jsonschema_rs.Draft202012Validator(load(f"recording/{topic}.json"))
@@ -179,7 +180,7 @@ class Chain:
             self._kinds[channel.id] = Kind.BOX, None
             self._boxes[channel.id] = channel.topic.removeprefix(BOXES)
         else:
-            self._kinds[channel.id] = _KINDS.get(channel.topic), None
+            self._kinds[channel.id] = {**_KINDS, **_CLIENT_KINDS}.get(channel.topic), None
 
     def _messages(self, content: bytes) -> list[Message]:
         messages: list[Message] = []
@@ -199,6 +200,10 @@ class Chain:
         shape = _SHAPES.get(kind)
         if kind is Kind.BOX:
             return Record(kind, sequence, log_time, publish_time, None, data, {"cube": self._boxes[number]})
+        if client is None and kind in _SAID:
+            client, data = who_said(data)
+        elif client is None and kind is Kind.REFUSED:
+            client, data = int.from_bytes(data[:4], "little"), data[4:]
         if shape is None:
             return Record(kind, sequence, log_time, publish_time, client, data)
         about = orjson.loads(data)

@@ -25,14 +25,14 @@ __all__ = [
     "Channels",
 ]
 
-# The keys of channels: 4 * client + one of these for a client's, a negative number for the recorder's own, and the name
-# of a cube for that of its box.
+# The keys of channels: the name of a cube for that of its box, and these. All clients share the first three, however
+# many come: a file has no more than 65,535 channels.
 COMMAND, REPLY, REFUSED = 0, 1, 2
 TICKS, CLIENTS, FAULTS, POSES, SCENE, CHAIN, CHECKSUMS, KEYFRAME = -1, -2, -3, -4, -5, -6, -7, -8
 _VIEWS = {POSES: scene.POSES_SCHEMA, SCENE: scene.SCENE_SCHEMA}
 _TOPICS = {TICKS: "ticks", CLIENTS: "clients", FAULTS: "faults", POSES: "/tf", SCENE: "/scene", CHAIN: "chain"}
-_OCTETS = {CHECKSUMS: "checksums", KEYFRAME: KEYFRAMES}
-_CLIENT_TOPICS = {COMMAND: "commands", REPLY: "replies", REFUSED: "refused"}
+_OCTETS = {CHECKSUMS: "checksums", KEYFRAME: KEYFRAMES, REFUSED: "refused"}
+_SAID = {COMMAND: ("commands", "command"), REPLY: ("replies", "reply")}
 
 
 class Channels(dict[int | str, int]):
@@ -46,14 +46,9 @@ class Channels(dict[int | str, int]):
     def __missing__(self, key: int | str) -> int:
         if isinstance(key, str):
             channel = self._view(BOXES + key, scene.BOX_SCHEMA)
-        elif key >= 0:
-            client, kind = divmod(key, 4)
-            topic = f"client/{client}/{_CLIENT_TOPICS[kind]}"
-            channel = (
-                self._writer.channel(topic, "application/octet-stream")
-                if kind == REFUSED
-                else self._writer.channel(topic, "json", self._schema("command" if kind == COMMAND else "reply"))
-            )
+        elif key in _SAID:
+            topic, schema = _SAID[key]
+            channel = self._writer.channel(topic, "json", self._schema(schema))
         elif key in _OCTETS:
             channel = self._writer.channel(_OCTETS[key], "application/octet-stream")
         elif key in _VIEWS:
@@ -79,7 +74,15 @@ class Channels(dict[int | str, int]):
 def _schema(name: str) -> bytes:
     match name:
         case "command" | "reply":
-            schema = protocol.bundled_schema(name)
+            # The message has an address of its own, so that what is "any command" in it does not mean the whole.
+            message = {**protocol.bundled_schema(name), "$id": f"nmes:{name}"}
+            schema = {
+                "$schema": message.pop("$schema"),
+                "title": f"nmes.{name} of a client",
+                "type": "object",
+                "required": ["client", "message"],
+                "properties": {"client": {"type": "integer", "minimum": 1}, "message": message},
+            }
         case _:
             schema = load(f"recording/{name}.json")
     return protocol.encode(schema)

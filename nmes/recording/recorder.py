@@ -43,7 +43,7 @@ from nmes.recording.channels import (
 )
 from nmes.recording.mcap_format import message_checksums
 from nmes.recording.mcap_writer import Writer
-from nmes.recording.records import END, FORMAT, PROFILE, REFUSED_LIMIT, SEQUENCE_MASK, next_head
+from nmes.recording.records import END, FORMAT, PROFILE, REFUSED_LIMIT, SEQUENCE_MASK, next_head, said_by
 from nmes.recording.viewer_messages import Painter, Snapshot
 
 if TYPE_CHECKING:
@@ -59,7 +59,8 @@ _NEVER = -1  # when a recorder flushed that cannot: the next record of any kind 
 
 _MANY_BOXES = 8192  # cubes; a channel each, of which a file has no more than 65,535
 
-_Note = tuple[int, int, int, Any]  # key, frame, wall time; data, or a tick's digest, or a snapshot to draw
+# Channel, or 4 * client + channel; frame, wall time; data, or a tick's digest, or a snapshot to draw.
+_Note = tuple[int, int, int, Any]
 
 
 class Recorder:
@@ -191,8 +192,9 @@ class Recorder:
             if key == POSES:
                 self._add_view(frame, wall, content)
                 continue
-            if key & 3 == REFUSED and key > 0 and len(content) > REFUSED_LIMIT:
-                content = content[:REFUSED_LIMIT] + b"... (%d bytes in all)" % len(content)
+            if key > 0:
+                client, key = divmod(key, 4)
+                content = _refused(client, content) if key == REFUSED else said_by(client, content)
             self._add(key, frame, wall, content)
         if len(self._run) > _LONG_RUN:
             self._end_run()
@@ -292,6 +294,12 @@ class Recorder:
     def _seal(self) -> None:
         end = {"head": self._head.hex(), "records": str(self._sequence), "closed": _now()}
         self._writer.seal(END, end)
+
+
+def _refused(client: int, frame: bytes) -> bytes:
+    if len(frame) > REFUSED_LIMIT:
+        frame = frame[:REFUSED_LIMIT] + b"... (%d bytes in all)" % len(frame)
+    return client.to_bytes(4, "little") + frame
 
 
 def _saved(world: World) -> bytes:

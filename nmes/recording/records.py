@@ -23,11 +23,14 @@ __all__ = [
     "Record",
     "next_head",
     "numbered_ticks",
+    "said_by",
+    "who_said",
 ]
 
 PROFILE: Final = "nmes"
-FORMAT: Final = "2"
-FORMATS: Final = frozenset({"1", FORMAT})  # that can be read: version 1 had no keyframes
+FORMAT: Final = "3"
+# Those that can be read: version 1 had no keyframes, and until 3 each client had channels of its own.
+FORMATS: Final = frozenset({"1", "2", FORMAT})
 REFUSED_LIMIT: Final = 64 << 10  # bytes of a refused frame that are kept
 PARENT: Final = "nmes.parent"  # the metadata record that says of which recording this one is a fork
 END: Final = "nmes.end"  # the metadata record that closes a file
@@ -99,6 +102,23 @@ class Record(NamedTuple):
 def numbered_ticks(about: dict[str, Any]) -> list[tuple[int, str]]:
     """Returns the ticks in the JSON of a record of ticks, each with the frame that it led to and its digest."""
     return list(enumerate(about["digests"], about["frame"]))
+
+
+def said_by(client: int, message: bytes) -> bytes:
+    """Returns the data of a message on `commands` or `replies`: JSON that holds the client's number and its message."""
+    return b'{"client":%d,"message":%b}' % (client, message)
+
+
+def who_said(data: bytes) -> tuple[int, bytes]:
+    """Returns the client's number and its message, byte for byte, out of what `said_by` made.
+
+    Raises:
+        ValueError: The data is nothing of the kind.
+    """
+    begin, separator, message = data.partition(b',"message":')
+    if not (separator and begin.startswith(b'{"client":') and message.endswith(b"}")):
+        raise ValueError("a message does not say whose it is")
+    return int(begin[len(b'{"client":') :]), message[:-1]
 
 
 def next_head(head: bytes, content: bytes | bytearray | memoryview) -> bytes:

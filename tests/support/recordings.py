@@ -153,4 +153,4 @@ def rewrite(source: Path, target: Path, edit: Edit, *, chained: bool = True, mis
 
 def commands_of(lines: list[Line], kind: str = "commands") -> list[int]:
     """Returns the indices of the messages of clients."""
-    return [i for i, line in enumerate(lines) if line.topic.startswith("client/") and line.topic.endswith(kind)]
+    return [i for i, line in enumerate(lines) if line.topic == kind]
