@@ -7,16 +7,22 @@ What they have may never have grown by more than was put in. Nothing that he doe
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any, Final
+from unittest.mock import patch
 
+import mujoco
 import numpy as np
+import pymunk
 
 from nmes import protocol
 from nmes.backend import Array
 from nmes.errors import WorldError
 from nmes.evaluation import Task
-from nmes.evaluation.episode import Episode, Result, brain_of
+from nmes.evaluation.episode import Episode, Result, Step, brain_of
 from nmes.genome import Genome
 from nmes.world import World
 
@@ -53,79 +59,76 @@ class Audit:
 
 
 class _Books:
-    """What the auditor writes down of a world."""
+    """What the auditor writes down of a world, from its start on."""
 
     def __init__(self, world: World) -> None:
         self._world, self._simulation = world, world.simulation
-        self._dt = 1.0 / (world.config["tick_rate"] * world.config["substeps"])
-        self._advance, self._simulation.step = self._simulation.step, self._step  # type: ignore[method-assign]
-        self.put_in: list[float] = []  # at each tick, J
-        self.moved: list[float] = []
-        self.stored: list[float] = []
-        self.states: list[Array] = []
-
-    def begin(self) -> None:
-        """Notes which joints and cubes there are, and the start."""
-        entities = self._world.entities
+        entities = world.entities
         joints = [joint for joint in entities.joints.values() if joint.kind in ("hinge", "slide")]
         self._numbers = tuple(joint.number for joint in joints)
         self._springs = np.array([joint.params["stiffness"] for joint in joints])
-        self._bounds = np.array([joint.params["motor_max_force"] for joint in joints])
         cubes = list(entities.cubes.values())
         self._bodies = [cube.body for cube in cubes]
         self.masses = np.array([cube.mass for cube in cubes])
         self._sizes = np.array([cube.size for cube in cubes])
-        self._model: Any = None  # MuJoCo's, of which the slopes are
-        self._readings = self._simulation.joint_readings(self._numbers)
-        self._note(0.0, 0.0)
+        self.put_in: list[float] = []  # since the start, at each tick, J
+        self.moved: list[float] = []  # the same of the sizes
+        self.stored: list[float] = []  # in springs, at each tick, J
+        self.states: list[Array] = []
+        self._put_in = self._moved = 0.0
+        self.note()
 
-    def _step(self, substeps: int) -> None:
-        if not self.states:
-            self._advance(substeps)
-            return
-        put_in = moved = 0.0
-        for _ in range(substeps):
-            before = self._readings
-            self._advance(1)
-            self._readings = after = self._simulation.joint_readings(self._numbers)
-            works = self._efforts(before, after) * (before[:, 1] + after[:, 1]) * (self._dt / 2.0)
-            put_in, moved = put_in + float(works.sum()), moved + float(np.abs(works).sum())
-        self._note(put_in, moved)
-
-    def _efforts(self, before: Array, after: Array) -> Array:
-        """Returns what the motors gave during an engine step.
-
-        Chipmunk tells the impulse of the whole step. MuJoCo tells the effort at the step's start, and lets it follow
-        the velocity within the step unless it is at its bound.
-        """
-        efforts = after[:, 2]
-        running = getattr(self._simulation, "running", None)
-        if running is None:
-            return efforts
-        if running.model is not self._model:
-            self._model, motors = running.model, running.compiled.actuator
-            slopes = [self._model.actuator_biasprm[motors[n], 2] if n in motors else 0.0 for n in self._numbers]
-            self._slopes = np.array(slopes, float)
-        free = np.abs(efforts) < self._bounds
-        told: Array = efforts + free * self._slopes * (after[:, 1] - before[:, 1])
-        return told
-
-    def _note(self, put_in: float, moved: float) -> None:
-        self.put_in.append(put_in)
-        self.moved.append(moved)
-        self.stored.append(float((self._springs * self._readings[:, 0] ** 2).sum() / 2.0))
+    def note(self) -> None:
+        """Notes how it is at the end of a tick."""
+        self.put_in.append(self._put_in)
+        self.moved.append(self._moved)
+        positions = self._simulation.joint_readings(self._numbers)[:, 0]
+        self.stored.append(float((self._springs * positions**2).sum() / 2.0))
         self.states.append(self._simulation.states(self._bodies))
+
+    def _work(self, efforts: Array, before: Array, after: Array, seconds: float) -> None:
+        works = efforts * (before + after) * (seconds / 2.0)
+        self._put_in += float(works.sum())
+        self._moved += float(np.abs(works).sum())
+
+    @contextmanager
+    def open(self) -> Iterator[None]:
+        """Reads the motors at every step that an engine takes meanwhile."""
+        mj_step, space_step = mujoco.mj_step, pymunk.Space.step
+
+        def mujoco_step(model: Any, data: Any, steps: int = 1) -> None:
+            """Takes steps. MuJoCo tells the effort at a step's start, and lets it follow the velocity within the step
+            unless it is at its bound."""
+            dofs = model.jnt_dofadr[model.actuator_trnid[:, 0]]
+            gears, slopes, bounds = model.actuator_gear[:, 0], model.actuator_biasprm[:, 2], model.actuator_forcerange
+            for _ in range(steps):
+                before = gears * data.qvel[dofs]
+                mj_step(model, data)
+                after, efforts = gears * data.qvel[dofs], data.actuator_force
+                free = np.abs(efforts) < bounds[:, 1]
+                self._work(efforts + free * slopes * (after - before), before, after, model.opt.timestep)
+
+        def chipmunk_step(space: pymunk.Space, seconds: float) -> None:
+            """Takes a step. Chipmunk tells the impulse of the whole of it."""
+            before = self._simulation.joint_readings(self._numbers)
+            space_step(space, seconds)
+            after = self._simulation.joint_readings(self._numbers)
+            self._work(after[:, 2], before[:, 1], after[:, 1], seconds)
+
+        with (
+            patch.object(mujoco, "mj_step", mujoco_step),
+            patch.object(pymunk.Space, "step", chipmunk_step),
+        ):
+            yield
 
     def close(self, result: Result) -> Audit:
         """Adds up what was noted, of the ticks that were scored."""
         rows = result.ticks + 1
         states = np.array(self.states[:rows])
-        moved, put_in = np.cumsum(self.moved[:rows]), np.cumsum(self.put_in[:rows])
-        energy = self._mechanical(states) + np.array(self.stored[:rows])
-        unexplained = energy - put_in
+        unexplained = self._mechanical(states) + np.array(self.stored[:rows]) - np.array(self.put_in[:rows])
         unearned = float((unexplained - np.minimum.accumulate(unexplained)).max())
         fastest = float(np.sqrt((states[:, :, 7:10] ** 2).sum(axis=2)).max())
-        return Audit(result, float(moved[-1]), unearned, fastest, float(self.masses.sum()))
+        return Audit(result, self.moved[rows - 1], unearned, fastest, float(self.masses.sum()))
 
     def _mechanical(self, states: Array) -> Array:
         """Returns kinetic and potential energy, array (rows,), J."""
@@ -154,21 +157,31 @@ def audited(genome: Genome, task: Task, seed: int) -> Audit:
     world = World(task.world_config(seed))
     try:
         episode = Episode(world, genome, brain_of(genome), task, seed)
-        client, books, started = world.join(), _Books(world), False
-        for step in episode.steps():
-            if not started and episode._observer is not None:
-                books.begin()
-                started = True
-            if step is None:
-                world.tick()
-            elif isinstance(step, np.ndarray):
-                world.drive(client, "creature", step)
-            else:
-                assert isinstance(step, bytes)
-                reply = protocol.decode(world.handle(client, protocol.parse(step)))
-                if reply["type"] == "error":
-                    raise WorldError(reply["code"], reply["message"])
-        result = episode.result()
-        return books.close(result) if started else Audit(result, 0.0, 0.0, 0.0, genome.body.mass)
+        client, steps = world.join(), episode.steps()
+        for step in steps:
+            if episode._observer is not None:  # this is the start
+                break
+            _do(world, client, step)
+        else:
+            return Audit(episode.result(), 0.0, 0.0, 0.0, genome.body.mass)
+        books = _Books(world)
+        with books.open():
+            for later in chain([step], steps):
+                _do(world, client, later)
+                if later is None:
+                    books.note()
+        return books.close(episode.result())
     finally:
         world.close()
+
+
+def _do(world: World, client: int, step: Step) -> None:
+    if step is None:
+        world.tick()
+    elif isinstance(step, np.ndarray):
+        world.drive(client, "creature", step)
+    else:
+        assert isinstance(step, bytes)
+        reply = protocol.decode(world.handle(client, protocol.parse(step)))
+        if reply["type"] == "error":
+            raise WorldError(reply["code"], reply["message"])
