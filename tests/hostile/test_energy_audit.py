@@ -37,7 +37,7 @@ def test_the_auditor_finds_a_push_that_no_motor_gave(genome: str, name: str, mon
     def pushing(world: World) -> None:
         if next(ticks) == 200:
             root = world.creature("creature").cubes[creature.body.cubes[0].id]
-            push = {"type": "apply_physics", "cube_name": root, "impulse": [0, 4.0 * creature.body.mass, 0]}
+            push = {"type": "apply_physics", "cube_name": root, "impulse": [0, 8.0 * creature.body.mass, 0]}
             assert world.execute(1, push)["type"] == "physics_applied"
         tick(world)
 

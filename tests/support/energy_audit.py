@@ -32,6 +32,8 @@ TOLERANCE: Final = 0.05
 """The part of the motors' work by which the balance may be broken."""
 HELD: Final = 0.1
 """J for each kg that contacts and joints' limits may hold and give back: as much as 1 cm of height."""
+MOMENT: Final = 0.1
+"""s for which contacts and limits may hold more than that, as in an impact."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +43,8 @@ class Audit:
     Attributes:
         result: As evaluating gives it.
         work: Of the motors, the sizes of all that they put in or took out, J.
-        unearned: The most by which the energy grew beyond what the motors put in, from any earlier tick on, J.
+        unearned: The most by which the energy grew beyond what the motors put in, from any earlier moment on, J. What
+            contacts and limits swallow and give back within a tenth of a second is no growth.
         fastest: The speed of the centre of the fastest cube at any tick that was scored, m/s.
         mass: Of all cubes, the props' too, kg.
     """
@@ -126,7 +129,9 @@ class _Books:
         rows = result.ticks + 1
         states = np.array(self.states[:rows])
         unexplained = self._mechanical(states) + np.array(self.stored[:rows]) - np.array(self.put_in[:rows])
-        unearned = float((unexplained - np.minimum.accumulate(unexplained)).max())
+        moment = round(MOMENT * self._world.config["tick_rate"])
+        before = np.array([unexplained[max(0, row - moment) : row + 1].max() for row in range(rows)])
+        unearned = float((unexplained - np.minimum.accumulate(before)).max())
         fastest = float(np.sqrt((states[:, :, 7:10] ** 2).sum(axis=2)).max())
         return Audit(result, self.moved[rows - 1], unearned, fastest, float(self.masses.sum()))
 
