@@ -10,6 +10,7 @@ cube which is gone stays refused until it is set anew.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Mapping, Sequence
 from math import dist, hypot
 from typing import Any
@@ -20,13 +21,15 @@ import numpy.typing as npt
 from nmes import protocol
 from nmes.backend import Array
 from nmes.backend.rotation import rotate
-from nmes.errors import WorldError
+from nmes.errors import SimulationFault, WorldError
 from nmes.objective import Objective
 from nmes.objective.trajectory import ObservedBodies, RunningQuantities, touches
 from nmes.schemas.documents import JsonObject
 from nmes.world.entities import Cube, Entities
 
 __all__ = ["ClientObjectives", "metric"]
+
+logger = logging.getLogger(__name__)
 
 _MOST_OBJECTIVES = 16  # objectives of one client: each may cost something at every tick
 
@@ -151,7 +154,9 @@ class ClientObjectives:
 
     def __init__(self) -> None:
         self._objectives: dict[str, _ClientObjective] = {}
-        self._lost: dict[str, str] = {}  # objectives that cannot be asked any more, and the cube that is gone
+        self._lost: dict[
+            str, str | None
+        ] = {}  # those that cannot be asked any more, and the cube that is gone, if one is
 
     def __len__(self) -> int:
         return len(self._objectives)
@@ -186,28 +191,40 @@ class ClientObjectives:
     def tick(self, entities: Entities) -> None:
         """Measures the quantities of all objectives after a tick."""
         self._set_lost_aside(entities)
-        for objective in self._objectives.values():
-            objective.tick(entities)
+        for name, objective in list(self._objectives.items()):
+            try:
+                objective.tick(entities)
+            except SimulationFault:
+                raise
+            except Exception as error:  # a mistake of ours in what one client has set: no other need know
+                logger.error("objective %r failed", name, exc_info=error)
+                self._set_aside(name, None)
 
     def _set_lost_aside(self, entities: Entities) -> None:
         """Sets the objectives aside that observe a cube which is gone."""
         for name, objective in list(self._objectives.items()):
             missing = objective.missing(entities)
             if missing is not None:
-                del self._objectives[name]
-                self._lost[name] = missing
+                self._set_aside(name, missing)
+
+    def _set_aside(self, name: str, missing: str | None) -> None:
+        del self._objectives[name]
+        self._lost[name] = missing
 
     def value(self, entities: Entities, frame: int, name: str | None) -> JsonObject:
         """Returns an objective's value now, as `reward` has it; the default objective's if none is named.
 
         Raises:
             WorldError: `invalid`: there is none; `cube_not_found`: a cube that it is about is gone; `bad_expression`:
-                its value is no finite number.
+                its value is no finite number; `internal`: a mistake of ours.
         """
         self._set_lost_aside(entities)
         name = protocol.COMMANDS["set_objective"].defaults["name"] if name is None else name
         if name in self._lost:
-            message = f"objective {name!r} is about the cube {self._lost[name]!r}, which is gone"
+            missing = self._lost[name]
+            if missing is None:
+                raise WorldError("internal", f"objective {name!r} failed; see the server's log", "objective")
+            message = f"objective {name!r} is about the cube {missing!r}, which is gone"
             raise WorldError("cube_not_found", message, "objective")
         if name not in self._objectives:
             known = f"this connection has set {', '.join(map(repr, self._objectives)) or 'none'}"

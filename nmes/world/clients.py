@@ -8,6 +8,7 @@ Invariants: numbers are never used twice; what counts as sent does not depend on
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -19,6 +20,8 @@ from nmes.world.entities import Entities
 from nmes.world.subscription import Subscription
 
 __all__ = ["Client", "Clients", "Emit"]
+
+logger = logging.getLogger(__name__)
 
 Emit = Callable[[int, bytes], None]  # takes a client's number and an encoded event
 
@@ -89,7 +92,12 @@ class Clients(dict[int, Client]):
             if "state" in subscription.events:
                 if states is None:
                     names, states = poses()
-                cubes, removed = subscription.changes(version, names, states)
+                try:
+                    cubes, removed = subscription.changes(version, names, states)
+                except Exception as error:  # a mistake of ours in what one client is told: no other need know
+                    logger.error("the subscription of client %d failed, and ends", client.number, exc_info=error)
+                    client.subscription = None
+                    continue
                 if (cubes or removed) and emit is not None:
                     head = protocol.encode({"type": "state", "t": time, "frame": frame})[:-1]
                     tail = protocol.encode(removed)

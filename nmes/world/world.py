@@ -10,7 +10,8 @@ Invariants:
   reads a clock, a socket, a file or an unseeded random number; the host decides when `tick` is called.
 - Each command gets exactly one reply. One that is refused changes nothing; only in a `batch` do the parts before a
   refused one stand.
-- Nothing a client sends makes `handle` raise. An engine that fails faults this world alone, until `reset`.
+- Nothing a client sends makes `handle` raise. An engine that fails faults this world alone, until `reset`; so does a
+  mistake of ours, but one in what changes nothing, or in what one client is told, is an error of that client alone.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from nmes.protocol import Request
 from nmes.schemas.documents import JsonObject
 from nmes.world.client_objectives import ClientObjectives
 from nmes.world.clients import Client, Clients, Emit
-from nmes.world.commands import COMMANDS
+from nmes.world.commands import COMMANDS, HARMLESS
 from nmes.world.creature import Creatures
 from nmes.world.entities import Entities
 from nmes.world.journal import Journal
@@ -172,13 +173,15 @@ class World(WorldQueries):
             raise WorldError("world_faulted", f"the world stopped at frame {fault.frame}: {fault.message}")
 
     def _handle_error(self, kind: str, error: Exception) -> NmesError:
-        """Returns the error to answer a command with; one that is not the client's mistake stops the world."""
+        """Returns the error to answer with; a mistake of ours stops a world that it may have left half done."""
         if isinstance(error, SimulationFault):
             self._stop(error.code, error.message, error.body)
             return WorldError("world_faulted", error.message)
         if isinstance(error, NmesError):
             return error
         logger.error("command %r of world %r failed", kind, self.config["name"], exc_info=error)
+        if kind in HARMLESS:
+            return WorldError("internal", "the command failed, and the world goes on; see the server's log")
         self._stop("internal", f"{type(error).__name__}: {error}")
         return WorldError("internal", "the world failed; see the server's log")
 

@@ -18,7 +18,7 @@ from nmes.world.commands import clients, creatures, cubes, general, joints, timi
 if TYPE_CHECKING:
     from nmes.world.world import World
 
-__all__ = ["COMMANDS", "CommandFunction"]
+__all__ = ["COMMANDS", "HARMLESS", "CommandFunction"]
 
 CommandFunction = Callable[["World", Client, dict[str, Any]], dict[str, Any]]
 
@@ -31,3 +31,9 @@ COMMANDS: dict[str, CommandFunction] = {
     **general.COMMANDS,
 }
 """The function of every command, by the command's type."""
+
+HARMLESS = frozenset(
+    {"ping", "sense", "subscribe", "unsubscribe", "set_objective", "compute_reward"}
+    | {kind for kind in COMMANDS if kind.startswith("get_")}
+)
+"""The commands that change nothing but what their own client is told: a mistake in one leaves the world as it was."""
