@@ -46,8 +46,8 @@ class WorldRecorder:
             directory.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise RecordingError("recording_failed", f"cannot make {directory}: {error.strerror}") from error
-        self.path = _new_path(directory, world.config["name"])
         self._world = world
+        self.path = _new_path(directory, world.config["name"])
         if origin is None:
             self._recorder = Recorder(self.path, world, flush_interval=flush_interval)
             world.journal = self._recorder
@@ -90,11 +90,6 @@ class WorldRecorder:
 
 
 def _new_path(directory: Path, world: str) -> Path:
-    """Returns a path that names the world and the time, and that does not exist."""
+    """Returns a path that names the world and the time, so exactly that servers which start together differ."""
     name = re.sub(r"[^\w.-]", "_", world)
-    stem = f"{name}-{datetime.now(UTC):%Y%m%dT%H%M%SZ}"
-    path, count = directory / f"{stem}.mcap", 1
-    while path.exists():
-        count += 1
-        path = directory / f"{stem}-{count}.mcap"
-    return path
+    return directory / f"{name}-{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}.mcap"
