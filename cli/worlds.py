@@ -9,6 +9,8 @@ import orjson
 
 from nmes.cli._address import split_address
 from nmes.cli._connection import connection_options, connector
+from nmes.errors import RejectedMessage
+from nmes.protocol import validate_reply
 
 
 @click.command("worlds", short_help="List the worlds of a host.")
@@ -34,6 +36,11 @@ def command(
         worlds = client.worlds()
     except TimeoutError as error:
         raise click.ClickException(str(error)) from error
+    try:
+        validate_reply({"type": "world_list", "worlds": worlds})
+    except RejectedMessage as error:
+        host, port = address
+        raise click.ClickException(f"{host}:{port} is no NMES server: its answer is none: {error.message}") from error
     if as_json:
         click.echo(orjson.dumps(worlds, option=orjson.OPT_INDENT_2))
         return

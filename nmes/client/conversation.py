@@ -180,6 +180,6 @@ def world_list(answer: Any) -> list[WorldSummary]:
     Raises:
         CommandFailed: `unsupported`: the server accepted the `auth`, but lists no worlds.
     """
-    if answer["type"] != "world_list":
+    if answer["type"] != "world_list" or "worlds" not in answer:
         raise CommandFailed("unsupported", "this server does not list its worlds")
     return cast(list[WorldSummary], answer["worlds"])
