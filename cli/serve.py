@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import asyncio
 import json
+import os
 import signal
+import sys
 from collections.abc import Callable
 from contextlib import ExitStack
 from pathlib import Path
@@ -23,6 +25,8 @@ from nmes.recording import Recording
 from nmes.server import Host
 from nmes.server.metrics import Metrics
 from nmes.world import World
+
+SWITCH = 0.0005  # s: for how long a world's thread keeps Python's lock from the event loop; 0.005 would be usual
 
 
 class _Worlds(click.ParamType["int | list[str]"]):
@@ -126,7 +130,8 @@ def command(log_format: str, view: bool, as_json: bool, **options: Any) -> None:
     """Host a world that clients drive over TCP, or many.
 
     Each world is recorded to a new file. With --resume it goes on from where a recording ends, or from any frame of it;
-    those who were in it then have left. Ctrl-C or SIGTERM closes the recording and ends with status 0. Without a
+    those who were in it then have left. Ctrl-C or SIGTERM closes the recording and ends with status 0, or with 1 where
+    a recording could not be written to its end. Without a
     password one is made up and printed, which is allowed only on an address of this machine alone.
 
     For example:
@@ -137,6 +142,7 @@ def command(log_format: str, view: bool, as_json: bool, **options: Any) -> None:
         nmes serve --resume recordings/main-20260101-120000.mcap --at 3600
     """
     settings = read_settings(options)
+    sys.setswitchinterval(SWITCH)
     _logs.set_up(log_format)
     _raise_open_files_limit()
     with ExitStack() as after:  # a viewer sees the world's end
@@ -151,6 +157,15 @@ def command(log_format: str, view: bool, as_json: bool, **options: Any) -> None:
         if not as_json:
             for line in stopped_lines(running):
                 click.echo(line)
+    lost = [hosted for hosted in running.host.worlds.values() if hosted.lost is not None]
+    for hosted in lost:
+        click.echo(f"Error: the recording of world {hosted.name!r} is not whole: {hosted.lost}", err=True)
+    if running.host.abandoned:  # else Python waits at its end for the thread, until the engine is done
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(1 if lost else 0)
+    if lost:
+        click.get_current_context().exit(1)
 
 
 async def _serve(settings: Settings, report: Callable[[Running], None]) -> Running:

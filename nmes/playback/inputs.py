@@ -219,7 +219,7 @@ def _is_step(record: Record) -> bool:
 
 
 def _request(record: Record, reply: Record | None) -> Request:
-    if record.kind is Kind.COMMAND or 0 < len(record.data) <= REFUSED_LIMIT:
+    if record.kind is Kind.COMMAND or (0 < len(record.data) <= REFUSED_LIMIT and record.data != protocol.REDACTED):
         return protocol.parse(record.data)
     content = _content(reply)
     error = RejectedMessage(str(content.get("code", "")), str(content.get("message", "")), content.get("field"))

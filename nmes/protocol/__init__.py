@@ -30,7 +30,7 @@ from nmes.protocol.messages import (
     validate_metadata,
     validate_reply,
 )
-from nmes.protocol.session import Auth, FrameSplitter, Limits, Session
+from nmes.protocol.session import REDACTED, Auth, FrameSplitter, Limits, Session
 from nmes.schemas import schema_hash
 from nmes.schemas.documents import parse_json
 
@@ -41,6 +41,7 @@ __all__ = [
     "EVENTS",
     "NO_ID",
     "PROTOCOL_VERSION",
+    "REDACTED",
     "REPLIES",
     "Auth",
     "CommandSchema",

@@ -6,6 +6,7 @@ Invariants: how bytes are cut into pieces changes nothing; a stream that can no 
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final, Literal
@@ -21,12 +22,13 @@ from nmes.protocol.messages import (
     encode,
     error_reply,
     find_error,
-    parse,
 )
 from nmes.schemas.documents import parse_json
 
-__all__ = ["Auth", "FrameSplitter", "Limits", "Session"]
+__all__ = ["REDACTED", "Auth", "FrameSplitter", "Limits", "Session"]
 
+REDACTED: Final = b"(a frame with a password, which is not kept)"
+"""What is recorded of a refused frame with the password in it."""
 _WHITE: Final = b" \t\r\n"
 
 
@@ -42,6 +44,7 @@ class Limits:
         pending: How much may wait to be read by a peer, or to be looked at by the host, bytes.
         stall_timeout: Time for which a peer may leave unread what waits for it, s.
         connections: How many connections a host holds.
+        unauthenticated: How many more may be there that have not authenticated yet, or have failed to.
     """
 
     frame: int = 1 << 20
@@ -51,6 +54,7 @@ class Limits:
     pending: int = 8 << 20
     stall_timeout: float = 10.0
     connections: int = 1024
+    unauthenticated: int = 256
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,11 +119,19 @@ class FrameSplitter:
         return frames
 
 
+def _secret_forms(password: str) -> tuple[bytes, ...]:
+    """Returns a password as it stands in frames: as it is, and as JSON writes it, with and without other letters."""
+    if not password:
+        return ()
+    forms = (password, *(json.dumps(password, ensure_ascii=ascii)[1:-1] for ascii in (True, False)))
+    return tuple(dict.fromkeys(form.encode("utf-8", "surrogatepass") for form in forms))
+
+
 class Session:
     """The protocol's side of one connection: framing, auth, dialect.
 
     The first frame comes out as an `Auth`; then the session waits, whatever else is received, until the host has
-    said `accept` or `refuse`. From then on Requests come out. After a `violation` nothing does.
+    said `accept` or `refuse`. From then on frames come out, for `parse`. After a `violation` nothing does.
     """
 
     def __init__(self, limits: Limits | None = None) -> None:
@@ -129,20 +141,23 @@ class Session:
         self._splitter = FrameSplitter(self._limits.auth_frame)
         self._state: Literal["new", "waiting", "open", "closed"] = "new"
         self._auth_id: Any = NO_ID
+        self._secrets: tuple[bytes, ...] = ()  # the forms that the password takes in frames
 
-    def receive(self, data: bytes) -> list[Auth | Request]:
-        """Takes bytes and returns the requests that they complete. Never raises; see `violation` afterwards.
+    def receive(self, data: bytes) -> list[Auth | bytes]:
+        """Takes bytes and returns the frames that they complete. Never raises; see `violation` afterwards.
 
         Bytes received while waiting come out of the next call after `accept`, which may be `receive(b"")`.
         """
         if self._state == "closed" or self.violation is not None:
             return []
-        received: list[Auth | Request] = []
+        received: list[Auth | bytes] = []
         if self._state == "open":
-            received += map(parse, self._splitter.feed(data))
+            received += self._splitter.feed(data)
         elif self._state == "new":
             for frame in self._splitter.feed(data, 1):
-                received.append(self._read_auth(frame))
+                auth = self._read_auth(frame)
+                self._secrets = _secret_forms(auth.password)
+                received.append(auth)
                 self._state = "waiting"
         else:
             self._splitter.feed(data, 0)
@@ -194,6 +209,24 @@ class Session:
         if opened or self.dialect is None:
             return encode(error_reply(error)) + DELIMITER
         return encode(self._with_auth_id(error_reply(error, "auth"))) + DELIMITER
+
+    def redacted(self, request: Request) -> Request:
+        """Returns a request in which the password is not, be it said once more: for logs, recordings and replies.
+
+        A second `auth` never comes through, nor any frame that is refused and holds the password, be it by itself.
+        """
+        if request.error is None:
+            return request
+        if request.type != "auth" and not any(secret in request.raw for secret in self._secrets):
+            return request
+        if request.type == "auth":
+            kind, error = "auth", request.error
+        else:
+            kind, error = None, RejectedMessage(request.error.code, "this frame is no command, and holds the password")
+        number = request.id
+        if number is not NO_ID and any(secret in encode(number) for secret in self._secrets):
+            number = NO_ID
+        return Request(REDACTED, None, error, kind, number)
 
     def _with_auth_id(self, message: dict[str, Any]) -> dict[str, Any]:
         return message if self._auth_id is NO_ID else {**message, "id": self._auth_id}

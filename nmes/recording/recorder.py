@@ -7,6 +7,7 @@ Invariants:
 
 - What was flushed is never changed; whatever keeps the file from being written is raised, and from then on.
 - What a client sent is kept byte for byte. Passwords never get here: a client joins after it was authenticated.
+- `flush` may be called by another thread than the one in which the world is, at any time: what was noted is written.
 - Recording does not change what a world does: it only asks for poses and, of a world with a past, for one
   snapshot first. Keyframes are the world's own.
 """
@@ -15,6 +16,7 @@ from __future__ import annotations
 
 import os
 import struct
+import threading
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -54,6 +56,8 @@ __all__ = ["Recorder"]
 _NS = 1_000_000_000
 _FLUSH_SIZE = 256 << 10  # bytes of records: about as many as the processor's caches still hold
 _MANY = 512  # notes
+_LARGE = 64 << 10  # bytes of a command and its reply that are packed at once
+_LARGEST = 4 << 20  # bytes of a chunk before which a view begins a new one
 _LONG_RUN = 4096  # ticks
 _NEVER = -1  # when a recorder flushed that cannot: the next record of any kind then tries to, and meets the error
 
@@ -102,6 +106,7 @@ class Recorder:
         self._writer = Writer(path, profile=PROFILE, library=f"nmes {VERSION}")
         self._channels = Channels(self._writer)
         self._notes: list[_Note] = []
+        self._lock = threading.RLock()  # over all but the notes: whoever holds it makes records
         self._run: list[bytes] = []  # digests of the ticks packed since the last record
         self._run_end = (0, 0)  # the frame and the wall time of the last of them
         self._frame = self._time = 0  # the last record's frame, and that in ns
@@ -144,7 +149,8 @@ class Recorder:
         """Records a reply."""
         wall = time_ns()
         self._notes.append((4 * client + REPLY, self._world.frame, wall, reply))
-        if not 0 <= wall - self._flushed < self._flush_after or len(self._notes) > _MANY:
+        large = len(request.raw) + len(reply) > _LARGE
+        if not 0 <= wall - self._flushed < self._flush_after or len(self._notes) > _MANY or large:
             self._pack()
 
     def ticked(self, frame: int, digest: bytes) -> None:
@@ -158,9 +164,10 @@ class Recorder:
 
     def keyframe(self, snapshot: bytes) -> None:
         """Records a snapshot of the world. It begins a chunk, so that a reader can begin there."""
-        self.flush()
-        self._notes.append((KEYFRAME, self._world.frame, time_ns(), snapshot))
-        self._pack()
+        with self._lock:
+            self.flush()
+            self._notes.append((KEYFRAME, self._world.frame, time_ns(), snapshot))
+            self._pack()
 
     def faulted(self, frame: int, code: str, message: str) -> None:
         """Records that the world stopped, and gives the file its end."""
@@ -170,18 +177,20 @@ class Recorder:
 
     def _pack(self) -> None:
         """Makes records of the notes, and flushes when it is time to."""
-        if self._error is not None:
-            raise self._error
-        try:
-            self._make_records()
-        except RecordingError as error:
-            self._fail(error)
-        # The wall clock may be set back: that is a reason to flush, too.
-        if len(self._writer.open_chunk) > _FLUSH_SIZE or not 0 <= time_ns() - self._flushed < self._flush_after:
-            self.flush()
+        with self._lock:
+            if self._error is not None:
+                raise self._error
+            try:
+                self._make_records()
+            except RecordingError as error:
+                self._fail(error)
+            # The wall clock may be set back: that is a reason to flush, too.
+            if len(self._writer.open_chunk) > _FLUSH_SIZE or not 0 <= time_ns() - self._flushed < self._flush_after:
+                self.flush()
 
     def _make_records(self) -> None:
-        notes, self._notes = self._notes, []
+        notes = self._notes[:]
+        del self._notes[: len(notes)]  # the world may note more meanwhile, in its own thread
         for key, frame, wall, content in notes:
             if key == TICKS:
                 self._run.append(content)
@@ -190,6 +199,8 @@ class Recorder:
             if self._run:
                 self._end_run()
             if key == POSES:
+                if len(self._writer.open_chunk) > _LARGEST:
+                    self._end_chunk()
                 self._add_view(frame, wall, content)
                 continue
             if key > 0:
@@ -221,22 +232,24 @@ class Recorder:
     def _add(self, key: int | str, frame: int, wall: int, data: bytes) -> None:
         if frame != self._frame:
             self._frame, self._time = frame, (frame * _NS + self._rate // 2) // self._rate
-        self._writer.add(self._channels[key], self._sequence & SEQUENCE_MASK, self._time, wall, data)
+        # The wall clock may stand before 1970, for which the format has no number.
+        self._writer.add(self._channels[key], self._sequence & SEQUENCE_MASK, self._time, max(wall, 0), data)
         self._sequence += 1
 
     # -- the file --------------------------------------------------------------------------------------------------
 
     def flush(self) -> None:
-        """Hands everything recorded so far to the operating system."""
-        if self._error is not None:
-            raise self._error
-        self._flushed = time_ns()
-        try:
-            self._write_chunk()
-            if self._world.fault is not None:
-                self._seal()
-        except RecordingError as error:
-            self._fail(error)
+        """Hands everything recorded so far to the operating system; may be called in any thread."""
+        with self._lock:
+            if self._error is not None:
+                raise self._error
+            self._flushed = time_ns()
+            try:
+                self._write_chunk()
+                if self._world.fault is not None:
+                    self._seal()
+            except RecordingError as error:
+                self._fail(error)
 
     def commit(self) -> None:
         """Where the flush interval is 0: returns when all that was recorded so far is on disk. Else does nothing."""
@@ -253,17 +266,18 @@ class Recorder:
         Raises:
             RecordingError: The end cannot be written; the file is closed all the same.
         """
-        if self._error is None:
-            try:
-                self._write_chunk()
-                self._seal()
-                if self._durable:
-                    self._writer.sync()
-            except RecordingError as error:
-                self._fail(error)
-            self._error = RecordingError("recording_closed", f"the recording {self.path} is closed")
-            self._flushed = _NEVER
-            self._writer.close()
+        with self._lock:
+            if self._error is None:
+                try:
+                    self._write_chunk()
+                    self._seal()
+                    if self._durable:
+                        self._writer.sync()
+                except RecordingError as error:
+                    self._fail(error)
+                self._error = RecordingError("recording_closed", f"the recording {self.path} is closed")
+                self._flushed = _NEVER
+                self._writer.close()
 
     def _fail(self, error: RecordingError) -> NoReturn:
         self._error = error
@@ -275,11 +289,14 @@ class Recorder:
         self._make_records()
         if self._run:
             self._end_run()
+        self._end_chunk()
+
+    def _end_chunk(self) -> None:
         if self._writer.open_chunk:
             # Both channels first, so that nothing stands between the two messages.
             ends = (self._channels[CHECKSUMS], self._checksums), (self._channels[CHAIN], self._link)
             for channel, describe in ends:
-                self._writer.add(channel, self._sequence & SEQUENCE_MASK, self._time, self._flushed, describe())
+                self._writer.add(channel, self._sequence & SEQUENCE_MASK, self._time, max(self._flushed, 0), describe())
                 self._sequence += 1
             self._writer.flush()
 

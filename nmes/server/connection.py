@@ -5,7 +5,8 @@ Invariants:
 - What a socket brings is executed as it arrives; what has to wait, for its world or for others, keeps its place, and
   nothing more is read from that socket meanwhile.
 - All replies to what one read brought leave in one write, in the order of the requests; events keep their place.
-- Nobody waits for long: commands run in slices of `SLICE` s, then others have their turn.
+- Nobody waits for long: commands are read and run in slices of `SLICE` s, then others have their turn; a long frame is
+  read in a thread.
 - What waits for the disk is on it before it is handed to the socket: `flush` is the only way out.
 - What a peer does not read is bounded: over half the limit its commands wait, over the limit it is cut.
 """
@@ -16,12 +17,15 @@ import asyncio
 import contextlib
 import logging
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Sequence
+from concurrent.futures import Future
+from math import ceil
 from time import monotonic
 from typing import TYPE_CHECKING, cast
 
 from nmes.errors import NmesError, RejectedMessage, WorldError
-from nmes.protocol import Auth, Request, Session
+from nmes.protocol import Auth, Request, Session, parse
+from nmes.server.door import address_of
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.threads import SLICE
 
@@ -33,8 +37,8 @@ __all__ = ["LINGER", "READ", "Connection"]
 logger = logging.getLogger(__name__)
 
 LINGER = 2.0  # s: how long a connection that we end may take to read the rest and hang up
-SPARE = 64  # connections over the limit that are told so; any more are dropped without a word
 READ = 256 << 10  # bytes that are read at once; fresh memory for each read would cost more than all of asyncio
+LONG = 8 << 10  # bytes of a frame that may take a millisecond to read
 CHUNK = 256 << 10  # bytes of replies that are handed to the socket before the rest of a read is executed
 
 
@@ -49,11 +53,15 @@ class Connection(asyncio.BufferedProtocol):
         self._limits = host.limits
         self._default_world = default_world
         self._session = Session(host.limits)
-        self._destination: HostedWorld | None = None  # the world to join
+        self._address = ""
+        self._destination: str | None = None  # the world to join
         self._world: HostedWorld | None = None  # the world joined
         self._client = 0
         self._timer: asyncio.TimerHandle | None = None  # the deadline that applies: auth, its answer, hanging up
-        self._backlog: deque[Request] = deque()  # what is yet to be executed; reading pauses meanwhile
+        self._backlog: deque[bytes | Request] = (
+            deque()
+        )  # frames yet to be read and executed; the socket waits meanwhile
+        self._reading: Future[Request] | None = None  # the first of them, where it is read in a thread
         self._full = False  # the peer does not read: its commands wait
         self._overflowed = False  # it did not read for so long that events were dropped: it must go
         self._ended = False  # the peer sends nothing more
@@ -69,20 +77,14 @@ class Connection(asyncio.BufferedProtocol):
     # -- what the event loop calls ---------------------------------------------------------------------------------
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Waits for authentication; or refuses, where the host is full."""
+        """Waits for authentication."""
         self._transport = cast(asyncio.Transport, transport)
         self._transport.set_write_buffer_limits(high=self._limits.pending // 2)
         self._active_at = self._progress_at = monotonic()
-        over = self._host.admit(self) - self._limits.connections
-        if over <= 0:
-            loop = asyncio.get_running_loop()
-            self._timer = loop.call_later(self._limits.auth_timeout, self._auth_timed_out)
-        elif over <= SPARE:
-            most = self._limits.connections
-            self.hang_up(RejectedMessage("too_many_connections", f"this host serves {most} connections at once"))
-        else:
-            self._closing = True
-            self._transport.abort()
+        self._address = address_of(self._transport.get_extra_info("peername"))
+        loop = asyncio.get_running_loop()
+        self._timer = loop.call_later(self._limits.auth_timeout, self._auth_timed_out)
+        self._host.admit(self, self._address)
 
     def get_buffer(self, sizehint: int) -> memoryview:
         """Lends the host's one buffer: it is read into and emptied without anything else happening in between."""
@@ -137,7 +139,7 @@ class Connection(asyncio.BufferedProtocol):
 
     # -- authentication --------------------------------------------------------------------------------------------
 
-    def _authenticate(self, messages: list[Auth | Request]) -> None:
+    def _authenticate(self, messages: Sequence[Auth | bytes]) -> None:
         """Deals with the first frame, if it has come."""
         if not messages:
             if self._session.violation is not None:
@@ -145,26 +147,42 @@ class Connection(asyncio.BufferedProtocol):
             return
         self._cancel_timer()
         auth = cast(Auth, messages[0])
-        if auth.error is not None:
-            self._refuse(auth.error)
-        elif not self._host.accepts(auth.password):
-            self._refuse(RejectedMessage("auth_failed", "that is not the password"))
+        error = auth.error or self._wrong_password(auth.password)
+        if error is not None:
+            self._refuse(error)
         elif auth.list:
             port = int(self._transport.get_extra_info("sockname")[1])
             self._output.append(self._session.accept(self._host.list_worlds(port)))
             self.hang_up()
+        elif not self._host.let_in(self):
+            most = self._limits.connections
+            self.hang_up(RejectedMessage("too_many_connections", f"this host serves {most} connections at once"))
         else:
             try:
-                self._destination = self._host.find(auth.world or self._default_world)
+                self._destination = self._host.world_name(auth.world or self._default_world)
             except WorldError as error:
                 self.hang_up(error)
                 return
             self._transport.pause_reading()
             self._join()
 
+    def _wrong_password(self, password: str) -> RejectedMessage | None:
+        """Returns why a password does not let anybody in; where there were too many guesses it is not looked at."""
+        guesses, now = self._host.guesses, monotonic()
+        wait = guesses.wait(self._address, now)
+        if wait > 0.0:
+            reason = f"too many wrong passwords came from your address; try again in {ceil(wait)} s"
+            return RejectedMessage("auth_failed", reason)
+        if self._host.accepts(password):
+            return None
+        guesses.wrong(self._address, now)
+        return RejectedMessage("auth_failed", "that is not the password")
+
     def _join(self) -> None:
         """Joins the world as soon as it can be joined, and executes what came behind the password."""
-        world = self._destination
+        if self._destination is None:
+            return
+        world = self._host.find(self._destination, self)
         if world is not None and (joined := world.join(self)) is not None:
             self._destination, self._world = None, world
             self._client, welcome = joined
@@ -192,7 +210,7 @@ class Connection(asyncio.BufferedProtocol):
         except Exception:
             self._failed()
 
-    def _work(self, messages: Iterable[Auth | Request] = ()) -> None:
+    def _work(self, messages: Sequence[Auth | bytes] = ()) -> None:
         """Queues what came, and executes what is queued for one slice."""
         world, session, backlog = self._world, self._session, self._backlog
         if world is None:
@@ -201,12 +219,20 @@ class Connection(asyncio.BufferedProtocol):
         until = now + SLICE
         if messages:
             self._active_at = now
-            backlog.extend(cast(Iterable[Request], messages))
+            backlog.extend(cast(Sequence[bytes], messages))
         if session.violation is not None:
             self._queue_violation(session.violation)
-        waits = False
-        while backlog and not self._full:
+        waits = self._reading is not None
+        while backlog and not self._full and not waits:
             request = backlog[0]
+            if type(request) is bytes:
+                if len(request) > LONG:
+                    self._read_in_thread(request)
+                    waits = True
+                    break
+                backlog[0] = request = parse(request)
+                if request.error is not None:
+                    backlog[0] = request = session.redacted(request)
             encoded = world.submit(self._client, request)
             waits = encoded is None
             if encoded is None or not backlog:  # it waits, or its connection was ended meanwhile
@@ -228,6 +254,18 @@ class Connection(asyncio.BufferedProtocol):
         else:
             self._transport.resume_reading()
 
+    def _read_in_thread(self, frame: bytes) -> None:
+        """Reads the first frame of the backlog in a thread; what came behind it waits."""
+        loop = asyncio.get_running_loop()
+        self._reading = self._host.parse(frame)
+        self._reading.add_done_callback(lambda _: loop.call_soon_threadsafe(self._was_read))
+
+    def _was_read(self) -> None:
+        reading, self._reading = self._reading, None
+        if self._backlog and reading is not None:  # else the connection was ended meanwhile
+            self._backlog[0] = self._session.redacted(reading.result())
+        self.resume()
+
     def _wait_or_leave(self, waits: bool) -> None:
         """Has the rest executed when others have had their turn, or after `resume`; leaves if none is left."""
         if not self._backlog:
@@ -242,7 +280,8 @@ class Connection(asyncio.BufferedProtocol):
 
         It goes through the world, so that the recording tells of it; of the frame itself nothing is kept.
         """
-        if not self._backlog or self._backlog[-1].error is not violation:
+        last = self._backlog[-1] if self._backlog else None
+        if not isinstance(last, Request) or last.error is not violation:
             self._backlog.append(Request(b"", None, violation))
 
     # -- output ----------------------------------------------------------------------------------------------------

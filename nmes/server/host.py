@@ -14,6 +14,7 @@ import hmac
 import logging
 import ssl
 from collections.abc import Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from hashlib import blake2b
 from pathlib import Path
 from time import monotonic
@@ -21,9 +22,10 @@ from types import TracebackType
 from typing import Any, Self
 
 from nmes.errors import MachineError, NmesError, WorldError
-from nmes.protocol import Limits, complete_config
+from nmes.protocol import Limits, Request, complete_config, parse
 from nmes.recording import Recording
 from nmes.server.connection import LINGER, READ, Connection
+from nmes.server.door import Door
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.metrics import CONTENT_TYPE, Figures, Metrics
 from nmes.server.threads import WorkerPool
@@ -77,15 +79,22 @@ class Host:
         self.buffer = memoryview(bytearray(READ))
         self._password = _digest(password)
         self.record_to = record_to
-        self._tls = tls
         self._metrics = metrics
         if metrics is not None:
             metrics.watch(self._figures)
         self.received = 0  # bytes
         self.sent = 0
-        self._servers: list[asyncio.Server] = []
+        self._door = Door(self.limits.unauthenticated, tls, self.limits.auth_timeout, LINGER)
+        self.guesses = self._door.guesses
+        self._reader = ThreadPoolExecutor(1, "nmes-reader")  # one: a frame is read without a pause for others
+        self._creating: dict[
+            str, dict[Connection, None]
+        ] = {}  # worlds that are made in a thread, and who waits for them
+        self._makers: set[asyncio.Task[None]] = set()  # that create them
+        self._open = False  # whether it listens
         self._metrics_servers: list[asyncio.Server] = []
         self._connections: set[Connection] = set()
+        self._inside: set[Connection] = set()  # those that authenticated
         self._tasks: list[asyncio.Task[None]] = []
 
     async def __aenter__(self) -> Self:
@@ -147,32 +156,61 @@ class Host:
         return name
 
     def _create(self, name: str, origin: Origin | None = None) -> HostedWorld:
-        hosted = self.worlds[name] = HostedWorld(
-            self._offered[name], self._pool, self.record_to, self._flush_interval, self._metrics, origin
-        )
-        if self._servers:
+        hosted = self.worlds[name] = self._make(name, origin)
+        if self._open:
             hosted.start()
         return hosted
 
-    def find(self, name: str | None) -> HostedWorld:
-        """Returns the world of a name, or the first one if the name is None; creates it if need be.
+    def _make(self, name: str, origin: Origin | None = None) -> HostedWorld:
+        config = self._offered[name]
+        return HostedWorld(config, self._pool, self.record_to, self._flush_interval, self._metrics, origin)
+
+    def world_name(self, name: str | None) -> str:
+        """Returns the name of one of the worlds: the first one's if it is None.
 
         Raises:
-            WorldError: `world_not_found`, or `world_unavailable` where it cannot be created.
+            WorldError: `world_not_found`.
         """
         if name is None:
             name = next(iter(self._offered), None)
-        if name not in self._offered:
+        if name is None or name not in self._offered:
             raise WorldError("world_not_found", f"this host has no world {name!r}", "world")
+        return name
+
+    def find(self, name: str, connection: Connection) -> HostedWorld | None:
+        """Returns a world, or None while it is being created, in a thread.
+
+        The connection's `resume` is called when it is there; where it cannot be created, its `hang_up`.
+        """
         if name in self.worlds:
             return self.worlds[name]
+        if name not in self._creating:
+            self._creating[name] = {}
+            task = asyncio.get_running_loop().create_task(self._create_in_thread(name))
+            self._makers.add(task)
+            task.add_done_callback(self._makers.discard)
+        self._creating[name][connection] = None
+        return None
+
+    async def _create_in_thread(self, name: str) -> None:
+        """Creates a world for those who wait for it, or tells them that it cannot be."""
+        failure: NmesError | None = None
         try:
-            return self._create(name)
+            hosted = await asyncio.to_thread(self._make, name)
         except NmesError as error:
             logger.error("world %r could not be created: %s", name, error.message)
-            raise WorldError(
-                "world_unavailable", f"world {name!r} could not be created; see the server's log"
-            ) from error
+            failure = WorldError("world_unavailable", f"world {name!r} could not be created; see the server's log")
+        except Exception:
+            logger.exception("world %r could not be created", name)
+            failure = NmesError("internal", "the server failed; see its log")
+        else:
+            self.worlds[name] = hosted
+            hosted.start()
+        for connection in self._creating.pop(name):
+            if failure is None:
+                connection.resume()
+            else:
+                connection.hang_up(failure)
 
     def list_worlds(self, port: int) -> dict[str, Any]:
         """Returns the `world_list` message for a client of a port. Creates none of the worlds."""
@@ -208,14 +246,28 @@ class Host:
         """The number of connections, those that are ending included."""
         return len(self._connections)
 
-    def admit(self, connection: Connection) -> int:
-        """Counts a connection in; returns the number of connections."""
+    def admit(self, connection: Connection, address: str) -> None:
+        """Lets a connection from an address wait at the door, until it is let in."""
         self._connections.add(connection)
-        return len(self._connections)
+        self._door.wait(connection, address)
+
+    def let_in(self, connection: Connection) -> bool:
+        """Counts a connection among those that have authenticated; returns False where the host is full."""
+        if len(self._inside) >= self.limits.connections:
+            return False
+        self._door.forget(connection)
+        self._inside.add(connection)
+        return True
 
     def forget(self, connection: Connection) -> None:
         """Counts a connection out."""
         self._connections.discard(connection)
+        self._inside.discard(connection)
+        self._door.forget(connection)
+
+    def parse(self, frame: bytes) -> Future[Request]:
+        """Reads a frame in a thread."""
+        return self._reader.submit(parse, frame)
 
     async def listen(self, host: str, port: int, world: str | None = None) -> tuple[str, int]:
         """Listens on an address. The worlds' clocks start with the first port.
@@ -231,30 +283,17 @@ class Host:
         Raises:
             MachineError: `cannot_listen`: the address is taken, or not of this machine.
         """
-        loop = asyncio.get_running_loop()
-        try:
-            server = await loop.create_server(
-                lambda: Connection(self, world),
-                host,
-                port,
-                backlog=1024,
-                ssl=self._tls,
-                ssl_handshake_timeout=self.limits.auth_timeout if self._tls else None,
-                ssl_shutdown_timeout=LINGER if self._tls else None,
-            )
-        except (OSError, OverflowError) as error:
-            reason = getattr(error, "strerror", None) or error
-            raise MachineError("cannot_listen", f"cannot listen on {host}:{port}: {reason}") from error
-        if not self._servers:
+        address, port = await self._door.listen(host, port, lambda: Connection(self, world))
+        if not self._open:
+            self._open = True
+            loop = asyncio.get_running_loop()
             self._tasks = [loop.create_task(self._inspect()), loop.create_task(self._flush())]
             for hosted in self.worlds.values():
                 hosted.start()
-        self._servers.append(server)
-        address = server.sockets[0].getsockname()
         default = world or next(iter(self._offered), None)
         if default is not None:
-            self._ports.setdefault(default, address[1])
-        return address[0], address[1]
+            self._ports.setdefault(default, port)
+        return address, port
 
     async def serve_metrics(self, host: str, port: int) -> int:
         """Serves the page of metrics over HTTP, without a password; returns the port.
@@ -296,13 +335,13 @@ class Host:
         interval = (self._flush_interval or 1.0) / 2
         while True:
             await asyncio.sleep(interval)
-            for hosted in self.worlds.values():
-                hosted.flush()
+            for hosted in list(self.worlds.values()):
+                await hosted.flush()
 
     async def _stop_listening(self) -> None:
         """Closes the listening sockets; clients that were accepted before become connections."""
         loop = asyncio.get_running_loop()
-        for server in (*self._servers, *self._metrics_servers):
+        for server in self._metrics_servers:
             for listener in server.sockets:
                 with contextlib.suppress(NotImplementedError):  # a loop that waits for completions has no readers
                     loop.remove_reader(listener)
@@ -310,15 +349,21 @@ class Host:
         # socket open, with nobody to close it.
         for _ in range(2):
             await asyncio.sleep(0)
-        for server in (*self._servers, *self._metrics_servers):
+        for server in self._metrics_servers:
             server.close()
+        await self._door.close()
+
+    @property
+    def abandoned(self) -> bool:
+        """Whether a world was left in the middle of a tick when the host closed: its thread goes on until that ends."""
+        return any(hosted.abandoned for hosted in self.worlds.values())
 
     async def close(self) -> None:
         """Stops listening, closes the worlds and their recordings, tells the clients, and hangs up."""
         await self._stop_listening()
         for task in self._tasks:
             task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
+        await asyncio.gather(*self._tasks, *self._makers, return_exceptions=True)
         self._tasks.clear()
         await asyncio.gather(*(hosted.close() for hosted in self.worlds.values()))
         for connection in list(self._connections):
@@ -333,12 +378,9 @@ class Host:
             connection.abort()
         while self._connections:
             await asyncio.sleep(0)
-        with contextlib.suppress(TimeoutError):  # a TLS handshake that stalls is not waited for
-            async with asyncio.timeout(LINGER):
-                for server in self._servers:
-                    await server.wait_closed()
-        self._servers.clear()
-        self._pool.close()
+        self._open = False
+        self._reader.shutdown()
+        self._pool.close(wait=not self.abandoned)
 
 
 def _digest(password: str) -> bytes:

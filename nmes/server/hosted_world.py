@@ -39,6 +39,8 @@ __all__ = ["HostedWorld", "Status"]
 
 logger = logging.getLogger(__name__)
 
+PATIENCE = 2.0  # s: how long a host that closes waits for the tick that a world is at
+
 # The commands that may start, stop or re-pace the clock.
 _STEERING = frozenset({"set_mode", "pause", "resume", "reset", "batch"})
 
@@ -80,6 +82,8 @@ class HostedWorld:
         self.world.emit = self._peers.send
         self._settling: asyncio.Handle | None = None  # where `_settle` is to be called
         self._closing = False
+        self.abandoned = False  # closed while it is in a thread still, in the middle of a tick
+        self.lost: str | None = None  # why its recording is not whole, once it is closed
         self._fault: Fault | None = None  # the one that was logged
         self._clock = Clock(self.world, self._turn)
         self._worker = Worker(self.world, pool, self)
@@ -93,7 +97,7 @@ class HostedWorld:
         self._leavers: list[int] = []  # clients that are to leave then
         self._results: dict[int, Future[bytes]] = {}  # replies to requests that were executed there
         self._loss: RecordingError | None = None  # why events were lost
-        self._turn_due = self._flush_due = False
+        self._turn_due = False
 
     def __repr__(self) -> str:
         return f"HostedWorld({self.name!r}, frame {self.status.frame}, {len(self._peers)} clients)"
@@ -262,23 +266,18 @@ class HostedWorld:
         return True
 
     def end_slice(self) -> None:
-        """Flushes the recording where that is due, and sends events; called in the world's thread.
+        """Sends events; called in the world's thread.
 
         Raises:
             RecordingError: The recording cannot be written. Where it waits for the disk, nobody hears of these events.
         """
-        flush_due, self._flush_due = self._flush_due, False
-        if self._recorder is not None:
-            try:
-                if flush_due:
-                    self._recorder.flush()
-                if self._events:
-                    self._recorder.commit()
-            except RecordingError as error:
-                if self.durable:
-                    self._events, self._loss = [], error
-                raise
         if self._events:
+            if self._recorder is not None:
+                try:
+                    self._recorder.commit()
+                except RecordingError as error:
+                    self._events, self._loss = [], error
+                    raise
             events, self._events = self._events, []
             self._loop.call_soon_threadsafe(self._peers.deliver, events)
 
@@ -294,8 +293,6 @@ class HostedWorld:
         if self._loss is not None:
             self._peers.hang_up(self._loss)
             self._loss = None
-        if self._flush_due:
-            self.flush()
         if self._turn_due:
             self._turn_due = False
             self._clock.turn_soon()
@@ -315,15 +312,18 @@ class HostedWorld:
 
     # -- the recording ---------------------------------------------------------------------------------------------
 
-    def flush(self) -> None:
-        """Brings the recording to disk, as far as the world has gone; a failure to do so stops the world."""
-        self._flush_due = self._worker.away  # then it is done there, after the slice
-        if self._recorder is not None and not self._worker.away:
+    async def flush(self) -> None:
+        """Hands the recording to the system, as far as the world has gone; a failure to do so stops the world.
+
+        It is done in a thread, and the world need not wait for it, nor it for the world, however long a tick takes.
+        """
+        if self._recorder is not None:
             try:
-                self._recorder.flush()
+                await asyncio.to_thread(self._recorder.flush)
             except RecordingError as error:
-                self.world.stop_recording(error)
-                self._settle_soon()
+                if not self._worker.away and not self._closing:  # else it meets the error at its next record
+                    self.world.stop_recording(error)
+                    self._settle_soon()
 
     def commit(self) -> None:
         """Waits for the disk, if that was asked for: to be called before anything is handed to a socket.
@@ -344,20 +344,31 @@ class HostedWorld:
     # -- the end ---------------------------------------------------------------------------------------------------
 
     async def close(self) -> None:
-        """Stops the world where it is, tells subscribers that it is closed, and completes the recording."""
+        """Stops the world where it is, tells subscribers that it is closed, and completes the recording.
+
+        A world whose tick takes longer than `PATIENCE` is left where it is: its recording ends before that tick.
+        """
         if self._closing:
             return
         self._closing = True
-        await self._worker.stop()
+        self.abandoned = not await self._worker.stop(PATIENCE)
         self._clock.stop()
         self._barrier.stop()
         self._log_fault()
-        self.world.close()
+        if self.abandoned:
+            logger.warning("world %r is left in the middle of a tick, before which its recording ends", self.name)
+            self.world.emit = self._peers.send
+            self.world.announce({"type": "world_closed"})
+        else:
+            self.world.close()
         self._peers.flush()
+        if self.world.fault is not None and self.world.fault.code == "recording_failed":
+            self.lost = self.world.fault.message
         if self._recorder is not None:
             try:
                 self._recorder.close()
             except RecordingError as error:
+                self.lost = error.message
                 logger.error("the recording %s could not be completed: %s", self.recording, error.message)
 
 

@@ -1,7 +1,7 @@
 """The worker of a world: short work is done in the event loop, long work in a thread of the host's pool.
 
-It hides how long work will take, which is guessed from what it took before. So the clock decides where work is done,
-and never what comes of it.
+It hides how long work will take, which is guessed: of ticks from what they took before, of all else from what the
+world says. So the clock decides where work is done, and never what comes of it.
 
 Invariants:
 
@@ -12,6 +12,8 @@ Invariants:
 from __future__ import annotations
 
 import asyncio
+import contextlib
+import math
 import os
 import threading
 from collections import deque
@@ -31,10 +33,36 @@ BRIEF = 0.0005  # s: what is not worth the way to another thread and back
 THREADS = 1000  # worlds that can be in a thread; no more of them run at once than there are cores
 
 _TICK = 1e-4  # s: what a tick is taken to cost before one was measured
-_COMMAND = 2e-5  # s: about what a command of a batch costs
-_PICTURE = 0.01  # s: about what a picture costs
+_SAVED = 2e-5  # s a cube: what it costs at a tick where the world is saved, or tells subscribers of all cubes
 
-LONG_COMMANDS = frozenset({"step", "batch", "get_camera"})  # those that may take long
+LONG_COMMANDS = frozenset(  # those that may take long: of these the world is asked what they cost
+    {
+        "batch",
+        "get_camera",
+        "get_cube_info",
+        "get_joint_list",
+        "get_world_state",
+        "reset",
+        "set_cube_state",
+        "set_objective",
+        "spawn_creature",
+        "step",
+    }
+)
+
+_BUILDING = frozenset(  # what the engine may have to build its model anew for, at the next tick
+    {
+        "create_bone",
+        "create_joint",
+        "despawn_cube",
+        "freeze_cube",
+        "remove_joint",
+        "reset",
+        "set_cube_state",
+        "spawn_creature",
+        "spawn_cube",
+    }
+)
 
 T = TypeVar("T")
 
@@ -87,9 +115,9 @@ class WorkerPool:
             else:
                 self._free += 1
 
-    def close(self) -> None:
-        """Ends the threads, when their work is done."""
-        self._pool.shutdown()
+    def close(self, wait: bool) -> None:
+        """Ends the threads, when their work is done; waits for that or not."""
+        self._pool.shutdown(wait)
 
 
 class Owner(Protocol):
@@ -142,16 +170,28 @@ class Worker:
         """Returns how long (s) a command will take, as far as one can tell."""
         kind = command["type"]
         if kind == "step":
-            return float(command.get("ticks", 1) * self._cost)
+            return self._ticks_cost(command.get("ticks", 1))
+        cost = self._world.cost(command)
         if kind == "batch":
             inner = command["commands"]
-            return len(inner) * _COMMAND + sum(map(self._expected, inner))
-        return _PICTURE if kind == "get_camera" else 0.0
+            steps = [each.get("ticks", 1) for each in inner if each["type"] == "step"]
+            if steps:
+                # What the others build is taken up by the first tick. Most that agents send there are short.
+                builds = any(each["type"] in _BUILDING for each in inner)
+                cost += self._ticks_cost(sum(steps)) + (math.inf if builds else 0.0)
+        return cost
+
+    def _ticks_cost(self, ticks: float) -> float:
+        """Returns how long (s) ticks will take; the first one takes up what was edited."""
+        world = self._world
+        return ticks * self._cost + world.rebuild_cost + len(world.entities.cubes) * _SAVED
 
     def _measure(self, ticks: int, duration: float) -> None:
+        """Learns at once that ticks have become longer, and by and by that they are shorter again."""
         self._pool.last = self
         if ticks > 0:
-            self._cost += (duration / ticks - self._cost) / 4
+            tick = duration / ticks
+            self._cost = max(tick, self._cost + (tick - self._cost) / 4)
 
     # -- the work --------------------------------------------------------------------------------------------------
 
@@ -171,7 +211,7 @@ class Worker:
             most: The most ticks that are wanted; may be infinite.
             then: Called in the loop with the number of ticks, at once or when the world is back.
         """
-        if self._is_short(most * self._cost):
+        if most < 1 or self._is_short(self._ticks_cost(most)):
             then(self._tick(most))
         else:
             self.run(partial(self._tick, most), lambda ticks: then(ticks.result()))
@@ -226,8 +266,11 @@ class Worker:
         self._returned.set()
         self._owner.take_back(partial(then, result))
 
-    async def stop(self) -> None:
-        """Ends what is done in a thread, after the tick it is at; returns when the world is back."""
+    async def stop(self, patience: float) -> bool:
+        """Ends what is done in a thread, after the tick it is at; returns whether the world came back in time (s)."""
         self._stopping = True
         if self.away:
-            await self._returned.wait()
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(patience):
+                    await self._returned.wait()
+        return not self.away

@@ -2,12 +2,53 @@
 
 from __future__ import annotations
 
+import json
+import os
+import resource
+import signal
+import socket
+import ssl
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
+import pytest
+import trustme
+from click.testing import CliRunner
+
+from nmes.cli import main
 from nmes.playback import replay
-from nmes.protocol import parse
+from nmes.protocol import DELIMITER, Limits, Request, parse
 from nmes.recording import Kind, Recorder, Recording
+from nmes.server.door import Guesses, address_of
+from nmes.server.hosted_world import HostedWorld
+from nmes.server.world_recorder import WorldRecorder
 from nmes.world import World
+from processes import process, ready
+from servers import PASSWORD, PATIENCE, Peer, served, until
+
+
+@contextmanager
+def stuck(hosted: HostedWorld) -> Iterator[threading.Event]:
+    """Holds a world in its next tick; yields what is set when it is there."""
+    entered, leave = threading.Event(), threading.Event()
+    simulation: Any = hosted.world.simulation
+    step: Callable[[int], None] = simulation.step
+
+    def wait(substeps: int) -> None:
+        entered.set()
+        assert leave.wait(PATIENCE)
+        step(substeps)
+
+    simulation.step = wait
+    try:
+        yield entered
+    finally:
+        leave.set()
+
 
 # -- recordings ------------------------------------------------------------------------------------------------------
 
@@ -29,3 +70,315 @@ def test_any_number_of_clients_may_come_and_go_while_a_world_is_recorded(tmp_pat
         assert [record.client for record in records if record.kind is kind] == list(range(1, clients + 1))
     assert {record.data for record in records if record.kind is Kind.REFUSED} == {b"nonsense"}
     assert replay(recorder.path).verdict == "reproduced"
+
+
+def test_what_was_acknowledged_reaches_the_disk_while_a_tick_takes_long(tmp_path: Path) -> None:
+    with served({"name": "slow"}, record_to=tmp_path, flush_interval=0.05) as server, server.peer() as peer:
+        with stuck(server.hosted) as entered:
+            batch = {"type": "batch", "commands": [{"type": "spawn_cube", "cube_name": f"c{n}"} for n in range(600)]}
+            assert peer.ask(batch)["type"] == "batch_result"
+            peer.say({"type": "step", "ticks": 1})
+            assert entered.wait(PATIENCE)
+            (path,) = tmp_path.iterdir()
+            until(lambda: b"c599" in b"".join(record.data for record in Recording(path)))
+        assert peer.hear()["type"] == "stepped"
+    assert replay(path).verdict == "reproduced"
+
+
+@pytest.mark.parametrize("dialect", ["json", "raw"])
+@pytest.mark.parametrize(
+    "said",
+    [
+        {"type": "auth", "password": PASSWORD},
+        {"type": "auth", "password": "another that is secret"},
+        {"type": PASSWORD},
+        {"type": "ping", "ticks": 1, "password": PASSWORD, "id": {"p": PASSWORD}, "position": {}, "type ": 1},
+        {"type": "step", "ticks": PASSWORD},
+        PASSWORD,
+        f"{PASSWORD} and more",
+        json.dumps(PASSWORD),
+    ],
+    ids=repr,
+)
+def test_a_password_said_twice_is_not_kept(
+    tmp_path: Path, dialect: str, said: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    frame = said.encode() if isinstance(said, str) else json.dumps(said).encode()
+    with served(record_to=tmp_path) as server, server.peer(dialect) as peer:
+        peer.send(frame + DELIMITER)
+        answer = peer.frame()
+        assert json.loads(answer)["type"] in ("error", "pong")
+    (path,) = tmp_path.iterdir()
+    if json.loads(answer)["type"] == "pong":  # a command that is obeyed is kept as it is: it is what happened
+        return
+    kept = [record.data for record in Recording(path)]
+    for secret in (PASSWORD.encode(), b"another that is secret"):
+        assert not any(secret in data for data in [*kept, answer, caplog.text.encode()])
+    assert any(b"not kept" in data for data in kept)
+    assert replay(path).verdict == "reproduced"
+
+
+def test_servers_that_start_at_once_in_one_folder_record_to_files_of_their_own(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Path, "exists", lambda path: False)  # as it is to all who look before any has begun
+    worlds = [World({"backend": "ballistic"}) for _ in range(4)]
+    recorders = [WorldRecorder(world, tmp_path, 1.0, None) for world in worlds]
+    for recorder in recorders:
+        recorder.close()
+    assert len(list(tmp_path.iterdir())) == 4
+
+
+def test_serve_says_that_a_recording_is_not_whole_and_ends_with_status_1(tmp_path: Path) -> None:
+    options = ["--port", "0", "--backend", "ballistic", "--mode", "lockstep", "--record", str(tmp_path)]
+    with process("serve", "--json", *options, "--flush-interval", "0", NMES_PASSWORD=PASSWORD) as server:
+        info = ready(server)
+        resource.prlimit(server.pid, resource.RLIMIT_FSIZE, (100_000, 100_000))  # a full disk
+        with Peer(info["port"]) as peer:
+            peer.ask({"type": "auth", "password": PASSWORD})
+            peer.say(*[{"type": "ping", "id": os.urandom(500).hex()} for _ in range(400)])
+            assert json.loads(peer.rest()[-1])["code"] == "recording_failed"
+        server.send_signal(signal.SIGTERM)
+        _, log = server.communicate(timeout=PATIENCE)
+    assert server.returncode == 1
+    assert "the recording of world 'main' is not whole: cannot write" in log
+    assert "Traceback" not in log
+
+
+def test_a_host_ends_though_a_tick_takes_long_and_its_recording_is_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nmes.server.hosted_world.PATIENCE", 0.05)
+    with served({"name": "slow"}, record_to=tmp_path) as server, server.peer() as peer:
+        (path,) = tmp_path.iterdir()
+        with stuck(server.hosted) as entered:
+            peer.ask({"type": "spawn_cube", "cube_name": "a"})
+            peer.say({"type": "step", "ticks": 10_000})
+            assert entered.wait(PATIENCE)
+            server.close()
+            assert peer.rest() == []
+            assert server.host.abandoned
+            recording = Recording(path)
+            assert recording.complete
+            assert b'"a"' in b"".join(record.data for record in recording)
+            assert replay(recording).verdict == "reproduced"
+
+
+# -- nobody waits for what takes long --------------------------------------------------------------------------------
+
+GENOME = json.loads((files("nmes.genome") / "shipped/walker.json").read_text())
+LONG_WORK: dict[str, dict[str, Any]] = {
+    "spawn_creature": {"type": "spawn_creature", "genome": GENOME},
+    "reset": {"type": "reset"},
+    "get_world_state": {"type": "get_world_state"},
+    "a batch that builds and steps": {
+        "type": "batch",
+        "commands": [{"type": "spawn_cube", "position": [0, 3, 0]}, {"type": "step"}],
+    },
+    "the step after cubes came": {"type": "step"},
+}
+
+
+@pytest.mark.parametrize("command", LONG_WORK.values(), ids=list(LONG_WORK))
+def test_what_may_take_long_is_done_away_from_the_event_loop(
+    command: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    threads: list[threading.Thread] = []
+    handle = World.handle
+
+    def watched(world: World, client: int, request: Request) -> bytes:
+        threads.append(threading.current_thread())
+        return handle(world, client, request)
+
+    with served({"backend": "mujoco"}) as server, server.peer() as peer:
+        for n in range(300):
+            peer.ask({"type": "spawn_cube", "position": [2 * n, 1, 0], "list": False})
+        monkeypatch.setattr(World, "handle", watched)
+        assert peer.ask(command)["type"] != "error"
+        assert len(threads) == 1 and threads[0] is not server.call(threading.current_thread)
+
+
+def test_a_tick_of_the_clock_that_takes_up_cubes_is_done_away_from_the_event_loop() -> None:
+    with served({"mode": "realtime"}) as server, server.peer() as peer:
+        peer.ask({"type": "pause"})
+        for _ in range(300):
+            peer.ask({"type": "spawn_cube", "list": False})
+        with stuck(server.hosted) as entered:
+            peer.ask({"type": "resume"})
+            assert entered.wait(PATIENCE)
+            assert server.call(threading.current_thread) is not None  # the loop goes on
+
+
+def test_a_long_frame_is_read_away_from_the_event_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    entered, leave = threading.Event(), threading.Event()
+
+    def slow(frame: bytes) -> Request:
+        if len(frame) > 100_000:
+            entered.set()
+            assert leave.wait(PATIENCE)
+        return parse(frame)
+
+    monkeypatch.setattr("nmes.server.host.parse", slow)
+    with served() as server, server.peer() as long, server.peer() as other:
+        names = [f"cube {n}" for n in range(20_000)]
+        long.say(
+            {"type": "spawn_cube", "cube_name": "a"}, {"type": "get_world_state", "cubes": names}, {"type": "ping"}
+        )
+        assert entered.wait(PATIENCE)
+        assert other.ask({"type": "get_cube_list"})["cubes"] == ["a"]  # also of the same world
+        leave.set()
+        assert [long.hear()["type"] for _ in range(3)] == ["cube_list", "error", "pong"]
+
+
+def test_a_world_is_created_away_from_the_event_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    entered, leave = threading.Event(), threading.Event()
+    create = HostedWorld.__init__
+
+    def slow(hosted: HostedWorld, config: Any, *more: Any) -> None:
+        if config["name"] == "slow":
+            entered.set()
+            assert leave.wait(PATIENCE)
+        create(hosted, config, *more)
+
+    monkeypatch.setattr(HostedWorld, "__init__", slow)
+    with served({"name": "quick"}, {"name": "slow"}, lazy=True) as server, server.peer() as quick:
+        with server.peer(None) as one, server.peer(None) as two:
+            for peer in (one, two):
+                peer.say({"type": "auth", "password": PASSWORD, "world": "slow"}, {"type": "ping"})
+            assert entered.wait(PATIENCE)
+            assert quick.ask({"type": "ping"})["type"] == "pong"
+            leave.set()
+            assert [one.hear()["world"], two.hear()["world"]] == ["slow", "slow"]
+            assert [one.hear()["type"], two.hear()["type"]] == ["pong", "pong"]
+
+
+# -- the door --------------------------------------------------------------------------------------------------------
+
+
+def test_silent_sockets_shut_nobody_out() -> None:
+    with served(limits=Limits(unauthenticated=8, auth_timeout=1000)) as server, ExitStack() as stack:
+        silent = [stack.enter_context(server.peer(None)) for _ in range(20)]
+        for peer in silent[:12]:
+            assert peer.rest() == []  # the oldest are put out
+        for _ in range(3):
+            assert stack.enter_context(server.peer()).ask({"type": "ping"})["type"] == "pong"
+        assert server.call(lambda: len(server.host._door)) <= 8
+
+
+def test_an_address_with_many_silent_sockets_puts_out_its_own_first() -> None:
+    with served(limits=Limits(unauthenticated=8, auth_timeout=1000)) as server, ExitStack() as stack:
+        slow = stack.enter_context(Peer(server.port, source="127.0.0.2"))
+        for peer in [stack.enter_context(server.peer(None)) for _ in range(30)][:20]:
+            assert peer.rest() == []
+        assert slow.ask({"type": "auth", "password": PASSWORD})["type"] == "auth_success"
+
+
+def test_tls_handshakes_are_counted() -> None:
+    context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    trustme.CA().issue_cert("127.0.0.1").configure_cert(context)
+    with served(tls=context, limits=Limits(unauthenticated=8, auth_timeout=1000)) as server, ExitStack() as stack:
+        silent = [stack.enter_context(server.peer(None)) for _ in range(20)]
+        for peer in silent[:12]:
+            assert peer.rest() == []
+
+
+def test_who_guesses_is_not_heard_for_a_while_and_others_are() -> None:
+    with served() as server:
+        wrong = {"type": "auth", "password": "guess"}
+        for _ in range(10):
+            with server.peer(None) as peer:
+                peer.say(wrong)
+                assert json.loads(peer.rest()[-1])["message"] == "that is not the password"
+        for word in ("guess", PASSWORD):  # the right one gets no other answer: else it would be a guess like others
+            with server.peer(None) as peer:
+                peer.say({**wrong, "password": word})
+                assert "too many wrong passwords" in json.loads(peer.rest()[-1])["message"]
+        with Peer(server.port, source="127.0.0.2") as other:
+            assert other.ask({"type": "auth", "password": PASSWORD})["type"] == "auth_success"
+
+
+def test_guesses_are_counted_by_address_and_in_common() -> None:
+    guesses = Guesses()
+    size, rate = Guesses.ADDRESS
+    for _ in range(size):
+        assert guesses.wait("a", 1000.0) == 0.0
+        guesses.wrong("a", 1000.0)
+    assert guesses.wait("a", 1000.0) == pytest.approx(1 / rate)
+    assert guesses.wait("b", 1000.0) == 0.0
+    assert guesses.wait("a", 1000.0 + 1 / rate) == 0.0
+    for n in range(Guesses.COMMON[0]):
+        guesses.wrong(f"bot {n}", 1001.0)
+    assert guesses.wait("bot 1", 1001.0) > 0.0  # has guesses left of its own, but all together have none
+    assert guesses.wait("b", 1001.0) == 0.0  # who never guessed is heard all the same
+    assert guesses.wait("bot 1", 2000.0) == 0.0
+    for n in range(Guesses.ADDRESSES + 10):
+        guesses.wrong(f"more {n}", 3000.0)
+    assert len(guesses._buckets) == Guesses.ADDRESSES
+
+
+@pytest.mark.parametrize(
+    ("name", "address"),
+    [
+        (("192.0.2.7", 1234), "192.0.2.7"),
+        (("::ffff:192.0.2.7", 1, 0, 0), "192.0.2.7"),
+        (("2001:db8:1:2:3:4:5:6", 1, 0, 0), "2001:db8:1:2::/64"),
+        (("fe80::1%eth0", 1, 0, 3), "fe80::/64"),
+        (None, "?"),
+    ],
+)
+def test_the_address_of_a_socket(name: object, address: str) -> None:
+    assert address_of(name) == address
+
+
+def test_a_host_without_descriptors_says_so_once_and_recovers(tmp_path: Path) -> None:
+    options = ["--port", "0", "--backend", "ballistic", "--no-record"]
+    with process("serve", "--json", *options, NMES_PASSWORD=PASSWORD) as server, ExitStack() as stack:
+        port = ready(server)["port"]
+        used = max(map(int, os.listdir(f"/proc/{server.pid}/fd")))
+        resource.prlimit(server.pid, resource.RLIMIT_NOFILE, (used + 6, used + 6))
+        crowd = [stack.enter_context(Peer(port)) for _ in range(50)]
+        auth = {"type": "auth", "password": PASSWORD}
+        assert crowd[0].ask(auth)["type"] == "auth_success"
+        for n in range(10):
+            assert crowd[0].ask({"type": "ping", "id": n})["id"] == n
+        for peer in crowd[1:]:
+            peer.socket.close()
+        with Peer(port) as late:
+            assert late.ask(auth)["type"] == "auth_success"
+        server.send_signal(signal.SIGTERM)
+        _, log = server.communicate(timeout=PATIENCE)
+    assert server.returncode == 0
+    assert log.count("no connection can be accepted") == 1
+    assert len(log.splitlines()) < 10 and "Traceback" not in log
+
+
+@pytest.mark.parametrize(
+    "answer",
+    [
+        b"HTTP/1.1 400 Bad Request\r\n\r\n",
+        b'{"type":"world_list"}<???DONE???---',
+        b'{"type":"world_list","worlds":7}<???DONE???---',
+        b'{"type":"world_list","worlds":[{"world":"a"}]}<???DONE???---',
+        b'{"type":"world_list","worlds":[[]]}<???DONE???---',
+        b'{"type":"pong"}<???DONE???---',
+        b"[1]<???DONE???---",
+        b"x" * 1_000_000,
+    ],
+)
+def test_nmes_worlds_says_what_is_wrong_with_an_odd_answer(answer: bytes) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+
+        def respond() -> None:
+            peer, _ = listener.accept()
+            with peer:
+                peer.recv(1 << 16)
+                peer.sendall(answer)
+
+        thread = threading.Thread(target=respond)
+        thread.start()
+        address = f"127.0.0.1:{listener.getsockname()[1]}"
+        result = CliRunner().invoke(main, ["worlds", address, "--password", "x"])
+        thread.join(PATIENCE)
+    assert result.exit_code == 1, result.output
+    assert isinstance(result.exception, SystemExit), result.exception
+    assert "Error: " in result.stderr and "Traceback" not in result.stderr

@@ -210,6 +210,7 @@ def test_the_limits_are_those_of_the_protocol() -> None:
     assert (limits.auth_frame, limits.auth_timeout) == (16 << 10, 5.0)
     assert (limits.frame, limits.idle_timeout) == (MIB, 300.0)
     assert (limits.pending, limits.stall_timeout, limits.connections) == (8 * MIB, 10.0, 1024)
+    assert limits.unauthenticated == 256
 
 
 # -- connections ------------------------------------------------------------------------------------------------------
@@ -224,6 +225,7 @@ def test_a_thousand_connections_are_served_and_one_more_is_refused(tmp_path: Pat
                 peer.say({"type": "ping", "id": n})
             assert [peer.hear()["id"] for peer in peers] == list(range(1000))
             with host.peer(authenticate=False) as one_too_many:
+                one_too_many.say({"type": "auth", "password": PASSWORD})
                 (answer,) = one_too_many.rest()
                 assert json.loads(answer)["code"] == "too_many_connections"
             each = (host.resident - before) / 1000
@@ -234,7 +236,7 @@ def test_a_thousand_connections_are_served_and_one_more_is_refused(tmp_path: Pat
 
 def test_clients_that_stall_in_auth_are_disconnected(tmp_path: Path, figures: Figures) -> None:
     count, limit = 500, 2.0
-    with victim(tmp_path, auth_timeout=limit) as host, Bystander(host) as good:
+    with victim(tmp_path, auth_timeout=limit, unauthenticated=count) as host, Bystander(host) as good:
         began = time.monotonic()
         auth = json.dumps({"type": "auth", "password": PASSWORD}).encode()
         peers = [host.peer(authenticate=False) for _ in range(count)]

@@ -17,6 +17,7 @@ from nmes.errors import RecordingError
 from nmes.playback import replay
 from nmes.protocol import Limits
 from nmes.recording import Kind, Recorder, Recording
+from nmes.recording.mcap_writer import Writer
 from nmes.server.connection import Connection
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.threads import Worker
@@ -70,7 +71,7 @@ def cores(monkeypatch: pytest.MonkeyPatch, count: int) -> None:
 def gated(*configs: dict[str, Any], **options: Any) -> Iterator[tuple[Served, Gate]]:
     """Serves worlds; the first is stopped at its next tick."""
     with served({"name": "slow"}, *configs, **options) as server:
-        gate = Gate(server.call(lambda: server.host.find("slow")))
+        gate = Gate(server.call(lambda: server.host.worlds["slow"]))
         try:
             yield server, gate
         finally:
@@ -400,16 +401,14 @@ def test_events_whose_records_cannot_be_written_are_not_sent(tmp_path: Path, mon
 def test_a_flush_that_fails_during_a_long_step_faults_the_world(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(self: Recorder) -> None:
+    def full(self: Writer) -> None:
         raise RecordingError("recording_failed", "the disk is full")
 
     with gated(record_to=tmp_path, flush_interval=1000.0) as (server, gate), server.peer() as peer:
         peer.say(LONG)
         gate.wait()
-        monkeypatch.setattr(Recorder, "flush", full)
-        server.call(server.hosted.flush)  # as the host does now and then
-        monkeypatch.setattr(nmes.server.threads, "SLICE", 0.0)
-        server.hosted._worker._until = 0.0
+        monkeypatch.setattr(Writer, "flush", full)
+        server.run(server.hosted.flush())  # as the host does now and then
         gate.open()
         answer = peer.hear()
         assert (answer["code"], "the disk is full" in answer["message"]) == ("world_faulted", True)
@@ -420,21 +419,21 @@ def test_a_flush_that_fails_during_a_long_step_faults_the_world(
 def test_events_before_a_flush_that_fails_are_not_sent_where_they_must_be_on_disk(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(self: Recorder) -> None:
+    def full(self: Writer) -> None:
         raise RecordingError("recording_failed", "the disk is full")
 
     with gated(record_to=tmp_path, flush_interval=0) as (server, gate), server.peer() as peer, server.peer() as watcher:
         watcher.ask({"type": "subscribe", "events": ["tick"]})
         peer.say(LONG)
         gate.wait()
-        monkeypatch.setattr(Recorder, "flush", full)
-        server.call(server.hosted.flush)
+        monkeypatch.setattr(Writer, "flush", full)
+        server.run(server.hosted.flush())
         monkeypatch.setattr(nmes.server.threads, "SLICE", 0.0)
         server.hosted._worker._until = 0.0
         gate.open()
-        messages = [json.loads(frame) for frame in watcher.rest()]
-        assert {message["type"] for message in messages} == {"world_fault", "error"}
-        assert {json.loads(frame)["code"] for frame in peer.rest()} == {"recording_failed"}
+        told = watcher.hear()
+        assert (told["type"], told["code"], told["frame"]) == ("world_fault", "recording_failed", 1)
+        assert peer.hear()["code"] == "world_faulted"
         monkeypatch.undo()
 
 

@@ -23,6 +23,7 @@ from nmes.recording import Kind, Recording
 from nmes.server import Host
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.threads import Worker
+from nmes.world import World
 from processes import process, ready
 from servers import PASSWORD, PATIENCE, Served, served, types, until
 
@@ -171,7 +172,7 @@ async def test_an_awaiting_client_lists_worlds(server: Served) -> None:
 
 
 async def test_a_server_that_cannot_list_worlds_is_an_error(server: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Host, "list_worlds", lambda self, port: self.find(None).world.welcome(1))
+    monkeypatch.setattr(Host, "list_worlds", lambda self, port: World({"backend": "ballistic"}).welcome(1))
     with pytest.raises(CommandFailed) as failed:
         server.client().worlds()
     assert failed.value.code == "unsupported"

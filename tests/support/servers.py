@@ -28,7 +28,7 @@ PATIENCE = 30.0  # s; nothing that works takes anywhere near as long, on however
 class Peer:
     """A bare socket that sends and reads frames, for behaviour that no client library has."""
 
-    def __init__(self, port: int, *, receive_buffer: int | None = None) -> None:
+    def __init__(self, port: int, *, receive_buffer: int | None = None, source: str = "127.0.0.1") -> None:
         self.socket = socket.socket()
         if receive_buffer is not None:
             self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, receive_buffer)
@@ -36,6 +36,7 @@ class Peer:
         self.socket.settimeout(PATIENCE)
         self._buffer = b""
         try:
+            self.socket.bind((source, 0))
             self.socket.connect(("127.0.0.1", port))
         except OSError:
             self.socket.close()
@@ -97,7 +98,7 @@ class Served:
 
     @property
     def hosted(self) -> HostedWorld:
-        return self.host.find(None)
+        return self.host.worlds[self.host.world_name(None)]
 
     def client(self, **options: Any) -> Client:
         return Client(port=self.port, **{"password": PASSWORD, "timeout": PATIENCE, **options})
