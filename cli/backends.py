@@ -20,7 +20,8 @@ __all__ = ["command"]
 def command(as_json: bool) -> None:
     """List the physics engines that are installed.
 
-    With version, dimensions and capabilities; and for one that cannot be loaded, why, and what to install.
+    With version, dimensions and capabilities; and for one that cannot be loaded, or of which this version is known to
+    compute wrongly, why, and what to install.
 
     For example:
 
@@ -34,6 +35,8 @@ def command(as_json: bool) -> None:
     table = Table("backend", "version", "dims", "capabilities", "package", box=None, pad_edge=False)
     for row in about:
         able = ", ".join(row["capabilities"]) if row["error"] is None else f"cannot be loaded: {row['error']}"
+        if row["defect"] is not None:
+            able = f"known to compute wrongly: {row['defect']}. {able}"
         dims = "" if row["dims"] is None else str(row["dims"])
         table.add_row(row["name"], row["version"] or "", dims, able, row["package"])
     Console(highlight=False, markup=False).print(table)
@@ -46,12 +49,14 @@ def _about(name: str) -> dict[str, Any]:
         "version": None,
         "dims": None,
         "capabilities": [],
+        "defect": None,
         "package": "" if package is None else f"{package.name} {package.version}",
         "error": None,
     }
     try:
         backend = load_backend(name)
         about |= {"version": backend.version(), "dims": backend.dims, "capabilities": sorted(backend.capabilities)}
+        about["defect"] = backend.defect
     except BackendNotFound as error:
         about["error"] = error.message
     except Exception as error:  # it was imported, and breaks now

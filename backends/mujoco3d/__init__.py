@@ -1,4 +1,4 @@
-"""The MuJoCo engine (4.x) as a backend, in 3D.
+"""The MuJoCo engine (3.17 or newer) as a backend, in 3D.
 
 `structure` keeps the bodies and joints and their edits, `forest` finds their kinematic trees, `compiler` and `model`
 make a compiled model of them, `running` steps it, and `rebuild` brings it up to date after edits, with
@@ -11,6 +11,7 @@ from __future__ import annotations
 import hashlib
 from functools import cache
 from pathlib import Path
+from typing import ClassVar
 
 import mujoco
 
@@ -51,6 +52,12 @@ class MujocoBackend(Backend):
             "snapshot",
         }
     )
+
+    known_defects: ClassVar = {
+        "4.0.0": "with a sparse constraint Jacobian (from 60 degrees of freedom on) its Newton solver goes wrong where "
+        "branching bodies touch (MuJoCo's issue 3767); install 3.17.0, or 4.0.1 or newer"
+    }
+    most_joined = 1000  # bodies in a row may be 1,023 deep, less one for the proxy of a loop
 
     def version(self) -> str:
         """Returns MuJoCo's version."""

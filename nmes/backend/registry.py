@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import difflib
+import logging
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
+from typing import ClassVar
 
 from nmes.backend.simulation import Simulation
 from nmes.backend.specs import SceneSpec
@@ -13,7 +16,12 @@ from nmes.errors import BackendNotFound
 
 __all__ = ["ENTRY_POINT_GROUP", "Backend", "entry_points_by_name", "load_backend"]
 
+logger = logging.getLogger(__name__)
+
 ENTRY_POINT_GROUP = "nmes.backends"
+
+# They happen to the program, not to an engine: they pass, also where a C extension has made an ImportError of them.
+_PASSING = (KeyboardInterrupt, MemoryError)
 
 
 class Backend(ABC):
@@ -23,19 +31,29 @@ class Backend(ABC):
         name: What users call it (`mujoco`).
         dims: 3, or 2 for an engine of the XY plane.
         capabilities: Of `CAPABILITIES`, what it can do. The World answers everything else with `unsupported`.
+        known_defects: Versions of the engine that are known to compute wrongly, each with what is wrong and what to
+            install instead.
+        most_joined: How many bodies joints may connect with each other; None where the engine has no limit.
     """
 
     name: str
     dims: int = 3
     capabilities: frozenset[str] = frozenset()
+    known_defects: ClassVar[Mapping[str, str]] = {}
+    most_joined: int | None = None
 
     @abstractmethod
     def version(self) -> str:
-        """Returns the engine's version, such as `4.0.0`."""
+        """Returns the engine's version, such as `3.17.0`."""
 
     @abstractmethod
     def fingerprint(self) -> dict[str, str]:
         """Returns the facts that make two runs comparable: the engine's version, the SHA-256 of its binary."""
+
+    @property
+    def defect(self) -> str | None:
+        """What is known to be wrong with this version of the engine, and what to install; None where nothing is."""
+        return self.known_defects.get(self.version())
 
     @abstractmethod
     def create(self, scene: SceneSpec) -> Simulation:
@@ -59,7 +77,7 @@ def _entry_point(name: str) -> EntryPoint:
 
 
 def load_backend(name: str) -> Backend:
-    """Loads a backend by name.
+    """Loads a backend by name; the log tells once of a version that is known to be wrong.
 
     Raises:
         BackendNotFound: None has that name (with the nearest names), or its engine cannot be imported.
@@ -68,10 +86,26 @@ def load_backend(name: str) -> Backend:
     try:
         backend = point.load()()
     except (Exception, SystemExit) as error:  # whatever a stranger's package does when it is imported
+        _pass_on(error)
         why = f"{type(error).__name__}: {error}" if not isinstance(error, ImportError) else str(error)
         package = "its package" if point.dist is None else point.dist.name
         hint = f"; install what it needs with: pip install {package}" if isinstance(error, ImportError) else ""
         raise BackendNotFound(f"backend {name!r} ({point.value}) cannot be loaded: {why}{hint}") from error
     if not isinstance(backend, Backend):
         raise BackendNotFound(f"backend {name!r} ({point.value}) is not an nmes Backend")
+    if backend.known_defects and backend.defect is not None:
+        _warn(f"{name} {backend.version()} is known to compute wrongly: {backend.defect}")
     return backend
+
+
+def _pass_on(error: BaseException | None) -> None:
+    """Raises the interruption of the program that an error was made of, if there was one."""
+    while error is not None:
+        if isinstance(error, _PASSING):
+            raise error
+        error = error.__cause__ or error.__context__
+
+
+@cache  # worlds are many
+def _warn(message: str) -> None:
+    logger.warning(message)

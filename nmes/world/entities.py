@@ -356,6 +356,7 @@ class Entities:
         if pair in self._pairs:
             raise WorldError("joint_exists", f"these cubes are joined by {self._pairs[pair]!r} already")
         self.require_room(joints=1)
+        self._require_joinable(cube1, cube2)
         anchor, axis = self._joint_geometry(command, kind, cube1, cube2)
         params = self._first_params(command, kind)
         name, count = self._new_joint_name(name, prefix)
@@ -367,6 +368,16 @@ class Entities:
             self.meter.add(count)
         self.version += 1
         return name
+
+    def _require_joinable(self, cube1: Cube, cube2: Cube) -> None:
+        """Raises `limit_reached` where the engine takes no structure of as many cubes as a joint would connect."""
+        most = self._backend.most_joined
+        if most is None or len(self.joints) + 1 < most:  # so few joints connect no more
+            return
+        joined = connected_cubes(cube1, self.joints)
+        if cube2 not in joined and len(joined) + len(connected_cubes(cube2, self.joints)) > most:
+            message = f"joints may connect at most {most} cubes on the {self._backend.name} backend"
+            raise WorldError("limit_reached", f"{message}, and would be more here", "cube2")
 
     def _new_joint_name(self, name: str | None, prefix: str) -> tuple[str, int]:
         """Returns the name of the next joint, as wished or drawn, and its number in the engine."""

@@ -67,6 +67,7 @@ def test_the_example_engine_is_listed_and_broken_engines_say_why(environment: Ma
         "version": "0.1.0",
         "dims": 2,
         "capabilities": [],
+        "defect": None,
         "package": "nmes-example-backend 0.1.0",
         "error": None,
     }
