@@ -1,6 +1,7 @@
 """The `nmes` command: one file a subcommand, loaded only when it is used, and one place where errors become messages.
 
-A subcommand's file exposes a click command named `command`. Exit codes: 0 good, 1 failed or diverged, 2 wrong usage.
+A subcommand's file exposes a click command named `command`. Exit codes: 0 good, 1 failed or diverged, 2 wrong usage,
+3 not comparable: a recording that does not come out here as it did where the engine or the machine was another.
 """
 
 from __future__ import annotations
@@ -41,6 +42,10 @@ SUBCOMMANDS = {
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # standard output leads to a disk that is full
 
 
+class _NotComparable(click.ClickException):
+    exit_code = 3
+
+
 class _Group(click.Group):
     def list_commands(self, ctx: click.Context) -> list[str]:
         return sorted(SUBCOMMANDS)
@@ -61,7 +66,9 @@ class _Group(click.Group):
             vars(error)["message"] = visible(error.message, keep="\n")  # to type checkers it is final
             raise
         except NmesError as error:
-            raise click.ClickException(visible(error.message, keep="\n")) from error
+            failure = _NotComparable if error.code == "not_comparable" else click.ClickException
+            raise failure(visible(error.message, keep="
+")) from error
         except OSError as error:
             if error.errno in _FULL:
                 with suppress(OSError):

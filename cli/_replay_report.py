@@ -22,15 +22,14 @@ def replay_lines(report: ReplayReport) -> list[str]:
         amount += f", from frame {report.frames[0]:,} to frame {report.frames[1]:,}"
     speed = f"{report.speed:,.0f} times faster than real time" if report.ticks else "no simulation time"
     if report.verdict == "not_comparable":
-        lines = ["not comparable: it was recorded with another"]
-        lines += _fingerprint_lines(report.differences)
-        if report.wall_seconds:
-            extent = "as far as" if report.divergence else "all the same:"
-            lines.append(f"run anyway, it agrees {extent} {amount}")
-    elif report.divergence is None:
-        lines = [f"reproduced: {amount}, {speed}"]
-    else:
+        lines = ["not comparable: it was recorded with another", *_fingerprint_lines(report.differences)]
+        if report.divergence is not None:
+            lines.append(f"it agrees as far as {amount}")
+    elif report.divergence is not None:
         lines = [f"diverged at frame {report.divergence.frame}, after {amount}"]
+    else:
+        elsewhere = ", on another machine" if report.differences else ""
+        lines = [f"reproduced{elsewhere}: {amount}, {speed}", *_fingerprint_lines(report.differences)]
     if report.divergence is not None:
         lines += _divergence_lines(report.divergence, f" (record {report.divergence.record})")
     if report.damage is not None:
@@ -44,8 +43,9 @@ def log_lines(report: LogReport) -> list[str]:
         f"{report.commands:,} commands, {report.replies:,} replies compared; "
         f"{report.ticks:,} ticks, {report.digests:,} digests compared"
     )
-    verdict = "not comparable" if report.verdict == "not_comparable" else report.verdict
-    lines = [f"{verdict}: {amount}"]
+    verdict = report.verdict.replace("_", " ")
+    elsewhere = ", on another machine" if verdict == "reproduced" and report.differences else ""
+    lines = [f"{verdict}{elsewhere}: {amount}"]
     lines += _fingerprint_lines(report.differences)
     if not report.whole:
         lines.append("  the log does not say how its world began: it was run in a new one, in lockstep")

@@ -93,7 +93,7 @@ def command(
     the same command goes on.
 
     Exit status: 0 good, 1 a creature could not be evaluated, its world faulted, or a recording proves nothing, 2 wrong
-    usage.
+    usage, 3 a recording is not comparable here.
 
     For example:
 

@@ -34,6 +34,7 @@ __all__ = ["command"]
 
 _LONG = 1 << 20  # bytes of recording from which on it is worth showing how far it is
 _TOLERANCE = 1e-6
+_STATUSES = {"reproduced": 0, "agrees": 0, "ran": 0, "diverged": 1, "not_comparable": 3}  # by verdict
 
 
 def _open(context: click.Context, parameter: click.Parameter, value: str) -> Recording | Log:
@@ -55,10 +56,6 @@ def _open(context: click.Context, parameter: click.Parameter, value: str) -> Rec
 @click.option("--plot", "plot_to", type=click.Path(dir_okay=False, path_type=Path), help="Write the drift to an SVG.")
 @click.option("--from", "first", type=click.IntRange(0), help="Begin at the last keyframe before this frame.")
 @click.option("--to", "last", type=click.IntRange(0), help="End at this frame.")
-@click.option(
-    "--ignore-fingerprint", is_flag=True, help="Run it also where engine or machine differ; measure the drift."
-)
-@click.option("--anyway", "ignore_fingerprint", is_flag=True, hidden=True)  # its old name
 @click.option("--against", metavar="HOST:PORT", callback=split_address, help="Play it to this server, and compare.")
 @click.option("--world", metavar="NAME", help="With --against: which of the server's worlds; the first if left out.")
 @click.option(
@@ -86,8 +83,11 @@ def command(recording: Recording | Log, **options: Any) -> None:
     With --against the commands are sent to a server, whoever wrote it, at the same ticks, and its answers are compared
     field by field. Its world is set to lockstep and reset first.
 
-    Exit status: 0 reproduced, or equal answers; 1 diverged, different or not comparable; 2 wrong usage or an unreadable
-    file (for a damaged file, after replaying what comes before the damage).
+    Equal digests are reproduced, on whatever machine. Where they differ, and engine or machine compute otherwise than
+    those of the recording, the two are not comparable, and it is shown how far each cube drifts.
+
+    Exit status: 0 reproduced, or equal answers; 1 diverged or different; 2 wrong usage or an unreadable file (for a
+    damaged file, after replaying what comes before the damage); 3 not comparable.
 
     For example:
 
@@ -101,20 +101,20 @@ def command(recording: Recording | Log, **options: Any) -> None:
     used = {name for name, value in options.items() if value is not None and value is not False}
     if isinstance(recording, Log):
         _check_log(used)
-        sys.exit(_run_log(recording, options["ignore_fingerprint"], as_json))
+        sys.exit(_run_log(recording, as_json))
     _check(options, used)
     check_output(options["plot_to"], recording.path)
     if options["against"] is not None:
         sys.exit(_run_remotely(recording, as_json, **options))
     if options["backend"] is not None:
         sys.exit(_run_elsewhere(recording, options["backend"], options["plot_to"], as_json))
-    sys.exit(_run(recording, as_json, options["first"], options["last"], options["ignore_fingerprint"]))
+    sys.exit(_run(recording, as_json, options["first"], options["last"]))
 
 
 def _check_log(used: set[str]) -> None:
     """Refuses options that do not go with a log."""
-    if used - {"ignore_fingerprint"}:
-        raise click.UsageError("of the options, a log goes with --ignore-fingerprint and --json only")
+    if used:
+        raise click.UsageError("of the options, a log goes with --json only")
 
 
 def _check(options: dict[str, Any], used: set[str]) -> None:
@@ -123,11 +123,9 @@ def _check(options: dict[str, Any], used: set[str]) -> None:
     if first is not None and last is not None and last < first:
         raise click.UsageError(f"--to {last} is before --from {first}")
     if "against" in used:
-        if used & {"backend", "plot_to", "ignore_fingerprint", "first", "last"}:
-            raise click.UsageError(
-                "--against goes with none of --backend, --plot, --from, --to and --ignore-fingerprint"
-            )
-    elif used - {"backend", "plot_to", "ignore_fingerprint", "first", "last"}:
+        if used & {"backend", "plot_to", "first", "last"}:
+            raise click.UsageError("--against goes with none of --backend, --plot, --from and --to")
+    elif used - {"backend", "plot_to", "first", "last"}:
         raise click.UsageError("--tolerance, --world and what is said of a connection need --against")
     elif "backend" in used and used & {"first", "last"}:
         raise click.UsageError("--from and --to: another engine cannot take up a keyframe")
@@ -135,10 +133,10 @@ def _check(options: dict[str, Any], used: set[str]) -> None:
         raise click.UsageError("--plot shows the drift between two engines: it needs --backend")
 
 
-def _run(recording: Recording, as_json: bool, first: int | None, last: int | None, ignore_fingerprint: bool) -> int:
+def _run(recording: Recording, as_json: bool, first: int | None, last: int | None) -> int:
     """Replays a recording, prints the report and returns the exit status."""
     with _progress(recording) as progress:
-        report = replay(recording, ignore_fingerprint=ignore_fingerprint, progress=progress, first=first, last=last)
+        report = replay(recording, progress=progress, first=first, last=last)
     drift = None
     if report.verdict == "not_comparable" and report.divergence is not None and not report.part:
         with _progress(recording) as progress:
@@ -155,7 +153,7 @@ def _run(recording: Recording, as_json: bool, first: int | None, last: int | Non
 def _status(report: ReplayReport) -> int:
     if report.damage is not None and not report.cut:
         return 2
-    return 0 if report.verdict == "reproduced" else 1
+    return _STATUSES[report.verdict]
 
 
 def _run_elsewhere(recording: Recording, backend: str, plot_to: Path | None, as_json: bool) -> int:
@@ -171,11 +169,11 @@ def _run_elsewhere(recording: Recording, backend: str, plot_to: Path | None, as_
     return 0 if report.ended is None else 1
 
 
-def _run_log(log: Log, ignore_fingerprint: bool, as_json: bool) -> int:
+def _run_log(log: Log, as_json: bool) -> int:
     """Replays a log, prints the report and returns the exit status."""
     with _progress(log) as progress:
         try:
-            report = replay_log(log, ignore_fingerprint=ignore_fingerprint, progress=progress)
+            report = replay_log(log, progress=progress)
         except RecordingError as error:
             click.echo(f"Error: {error}", err=True)
             return 2
@@ -183,18 +181,14 @@ def _run_log(log: Log, ignore_fingerprint: bool, as_json: bool) -> int:
         _print_json(report)
     else:
         _print_lines(log_lines(report))
-    return 0 if report.verdict in ("reproduced", "agrees", "ran") else 1
+    return _STATUSES[report.verdict]
 
 
 def _run_remotely(
     recording: Recording, as_json: bool, *, against: tuple[str, int], tolerance: float | None, **options: Any
 ) -> int:
     """Plays a recording to a server, prints the report and returns the exit status."""
-    connection = {
-        name: value
-        for name, value in options.items()
-        if name not in ("backend", "plot_to", "first", "last", "ignore_fingerprint")
-    }
+    connection = {name: value for name, value in options.items() if name not in ("backend", "plot_to", "first", "last")}
     client = connector(against, **connection, timeout=60.0)
     with _progress(recording) as progress:
         try:

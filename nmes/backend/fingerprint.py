@@ -1,8 +1,8 @@
-"""What a run's numbers depend on beside its inputs: which nmes, engine, processor and C library.
+"""What a run's numbers depend on beside its inputs: which nmes, which engine, and what the machine computes.
 
 A fingerprint is a flat dict of strings (`nmes.fingerprint` in schemas/recording_metadata.json). Two runs are comparable
-bit for bit when the items in `DECISIVE` and every item of the engine (`engine.*`) are equal; the rest helps a person
-to see what else was different.
+bit for bit when the items in `DECISIVE` and every item of the engine (`engine.*`) are equal. What the machine computes
+is told by a probe; the names of its processor and libraries are there for people, and decide nothing.
 """
 
 from __future__ import annotations
@@ -14,16 +14,17 @@ from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 
+from nmes.backend.probe import probe
 from nmes.backend.registry import Backend
 
-__all__ = ["DECISIVE", "VERSION", "differences", "fingerprint"]
+__all__ = ["DECISIVE", "VERSION", "decisive", "differences", "fingerprint"]
 
 VERSION = version("nmes")
 """Of this package, which does not change while it runs: looking it up takes a millisecond."""
 
-DECISIVE = ("nmes", "backend", "architecture", "simd", "libc")
+DECISIVE = ("nmes", "backend", "probe")
 
-# The levels of the x86-64 psABI: libm and the engines choose their code paths by these sets, not by single flags.
+# The levels of the x86-64 psABI: libraries choose their code paths by these sets, not by single flags.
 _X86_LEVELS = (
     ("x86-64-v4", frozenset("avx512f avx512bw avx512cd avx512dq avx512vl".split())),
     ("x86-64-v3", frozenset("avx avx2 bmi1 bmi2 f16c fma movbe".split())),
@@ -40,13 +41,19 @@ def fingerprint(backend: Backend) -> dict[str, str]:
         "backend": backend.name,
         "engine.version": backend.version(),
         **{f"engine.{name}": value for name, value in sorted(backend.fingerprint().items())},
+        "probe": probe(backend),
         **_machine(),
     }
 
 
+def decisive(items: Mapping[str, str]) -> dict[str, str]:
+    """Returns the items of a fingerprint that decide whether two runs are comparable."""
+    return {name: value for name, value in items.items() if name in DECISIVE or name.startswith("engine.")}
+
+
 def differences(recorded: Mapping[str, str], here: Mapping[str, str]) -> dict[str, tuple[str, str]]:
     """Returns the decisive items in which two fingerprints differ, with both values ("" where one lacks it)."""
-    names = [*DECISIVE, *sorted(name for name in {**recorded, **here} if name.startswith("engine."))]
+    names = decisive({**here, **recorded})
     pairs = {name: (recorded.get(name, ""), here.get(name, "")) for name in names}
     return {name: pair for name, pair in pairs.items() if pair[0] != pair[1]}
 

@@ -27,9 +27,9 @@ def weigh(weights: Array, row: Array, out: Array) -> None:
         row: Shape (*lead, 1, columns).
         out: Shape (*lead, sums).
     """
-    np.add.reduce(np.multiply(weights, row, order="C"), -1, None, out)
+    np.add.reduce(np.multiply(weights, row, order="C"), axis=-1, out=out)
 
 
 def each(function: Callable[[float], float], values: Array) -> None:
     """Puts a function of each number in the place of that number."""
-    values.flat = list(map(function, values.ravel().tolist()))
+    values.flat[:] = list(map(function, values.ravel().tolist()))

@@ -4,7 +4,7 @@ An evaluation runs an `Episode` for each seed, in a world of its own, from a gen
 
 Invariants:
 
-- The score is a function of genome, task and seed, and of the fingerprint (versions, binaries, processor): never of
+- The score is a function of genome, task and seed, and of the fingerprint (versions, binaries, probe): never of
   what was evaluated before or beside it.
 - A creature that cannot be evaluated, or whose world faults, is a result like any other, with its reason.
 """
@@ -26,7 +26,7 @@ import orjson
 
 from nmes import protocol
 from nmes.backend import load_backend
-from nmes.backend.fingerprint import fingerprint
+from nmes.backend.fingerprint import decisive, fingerprint
 from nmes.brain import Brain
 from nmes.errors import DocumentError, NmesError, RecordingError, WorldError
 from nmes.evaluation.episode import METADATA, Episode, Result, brain_of
@@ -246,9 +246,9 @@ class Job:
 
     @property
     def key(self) -> str:
-        """A hash of everything that the result depends on, this machine's fingerprint included."""
+        """A hash of everything that the result depends on, what this machine computes included."""
         task = Task(orjson.loads(self.task))
-        here = fingerprint(load_backend(task.world_config(0)["backend"]))
+        here = decisive(fingerprint(load_backend(task.world_config(0)["backend"])))
         causes = [self.genome.hex(), task.hash, self.seeds, here]
         return sha256(orjson.dumps(causes, option=orjson.OPT_SORT_KEYS)).hexdigest()
 

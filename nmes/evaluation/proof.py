@@ -23,6 +23,7 @@ from nmes.evaluation.episode import ANY_CONTROLS, METADATA, Episode, Result, Ste
 from nmes.evaluation.task import CREATURE, Task
 from nmes.genome import Genome
 from nmes.playback import replay
+from nmes.playback.report import fingerprint_differences
 from nmes.protocol import Request
 from nmes.recording import Kind, Recording
 from nmes.schemas.documents import parse_document
@@ -65,10 +66,10 @@ def prove(recording: str | os.PathLike[str], *, brain: bool = False) -> Proof:
 
     Raises:
         RecordingError: It cannot be read.
-        ProofError: It proves nothing: it is no recorded episode (`not_an_evaluation`), was made on another machine or
-            with other versions (`not_comparable`), ends too early (`damaged`), or something in it comes out otherwise,
-            or was done otherwise, than recorded (`diverged`); the message has the frame. Or it cannot be run again at
-            all: the code is that of the RecordingError or WorldError that says why, such as `recording_damaged`.
+        ProofError: It proves nothing: it is no recorded episode (`not_an_evaluation`), ends too early (`damaged`), or
+            something in it comes out otherwise, or was done otherwise, than recorded (`diverged`, or `not_comparable`
+            where that may be for the machine or the versions); the message has the frame. Or it cannot be run again
+            at all: the code is that of the RecordingError or WorldError that says why, such as `recording_damaged`.
         DocumentError: Its task or its genome is not as it must be, or with `brain` its brain.
         MissingPackage: The brain, which is to be compared, needs a package that is not installed.
     """
@@ -129,7 +130,7 @@ def _check(recording: Recording, brain: bool) -> tuple[_Checker, Task, Genome]:
         report = replay(recording, watch=checker)
         if report.verdict == "not_comparable":
             pairs = ", ".join(f"{name} {was}, here {here}" for name, (was, here) in report.differences.items())
-            raise ProofError("not_comparable", f"it was recorded with another {pairs}")
+            raise ProofError("not_comparable", f"it comes out otherwise here, and was recorded with another {pairs}")
         if report.divergence is not None:
             frame = report.divergence.frame
             raise ProofError("diverged", f"it diverges at frame {frame}: {report.divergence.message}")
@@ -137,8 +138,16 @@ def _check(recording: Recording, brain: bool) -> tuple[_Checker, Task, Genome]:
             raise ProofError("damaged", report.damage)
         checker.result()
     except (ProofError, RecordingError, WorldError) as error:
-        raise ProofError(error.code, f"{recording.path}: {error.message}") from error
+        beyond = brain and error.code == "diverged" and _computes_otherwise(recording, genome)
+        code = "not_comparable" if beyond else error.code
+        raise ProofError(code, f"{recording.path}: {error.message}") from error
     return checker, task, genome
+
+
+def _computes_otherwise(recording: Recording, genome: Genome) -> bool:
+    """Whether a brain may do here what it did not do there: onnxruntime is no part of what a fingerprint tells."""
+    differences = fingerprint_differences(recording.config["backend"], recording.fingerprint)
+    return bool(differences) or genome.document["brain"]["kind"] == "onnx"
 
 
 def _recorded_episode(recording: Recording) -> tuple[Task, Genome, int]:

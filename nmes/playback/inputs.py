@@ -21,7 +21,8 @@ from typing import Any, Generic, NamedTuple, TypeVar
 import orjson
 
 from nmes import protocol
-from nmes.errors import RecordingError, RejectedMessage
+from nmes.errors import RejectedMessage
+from nmes.playback.report import departure
 from nmes.protocol import NO_ID, Request
 from nmes.recording import REFUSED_LIMIT, Kind, Record, Recording, Start
 from nmes.world import World
@@ -148,30 +149,33 @@ def apply_input(world: World, record: Record, reply: Record | None = None) -> No
             world.handle(record.client, _request(record, reply))
 
 
-def advance(world: World, records: Iterable[Record], frame: int) -> None:
+def advance(world: World, recording: Recording, records: Iterable[Record], frame: int) -> None:
     """Applies recorded inputs to a world until a frame is over: the next thing to come is a tick, or nothing.
 
     Of a command that ticks beyond it, only that much is executed.
 
     Args:
         world: The world, at the place where the records begin.
-        records: The records from there on.
+        recording: The recording.
+        records: Its records from there on.
         frame: The frame, counted on through resets (`World.ticks`).
 
     Raises:
-        RecordingError: A tick does not come out as recorded (`diverged`).
+        RecordingError: A tick does not come out as recorded (`diverged`, or `not_comparable` where the fingerprints
+            differ).
     """
     for recorded in recorded_inputs(records):
         ticks = frame - world.ticks
         count = len(recorded.digests)
         last = count > ticks or (recorded.faults and count == ticks)
-        _advance_by(world, recorded, ticks, last)
+        if not _advance_by(world, recorded, ticks, last):
+            raise departure(recording, f"frame {world.ticks} does not come out as recorded; see nmes replay")
         if last:
             return
 
 
-def _advance_by(world: World, recorded: RecordedInput, ticks: int, last: bool) -> None:
-    """Applies an input, but no more than so many ticks of it, and compares the digest of the last of them.
+def _advance_by(world: World, recorded: RecordedInput, ticks: int, last: bool) -> bool:
+    """Applies an input, but no more than so many ticks of it; tells whether the last has the recorded digest.
 
     Args:
         world: The world.
@@ -191,8 +195,7 @@ def _advance_by(world: World, recorded: RecordedInput, ticks: int, last: bool) -
             world.execute(record.client, command)
     # A digest is of the moment after its tick; what comes later in a batch may be an edit.
     comparable = world.fault is None and (record.kind is Kind.TICKS or _is_step(record))
-    if digests and comparable and world.digest().hex() != digests[-1]:
-        raise RecordingError("diverged", f"frame {world.ticks} does not come out as recorded; see nmes replay")
+    return not (digests and comparable) or world.digest().hex() == digests[-1]
 
 
 def _shortened(recorded: RecordedInput, ticks: int) -> dict[str, Any] | None:

@@ -5,7 +5,7 @@ Of a log that is no whole history as much is compared as it holds.
 Invariants:
 
 - Lines are taken in order. Every line is done, compared, or counted among those that were passed over.
-- `reproduced` is said only of a whole history on an equal fingerprint whose replies and ticks all came out the same.
+- `reproduced` is said only of a whole history whose replies and ticks all came out the same.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from typing import Any
 import orjson
 
 from nmes import protocol
-from nmes.errors import WorldError
+from nmes.errors import BackendNotFound, WorldError
 from nmes.playback.divergence import Difference, Divergence, json_difference
 from nmes.playback.inputs import Progress, Walk
 from nmes.playback.log import BEGINNING, Line, Log
@@ -42,8 +42,8 @@ class LogReport(RunReport):
 
     Attributes:
         verdict: `reproduced`; `agrees`, where the log is not a whole history, but all that it holds came out the same;
-            `ran`, where it holds nothing to compare; `diverged`; `not_comparable`, whatever came out: the items of the
-            fingerprint that differ are the `differences`.
+            `ran`, where it holds nothing to compare; `diverged`; or `not_comparable`, where something came out
+            differently, or the engine is not there, and the fingerprints differ, in the items that are `differences`.
         replies: How many replies were compared and equal.
         digests: How many digests of ticks were compared and equal.
         whole: Whether the log says how its world began, and so is a whole history.
@@ -60,24 +60,26 @@ class LogReport(RunReport):
     divergence: Divergence | None = None
 
 
-def replay_log(log: Log, *, ignore_fingerprint: bool = False, progress: Progress | None = None) -> LogReport:
+def replay_log(log: Log, *, progress: Progress | None = None) -> LogReport:
     """Runs a log again in a fresh world, and compares what it holds.
 
     Args:
         log: The log.
-        ignore_fingerprint: Run it also where the fingerprint differs, to see how far it agrees.
         progress: Called now and then with how many bytes of the file are done, and its size.
 
     Raises:
         RecordingError: A line of the file cannot be read.
-        BackendNotFound: Its engine is not there, and it was to be run all the same.
+        BackendNotFound: Its engine is not there, and the log does not say what it was made with.
     """
     began = time.perf_counter()
     whole = log.fingerprint is not None
     differences = fingerprint_differences(log.config["backend"], log.fingerprint) if log.fingerprint is not None else {}
-    if differences and not ignore_fingerprint:
+    try:
+        run = _LogReplay(log)
+    except BackendNotFound:
+        if not whole:
+            raise
         return LogReport("not_comparable", whole=whole, differences=differences)
-    run = _LogReplay(log)
     try:
         run.play(Walk(log.chunks(), log.size, progress))
     finally:
@@ -90,10 +92,8 @@ def replay_log(log: Log, *, ignore_fingerprint: bool = False, progress: Progress
 
 
 def _verdict(report: LogReport) -> str:
-    if report.differences:
-        return "not_comparable"
     if report.divergence is not None:
-        return "diverged"
+        return "not_comparable" if report.differences else "diverged"
     if report.whole:
         return "reproduced"
     return "agrees" if report.replies or report.digests else "ran"

@@ -8,7 +8,8 @@ here. So there is one list of expectations, and the world walks through it.
 Invariants:
 
 - Everything recorded is either fed or compared, but for what the schemas call volatile; nothing is skipped in silence.
-- The verdict `reproduced` is only given on an equal fingerprint.
+- Equal digests decide: a recording that comes out the same is `reproduced`, wherever. Only what differs is called
+  `not_comparable` where the fingerprints differ too, else `diverged`.
 - What is reported as divergence is the first one; nothing after it is compared but to show its effect.
 """
 
@@ -21,7 +22,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from nmes.errors import RecordingError
+from nmes.errors import BackendNotFound, RecordingError
 from nmes.playback.divergence import (
     Difference,
     Divergence,
@@ -48,8 +49,9 @@ class ReplayReport(RunReport):
     """The result of a replay.
 
     Attributes:
-        verdict: `reproduced`, `diverged`, or `not_comparable`, which stands whenever the fingerprints differ, whatever
-            came out. `differences` has the items of the fingerprint then.
+        verdict: `reproduced`; `diverged`; or `not_comparable`, where something came out differently, or the engine is
+            not there at all, and the fingerprints differ. Their items that do are the `differences`, also where all
+            came out the same.
         frames: From which frame to which it was run, counted on through resets.
         part: Whether only a part was asked for.
         sim_seconds: The simulation time of the ticks that came out the same, s.
@@ -78,7 +80,6 @@ class ReplayReport(RunReport):
 def replay(
     recording: Recording | str | os.PathLike[str],
     *,
-    ignore_fingerprint: bool = False,
     progress: Progress | None = None,
     watch: Watch | None = None,
     first: int | None = None,
@@ -88,7 +89,6 @@ def replay(
 
     Args:
         recording: The recording, or its file.
-        ignore_fingerprint: Run it also where the fingerprint differs, to see how far it agrees.
         progress: Called now and then with how many bytes of the file are done, and its size.
         watch: Called with the world after each frame of a client that was answered as recorded, with that frame, and
             after each tick that came out as recorded, a fault among them, with None. What it raises ends the replay.
@@ -99,23 +99,23 @@ def replay(
 
     Raises:
         RecordingError: The file cannot be read as a recording, or has no frame `first`.
-        BackendNotFound: Its engine is not there, and it was to be run all the same.
     """
     if not isinstance(recording, Recording):
         recording = Recording(recording)
     differences = fingerprint_differences(recording.config["backend"], recording.fingerprint)
-    if differences and not ignore_fingerprint:
-        return ReplayReport("not_comparable", differences=differences)
     began = time.perf_counter()
     start = recording.start(first)
-    run = _RecordingReplay(recording, start, last, progress, watch)
+    try:
+        run = _RecordingReplay(recording, start, last, progress, watch)
+    except BackendNotFound:
+        return ReplayReport("not_comparable", differences=differences)
     run.play()
     wall_seconds = time.perf_counter() - began
     if first is not None and run.frame < first and run.divergence is None:
         raise RecordingError("no_such_frame", f"{recording.path} ends at frame {run.frame}; it has no frame {first}")
     damage = recording.stopped if start.within or last is not None else recording.damage
     return ReplayReport(
-        verdict="not_comparable" if differences else "diverged" if run.divergence else "reproduced",
+        verdict="reproduced" if run.divergence is None else "not_comparable" if differences else "diverged",
         frames=(start.frame, run.frame),
         part=(first, last) != (None, None),
         ticks=run.ticks,

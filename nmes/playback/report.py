@@ -1,4 +1,4 @@
-"""The head that all reports of a history run again share, and how two fingerprints are compared for it."""
+"""The head that all reports of a history run again share, and what it means that one comes out otherwise."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from typing import Any
 
 from nmes.backend import load_backend
 from nmes.backend.fingerprint import differences, fingerprint
-from nmes.errors import BackendNotFound
+from nmes.errors import BackendNotFound, RecordingError
+from nmes.recording import Recording
 
-__all__ = ["RunReport", "fingerprint_differences"]
+__all__ = ["RunReport", "departure", "fingerprint_differences"]
 
 
 @dataclass(slots=True)
@@ -69,3 +70,17 @@ def fingerprint_differences(backend: str, recorded: Mapping[str, str]) -> dict[s
     except BackendNotFound:
         return {"backend": (backend, "not installed")}
     return dict(differences(recorded, here))
+
+
+def departure(recording: Recording, message: str) -> RecordingError:
+    """Returns the error for a recording that does not come out as recorded: `diverged`, or `not_comparable`.
+
+    Args:
+        recording: The recording.
+        message: Where it departs from what was recorded.
+    """
+    differences = fingerprint_differences(recording.config["backend"], recording.fingerprint)
+    if not differences:
+        return RecordingError("diverged", message)
+    pairs = ", ".join(f"{name} {was or 'none'} (here {here or 'none'})" for name, (was, here) in differences.items())
+    return RecordingError("not_comparable", f"{message}; it was recorded with another {pairs}")

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from nmes.errors import NmesError, RecordingError, WorldError
 from nmes.playback.inputs import advance, walk
+from nmes.playback.report import departure
 from nmes.recording import Recording, Start
 from nmes.world import World
 from nmes.world.journal import Journal
@@ -23,26 +24,29 @@ def make_world(recording: Recording, start: Start, journal: Journal | None = Non
         journal: The listener to the world's history from there on.
 
     Raises:
-        RecordingError: The keyframe is no snapshot of such a world (`recording_damaged`).
+        RecordingError: The keyframe is no snapshot of such a world (`recording_damaged`, or `not_comparable` where the
+            fingerprints differ).
         BackendNotFound: The engine is not there.
     """
     world = World(recording.config, journal=journal)
     try:
-        _restore(world, start)
+        _restore(world, recording, start)
     except RecordingError:
         world.close()
         raise
     return world
 
 
-def _restore(world: World, start: Start) -> None:
+def _restore(world: World, recording: Recording, start: Start) -> None:
     if start.snapshot is not None:
         try:
             world.restore(start.snapshot)
         except WorldError as error:
-            raise RecordingError(
-                "recording_damaged", f"the keyframe at frame {start.frame} cannot be used: {error.message}"
-            ) from error
+            message = f"the keyframe at frame {start.frame} cannot be used: {error.message}"
+            elsewhere = departure(recording, message)
+            if elsewhere.code == "not_comparable":
+                raise elsewhere from error
+            raise RecordingError("recording_damaged", message) from error
 
 
 def world_at(recording: Recording, frame: int | None = None) -> World:
@@ -56,8 +60,8 @@ def world_at(recording: Recording, frame: int | None = None) -> World:
         frame: The frame, counted on through resets; None: where the recording ends.
 
     Raises:
-        RecordingError: There is no such frame (`no_such_frame`), or a tick does not come out as recorded, as on
-            another machine (`diverged`).
+        RecordingError: There is no such frame (`no_such_frame`), or a tick does not come out as recorded (`diverged`,
+            or `not_comparable` where the fingerprints differ).
         BackendNotFound: The engine is not there.
     """
     world = World(recording.config)
@@ -82,8 +86,8 @@ def restore_into(world: World, recording: Recording, frame: int) -> None:
     """
     start = recording.start(frame)
     emit, world.emit = world.emit, None
-    _restore(world, start)
-    advance(world, walk(recording, start), frame)
+    _restore(world, recording, start)
+    advance(world, recording, walk(recording, start), frame)
     world.emit = emit
     if world.ticks != frame:
         raise RecordingError("no_such_frame", f"{recording.path} ends at frame {world.ticks}; it has no frame {frame}")

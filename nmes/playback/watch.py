@@ -12,8 +12,8 @@ from collections.abc import Callable, Iterator
 from typing import Generic, NamedTuple, TypeVar
 
 from nmes.backend import Array
-from nmes.errors import RecordingError
 from nmes.playback.inputs import apply_input, recorded_inputs, walk
+from nmes.playback.report import departure
 from nmes.playback.restore import make_world
 from nmes.recording import Kind, Recording
 from nmes.world import World
@@ -50,10 +50,11 @@ def watch(recording: Recording, look: Callable[[World], _Sight], *, keep_going: 
         keep_going: Go on where a tick does not come out as it was recorded, as on another machine.
 
     Raises:
-        RecordingError: The file cannot be read, or a tick does not come out as recorded (`diverged`).
+        RecordingError: The file cannot be read, or a tick does not come out as recorded (`diverged`, or
+            `not_comparable` where the fingerprints differ).
         BackendNotFound: Its engine is not there.
     """
-    watcher = _Watcher(look)
+    watcher = _Watcher(recording, look)
     world = watcher.world = make_world(recording, recording.start(), watcher)
     try:
         for recorded in recorded_inputs(walk(recording)):
@@ -78,7 +79,8 @@ def states(recording: Recording, *, keep_going: bool = False) -> Iterator[States
         keep_going: Go on where a tick does not come out as it was recorded, as on another machine.
 
     Raises:
-        RecordingError: The file cannot be read, or a tick does not come out as recorded (`diverged`).
+        RecordingError: The file cannot be read, or a tick does not come out as recorded (`diverged`, or
+            `not_comparable` where the fingerprints differ).
         BackendNotFound: Its engine is not there.
     """
     return watch(recording, lambda world: States(world.frame, world.time, *world.poses()), keep_going=keep_going)
@@ -89,7 +91,8 @@ class _Watcher(Journal, Generic[_Sight]):
 
     world: World
 
-    def __init__(self, look: Callable[[World], _Sight]) -> None:
+    def __init__(self, recording: Recording, look: Callable[[World], _Sight]) -> None:
+        self._recording = recording
         self._look = look
         self._ticks: list[tuple[int, str, _Sight]] = []
 
@@ -98,10 +101,10 @@ class _Watcher(Journal, Generic[_Sight]):
         ticks, self._ticks = self._ticks, []
         for recorded, (frame, digest, sight) in zip(digests, ticks, strict=False):
             if recorded != digest and not keep_going:
-                raise RecordingError("diverged", f"tick {frame} does not come out as recorded; see nmes replay")
+                raise departure(self._recording, f"tick {frame} does not come out as recorded; see nmes replay")
             yield sight
         if len(ticks) < len(digests) and not keep_going:
-            raise RecordingError("diverged", f"after frame {self.world.frame} there are fewer ticks than recorded")
+            raise departure(self._recording, f"after frame {self.world.frame} there are fewer ticks than recorded")
 
     def ticked(self, frame: int, digest: bytes) -> None:
         """The world reached a frame."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from nmes.backend import Array
 from nmes.errors import FilmError
-from nmes.playback import watch
+from nmes.playback import replay, watch
 from nmes.playback.report import fingerprint_differences
 from nmes.recording import Kind, Recording
 from nmes.recording.viewer_messages import Shape, decode_poses, decode_shapes
@@ -40,15 +40,16 @@ class Moment(NamedTuple):
 def moments(recording: Recording) -> Iterator[Moment]:
     """Yields the cubes of a recording's world after each tick.
 
-    On the machine and the engine that made it, the recording is run again; elsewhere its recorded poses are shown, and
-    what lies between two of them is drawn between them.
+    Where it comes out the same, the recording is run again; elsewhere its recorded poses are shown, and what lies
+    between two of them is drawn between them.
 
     Raises:
         RecordingError: A tick does not come out as recorded (`diverged`).
         FilmError: There is neither the engine nor poses (`nothing_to_see`).
     """
     differences = fingerprint_differences(recording.config["backend"], recording.fingerprint)
-    return _recorded(recording) if differences else _run_again(recording)
+    elsewhere = bool(differences) and replay(recording).verdict != "reproduced"
+    return _recorded(recording) if elsewhere else _run_again(recording)
 
 
 def _run_again(recording: Recording) -> Iterator[Moment]:

@@ -110,7 +110,7 @@ def show_recording(
     """
     rate: int = recording.config["tick_rate"]
     canvas = Canvas(stream, root, load_backend(recording.config["backend"]).dims == 2)
-    report = replay(recording, ignore_fingerprint=True)
+    report = replay(recording)
     observer, inputs = _Observer(max(1, round(rate / fps))), _Inputs(recording, canvas, rate)
     places = _draw(recording, canvas, observer, inputs, progress)
     for name, values in observer.series.curves().items():

@@ -110,7 +110,7 @@ def test_the_only_options_that_help_hides_are_an_old_name() -> None:
         for option in (*parameter.opts, *parameter.secondary_opts)
         if option.startswith("-")
     ]
-    assert sorted(hidden) == [("diff", "--anyway"), ("export", "--anyway"), ("replay", "--anyway")]
+    assert sorted(hidden) == [("diff", "--anyway"), ("export", "--anyway")]
 
 
 FILES: list[tuple[str, ...]] = [

@@ -12,10 +12,11 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
-from numpy._core._multiarray_umath import __cpu_dispatch__, __cpu_features__
 
 from layout import ROOT
+from processes import NMES
 
 # -- what no module may call ------------------------------------------------------------------------------------------
 
@@ -74,15 +75,20 @@ def _python(path: Path) -> list[Path]:
 # -- the same bits in every environment -------------------------------------------------------------------------------
 
 # Of each kind of brain a creature or two: how each comes out after two seconds, and whether recordings are reproduced.
+TASK = {
+    **{"format": "nmes-task/1", "name": "go", "description": "Go.", "duration": 2, "settle": 0, "seeds": [1]},
+    "objective": "displacement.x + velocity.y + energy",
+}
 PROGRAM = """
 import json, sys
+from nmes.backend import load_backend
+from nmes.backend.fingerprint import fingerprint
 from nmes.evaluation import Task, evaluate
 from nmes.genome import Genome
 from nmes.playback import replay
 
 asked = json.load(sys.stdin)
-task = {"format": "nmes-task/1", "name": "go", "description": "Go.", "duration": 2, "settle": 0, "seeds": [1]}
-task = Task(task | {"objective": "displacement.x + velocity.y + energy"})
+task = Task(asked["task"])
 scores = {}
 for path in asked["genomes"]:
     with open(path, "rb") as file:
@@ -90,16 +96,19 @@ for path in asked["genomes"]:
     scores[path] = [evaluation.error, *(repr(result) for result in evaluation.results)]
 print(json.dumps({
     "scores": scores,
-    "verdicts": {path: replay(path, ignore_fingerprint=True).divergence is None for path in asked["recordings"]},
+    "verdicts": {path: replay(path).verdict for path in asked["recordings"]},
+    "probes": {name: fingerprint(load_backend(name))["probe"] for name in asked["engines"]},
 }))
 """
 
-CREATURES = ("biped", "centipede", "inchworm", "juggler", "lurcher", "roller", "seeker", "walker")
+CREATURES = ("biped", "inchworm", "juggler", "lurcher", "roller", "walker")
+ENGINES = ("mujoco", "pymunk", "ballistic")
 
 
 def _numpy(*kept: str) -> dict[str, str]:
     """Returns the setting that takes from numpy all sets of instructions that it could choose but those."""
-    there = [name for name in __cpu_dispatch__ if __cpu_features__[name] and name not in kept]
+    found = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
+    there = [name for name in found if name not in kept]
     return {"NPY_DISABLE_CPU_FEATURES": " ".join(there)} if there else {}
 
 
@@ -121,11 +130,13 @@ ALIKE: dict[str, dict[str, str]] = {
         **{"LC_ALL": "C", "TZ": "Asia/Tokyo", "OMP_NUM_THREADS": "1"},
     },
 }
+UNLIKE = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4"}
+"""Without fused multiply-add, the C library has other sines."""
 
 
 def outcome(environment: dict[str, str], recordings: tuple[str, ...]) -> dict[str, Any]:
     genomes = [str(ROOT / f"nmes/genome/shipped/{name}.json") for name in CREATURES]
-    asked = {"genomes": genomes, "recordings": recordings}
+    asked = {"task": TASK, "genomes": genomes, "recordings": recordings, "engines": ENGINES}
     process = subprocess.run(
         [sys.executable, "-c", PROGRAM],
         input=json.dumps(asked),
@@ -153,6 +164,54 @@ def here(recordings: tuple[str, ...]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("name", ALIKE)
-def test_creatures_and_recordings_come_out_the_same_to_the_last_bit(name: str) -> None:
+def test_creatures_recordings_and_probes_come_out_the_same_to_the_last_bit(name: str) -> None:
     assert outcome(ALIKE[name], SOME) == here(SOME)
-    assert all(here(SOME)["verdicts"].values())
+    assert set(here(SOME)["verdicts"].values()) == {"reproduced"}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ALIKE)
+def test_the_whole_corpus_is_reproduced(name: str) -> None:
+    assert set(outcome(ALIKE[name], goldens())["verdicts"].values()) == {"reproduced"}
+
+
+# -- where the C library computes otherwise ---------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def elsewhere() -> dict[str, Any]:
+    """What comes out where the C library has other variants of its functions."""
+    other = outcome(UNLIKE, SOME)
+    if other["probes"] == here(SOME)["probes"]:
+        pytest.skip("the C library of this machine has only one variant of its functions")
+    return other
+
+
+def test_what_differs_beside_another_probe_is_never_called_divergence(elsewhere: dict[str, Any]) -> None:
+    probes = here(SOME)["probes"]
+    assert all(elsewhere["probes"][engine] != probes[engine] for engine in ENGINES)
+    verdicts = elsewhere["verdicts"]
+    assert set(verdicts.values()) == {"reproduced", "not_comparable"}
+    code, output = nmes("replay", next(path for path in verdicts if verdicts[path] == "not_comparable"), **UNLIKE)
+    assert code == 3 and output.startswith("not comparable: it was recorded with another\n  probe: ")
+    code, output = nmes("replay", next(path for path in verdicts if verdicts[path] == "reproduced"), **UNLIKE)
+    assert code == 0 and output.startswith("reproduced, on another machine: ")
+
+
+@pytest.mark.usefixtures("elsewhere")
+def test_a_proof_that_comes_out_otherwise_beside_another_probe_is_not_comparable(tmp_path: Path) -> None:
+    task = tmp_path / "task.json"
+    task.write_text(json.dumps({**TASK, "duration": 4, "world": {"backend": "pymunk"}}))
+    assert nmes("eval", "inchworm", "--task", str(task), "--record", str(tmp_path))[0] == 0
+    (proof,) = tmp_path.glob("*.mcap")
+    assert nmes("eval", "--from-recording", str(proof))[0] == 0
+    code, output = nmes("eval", "--from-recording", str(proof), **UNLIKE)
+    assert code == 3 and "recorded with another probe" in output
+    code, output = nmes("leaderboard", "add", str(tmp_path / "board"), str(proof), **UNLIKE)
+    assert code != 0 and "diverge" not in output
+
+
+def nmes(*arguments: str, **environment: str) -> tuple[int, str]:
+    """Runs the program; returns its exit status and what it prints."""
+    process = subprocess.run([NMES, *arguments], env={**os.environ, **environment}, capture_output=True, text=True)
+    return process.returncode, process.stdout + process.stderr

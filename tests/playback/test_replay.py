@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 import programs
 from nmes.backend.fingerprint import fingerprint
 from nmes.cli import main
+from nmes.errors import RecordingError
 from nmes.playback import Divergence, replay, states, watch, world_at
 from nmes.playback.drift import measure_drift
 from nmes.playback.export import messages
@@ -446,21 +447,45 @@ def test_a_missing_client_and_malformed_records_are_reported(busy_file: Path, tm
     assert not report.cut
 
 
-def test_another_engine_is_not_comparable(busy_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "nmes.playback.report.fingerprint", lambda backend: {**fingerprint(backend), "libc": "musl 1.2"}
-    )
+@pytest.fixture
+def elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Lets this machine compute, so it seems, otherwise than those that recordings were made on."""
+    monkeypatch.setattr("nmes.playback.report.fingerprint", lambda backend: {**fingerprint(backend), "probe": "0ff"})
+
+
+@pytest.mark.usefixtures("elsewhere")
+def test_equal_digests_are_reproduced_on_another_machine_too(busy_file: Path) -> None:
     report = replay(busy_file)
-    assert (report.verdict, report.ticks) == ("not_comparable", 0)
-    assert report.differences == {"libc": (Recording(busy_file).fingerprint["libc"], "musl 1.2")}
-    report = replay(busy_file, ignore_fingerprint=True)
-    assert (report.verdict, report.ticks, report.divergence) == ("not_comparable", 40, None)
+    assert (report.verdict, report.ticks, report.divergence) == ("reproduced", 40, None)
+    assert report.differences == {"probe": (Recording(busy_file).fingerprint["probe"], "0ff")}
+
+
+@pytest.mark.usefixtures("elsewhere")
+def test_other_digests_on_another_machine_are_not_comparable(busy_file: Path, tmp_path: Path) -> None:
+    harder = Recording(rewrite(busy_file, tmp_path / "harder.mcap", push_harder))
+    report = replay(harder)
+    assert report.verdict == "not_comparable" and report.divergence is not None
+    for run_again in (lambda: world_at(harder, 30), lambda: [*states(harder)]):
+        with pytest.raises(RecordingError, match="recorded with another probe") as error:
+            run_again()
+        assert error.value.code == "not_comparable"
+
+
+@pytest.mark.parametrize("item", ["architecture", "simd", "libc", "python", "os", "cpu", "cpu_flags"])
+def test_names_of_processors_and_libraries_decide_nothing(
+    busy_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, item: str
+) -> None:
+    monkeypatch.setattr("nmes.playback.report.fingerprint", lambda backend: {**fingerprint(backend), item: "other"})
+    assert replay(busy_file).differences == {}
+    assert replay(rewrite(busy_file, tmp_path / "harder.mcap", push_harder)).verdict == "diverged"
 
 
 def test_an_engine_that_is_not_installed_is_not_comparable(busy_file: Path) -> None:
     recording = Recording(busy_file)
     recording.config["backend"] = "no-such-engine"
-    assert replay(recording).differences == {"backend": ("no-such-engine", "not installed")}
+    report = replay(recording)
+    assert (report.verdict, report.ticks) == ("not_comparable", 0)
+    assert report.differences == {"backend": ("no-such-engine", "not installed")}
 
 
 def test_a_world_that_changes_a_command_diverges(busy_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -536,45 +561,41 @@ def test_nmes_replay_and_info_report_damage(busy_file: Path, tmp_path: Path) -> 
         assert "is not a regular file" in output
 
 
-def test_nmes_replay_says_why_it_is_not_comparable(busy_file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        "nmes.playback.report.fingerprint", lambda backend: {**fingerprint(backend), "simd": "x86-64-v0"}
-    )
+@pytest.mark.usefixtures("elsewhere")
+def test_nmes_replay_says_what_differs_on_another_machine(busy_file: Path, tmp_path: Path) -> None:
     code, output = run("replay", busy_file)
-    assert code == 1
-    assert "not comparable" in output and "(here: x86-64-v0)" in output
-    code, output = run("replay", busy_file, "--ignore-fingerprint")
-    assert code == 1
-    assert "run anyway, it agrees all the same: 40 ticks, 47 commands" in output
-    assert json.loads(run("replay", busy_file, "--ignore-fingerprint", "--json")[1])["drift"] is None
+    assert code == 0
+    assert output.startswith("reproduced, on another machine: 40 ticks, 47 commands, ")
+    assert "\n  probe: " in output and "(here: 0ff)" in output
+    assert json.loads(run("replay", busy_file, "--json")[1])["drift"] is None
+    harder = rewrite(busy_file, tmp_path / "harder.mcap", push_harder)
+    code, output = run("replay", harder)
+    assert code == 3
+    assert output.startswith("not comparable: it was recorded with another\n  probe: ")
+    assert run("fork", harder, "--at", "30", "--output", tmp_path / "fork.mcap")[0] == 3
+    assert run("export", harder, "--to", "csv", "--output", tmp_path / "x.csv")[0] == 3
 
 
-@pytest.mark.parametrize("command", ["replay", "diff", "export"])
-def test_the_old_name_of_an_option_works_and_is_not_in_the_help(
-    busy_file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str
-) -> None:
-    monkeypatch.setattr(
-        "nmes.playback.report.fingerprint", lambda backend: {**fingerprint(backend), "simd": "x86-64-v0"}
-    )
+@pytest.mark.parametrize("command", ["diff", "export"])
+def test_the_old_name_of_an_option_works_and_is_not_in_the_help(busy_file: Path, tmp_path: Path, command: str) -> None:
     harder = rewrite(busy_file, tmp_path / "harder.mcap", push_harder)
     other = record(tmp_path / "other.mcap", busy, {"gravity": [0, -1, 0]})
     arguments: dict[str, list[str | Path]] = {
-        "replay": [busy_file],
         "diff": [harder, other],
         "export": [harder, "--to", "csv"],
     }
-    name = "--ignore-fingerprint" if command == "replay" else "--keep-going"
     refused = run(command, *arguments[command])[1]
-    output = run(command, *arguments[command], name)[1]
+    output = run(command, *arguments[command], "--keep-going")[1]
     assert output != refused and output == run(command, *arguments[command], "--anyway")[1]
-    assert name in run(command, "--help")[1] and "--anyway" not in run(command, "--help")[1]
+    assert "--keep-going" in run(command, "--help")[1] and "--anyway" not in run(command, "--help")[1]
 
 
 def push_harder(lines: list[Line]) -> list[Line]:
     return [line._replace(data=line.data.replace(b"[1.5,0.25,0]", b"[1.5,0.26,0]")) for line in lines]
 
 
-def test_a_replay_on_another_machine_measures_the_drift(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.usefixtures("elsewhere")
+def test_a_replay_on_another_machine_measures_the_drift(tmp_path: Path) -> None:
     # As if the engine pushed harder here: 2 N more for a tick.
     def strengthen(lines: list[Line]) -> list[Line]:
         at = next(i for i, line in enumerate(lines) if b'"force":[1.5' in line.data)
@@ -582,13 +603,10 @@ def test_a_replay_on_another_machine_measures_the_drift(tmp_path: Path, monkeypa
         return lines
 
     path = rewrite(record(tmp_path / "x.mcap", busy, pose_rate=60), tmp_path / "y.mcap", strengthen)
-    monkeypatch.setattr(
-        "nmes.playback.report.fingerprint", lambda backend: {**fingerprint(backend), "simd": "x86-64-v0"}
-    )
-    code, output = run("replay", path, "--ignore-fingerprint")
-    assert code == 1 and "run anyway, it agrees as far as 0 ticks" in output
+    code, output = run("replay", path)
+    assert code == 3 and "it agrees as far as 0 ticks" in output
     assert "metres from where each cube was recorded" in output
-    drift = json.loads(run("replay", path, "--ignore-fingerprint", "--json")[1])["drift"]
+    drift = json.loads(run("replay", path, "--json")[1])["drift"]
     ends = {name: samples[-1]["distance"] for name, samples in drift["cubes"].items()}
     assert ends["one"] == pytest.approx(2 / 60 * 39.5 / 60, rel=0.02)  # on 1 kg, for the 40 ticks
     assert ends["two"] < 1e-6
