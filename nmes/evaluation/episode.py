@@ -6,6 +6,7 @@ world's ordinary inputs, so that the recording of an episode replays like any ot
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
@@ -17,6 +18,7 @@ from nmes import protocol
 from nmes.backend import Array
 from nmes.brain import Brain
 from nmes.errors import WorldError
+from nmes.evaluation.balance import Balance
 from nmes.evaluation.task import CREATURE, Task
 from nmes.genome import Genome
 from nmes.objective import Quantity
@@ -28,6 +30,8 @@ __all__ = ["ANY_CONTROLS", "METADATA", "Episode", "Result", "Step", "brain_of"]
 
 METADATA: Final = "nmes.evaluation"
 """The metadata record of an episode's recording: its `task`, the `genome`'s hash and its `seed`."""
+_REST_TIME = 0.25  # s
+_REST_SPEED = 0.05  # of the body's size in a second: in a whole episode it would not come farther than that size
 _ENERGY, _DISTANCE = Quantity("energy"), Quantity("displacement.horizontal")
 
 
@@ -37,12 +41,14 @@ class Result:
 
     Attributes:
         seed: The world's seed.
-        score: The objective's value; None where the world faulted, or the value is no finite number.
+        score: The objective's value; None where the world faulted, the creature did not come to rest or had energy of
+            nothing, or the value is no finite number.
         energy: Work of the motors, J.
         distance: Between where the creature's centre of mass began and where it ended, over the ground, m.
         ticks: How many the creature was scored for.
-        ended: Which condition of the task ended it early; None where it lasted its time.
-        fault: Why there is no score (`code: message`); None where there is one.
+        ended: Which condition or limit of the task ended it early; None where it lasted its time.
+        fault: Why there is no score (`code: message`); None where there is one. The codes are those of a world's faults
+            and `bad_expression`, `restless` and `energy`.
     """
 
     seed: int
@@ -91,6 +97,8 @@ class Episode:
         self._world, self._genome, self._brain = world, genome, brain
         self._task, self._seed, self._logged = task, seed, logged
         self._observer: _Observer | None = None
+        self._restless: str | None = None
+        self._start = 0  # the frame
         self._ended: str | None = None
 
     def run(self) -> Result:
@@ -145,20 +153,24 @@ class Episode:
                     return
 
     def _set_scene(self) -> Iterator[Step]:
-        """Yields the steps before the start; makes the observer, unless the world faults while the creature settles."""
+        """Yields the steps before the start; makes the observer, unless the creature does not come to rest."""
         world, task, genome, seed = self._world, self._task, self._genome, self._seed
         for command in task.entry(seed, genome.document, genome.body):
             yield protocol.encode(command)
-        for _ in range(task.settle_ticks):
+        creature = world.creature(CREATURE)
+        rest = _Rest(world, creature, task.tick_rate)
+        while world.frame < task.settle_ticks or not rest.reached:
+            if world.frame == task.settle_limit_ticks:
+                after = f"{world.frame / task.tick_rate:g} s"
+                self._restless = f"restless: not yet at rest after {after}: a corner moved at {rest.speed:.2g} m/s"
+                return
             yield None
             if world.fault is not None:
                 return
-        creature = world.creature(CREATURE)
-        root = world.track([creature.cubes[genome.body.cubes[0].id]], [], 1)
-        root.note()
-        for command in task.props(seed, genome.body, root.states(0, 1)[0, 0]):
+            rest.look()
+        for command in task.props(seed, genome.body, rest.states[0]):
             yield protocol.encode(command)
-        self._observer = _Observer(world, creature, task, seed)
+        self._observer, self._start = _Observer(world, creature, task, seed), world.frame
 
     def result(self) -> Result:
         """Returns the result, once all steps are done."""
@@ -166,9 +178,10 @@ class Episode:
         if world.fault is not None and self._ended is None:
             fault = f"{world.fault.code}: {world.fault.message}"
         if self._observer is None:
-            return Result(self._seed, None, 0.0, 0.0, 0, fault=fault)
+            return Result(self._seed, None, 0.0, 0.0, 0, fault=fault or self._restless)
         trajectory, score = self._observer.trajectory, None
         measured = trajectory.values((_ENERGY, _DISTANCE))
+        fault = fault or self._observer.imbalance()
         if fault is None:
             try:
                 score = trajectory.value(self._task.objective)
@@ -178,10 +191,52 @@ class Episode:
         return Result(self._seed, score, *rest, ended=self._ended, fault=fault)
 
     def scores_so_far(self) -> Array:
-        """Returns the objective's value at the start and after each tick, array (n,); NaN where there is none."""
+        """Returns the objective's value at the start and after each tick; where there is none, NaN.
+
+        Returns:
+            Array (n, 2) of times since the world began, s, and of values.
+        """
         if self._observer is None:
-            return np.zeros(0)
-        return self._observer.trajectory.values_so_far(self._task.objective)
+            return np.zeros((0, 2))
+        values = self._observer.trajectory.values_so_far(self._task.objective)
+        return np.stack([(self._start + np.arange(len(values))) / self._task.tick_rate, values], axis=1)
+
+
+class _Rest:
+    """Tells when a creature is at rest: for a while none of its corners was faster than a part of its size a second.
+
+    Args:
+        world: The world, where it has just been set down.
+        creature: The creature.
+        tick_rate: Ticks in a second.
+    """
+
+    def __init__(self, world: World, creature: Creature, tick_rate: int) -> None:
+        cubes = creature.body.cubes
+        self._names = [creature.cubes[cube.id] for cube in cubes]
+        self._arms = np.array([math.hypot(*cube.size) / 2.0 for cube in cubes])
+        low, high = creature.body.bounds()
+        self._limit = _REST_SPEED * max(b - a for a, b in zip(low, high, strict=True))
+        self._world, self._ticks, self._still = world, max(1, round(_REST_TIME * tick_rate)), 0
+        self.speed = 0.0  # of the fastest corner, when one was too fast last, m/s
+
+    @property
+    def reached(self) -> bool:
+        """Whether it has been at rest for long enough."""
+        return self._still >= self._ticks
+
+    def look(self) -> None:
+        """Takes the tick that has just ended."""
+        track = self._world.track(self._names, [], 1)
+        track.note()
+        self.states = track.states(0, 1)[0]
+        squares = self.states[:, 7:13] * self.states[:, 7:13]
+        speeds, spins = (np.sqrt(squares[:, i] + squares[:, i + 1] + squares[:, i + 2]) for i in (0, 3))
+        speed = float((speeds + spins * self._arms).max())
+        if speed <= self._limit:
+            self._still += 1
+        else:
+            self._still, self.speed = 0, speed
 
 
 class _Observer:
@@ -200,8 +255,13 @@ class _Observer:
         self._task = task
         touchy = any(quantity.name == "contacts" for quantity in task.needs)
         self.trajectory = Trajectory(bodies, task.ticks, len(creature.motors), contacts=touchy)
-        joints = [creature.joints[motor.id] for motor in creature.motors]
-        self._track = world.track(cubes, joints, task.ticks + 1)
+        # Those with motors come first, then those that have a spring alone.
+        motors = [joint for joint in body.joints if joint.motor is not None]
+        sprung = [joint for joint in body.joints if joint.stiffness]
+        joints = [*motors, *(joint for joint in sprung if joint.motor is None)]
+        self._motors, self._springs = len(motors), [joints.index(joint) for joint in sprung]
+        self._track = world.track(cubes, [creature.joints[joint.id] for joint in joints], task.ticks + 1)
+        self._balance = Balance.of(bodies, world.config, [joint.stiffness for joint in sprung])
         self._world, self._cubes = world, cubes
         self.note = self._note_with_touches if touchy else self._track.note
 
@@ -216,10 +276,22 @@ class _Observer:
         if begin == end:
             return None
         trajectory.states[begin:end] = self._track.states(begin, end)
-        trajectory.meter(begin, self._track.powers(begin, end)[:, 1])
+        trajectory.meter(begin, self._track.powers(begin, end)[:, 1, : self._motors])
         trajectory.rows = end
         stop = self._task.ended(trajectory, max(begin, 1), end)
         if stop is None:
             return None
-        trajectory.rows = stop[0] + 1
-        return stop[1]
+        trajectory.rows, name = stop
+        return name
+
+    def imbalance(self) -> str | None:
+        """Returns why the body's energy was not earned, over the rows that count; None where it was."""
+        rows = self.trajectory.rows
+        powers, positions = self._track.powers(0, rows)[:, :, : self._motors], self._track.positions(0, rows)
+        excess = self._balance.excess(self.trajectory.states[:rows], powers, positions[:, self._springs])
+        if excess is None:
+            return None
+        return (
+            f"energy: by {excess.time:.2f} s the body had {excess.gain:.3g} J that its motors did not give it, and "
+            f"{excess.allowed:.3g} J are allowed"
+        )

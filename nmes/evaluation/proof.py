@@ -108,10 +108,8 @@ def scores_so_far(recording: Recording) -> Array:
     Raises:
         RecordingError, ProofError, DocumentError: As by `prove`.
     """
-    checker, task, _genome = _check(recording, False)
-    values = checker.scores_so_far()
-    ticks = task.settle_ticks + np.arange(len(values))
-    return np.stack([ticks / task.tick_rate, values], axis=1)
+    checker, _task, _genome = _check(recording, False)
+    return checker.scores_so_far()
 
 
 def _check(recording: Recording, brain: bool) -> tuple[_Checker, Task, Genome]:
@@ -209,7 +207,7 @@ class _Checker:
         return self._episode.result()
 
     def scores_so_far(self) -> Array:
-        """Returns the objective's value at the start and after each tick, array (n,)."""
+        """Returns the objective's value at the start and after each tick, array (n, 2); see `Episode.scores_so_far`."""
         assert self._episode is not None
         return self._episode.scores_so_far()
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Final
@@ -43,7 +42,7 @@ SHIPPED: Final = ShippedDocuments("task", "nmes.evaluation", "tasks")
 """The tasks that ship with the package."""
 _TASK: Final = compile_schema("task.json")
 _OURS = ("name", "seed", "mode", "rate")  # of the world's config: the task, its seeds and the evaluation say these
-_LOOKS = 10  # in a second, at the conditions that end an episode
+_GRAVITY = 9.81  # m/s^2, by which efforts are judged, wherever a task's world is
 _GAP = 0.001  # m between a prop that lies and what it lies on, so that the engine does not find them overlapping
 CREATURE: Final = "creature"
 """The name of the creature in a task's world; its cubes are `creature.ID`."""
@@ -51,19 +50,29 @@ CREATURE: Final = "creature"
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """The limits of a creature's body and energy; None is no limit.
+    """The limits of a creature's body and of what it does; None is no limit.
 
     Attributes:
         cubes: How many cubes.
         mass: Of all of them, kg.
         size: Longest edge of the box around the body, m.
+        density: Of each cube, kg/m^3.
+        neighbours: Mass of a cube, of that of another to which a joint joins it.
+        effort: Of each motor: of a slide's, of the body's weight at 9.81 m/s^2; of a hinge's, of weight times size.
         energy: Work of its motors, J.
+        speed: Of the centre of each cube, m/s.
+        spin: Of each cube, rad/s.
     """
 
     cubes: int | None = None
     mass: float | None = None
     size: float | None = None
+    density: float | None = None
+    neighbours: float | None = None
+    effort: float | None = None
     energy: float | None = None
+    speed: float | None = None
+    spin: float | None = None
 
 
 class Task:
@@ -137,39 +146,39 @@ class Task:
 
     @property
     def settle_ticks(self) -> int:
-        """Ticks before the start, in which the creature comes to rest."""
+        """Ticks before the start, at the least: the creature must be at rest."""
         return round(float(self.document["settle"]) * self.tick_rate)
 
-    def ended(self, trajectory: Trajectory, begin: int, end: int) -> tuple[int, str] | None:
-        """Returns the first row at which a condition ends the episode early, and its name; None if none does.
+    @property
+    def settle_limit_ticks(self) -> int:
+        """Ticks before the start, at the most."""
+        return round(float(self.document["settle_limit"]) * self.tick_rate)
 
-        Conditions are looked at ten times a second; those about contacts at every tick, for a touch may be short.
+    def ended(self, trajectory: Trajectory, begin: int, end: int) -> tuple[int, str] | None:
+        """Returns how many rows count where an episode is ended early, and the name of what ended it; None if nothing.
+
+        The row at which one of `ends` holds counts; that at which the creature is beyond a limit does not.
 
         Args:
             trajectory: The episode so far.
             begin: The first row to look at.
             end: The row after the last.
         """
-        stops = []
-        for name, condition in self._stops:
-            touchy = any(quantity.name == "contacts" for quantity in condition.needs)
-            row = trajectory.first(condition, begin, end, 1 if touchy else max(1, self.tick_rate // _LOOKS))
+        limits = (self.limits.energy, self.limits.speed, self.limits.spin)
+        energy, speed, spin = (math.inf if limit is None else limit for limit in limits)
+        beyond = trajectory.first_beyond(begin, end, energy=energy, speed=speed, spin=spin)
+        stops = [] if beyond is None else [beyond]
+        for name, condition in self.ends:
+            row = trajectory.first(condition, begin, end)
             if row is not None:
-                stops.append((row, name))
-        # Of two at the same row, the one that comes first in the document.
+                stops.append((row + 1, name))
+        # Of two with as many rows, a limit, then the condition that comes first in the document.
         return min(stops, key=lambda stop: stop[0], default=None)
-
-    @cached_property
-    def _stops(self) -> tuple[tuple[str, Condition], ...]:
-        energy = self.limits.energy
-        return self.ends if energy is None else (*self.ends, ("energy", Condition(f"energy > {energy!r}")))
 
     @property
     def needs(self) -> tuple[Quantity, ...]:
         """The quantities that the objective and the conditions name."""
-        return tuple(
-            dict.fromkeys([*self.objective.needs, *(q for _, condition in self._stops for q in condition.needs)])
-        )
+        return tuple(dict.fromkeys([*self.objective.needs, *(q for _, end in self.ends for q in end.needs)]))
 
     # -- episodes ------------------------------------------------------------------------------------------------
 
@@ -197,7 +206,7 @@ class Task:
         return far * math.cos(bearing), float(target["height"]), -far * math.sin(bearing)
 
     def entry(self, seed: int, genome: Mapping[str, Any], body: Body) -> list[JsonObject]:
-        """Returns the commands that set a creature down, its origin at the world's but for its height.
+        """Returns the commands that set a creature down, its centre of mass above the origin, to a centimetre.
 
         Args:
             seed: The episode's.
@@ -205,7 +214,9 @@ class Task:
             body: The genome's.
         """
         vary, lowest = self.document["vary"], body.bounds()[0][1]
-        position = [0.0, self._draw(seed, "drop", vary["drop"]) - lowest, 0.0]
+        # Whoever was built beside its origin would begin at a target, or beyond an obstacle.
+        x, z = (round(sum(cube.mass * cube.position[axis] for cube in body.cubes) / body.mass, 2) for axis in (0, 2))
+        position = [0.0 - x, self._draw(seed, "drop", vary["drop"]) - lowest, 0.0 - z]
         spawn: JsonObject = {"type": "spawn_creature", "genome": genome, "name": CREATURE, "position": position}
         target = self.target(seed)
         if target is not None:
@@ -270,6 +281,7 @@ class Task:
         ):
             if limit is not None and value > limit * (1.0 + 1e-9):
                 reasons.append(f"the body has {words.format(value, limit)}")
+        reasons += self._unbuildable(body, size)
         ids, props = {cube.id for cube in body.cubes}, self.prop_ids()
         reasons += [
             f"the task puts a cube {name!r} there, and the body has one of that id" for name in props if name in ids
@@ -282,6 +294,31 @@ class Task:
             f"the task is about a cube {name!r}, which the body has not" for name in sorted(cubes - ids - {*props})
         ]
         return reasons
+
+    def _unbuildable(self, body: Body, size: float) -> Iterator[str]:
+        """Yields the reasons why nothing of this kind could be built: the worst of its cubes, pairs and motors."""
+        masses = {cube.id: cube.mass for cube in body.cubes}
+        weight = _GRAVITY * body.mass
+        densities = [(cube.mass / math.prod(cube.size), cube.id) for cube in body.cubes]
+        pairs = [(masses[joint.cube1] / masses[joint.cube2], joint.id) for joint in body.joints]
+        pairs += [(1.0 / ratio, joint) for ratio, joint in pairs]
+        efforts = [
+            (joint.motor.max_effort / (weight if joint.kind == "slide" else weight * size), joint.id)
+            for joint in body.joints
+            if joint.motor is not None
+        ]
+        for limit, values, words in (
+            (self.limits.density, densities, "cube {!r} has {:g} kg/m^3, at most {:g} are allowed"),
+            (self.limits.neighbours, pairs, "joint {!r} joins masses of 1 to {:g}, at most 1 to {:g} are allowed"),
+            (
+                self.limits.effort,
+                efforts,
+                "the motor of joint {!r} has an effort of {:g}, at most {:g} is allowed",
+            ),
+        ):
+            value, name = max(values, default=(0.0, ""), key=lambda each: each[0])
+            if limit is not None and value > limit * (1.0 + 1e-9):
+                yield words.format(name, value, limit)
 
     def _covered(self, body: Body) -> Iterator[tuple[str, str]]:
         """Yields pairs of a prop and a cube of the body at rest that is in its place."""
@@ -356,6 +393,8 @@ def _crossed(document: JsonObject) -> Iterator[tuple[str, str]]:
     for path, (low, high) in bounds:
         if low > high:
             yield path, f"expected the lowest first, got {low:g} before {high:g}"
+    if document["settle_limit"] < document["settle"]:
+        yield "settle_limit", f"expected settle, {document['settle']:g}, or more, got {document['settle_limit']:g}"
     targets = [f"props/{index}/target" for index, prop in enumerate(props) if prop["target"]]
     for path in targets if "target" in document else targets[1:]:
         yield path, "there is a target already"

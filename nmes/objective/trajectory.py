@@ -144,7 +144,7 @@ class Trajectory:
 
     def values_so_far(self, objective: Objective) -> Array:
         """Returns an objective's value at each row, over the rows up to there, array (rows,); NaN: no finite number."""
-        columns = [self._so_far(quantity, range(self.rows)).tolist() for quantity in objective.needs]
+        columns = [self._so_far(quantity, 0, self.rows).tolist() for quantity in objective.needs]
         scores = np.full(self.rows, np.nan)
         for row in range(self.rows):
             values = dict(zip(objective.needs, [column[row] for column in columns], strict=True))
@@ -152,36 +152,52 @@ class Trajectory:
                 scores[row] = objective.value(values)
         return scores
 
-    def first(self, condition: Condition, begin: int, end: int, every: int = 1) -> int | None:
+    def first(self, condition: Condition, begin: int, end: int) -> int | None:
         """Returns the first row at which a condition holds.
 
         Args:
             condition: It sees the episode as it was at that row; folds are over the rows up to there.
             begin: The first row to look at.
             end: The row after the last.
-            every: Only rows whose number is a multiple of this are looked at.
         """
-        candidates = range(begin + -begin % every, end, every)
-        if not candidates:
+        if begin >= end:
             return None
-        columns = [self._so_far(quantity, candidates).tolist() for quantity in condition.needs]
-        rows = zip(*columns, strict=True) if columns else ((),) * len(candidates)
-        for row, values in zip(candidates, rows, strict=True):
+        columns = [self._so_far(quantity, begin, end).tolist() for quantity in condition.needs]
+        rows = zip(*columns, strict=True) if columns else ((),) * (end - begin)
+        for row, values in enumerate(rows, begin):
             if condition.holds(dict(zip(condition.needs, values, strict=True))):
                 return row
         return None
 
-    def _so_far(self, quantity: Quantity, candidates: range) -> Array:
+    def first_beyond(self, begin: int, end: int, *, energy: float, speed: float, spin: float) -> tuple[int, str] | None:
+        """Returns the first row at which the body is beyond a limit, and which: energy before speed before spin.
+
+        Args:
+            begin: The first row to look at.
+            end: The row after the last.
+            energy: Work of its motors, J.
+            speed: Of the centre of each of its cubes, m/s.
+            spin: Of each of its cubes, rad/s.
+        """
+        body = self.bodies.columns(None)
+        beyond: dict[str, Flags] = {"energy": np.asarray(_in_order(self.work[begin:end]) > energy)}
+        for name, limit, first in (("speed", speed, 7), ("spin", spin, 10)):
+            # What is no number is beyond every limit.
+            beyond[name] = np.asarray(~(_length(self.states[begin:end, body, first : first + 3]) <= limit).all(axis=1))
+        rows = [(begin + int(flags.argmax()), name) for name, flags in beyond.items() if flags.any()]
+        return min(rows, key=lambda row: row[0], default=None)
+
+    def _so_far(self, quantity: Quantity, begin: int, end: int) -> Array:
         if quantity.fold == "final":
-            return self.series(quantity, candidates.start, candidates[-1] + 1)[:: candidates.step]
+            return self.series(quantity, begin, end)
         if quantity.fold == "start":
-            return np.repeat(self.series(quantity, 0, 1), len(candidates))
-        series = self.series(quantity, 0, candidates[-1] + 1)
+            return np.repeat(self.series(quantity, 0, 1), end - begin)
+        series = self.series(quantity, 0, end)
         if quantity.fold == "mean":
             folded = np.add.accumulate(series) / np.arange(1, len(series) + 1)
         else:
             folded = (np.minimum if quantity.fold == "min" else np.maximum).accumulate(series)
-        return folded[candidates.start :: candidates.step]
+        return folded[begin:]
 
 
 class RunningQuantities:

@@ -55,8 +55,8 @@ def test_scoring_a_recording_finds_the_same_end_of_the_episode(tmp_path: Path) -
     ends = [{"name": "gone", "when": "displacement.horizontal > 0.1"}]
     evaluation = evaluate(Genome(snake()), task(ends=ends), record=tmp_path)
     for path, result in zip(evaluation.recordings, evaluation.results, strict=True):
-        assert result.ended == "gone" and result.ticks < 150 and result.ticks % 6 == 0
-        assert result.distance > 0.1
+        assert result.ended == "gone" and result.ticks < 150
+        assert 0.1 < result.distance < 0.11
         assert prove(path).result == result
 
 
