@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
+import re
 import shlex
 import signal
 import sys
@@ -10,7 +12,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import NoReturn
+from typing import IO, NoReturn
 
 import click
 import orjson
@@ -20,6 +22,8 @@ from nmes.evaluation import Evaluation, Job, evaluate_all
 
 __all__ = ["run_jobs"]
 
+_BEGIN = re.compile(rb'\{"key":"[0-9a-f]{64}",')  # of a line
+
 
 def run_jobs(work: list[Job], jobs: int, ray: str | None, resume: Path | None) -> tuple[list[Evaluation], bool]:
     """Runs jobs, but for those whose results the file of `--resume` has.
@@ -27,31 +31,25 @@ def run_jobs(work: list[Job], jobs: int, ray: str | None, resume: Path | None) -
     Returns:
         The evaluations in the order of the work, and whether that is all of them.
     """
-    done: dict[int, Evaluation] = {}
-    file = None
-    if resume is not None:
-        done = _results(work, resume)
-        file = resume.open("ab")
-    left = [i for i in range(len(work)) if i not in done]
-    try:
-        with progress_bars(len(work) > 1) as progress, _interruptions() as interrupted:
-            progress("evaluating", len(done), len(work))
-            for place, evaluation in evaluate_all([work[i] for i in left], jobs=jobs, ray=ray):
-                if file is not None:
-                    file.write(_line(work[left[place]], evaluation))
-                    file.flush()
-                done[left[place]] = evaluation
+    with _opened(resume) as file:
+        done = {} if resume is None else _results(work, resume)
+        left = [i for i in range(len(work)) if i not in done]
+        try:
+            with progress_bars(len(work) > 1) as progress, _interruptions() as interrupted:
                 progress("evaluating", len(done), len(work))
-                if interrupted():
-                    raise KeyboardInterrupt
-    except KeyboardInterrupt:
-        if file is not None and resume is not None:
-            file.close()
-            done = _results(work, resume)  # the count is of what the file has, wherever it was interrupted
-        _tell_how_to_resume(work, done, resume)
-    finally:
-        if file is not None:
-            file.close()
+                for place, evaluation in evaluate_all([work[i] for i in left], jobs=jobs, ray=ray):
+                    if file is not None:
+                        file.write(_line(work[left[place]], evaluation))
+                        file.flush()
+                    done[left[place]] = evaluation
+                    progress("evaluating", len(done), len(work))
+                    if interrupted():
+                        raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            if file is not None and resume is not None:
+                file.close()
+                done = _results(work, resume)  # the count is of what the file has, wherever it was interrupted
+            _tell_how_to_resume(work, done, resume)
     return [done[i] for i in sorted(done)], len(done) == len(work)
 
 
@@ -75,6 +73,22 @@ def _interruptions() -> Iterator[Callable[[], bool]]:
         signal.signal(signal.SIGINT, before)
 
 
+@contextmanager
+def _opened(path: Path | None) -> Iterator[IO[bytes] | None]:
+    """Gives the file of results to append to, and lets nobody else have it meanwhile: two would spoil it."""
+    if path is None:
+        yield None
+        return
+    if path.exists() and not path.is_file():
+        raise click.UsageError(f"{path} is no file that results could be kept in")
+    with path.open("ab") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise click.UsageError(f"another nmes eval keeps its results in {path}") from error
+        yield file
+
+
 def _results(work: Sequence[Job], path: Path) -> dict[int, Evaluation]:
     """Returns the evaluations that a file has, by the index of their job."""
     results = _read(path)
@@ -86,21 +100,32 @@ def _line(job: Job, evaluation: Evaluation) -> bytes:
 
 
 def _read(path: Path) -> dict[str, Evaluation]:
-    """Reads the file of an earlier run; a last line that was cut off is taken away."""
-    if not path.exists():
-        return {}
+    """Reads the file of an earlier run; a last line of ours that was cut off is taken away, and nothing else ever."""
     content = path.read_bytes()
-    whole = content[: content.rfind(b"\n") + 1]
+    *lines, rest = content.split(b"\n")
     results = {}
-    for number, line in enumerate(whole.splitlines(), 1):
+    for number, line in enumerate(lines, 1):
         try:
             fields = orjson.loads(line)
             results[fields.pop("key")] = Evaluation.from_json(fields)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
-            raise click.UsageError(f"{path}, line {number}: not what `nmes eval --resume` writes") from error
-    if len(whole) < len(content):
-        os.truncate(path, len(whole))
+            raise _foreign(path, number) from error
+    if rest:
+        # A few letters are not known for ours unless there are whole lines before them.
+        if not _BEGIN.match(rest) and not (lines and _could_begin(rest)):
+            raise _foreign(path, len(lines) + 1)
+        os.truncate(path, len(content) - len(rest))
     return results
+
+
+def _foreign(path: Path, line: int) -> click.UsageError:
+    return click.UsageError(f"{path}, line {line}: not what `nmes eval --resume` writes")
+
+
+def _could_begin(text: bytes) -> bool:
+    """Whether a line of ours could begin so."""
+    example = b'{"key":"' + b"0" * 64 + b'",'
+    return _BEGIN.match(text + example[len(text) :]) is not None
 
 
 def _tell_how_to_resume(work: Sequence[Job], done: dict[int, Evaluation], resume: Path | None) -> None:

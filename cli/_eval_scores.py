@@ -15,7 +15,7 @@ from nmes.errors import visible
 from nmes.evaluation import Evaluation
 from nmes.evaluation.identity import borrows_name
 
-__all__ = ["print_csv", "print_results", "print_table"]
+__all__ = ["format_seeds", "print_csv", "print_results", "print_table"]
 
 _CSV = (
     "genome",
@@ -76,7 +76,7 @@ def _table(evaluations: Sequence[Evaluation]) -> Table:
         table.add_row(
             f"{name}\n{each.genome_hash[:16]}" if ambiguous else name,
             each.task,
-            _runs([result.seed for result in each.results]),
+            format_seeds([result.seed for result in each.results]),
             _number(each.score, 3),
             _number(each.spread, 3),
             _number(each.energy, 1),
@@ -87,7 +87,7 @@ def _table(evaluations: Sequence[Evaluation]) -> Table:
     return table
 
 
-def _runs(seeds: Sequence[int]) -> str:
+def format_seeds(seeds: Sequence[int]) -> str:
     """Writes seeds as `--seeds` reads them: `1-3,7`."""
     runs: list[list[int]] = []
     for seed in sorted(seeds):

@@ -13,8 +13,9 @@ import orjson
 from click.core import ParameterSource
 
 from nmes.cli._eval_jobs import run_jobs
-from nmes.cli._eval_scores import print_csv, print_results, print_table
+from nmes.cli._eval_scores import format_seeds, print_csv, print_results, print_table
 from nmes.cli._genomes import find_genomes
+from nmes.cli._output import check_output
 from nmes.cli._recording_plot import plot_recordings
 from nmes.errors import DocumentError, visible
 from nmes.evaluation import Evaluation, Job, Proof, Task, prove
@@ -100,15 +101,19 @@ def command(
     \b
         nmes eval walker
         nmes eval walker 'evolved/*.json' --task walk --seeds 1-5 --record proofs
-        nmes eval --from-recording proofs/walk-walker-1.mcap --json
+        nmes eval --from-recording proofs/walker-*.mcap --json
         nmes eval walker --seeds 1-3 --record proofs --plot walker.svg
     """
     _check_usage(context)
     if recordings:
         # Those behind the options too, where a shell's *.mcap leaves them.
-        evaluations, whole = _score([*recordings, *map(Path, genomes)]), True
+        paths = [*recordings, *map(Path, genomes)]
+        check_output(plot_to, *paths)
+        evaluations, whole = _score(paths), True
     else:
-        work = _jobs(genomes, task, seeds, record)
+        files = find_genomes(genomes)
+        check_output(plot_to, task, *files, *filter(None, [resume]))
+        work = _jobs(files, task, seeds, record)
         if record is not None:
             record.mkdir(parents=True, exist_ok=True)
         evaluations, whole = run_jobs(work, jobs or os.cpu_count() or 1, ray, resume)
@@ -140,8 +145,8 @@ def _check_usage(context: click.Context) -> None:
             raise click.UsageError(message)
 
 
-def _jobs(genomes: Sequence[str], task: str, seeds: tuple[int, ...] | None, record: Path | None) -> list[Job]:
-    """Returns a job for each genome that the arguments mean."""
+def _jobs(files: Sequence[str], task: str, seeds: tuple[int, ...] | None, record: Path | None) -> list[Job]:
+    """Returns a job for each genome."""
     try:
         asked = Task.load(task)
     except DocumentError as error:
@@ -151,7 +156,7 @@ def _jobs(genomes: Sequence[str], task: str, seeds: tuple[int, ...] | None, reco
         raise click.BadParameter(message, param_hint="--task")
     document = orjson.dumps(asked.document)
     folder = None if record is None else str(record)
-    return [Job(Path(name).stem, _read_genome(name), document, seeds, folder) for name in find_genomes(genomes)]
+    return [Job(Path(name).stem, _read_genome(name), document, seeds, folder) for name in files]
 
 
 def _read_genome(name: str) -> bytes:
@@ -168,9 +173,19 @@ def _score(recordings: Sequence[Path]) -> list[Evaluation]:
     for path in recordings:
         begin = time.perf_counter()
         proof = prove(path)
-        key = proof.genome.hash, proof.task.hash
-        groups.setdefault(key, []).append(proof)
+        key, seed = (proof.genome.hash, proof.task.hash), proof.result.seed
+        group = groups.setdefault(key, [])
+        for other in group:
+            if other.result.seed == seed:
+                what = f"{other.path} and {path} are both of {proof.genome.name!r} on {proof.task.name}, seed {seed}"
+                raise click.UsageError(f"{what}: a seed counts once")
+        group.append(proof)
         seconds[key] = seconds.get(key, 0.0) + time.perf_counter() - begin
+    for proofs in groups.values():
+        task, given = proofs[0].task, [proof.result.seed for proof in proofs]
+        if sorted(given) != sorted(task.seeds):
+            what = f"{proofs[0].genome.name}: this is the mean over the seeds {format_seeds(given)}"
+            click.echo(visible(f"{what}; the seeds of {task.name} are {format_seeds(task.seeds)}"), err=True)
     return [Evaluation.of(proofs, wall_seconds=seconds[key]) for key, proofs in groups.items()]
 
 

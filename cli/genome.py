@@ -14,6 +14,7 @@ from rich.text import Text
 
 from nmes.cli._genomes import find_genomes
 from nmes.cli._json import print_json
+from nmes.cli._output import check_output, whole_file
 from nmes.errors import DocumentError, visible
 from nmes.genome import Genome
 from nmes.genome.body import Body
@@ -101,7 +102,7 @@ def show(files: list[str], output: Path | None, as_json: bool) -> None:
     if as_json:
         print_json([_about(genome) for genome in genomes])
     if output is not None:
-        _draw(genomes, output)
+        _draw(genomes, output, files)
         if not as_json:
             what = visible(genomes[0].name) if len(genomes) == 1 else f"{len(genomes)} genomes"
             click.echo(f"drew {what} to {visible(str(output))}")
@@ -122,7 +123,7 @@ def _load(file: str) -> Genome:
         raise click.ClickException(f"{visible(file)}:\n{error.message}") from error
 
 
-def _draw(genomes: list[Genome], output: Path) -> None:
+def _draw(genomes: list[Genome], output: Path, files: list[str]) -> None:
     from PIL import Image
 
     from nmes.genome.preview import render_body, sheet
@@ -131,10 +132,8 @@ def _draw(genomes: list[Genome], output: Path) -> None:
         pixels = render_body(genomes[0].body)
     else:
         pixels = sheet([(genome.name, genome.body) for genome in genomes])
-    try:
-        Image.fromarray(pixels).save(output, format="PNG")
-    except OSError as error:
-        raise click.ClickException(f"cannot write {output}: {error.strerror}") from error
+    with whole_file(output, *files) as unfinished:
+        Image.fromarray(pixels).save(unfinished, format="PNG")
 
 
 def _about(genome: Genome) -> dict[str, Any]:
@@ -240,11 +239,11 @@ def expand(files: list[str], output: Path | None) -> None:
         targets = [output / f"{Path(file).name.removesuffix('.json')}.json" for file in files]
         if len(set(targets)) < len(targets):
             raise click.UsageError("two of these files have the same name: expand them one by one")
-    try:
-        for target, document in zip(targets, documents, strict=True):
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_bytes(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
-    except OSError as error:
-        raise click.ClickException(f"cannot write {error.filename}: {error.strerror}") from error
+    for target in targets:
+        check_output(target, *files)
+    for target, document in zip(targets, documents, strict=True):
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(target) as unfinished:
+            unfinished.write_bytes(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
     for target in targets:
         click.echo(f"wrote {visible(str(target))}")

@@ -6,13 +6,15 @@ Invariants:
 
 - The score is a function of genome, task and seed, and of the fingerprint (versions, binaries, probe): never of
   what was evaluated before or beside it.
-- A creature that cannot be evaluated, or whose world faults, is a result like any other, with its reason.
+- A creature that cannot be evaluated, or an episode that fails however it may, is a result like any other, with its
+  reason.
 """
 
 from __future__ import annotations
 
 import os
 import re
+import secrets
 import statistics
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,7 +22,7 @@ from dataclasses import asdict, dataclass, field
 from hashlib import sha256
 from math import fsum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, get_type_hints
 
 import orjson
 
@@ -28,7 +30,7 @@ from nmes import protocol
 from nmes.backend import load_backend
 from nmes.backend.fingerprint import decisive, fingerprint
 from nmes.brain import Brain
-from nmes.errors import DocumentError, NmesError, RecordingError, WorldError
+from nmes.errors import DocumentError, NmesError, RecordingError
 from nmes.evaluation.episode import METADATA, Episode, Result, brain_of
 from nmes.evaluation.parallel import Lost, in_processes, on_ray
 from nmes.evaluation.task import Task
@@ -130,17 +132,28 @@ class Evaluation:
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Evaluation:
-        """Reads the plain data that `to_json` returned."""
-        return cls(
-            genome=data["genome"],
-            genome_hash=data["genome_hash"],
-            task=data["task"],
-            task_hash=data["task_hash"],
-            results=tuple(Result(**result) for result in data["results"]),
-            error=data["error"],
-            recordings=tuple(data["recordings"]),
-            wall_seconds=data["wall_seconds"],
-        )
+        """Reads the plain data that `to_json` returned.
+
+        Raises:
+            KeyError, TypeError: They are something else.
+        """
+        results = tuple(Result(**result) for result in data["results"])
+        plain = {name: data[name] for name in ("genome", "genome_hash", "task", "task_hash", "error", "wall_seconds")}
+        evaluation = cls(**plain, results=results, recordings=tuple(data["recordings"]))
+        _check_types(evaluation, plain)
+        for result in results:
+            _check_types(result, asdict(result))
+        if not all(isinstance(recording, str) for recording in evaluation.recordings):
+            raise TypeError("a recording is no text")
+        return evaluation
+
+
+def _check_types(value: Evaluation | Result, fields: Mapping[str, Any]) -> None:
+    """Compares fields of a dataclass with their types; None stands for what JSON cannot say too."""
+    kinds = get_type_hints(type(value))
+    for name, field_value in fields.items():
+        if not isinstance(field_value, kinds[name] | None):
+            raise TypeError(f"{name} is a {type(field_value).__name__}")
 
 
 def _mean(values: Sequence[float | None]) -> float | None:
@@ -161,8 +174,8 @@ def evaluate(
         genome: The creature.
         task: What it is asked to do.
         seeds: Instead of the task's.
-        record: An existing directory, in which a recording of each episode is left, named after genome, task and
-            seed. One of that name is replaced.
+        record: An existing directory, in which a recording of each episode is left, named after genome and task,
+            with their hashes, and seed. One of that name is replaced when the new one is whole.
 
     Returns:
         The scores, in whatever the task's objective measures, and more; `error` says why a creature could not be
@@ -180,14 +193,23 @@ def evaluate(
         reasons = task.check(genome.body)
         error = "; ".join(reasons) or None
         for seed in () if reasons else task.seeds if seeds is None else seeds:
-            if record is None:
-                results.append(_episode(genome, brain, task, seed))
-            else:
-                path = Path(record, f"{_plain(genome.name)}-{genome.hash[:12]}-{task.name}-{seed}.mcap")
-                results.append(_recorded(genome, brain, task, seed, path))
+            place = f"{_plain(genome.name)}-{genome.hash[:16]}-{task.name}-{task.hash[:16]}"
+            path = None if record is None else Path(record, f"{place}-{seed}.mcap")
+            try:
+                result = _recorded(genome, brain, task, seed, path) if path else _episode(genome, brain, task, seed)
+            except NmesError:
+                raise
+            except Exception as failure:  # of an engine, an expression, a brain: this episode's, and no other's
+                fault = f"failed: {type(failure).__name__}: {failure}"
+                results.append(Result(seed, None, 0.0, 0.0, 0, fault=fault))
+                continue
+            results.append(result)
+            if path:
                 recordings.append(str(path))
-    except (DocumentError, WorldError) as refusal:
-        error, results = refusal.message, []
+    except RecordingError:
+        raise
+    except NmesError as refusal:
+        error, results, recordings = refusal.message, [], []
     names = genome.name, genome.hash, task.name, task.hash
     return Evaluation(*names, tuple(results), error, tuple(recordings), time.perf_counter() - begin)
 
@@ -207,8 +229,8 @@ def _episode(genome: Genome, brain: Brain | None, task: Task, seed: int) -> Resu
 
 def _recorded(genome: Genome, brain: Brain | None, task: Task, seed: int, path: Path) -> Result:
     world = World(task.world_config(seed))
-    part = path.with_suffix(".part")  # so that what has the name of a recording is one
-    part.unlink(missing_ok=True)
+    # So that what has the name of a recording is one; and that of two who make it none takes the other's away.
+    part = path.with_suffix(f".{secrets.token_hex(8)}.part")
     about = {"task": protocol.encode(task.document).decode(), "genome": genome.hash, "seed": str(seed)}
     recorder = world.journal = Recorder(part, world, pose_rate=_POSE_RATE, about={METADATA: about})
     try:
@@ -217,12 +239,11 @@ def _recorded(genome: Genome, brain: Brain | None, task: Task, seed: int, path: 
         finally:
             world.close()
             recorder.close()
-    except NmesError:
+        if world.fault is not None and world.fault.code == "recording_failed":
+            raise RecordingError(world.fault.code, world.fault.message)
+        part.replace(path)
+    finally:
         part.unlink(missing_ok=True)
-        raise
-    if world.fault is not None and world.fault.code == "recording_failed":
-        raise RecordingError(world.fault.code, world.fault.message)
-    part.replace(path)
     return result
 
 
@@ -252,14 +273,18 @@ class Job:
         causes = [self.genome.hex(), task.hash, self.seeds, here]
         return sha256(orjson.dumps(causes, option=orjson.OPT_SORT_KEYS)).hexdigest()
 
-    def run(self) -> Evaluation:
-        """Evaluates the genome."""
+    def run(self) -> Evaluation | tuple[str, str]:
+        """Evaluates the genome; where that cannot be recorded, returns the error's code and message instead."""
         task = Task(orjson.loads(self.task))
         try:
             genome = Genome.parse(self.genome)
+            return evaluate(genome, task, seeds=self.seeds, record=self.record)
+        except RecordingError as error:
+            return error.code, error.message  # plain data, as whoever works somewhere else must return
         except DocumentError as error:
             return self.failed(error.message)
-        return evaluate(genome, task, seeds=self.seeds, record=self.record)
+        except Exception as error:  # a mistake of ours, which this genome has found
+            return self.failed(f"{type(error).__name__}: {error}")
 
     def failed(self, error: str) -> Evaluation:
         """Returns the evaluation of a genome that could not be evaluated."""
@@ -278,7 +303,12 @@ def evaluate_all(work: Sequence[Job], *, jobs: int = 1, ray: str | None = None) 
 
     Yields:
         The index of a job and its evaluation, as they are ready. A process that dies over a job is its `error`.
+
+    Raises:
+        RecordingError: A recording cannot be written.
     """
     results = in_processes(Job.run, work, jobs) if ray is None else on_ray(Job.run, work, ray)
     for index, result in results:
+        if isinstance(result, tuple):
+            raise RecordingError(*result)
         yield index, work[index].failed(result.reason) if isinstance(result, Lost) else result

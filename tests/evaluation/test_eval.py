@@ -150,7 +150,7 @@ def test_ctrl_c_keeps_finished_results_and_the_same_command_resumes(folder: Path
     assert b"of 200 done" in stderr and b"the same command goes on" in stderr and b"Traceback" not in stderr
     assert len(json.loads(stdout)) == done
     with results.open("ab") as file:  # as a run that was killed in the midst of a line leaves it
-        file.write(b'{"key": "')
+        file.write(b'{"key":"')
     name = json.loads(results.read_bytes().splitlines()[0])["genome"]
     one_done = many / f"{int(name[1:]):03}.json"
     some = (one_done, many / "199.json", "--task", folder / "dash.json", "--json", "--jobs", 1)
