@@ -67,8 +67,7 @@ class _Group(click.Group):
             raise
         except NmesError as error:
             failure = _NotComparable if error.code == "not_comparable" else click.ClickException
-            raise failure(visible(error.message, keep="
-")) from error
+            raise failure(visible(error.message, keep="\n")) from error
         except OSError as error:
             if error.errno in _FULL:
                 with suppress(OSError):

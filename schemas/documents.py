@@ -54,6 +54,7 @@ NESTING: Final = 200
 """How deep JSON may be nested."""
 CONTAINERS: Final = 1 << 16
 """How many arrays and objects JSON may hold: what one costs does not show in the length of its text."""
+_FILE: Final = 80 << 20  # bytes of a document's file: the largest model of a brain, and as much again as a body
 _EXCERPT: Final = 80  # characters of somebody's value that a message repeats
 _COMPARED, _KNOWN, _CLOSE = 24, 256, 4  # characters of a name, names it is compared with roughly, and closely
 _UNKNOWN: Final = 100  # fields that there are none of, above which an object is not looked into
@@ -374,10 +375,11 @@ class ShippedDocuments:
         """Returns the bytes of the file at a path or, where there is none, of the shipped document of that name.
 
         Raises:
-            DocumentError: There is neither, or the file cannot be read.
+            DocumentError: There is neither, or the file cannot be read, or is too large.
         """
         try:
-            return Path(name).read_bytes()
+            with Path(name).open("rb") as file:
+                text = file.read(_FILE + 1)
         except (FileNotFoundError, IsADirectoryError, NotADirectoryError) as error:
             names = self.names()
             if str(name) in names:
@@ -387,6 +389,9 @@ class ShippedDocuments:
             raise DocumentError([("", message)]) from error
         except OSError as error:
             raise DocumentError([("", f"cannot read {name}: {error.strerror}")]) from error
+        if len(text) > _FILE:
+            raise DocumentError([("", f"{name} has over {_FILE >> 20} MiB, more than a {self.kind} may have")])
+        return text
 
 
 # -- words ------------------------------------------------------------------------------------------------------------

@@ -13,6 +13,7 @@ import base64
 import binascii
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import islice
 from typing import Any, Final
 
 import numpy as np
@@ -39,7 +40,7 @@ _RANDOM: Final = {"Bernoulli", "Multinomial", "RandomNormal", "RandomNormalLike"
 # Which fields of a message hold further messages, and of what kind: https://github.com/onnx/onnx/blob/main/onnx/onnx.proto
 _INSIDE: Final = {
     "model": {7: "graph", 25: "function"},
-    "function": {7: "node"},
+    "function": {7: "node", 11: "attribute"},
     "graph": {1: "node", 5: "tensor", 15: "sparse"},
     "node": {5: "attribute"},
     "attribute": {5: "tensor", 6: "graph", 10: "tensor", 11: "graph", 22: "sparse", 23: "sparse"},
@@ -51,6 +52,7 @@ _DATA_TYPE, _EXTERNAL_DATA, _DATA_LOCATION, _RAW_DATA = 2, 13, 14, 9  # of a ten
 _FLOAT_DATA, _DOUBLE_DATA = 4, 10
 _NUMBERS: Final = {(1, _RAW_DATA): "<f4", (1, _FLOAT_DATA): "<f4", (11, _RAW_DATA): "<f8", (11, _DOUBLE_DATA): "<f8"}
 _DEEPEST: Final = 64
+_MOST_FIELDS: Final = 200_000  # of all messages; a model has some for each node and tensor
 
 _Field = tuple[int, int, int, int]  # number, value if it is a whole number, where its bytes begin and end
 
@@ -62,6 +64,7 @@ class _Contents:
     weights: list[tuple[int, int, str]] = field(default_factory=list)  # where numbers begin and end, and their type
     random: set[str] = field(default_factory=set)
     external: bool = False
+    fields: int = 0
 
 
 def _fields(model: bytes, start: int, end: int) -> Iterator[_Field]:
@@ -100,7 +103,10 @@ def _look(model: bytes, kind: str, start: int, end: int, contents: _Contents, we
     """Looks through a message; `weights` if its tensors are the main graph's, which are parameters."""
     if depth > _DEEPEST:
         raise ValueError("messages are nested too deeply")
-    fields = list(_fields(model, start, end))
+    fields = list(islice(_fields(model, start, end), _MOST_FIELDS + 1 - contents.fields))
+    contents.fields += len(fields)
+    if contents.fields > _MOST_FIELDS:
+        raise ValueError(f"it has more than {_MOST_FIELDS:,} fields")
     for number, _, begin, stop in fields:
         if number in _INSIDE[kind]:
             inner = _INSIDE[kind][number]

@@ -262,6 +262,9 @@ class CpgBrain(Brain):
         for number, link in enumerate(document["links"]):
             sources = oscillators(link["from"], f"links/{number}/from")
             targets = oscillators(link["to"], f"links/{number}/to")
+            if len(edges) + len(sources) * len(targets) > 2 * _EDGES:  # however many of them are of one with itself
+                findings.add(f"links/{number}", f"with it there are over {_EDGES:,} links between two oscillators")
+                return
             pairs = [(source, target) for target in targets for source in sources if source != target]
             if sources and targets and not pairs:
                 findings.add(f"links/{number}", "links an oscillator with itself")

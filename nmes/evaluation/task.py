@@ -43,6 +43,7 @@ SHIPPED: Final = ShippedDocuments("task", "nmes.evaluation", "tasks")
 _TASK: Final = compile_schema("task.json")
 _OURS = ("name", "seed", "mode", "rate")  # of the world's config: the task, its seeds and the evaluation say these
 _GRAVITY = 9.81  # m/s^2, by which efforts are judged, wherever a task's world is
+_TICKS, _STEPS = 100_000, 1_000_000  # ticks and engine steps of an episode: its rows are kept, and somebody waits
 _GAP = 0.001  # m between a prop that lies and what it lies on, so that the engine does not find them overlapping
 CREATURE: Final = "creature"
 """The name of the creature in a task's world; its cubes are `creature.ID`."""
@@ -116,6 +117,10 @@ class Task:
             if isinstance(condition, Condition)
         )
         self.hash = canonical_hash(document)
+        ticks = self.settle_ticks + self.ticks
+        for count, most, what in ((ticks, _TICKS, "ticks"), (ticks * self._config["substeps"], _STEPS, "engine steps")):
+            if count > most:
+                raise DocumentError([("duration", f"makes episodes of {count:,} {what}, at most {most:,}")])
 
     @classmethod
     def load(cls, name_or_path: str | Path) -> Task:

@@ -31,6 +31,8 @@ __all__ = ["needs", "planet_list", "scene_spec"]
 
 _PLANK = 0.1  # m: thickness of a ramp
 _PLAIN = 1000.0  # m: how far the ground reaches where it has gaps, and thus an end
+_MOST_BOXES = 10_000  # of obstacles
+_MOST_GAPS = 64  # what is left of the ground between them is cut along the edges of all
 _OCTAVES = 8  # sizes of hills at most, each half the one before
 _LARGEST_IMAGE = 1025  # pixels a side
 _BIOMES = 5
@@ -53,10 +55,16 @@ def scene_spec(config: Mapping[str, Any], seed: int) -> SceneSpec:
     """
     scene = config["scene"]
     kind = scene["type"]
+    steps = sum(obstacle.get("steps", 1) for obstacle in scene["obstacles"])
+    if steps > _MOST_BOXES:
+        message = f"they are {steps:,} boxes, each step of stairs being one; at most {_MOST_BOXES:,}"
+        raise WorldError("invalid", message, "scene/obstacles")
     boxes = [box for obstacle in scene["obstacles"] for box in _OBSTACLES[obstacle["type"]](obstacle)]
     gaps = [(i, obstacle) for i, obstacle in enumerate(scene["obstacles"]) if obstacle["type"] == "gap"]
     if gaps and kind != "flat":
         raise WorldError("invalid", "only the flat ground can have gaps", f"scene/obstacles/{gaps[0][0]}/type")
+    if len(gaps) > _MOST_GAPS:
+        raise WorldError("invalid", f"there are {len(gaps):,} gaps, at most {_MOST_GAPS}", "scene/obstacles")
     arena = scene.get("arena")
     return SceneSpec(
         timestep=1.0 / (config["tick_rate"] * config["substeps"]),
@@ -217,7 +225,7 @@ def _read_image(text: str) -> Array:
     except binascii.Error as error:
         raise WorldError("invalid", f"the image is not base64: {error}", path) from error
     # The header first: a small file may claim to be of any size.
-    if len(data) < 24 or not data.startswith(b"\x89PNG\r\n\x1a\n"):
+    if len(data) < 24 or not data.startswith(b"\x89PNG\r\n\x1a\n") or data[12:16] != b"IHDR":
         raise WorldError("invalid", "the image is no PNG", path)
     width, height = struct.unpack(">II", data[16:24])
     if not (2 <= width <= _LARGEST_IMAGE and 2 <= height <= _LARGEST_IMAGE):

@@ -5,10 +5,15 @@ What something costs is counted in calls of functions, not in seconds.
 
 from __future__ import annotations
 
+import base64
 import json
 import re
+import struct
 import sys
+import zlib
 from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -17,10 +22,12 @@ from hypothesis import strategies as st
 
 from nmes import World, protocol
 from nmes.brain import load_brain
-from nmes.errors import DocumentError
+from nmes.errors import DocumentError, RejectedMessage
+from nmes.evaluation.task import Task
 from nmes.genome import Genome
 from nmes.protocol import DELIMITER
 from nmes.schemas.documents import fits
+from onnx_models import field, tensor
 
 Json = dict[str, Any]
 
@@ -197,3 +204,82 @@ def test_a_brain_has_only_so_many_wildcards() -> None:
     document = {"kind": "mlp", "inputs": [f"*{i:03}" for i in range(257)], "layers": layers}
     with pytest.raises(DocumentError, match="at most 256 entries with wildcards"):
         load_brain(document, [f"{i:03}" for i in range(257)], ["m"])
+
+
+# -- other documents --------------------------------------------------------------------------------------------------
+
+
+def test_links_of_a_pattern_generator_are_bounded_before_they_are_made() -> None:
+    motors = [f"m{i}" for i in range(512)]
+    waves = [{"motor": "*", "amplitude": 1, "frequency": 1}]
+    document = {"kind": "cpg", "oscillators": waves, "links": [{"from": "*", "to": "*"}] * 100}
+    with pytest.raises(DocumentError, match="links/0: with it there are over 4,096 links"):
+        load_brain(document, [], motors)
+
+
+@pytest.mark.skipif(find_spec("onnxruntime") is None, reason="models need onnxruntime")
+def test_a_model_has_only_so_many_fields_and_no_numbers_in_other_files() -> None:
+    def refused(model: bytes) -> str:
+        with pytest.raises(DocumentError) as caught:
+            load_brain({"kind": "onnx", "model": base64.b64encode(model).decode()}, ["a"], ["m"])
+        return caught.value.message
+
+    assert "more than 200,000 fields" in refused(field(1, 1) * 300_000)
+    assert "more than 200,000 fields" in refused(field(7, b"") * 300_000)
+    hidden = field(25, field(11, field(1, "value") + field(5, tensor("w", [1.0], way="external"))))
+    assert "keeps numbers in other files" in refused(hidden)
+
+
+OBSTACLES: dict[str, tuple[list[Json], str]] = {
+    "stairs": (
+        [{"type": "stairs", "length": 1, "width": 1, "height": 1, "steps": 1000}] * 1000,
+        "they are 1,000,000 boxes",
+    ),
+    "gaps": (
+        [{"type": "gap", "position": [i, 0, i], "length": 0.5, "width": 0.5, "depth": 1} for i in range(5000)],
+        "5,000 gaps, at most 64",
+    ),
+}
+
+
+@pytest.mark.parametrize(("obstacles", "words"), OBSTACLES.values(), ids=OBSTACLES)
+def test_scenery_is_counted_before_it_is_made(obstacles: list[Json], words: str) -> None:
+    with pytest.raises(RejectedMessage, match=words) as caught:
+        World({"scene": {"obstacles": obstacles}})
+    assert caught.value.path == "scene/obstacles"
+
+
+def test_a_landscape_s_image_is_of_the_size_that_its_first_chunk_says() -> None:
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    small = struct.pack(">IIBBBBB", 9, 9, 8, 0, 0, 0, 0)
+    large = struct.pack(">IIBBBBB", 30_000, 30_000, 8, 0, 0, 0, 0)
+    rows = zlib.compress(bytes(30_001 * 100))
+    png = b"\x89PNG\r\n\x1a\n" + chunk(b"teXt", small) + chunk(b"IHDR", large) + chunk(b"IDAT", rows)
+    image = base64.b64encode(png + chunk(b"IEND", b"")).decode()
+    with pytest.raises(RejectedMessage, match="the image is no PNG"):
+        World({"scene": {"type": "heightfield", "heightfield": {"image": image}}})
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"duration": 600, "world": {"tick_rate": 1000}}, "600,500 ticks, at most 100,000"),
+        ({"duration": 600, "world": {"tick_rate": 100, "substeps": 100}}, "6,005,000 engine steps, at most 1,000,000"),
+    ],
+)
+def test_a_task_has_episodes_of_bounded_length(changes: Json, words: str) -> None:
+    document = {**Task.load("walk").document, **changes}
+    with pytest.raises(DocumentError, match=words) as caught:
+        Task(document)
+    assert caught.value.path == "duration"
+
+
+def test_a_document_s_file_is_read_up_to_a_bound(tmp_path: Path) -> None:
+    path = tmp_path / "large.json"
+    with path.open("wb") as file:
+        file.truncate(1 << 40)  # a file with nothing in it takes no room
+    for load in (Genome.load, Task.load):
+        with pytest.raises(DocumentError, match="over 80 MiB"):
+            load(path)
