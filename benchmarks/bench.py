@@ -24,6 +24,7 @@ import brains
 import engines
 import evaluation
 import filming
+import hostile
 import hosting
 import recorded
 import roundtrip
@@ -40,6 +41,7 @@ SUITES = {
     "evaluation": evaluation.figures,
     "filming": filming.figures,
     "hosting": hosting.figures,
+    "hostile": hostile.figures,
     "survival": survival.figures,
     "recorded": recorded.figures,
     "viewing": viewing.figures,

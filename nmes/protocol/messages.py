@@ -247,6 +247,9 @@ def _unknown_type(kind: str, known: Iterable[str]) -> str:
     return f"there is no command {excerpt(kind)}{did_you_mean(kind, known)}"
 
 
+_MOST_VALUES: Final = 100_000  # counted by their commas: reading so many keeps all other threads waiting for 30 ms
+
+
 # -- one message ------------------------------------------------------------------------------------------------------
 
 
@@ -288,6 +291,8 @@ def error_reply(error: NmesError, command_type: str | None = None) -> dict[str, 
 
 def parse(raw: bytes) -> Request:
     """Reads one frame. Never raises."""
+    if len(raw) > _MOST_VALUES and raw.count(b",") > _MOST_VALUES:
+        return Request(raw, None, RejectedMessage("invalid", f"a message holds at most {_MOST_VALUES:,} values"))
     try:
         message = parse_json(raw)
     except RejectedMessage as rejection:

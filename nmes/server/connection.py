@@ -176,6 +176,7 @@ class Connection(asyncio.BufferedProtocol):
         if self._host.accepts(password):
             return None
         guesses.wrong(self._address, now)
+        logger.warning("%s gave a wrong password", self._peer)  # no more often than guesses are heard
         return RejectedMessage("auth_failed", "that is not the password")
 
     def _join(self) -> None:
@@ -191,7 +192,6 @@ class Connection(asyncio.BufferedProtocol):
 
     def _refuse(self, error: NmesError) -> None:
         """Refuses after a while, so that guessing passwords is slow; what comes meanwhile is not even read."""
-        logger.warning("%s failed to authenticate: %s", self._peer, error.code)
         self._transport.pause_reading()
         self._timer = asyncio.get_running_loop().call_later(self._host.auth_delay, self.hang_up, error)
 
@@ -224,15 +224,18 @@ class Connection(asyncio.BufferedProtocol):
             self._queue_violation(session.violation)
         waits = self._reading is not None
         while backlog and not self._full and not waits:
-            request = backlog[0]
-            if type(request) is bytes:
-                if len(request) > LONG:
-                    self._read_in_thread(request)
-                    waits = True
-                    break
-                backlog[0] = request = parse(request)
+            first = backlog[0]
+            if isinstance(first, Request):
+                request = first
+            elif len(first) > LONG:
+                self._read_in_thread(first)
+                waits = True
+                break
+            else:
+                request = parse(first)
                 if request.error is not None:
-                    backlog[0] = request = session.redacted(request)
+                    request = session.redacted(request)
+                backlog[0] = request
             encoded = world.submit(self._client, request)
             waits = encoded is None
             if encoded is None or not backlog:  # it waits, or its connection was ended meanwhile
