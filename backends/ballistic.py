@@ -176,12 +176,24 @@ class BallisticSimulation(Simulation):
         bodies = [asdict(b) for b in self._bodies.values()]
         return json.dumps([bodies, [(n, asdict(spec)) for n, spec in self._joints.items()]]).encode()
 
+    def members(self) -> tuple[dict[int, bool], dict[int, tuple[str, int, int]]]:
+        bodies = {number: body.frozen for number, body in self._bodies.items()}
+        return bodies, {number: (spec.kind, spec.body1, spec.body2) for number, spec in self._joints.items()}
+
     def restore(self, snapshot: bytes) -> None:
-        bodies, joints = json.loads(snapshot)
-        plain = JointParams()
-        self._bodies = {b["number"]: _Body(**_tuples(b | {"spec": BodySpec(**_tuples(b["spec"]))})) for b in bodies}
-        self._joints = {number: JointSpec(**_tuples(spec | {"params": plain})) for number, spec in joints}
-        self._clusters = None
+        try:
+            bodies, joints = json.loads(snapshot)
+            plain = JointParams()
+            self._bodies = {b["number"]: _Body(**_tuples(b | {"spec": BodySpec(**_tuples(b["spec"]))})) for b in bodies}
+            self._joints = {number: JointSpec(**_tuples(spec | {"params": plain})) for number, spec in joints}
+            self._clusters = None
+            self._find_clusters()
+            sound = all(map(_sound, self._bodies.values())) and {s.kind for s in self._joints.values()} <= {"fixed"}
+            self.digest()  # packs all there is, so all of it are numbers, and as many as there must be
+        except (ValueError, TypeError, KeyError, AttributeError, struct.error) as error:
+            raise WorldError("bad_snapshot", f"the engine's part of it is not sound: {error!r}") from error
+        if not sound:
+            raise WorldError("bad_snapshot", "the engine's part of it has numbers that no body can have")
 
     def _find_clusters(self) -> list[list[_Body]]:
         """Returns the bodies, those that joints hold together in one list; kept until the structure changes."""
@@ -309,6 +321,15 @@ def _inverse(matrix: Array) -> Array:
     a, b, c = matrix
     columns = np.array([np.cross(b, c), np.cross(c, a), np.cross(a, b)])
     return np.asarray(columns.T / (a * columns[0]).sum())
+
+
+def _sound(b: _Body) -> bool:
+    spec = b.spec
+    wrench = (*b.force, *b.torque, *b.impulse, *b.angular_impulse, b.ground_force)
+    state = (*b.position, *b.quaternion, *b.linear, *b.angular, *wrench, spec.friction, spec.restitution)
+    turn = sum(x * x for x in b.quaternion)
+    solid = all(0.0 < x < TOO_FAR for x in (*spec.size, spec.mass))
+    return solid and all(abs(x) < TOO_FAR for x in state) and abs(turn - 1.0) < 1e-6
 
 
 def _matrix(q: Quaternion) -> Array:

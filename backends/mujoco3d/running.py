@@ -25,7 +25,10 @@ from nmes.backends.mujoco3d.sensing import STATE, Senses
 from nmes.backends.mujoco3d.sleep import AWAKE, count_awake
 from nmes.errors import SimulationFault
 
-__all__ = ["RunningModel", "Wrenches"]
+__all__ = ["HUGE", "RunningModel", "Wrenches"]
+
+HUGE = 1e10
+"""MuJoCo's mjMAXVAL: beyond this it calls a state bad."""
 
 logger = logging.getLogger(__name__)
 
@@ -35,7 +38,6 @@ _FAULTS = {
     _WARNINGS.mjWARN_CONTACTFULL: ("contact_overflow", "the engine ran out of room for contacts"),
     _WARNINGS.mjWARN_CNSTRFULL: ("constraint_overflow", "the engine ran out of room for constraints"),
 }
-_HUGE = 1e10  # mjMAXVAL: beyond this the engine calls a state bad
 
 # What MuJoCo prints of a diverging world goes to the log; the fault says it to the user.
 mujoco.set_mju_user_warning(lambda message: logger.debug("mujoco: %s", message))
@@ -315,7 +317,7 @@ class RunningModel:
                 raise SimulationFault(code, message)
         owner = self.model.dof_bodyid
         for values, quantity in ((self.data.qvel, "velocity"), (self.data.qacc, "acceleration")):
-            bad = np.flatnonzero(~(np.abs(values) <= _HUGE))
+            bad = np.flatnonzero(~(np.abs(values) <= HUGE))
             if len(bad):
                 body = self.compiled.body_number[int(owner[bad[0]])]
                 raise SimulationFault("diverged", f"the engine diverged: {quantity} out of bounds", body)

@@ -277,6 +277,12 @@ class MujocoSimulation(Simulation):
             apply_edits(self.running, self.structure, self._scene, self.body_state)
         return write_snapshot(self.running, self.structure, self._wrenches)
 
+    def members(self) -> tuple[dict[int, bool], dict[int, tuple[str, int, int]]]:
+        """Returns the bodies and the joints."""
+        bodies = {number: body.frozen for number, body in self.structure.bodies.items()}
+        joints = {number: (joint.kind, joint.body1, joint.body2) for number, joint in self.structure.joints.items()}
+        return bodies, joints
+
     def restore(self, snapshot: bytes) -> None:
         """Takes up a state that `snapshot` returned, in place of all that is here."""
         read_snapshot(snapshot, self._scene, self.running, self.structure, self._wrenches)

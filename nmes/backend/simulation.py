@@ -255,7 +255,19 @@ class Simulation(ABC):
         raise NotImplementedError
 
     def restore(self, snapshot: bytes) -> None:
-        """Takes up a state that `snapshot` of the same engine returned. Only with capability `snapshot`."""
+        """Takes up a state that `snapshot` of the same engine returned. Only with capability `snapshot`.
+
+        Raises:
+            WorldError: `bad_snapshot`: the bytes are no such state. They may be anybody's: whatever is taken up must
+                go on without a fault of the adapter's. The simulation must then be closed.
+        """
+        raise NotImplementedError
+
+    def members(self) -> tuple[dict[int, bool], dict[int, tuple[str, int, int]]]:
+        """Returns what there is: the bodies, each with whether it is frozen, and the joints: kind, body1 and body2.
+
+        Only with capability `snapshot`: a World holds what was restored against what it says of itself.
+        """
         raise NotImplementedError
 
     def close(self) -> None:  # noqa: B027 - most engines have nothing to release

@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from hashlib import blake2b
+from itertools import pairwise
 from typing import Any
 
 from nmes import protocol
@@ -149,19 +150,37 @@ class Entities:
         Args:
             state: The cubes and joints, as `snapshot` returned them.
             engine: The engine's snapshot.
+
+        Raises:
+            WorldError: `bad_snapshot`, or another where the parts do not fit together; or any other error.
         """
+        self._check_numbers(state)
         self.version, self._spawned, self._joined = state["version"], state["spawned"], state["joined"]
         for values in state["cubes"]:
             vectors = {name: vector(values[name]) for name in ("size", "origin")}
             self._add_cube(Cube(**{**values, **vectors, "color": tuple(values["color"])}))
         for values in state["joints"]:
             cubes = {name: self.cubes[values[name]] for name in ("cube1", "cube2")}
+            if not joint_params.is_complete(values["params"]):
+                raise WorldError("bad_snapshot", f"the joint {values['name']!r} lacks parameters, or they are none")
             watts = values["watts"]
             joint = Joint(**{**{name: value for name, value in values.items() if name != "watts"}, **cubes})
             if watts is not None:
                 self.meter.add(joint.number, watts)
             self._add_joint(joint)
         self.simulation.restore(engine)
+        bodies = {cube.body: cube.frozen for cube in self.cubes.values()}
+        joints = {one.number: (one.kind, one.cube1.body, one.cube2.body) for one in self.joints.values()}
+        if self.simulation.members() != (bodies, joints):
+            raise WorldError("bad_snapshot", "its engine has other cubes or joints than its world")
+
+    def _check_numbers(self, state: JsonObject) -> None:
+        """Raises WorldError unless cubes and joints are in order of creation, and no more than there may be."""
+        for things, key, last in (("cubes", "body", "spawned"), ("joints", "number", "joined")):
+            numbers = [0, *(values[key] for values in state[things]), state[last] + 1]
+            if any(one >= other for one, other in pairwise(numbers)):
+                raise WorldError("bad_snapshot", f"its {things} are not numbered in order of creation")
+        self.require_room(len(state["cubes"]), len(state["joints"]))
 
     def _add_cube(self, cube: Cube) -> None:
         self.cubes[cube.name] = cube

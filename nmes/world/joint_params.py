@@ -13,7 +13,7 @@ from typing import Any
 from nmes.backend import JointParams
 from nmes.errors import WorldError
 
-__all__ = ["CAPABILITY", "adjust", "default_params", "engine_params"]
+__all__ = ["CAPABILITY", "adjust", "default_params", "engine_params", "is_complete"]
 
 Params = dict[str, Any]
 
@@ -50,6 +50,13 @@ def default_params(engine_step: float) -> Params:
         "limit_upper": 0.0,
         "limit_enabled": False,
     }
+
+
+def is_complete(params: Mapping[str, Any]) -> bool:
+    """Tells whether these are all the parameters of a joint, each of its type."""
+    types = {name: {type(value)} for name, value in default_params(1.0).items()}
+    types["target_position"].add(float)
+    return params.keys() == types.keys() and all(type(params[name]) in types[name] for name in types)
 
 
 def adjust(
