@@ -16,6 +16,9 @@ import numpy as np
 import pytest
 
 from layout import ROOT
+from nmes.backend import load_backend
+from nmes.backend.fingerprint import fingerprint
+from nmes.evaluation import Job
 from processes import NMES
 
 # -- what no module may call ------------------------------------------------------------------------------------------
@@ -209,6 +212,16 @@ def test_a_proof_that_comes_out_otherwise_beside_another_probe_is_not_comparable
     assert code == 3 and "recorded with another probe" in output
     code, output = nmes("leaderboard", "add", str(tmp_path / "board"), str(proof), **UNLIKE)
     assert code != 0 and "diverge" not in output
+
+
+def test_a_result_is_found_again_where_the_same_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:
+    job = Job("walker", (ROOT / "nmes/genome/shipped/walker.json").read_bytes(), json.dumps(TASK).encode())
+    key = job.key
+    for item, same in (("cpu", True), ("simd", True), ("libc", True), ("probe", False), ("engine.version", False)):
+        here = fingerprint(load_backend("mujoco")) | {item: "another"}
+        with monkeypatch.context() as patch:
+            patch.setattr("nmes.evaluation.evaluator.fingerprint", lambda backend, here=here: here)
+            assert (job.key == key) is same, item
 
 
 def nmes(*arguments: str, **environment: str) -> tuple[int, str]:

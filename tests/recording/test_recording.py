@@ -103,8 +103,9 @@ def test_metadata_say_how_to_run_the_world_again(busy_file: Path) -> None:
 
 def test_only_what_affects_results_makes_fingerprints_differ(busy_file: Path) -> None:
     here = Recording(busy_file).fingerprint
-    assert differences(here, {**here, "cpu": "another", "python": "another", "os": "another"}) == {}
-    assert differences(here, {**here, "libc": "musl"}) == {"libc": (here["libc"], "musl")}
+    names = ("architecture", "simd", "libc", "cpu", "cpu_flags", "python", "os")
+    assert differences(here, {**here, **dict.fromkeys(names, "another")}) == {}
+    assert differences(here, {**here, "probe": "another"}) == {"probe": (here["probe"], "another")}
     assert differences(here, {**here, "engine.new": "1"}) == {"engine.new": ("", "1")}
 
 

@@ -16,7 +16,7 @@ from PIL import Image, ImageSequence
 from nmes.backend import fingerprint as fingerprints
 from nmes.cli import main
 from nmes.errors import FilmError, WorldError
-from nmes.recording import Recording
+from nmes.recording import Recorder, Recording
 from nmes.view.film import Cut, film
 from nmes.view.moments import moments
 from nmes.world import World
@@ -63,11 +63,11 @@ def recording(thrown: Recording, tmp_path: Path) -> Recording:
 
 
 def alien(monkeypatch: pytest.MonkeyPatch, path: Path, pose_rate: float = 10.0) -> Recording:
-    """A recording of another machine."""
+    """A recording of a machine that computes otherwise."""
+    ticked = Recorder.ticked
     with monkeypatch.context() as patch:
-        patch.setattr(
-            "nmes.recording.recorder.fingerprint", lambda b: {**fingerprints.fingerprint(b), "simd": "of another kind"}
-        )
+        patch.setattr("nmes.recording.recorder.fingerprint", lambda b: {**fingerprints.fingerprint(b), "probe": "0ff"})
+        patch.setattr(Recorder, "ticked", lambda self, frame, digest: ticked(self, frame, digest[::-1]))
         return Recording(record(path, throw, CONFIG, pose_rate=pose_rate))
 
 
