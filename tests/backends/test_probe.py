@@ -12,7 +12,7 @@ import pytest
 from nmes.backend import Backend, SceneSpec, Simulation, load_backend
 from nmes.backend.fingerprint import differences, fingerprint
 from nmes.backend.probe import probe
-from nmes.backends.ballistic import BallisticBackend
+from nmes.backends.ballistic import BallisticBackend, BallisticSimulation
 from nmes.errors import SimulationFault
 
 
@@ -21,7 +21,7 @@ def test_an_engine_that_computes_otherwise_in_one_bit_has_another_probe() -> Non
         pass
 
     class Heavier(BallisticBackend):
-        def create(self, scene: SceneSpec) -> Simulation:
+        def create(self, scene: SceneSpec) -> BallisticSimulation:
             x, y, z = scene.gravity
             return super().create(replace(scene, gravity=(x, math.nextafter(y, 0.0), z)))
 
@@ -31,7 +31,7 @@ def test_an_engine_that_computes_otherwise_in_one_bit_has_another_probe() -> Non
 
 def test_an_engine_that_faults_in_the_probe_still_has_one() -> None:
     class Faulty(BallisticBackend):
-        def create(self, scene: SceneSpec) -> Simulation:
+        def create(self, scene: SceneSpec) -> BallisticSimulation:
             raise SimulationFault("diverged", "always")
 
     assert len(probe(Faulty())) == 32 and probe(Faulty()) != probe(BallisticBackend())
@@ -43,7 +43,7 @@ def test_a_probe_asks_for_nothing_that_is_not_promised(monkeypatch: pytest.Monke
     class Bare(BallisticBackend):
         capabilities = frozenset[str]()
 
-        def create(self, scene: SceneSpec) -> Simulation:
+        def create(self, scene: SceneSpec) -> BallisticSimulation:
             assert not (scene.boxes or scene.planets or scene.heightfield or scene.arena or scene.options)
             simulation = super().create(scene)
             for name in ("add_joint", "contacts", "ranges", "proper_accelerations", "snapshot", "draw"):
