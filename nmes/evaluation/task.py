@@ -60,6 +60,7 @@ class Limits:
         density: Of each cube, kg/m^3.
         neighbours: Mass of a cube, of that of another to which a joint joins it.
         effort: Of each motor: of a slide's, of the body's weight at 9.81 m/s^2; of a hinge's, of weight times size.
+        restitution: Of each cube.
         energy: Work of its motors, J.
         speed: Of the centre of each cube, m/s.
         spin: Of each cube, rad/s.
@@ -71,6 +72,7 @@ class Limits:
     density: float | None = None
     neighbours: float | None = None
     effort: float | None = None
+    restitution: float | None = None
     energy: float | None = None
     speed: float | None = None
     spin: float | None = None
@@ -305,6 +307,7 @@ class Task:
         masses = {cube.id: cube.mass for cube in body.cubes}
         weight = _GRAVITY * body.mass
         densities = [(cube.mass / math.prod(cube.size), cube.id) for cube in body.cubes]
+        bounces = [(cube.restitution or 0.0, cube.id) for cube in body.cubes]
         pairs = [(masses[joint.cube1] / masses[joint.cube2], joint.id) for joint in body.joints]
         pairs += [(1.0 / ratio, joint) for ratio, joint in pairs]
         efforts = [
@@ -315,6 +318,7 @@ class Task:
         for limit, values, words in (
             (self.limits.density, densities, "cube {!r} has {:g} kg/m^3, at most {:g} are allowed"),
             (self.limits.neighbours, pairs, "joint {!r} joins masses of 1 to {:g}, at most 1 to {:g} are allowed"),
+            (self.limits.restitution, bounces, "cube {!r} has a restitution of {:g}, at most {:g} is allowed"),
             (
                 self.limits.effort,
                 efforts,

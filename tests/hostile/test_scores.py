@@ -115,6 +115,7 @@ def test_no_task_takes_a_motor_beyond_all_measure(name: str) -> None:
         ({"density": 10}, pair(mass=10.01), "cube 'a' has 10.01 kg/m^3, at most 10 are allowed"),
         ({"neighbours": 4}, "light", "joint 'j' joins masses of 1 to 5, at most 1 to 4 are allowed"),
         ({"effort": 1}, pair(motor=drive(1, 20)), "joint 'j' has an effort of 1.01937, at most 1 is allowed"),
+        ({"restitution": 0.5}, "ball", "cube 'b' has a restitution of 0.6, at most 0.5 is allowed"),
         # The arm of a hinge is the body's longest edge, here 2 m.
         ({"effort": 1}, pair("hinge", motor=drive(1, 40)), "joint 'j' has an effort of 1.01937, at most 1 is allowed"),
     ],
@@ -123,6 +124,9 @@ def test_bodies_that_could_not_be_built_are_refused(limits: dict[str, float], ge
     if genome == "light":
         genome = pair(mass=5)
         genome["body"]["cubes"][1]["mass"] = 1
+    if genome == "ball":
+        genome = pair()
+        genome["body"]["cubes"][1]["restitution"] = 0.6
     evaluation = evaluate(Genome(genome), Task({**DASH, "limits": limits}))
     assert words in (evaluation.error or "") and not evaluation.results
     ((name, limit),) = limits.items()
@@ -236,7 +240,7 @@ def test_a_creature_that_does_nothing_scores_exactly_nothing(name: str) -> None:
     block = {"id": "a", "size": [0.6, 0.3, 0.4], "mass": 10, "position": [0, 0.15, 0]}
     tall = {"id": "a", "size": [0.2, 1.9, 0.2], "mass": 10, "position": [0, 0.95, 0]}
     edge = {"id": "a", "size": 0.4, "mass": 10, "position": [0, 0.283, 0], "rotation": [0, 0, 0.785398]}
-    for cube in (block, tall, edge, {**edge, "friction": 0, "restitution": 0.9}):
+    for cube in (block, tall, edge, {**edge, "friction": 0, "restitution": 0.5}):
         genome = {"format": "nmes-genome/1", "name": "still", "body": {"cubes": [cube]}}
         evaluation = evaluate(Genome(genome), Task.load(name), seeds=[1, 2])
         scores = {result.score for result in evaluation.results}
