@@ -26,6 +26,7 @@ Json = dict[str, Any]
 Bounds = tuple[float, float]
 
 FACES = ["+x", "-x", "+y", "-y", "+z", "-z"]
+_PLACES = ("size", "position", "rotation", "anchor", "axis", "at", "color")
 INERT = ("no brain", "no motors", "no effort", "zero", "constant")
 """The ways in which a creature does nothing."""
 
@@ -104,6 +105,34 @@ def draw_genome(seed: int, numbers: Array | None = None, *, planar: bool = False
     return document, np.array(draw.numbers)
 
 
+def vary_genome(name: str, numbers: Array | None = None) -> tuple[Json, Array]:
+    """Changes the numbers of a shipped genome, but for where its parts are and how large.
+
+    Args:
+        name: The genome's.
+        numbers: From 0 to 1, as many as a draw without them returned: from a tenth of what it was to ten times that,
+            0.5 being what it was.
+
+    Returns:
+        The document, and the numbers that it was made of.
+    """
+    document = Genome.load(name).document
+    places = list(_numbers_of([document["body"], document.get("brain")]))
+    numbers = np.full(len(places), 0.5) if numbers is None else numbers
+    for (container, key), part in zip(places, numbers.tolist(), strict=True):
+        container[key] *= 10.0 ** (2.0 * part - 1.0)
+    return document, numbers
+
+
+def _numbers_of(value: Any) -> Iterator[tuple[Any, Any]]:
+    """Yields where in a document there are numbers that may change, as pairs of a container and a key."""
+    for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+        if isinstance(item, float | int) and not isinstance(item, bool) and key != "recursive_limit":
+            yield value, key
+        elif isinstance(item, dict | list) and key not in _PLACES:
+            yield from _numbers_of(item)
+
+
 def valid_genomes(seeds: Iterator[int], refused: Counter[str], *, planar: bool = False) -> Iterator[tuple[int, Json]]:
     """Yields the seeds that draw a good genome, with the genome; counts in `refused` why others do not."""
     for seed in seeds:
@@ -156,8 +185,9 @@ def _joints(document: Json) -> list[Json]:
 # -- bodies -----------------------------------------------------------------------------------------------------------
 
 
-def _size(draw: Draw) -> list[float]:
-    return [draw.number((0.08, 0.7), (0.01, 3.0)) for _ in range(3)]
+def _size(draw: Draw, *, root: bool) -> list[float]:
+    usual = (0.1, 0.7) if root else (0.05, 0.4)
+    return [draw.number(usual, (0.01, 3.0)) for _ in range(3)]
 
 
 def _surface(draw: Draw) -> Json:
@@ -171,8 +201,8 @@ def _surface(draw: Draw) -> Json:
 
 def _joint(draw: Draw, planar: bool) -> Json:
     """Draws what a joint is, but for where."""
-    kinds, weights = ["hinge", "slide", "fixed", "pin", "conetwist"], [0.5, 0.2, 0.12, 0.09, 0.09]
-    kind = draw.one_of(kinds[:4], [0.5, 0.25, 0.15, 0.1]) if planar else draw.one_of(kinds, weights)
+    kinds, weights = ["hinge", "slide", "fixed", "pin", "conetwist"], [0.58, 0.18, 0.1, 0.07, 0.07]
+    kind = draw.one_of(kinds[:4], [0.6, 0.2, 0.1, 0.1]) if planar else draw.one_of(kinds, weights)
     joint: Json = {"type": kind}
     if kind in ("hinge", "slide", "conetwist") and (draw.chance(0.5) or (planar and kind == "slide")):
         axis = draw.one_of([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], None])
@@ -193,7 +223,7 @@ def _joint(draw: Draw, planar: bool) -> Json:
         joint["stiffness"] = draw.number((0.1, 500.0), (1e-3, 1e6))
     if draw.chance(0.3):
         joint["damping"] = draw.number((0.01, 20.0), (1e-3, 1e6))
-    if draw.chance(0.8):
+    if draw.chance(0.85):
         joint["motor"] = _motor(draw, unit)
     return joint
 
@@ -211,7 +241,7 @@ def _graph(draw: Draw, planar: bool) -> Json:
     parts: list[Json] = []
     connections: list[Json] = []
     for i in range(draw.count(2, 5)):
-        part = {"id": f"p{i}", "size": _size(draw), "density": draw.number((100.0, 2000.0), (1.0, 1e5))}
+        part = {"id": f"p{i}", "size": _size(draw, root=i == 0), "density": draw.number((100.0, 2000.0), (1.0, 1e5))}
         part |= _surface(draw)
         if i:
             part["joint"] = _joint(draw, planar)
@@ -244,8 +274,8 @@ def _cubes(draw: Draw, planar: bool) -> Json:
     places: list[Array] = []
     cubes: list[Json] = []
     joints: list[Json] = []
-    for i in range(draw.one_of([1, 2, 2, 3, 4, 5, 6, 8, 12])):
-        size, place = np.array(_size(draw)), np.zeros(3)
+    for i in range(draw.one_of([1, 2, 3, 3, 4, 5, 6, 8, 12])):
+        size, place = np.array(_size(draw, root=i == 0)), np.zeros(3)
         if i:
             parent = i - 1 if draw.chance(0.6) else draw.count(0, i - 1)
             axis, sign = draw.count(0, 1 if planar else 2), draw.one_of([-1.0, 1.0])

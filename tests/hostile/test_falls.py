@@ -1,0 +1,58 @@
+"""To fall is worth nothing: towers that lean as far as it takes, one towards its target, one that bounces."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from nmes.evaluation import Task, evaluate
+from nmes.genome import Genome
+
+MLP = {
+    "kind": "mlp",
+    "inputs": ["foot.target_direction.x", "foot.target_direction.z"],
+    "outputs": ["lean_z", "lean_x"],
+    "layers": [{"weights": [[-4, 0], [0, 4]], "biases": [0, 0]}],
+}
+"""Leans towards the target."""
+FORWARD = {"kind": "sine", "oscillators": [{"motor": "lean_z", "amplitude": 0, "offset": -1}]}
+"""Leans along x."""
+
+
+def tower(size: float, brain: dict[str, Any], *, restitution: float = 0.0, effort: float = 120.0) -> Genome:
+    """Returns a tower of a height in m: a foot, a pole that can lean on it in any direction, a heavy head."""
+    pole = size - 0.6
+    cubes: list[dict[str, Any]] = [
+        {"id": "foot", "size": [0.7, 0.1, 0.7], "mass": 4, "position": [0, 0.05, 0]},
+        {"id": "ankle", "size": [0.1, 0.1, 0.1], "mass": 1, "position": [0, 0.15, 0]},
+        {"id": "pole", "size": [0.1, pole, 0.1], "mass": 2, "position": [0, 0.2 + pole / 2, 0]},
+        {"id": "head", "size": [0.4, 0.4, 0.4], "mass": 40, "position": [0, size - 0.2, 0]},
+    ]
+    motor = {"mode": "position", "range": [-1.7, 1.7], "max_effort": effort}
+    lean = {"type": "hinge", "anchor": [0, 0.15, 0], "motor": motor}
+    joints = [
+        {"id": "lean_z", "cube1": "foot", "cube2": "ankle", "axis": [0, 0, 1], **lean},
+        {"id": "lean_x", "cube1": "ankle", "cube2": "pole", "axis": [1, 0, 0], **lean},
+        {"id": "neck", "cube1": "pole", "cube2": "head", "type": "fixed", "anchor": [0, size - 0.4, 0]},
+    ]
+    body = {"cubes": [{**cube, "restitution": restitution} for cube in cubes], "joints": joints}
+    sensors = [{"type": "target_direction", "cube": "foot"}]
+    return Genome({"format": "nmes-genome/1", "name": "tower", "body": body, "sensors": sensors, "brain": brain})
+
+
+@pytest.mark.parametrize("size", [1.95, 3.99])
+@pytest.mark.parametrize("restitution", [0.0, 1.0])
+@pytest.mark.parametrize("name", ["walk", "jump-high", "jump-far", "stairs", "rough"])
+def test_a_tower_that_falls_scores_nothing(name: str, restitution: float, size: float) -> None:
+    evaluation = evaluate(tower(size, FORWARD, restitution=restitution), Task.load(name), seeds=[1])
+    assert evaluation.error is None
+    assert not any(result.score for result in evaluation.results), evaluation.results
+
+
+@pytest.mark.parametrize(("size", "effort"), [(1.95, 120.0), (3.99, 60.0), (3.99, 120.0), (3.99, 150.0)])
+def test_a_tower_that_falls_onto_its_target_scores_nothing(size: float, effort: float) -> None:
+    task = Task.load("reach")
+    evaluation = evaluate(tower(size, MLP, effort=effort), task)
+    assert not any(result.score for result in evaluation.results), evaluation.results
+    assert evaluation.error is None or size > 2.0
