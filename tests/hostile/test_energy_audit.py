@@ -35,10 +35,10 @@ def test_the_auditor_finds_a_push_that_no_motor_gave(genome: str, name: str, mon
     ticks, tick = count(), World.tick
 
     def pushing(world: World) -> None:
-        if next(ticks) == 200:
-            root = world.creature("creature").cubes[creature.body.cubes[0].id]
-            push = {"type": "apply_physics", "cube_name": root, "impulse": [0, 16.0 * creature.body.mass, 0]}
-            assert world.execute(1, push)["type"] == "physics_applied"
+        if next(ticks) == 120:
+            for cube in creature.body.cubes:  # all of it alike, 5 m/s upwards
+                push = {"type": "apply_physics", "cube_name": f"creature.{cube.id}", "impulse": [0, 5 * cube.mass, 0]}
+                assert world.execute(1, push)["type"] == "physics_applied"
         tick(world)
 
     honest = audited(creature, task, 1)
