@@ -20,7 +20,7 @@ def command(name: str | None, as_json: bool) -> None:
     """List the tasks that creatures can be put to.
 
     With NAME (of one that comes with the package, or a file) it shows that one: what is asked, its objective, what ends
-    it, its limits, and what its seeds decide. As JSON it is a beginning for one of your own.
+    it, its limits, and what its seeds decide. As JSON it is a beginning for one of your own, with a name of its own.
 
     For example:
 

@@ -18,7 +18,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from creatures import SINE, WAVE, cpg, mlp, snake
 from nmes.cli import main
 from nmes.errors import BackendNotFound, MissingPackage, ProofError, RecordingError
-from nmes.evaluation import Task, evaluate, leaderboard_entry, prove
+from nmes.evaluation import Task, evaluate, leaderboard, leaderboard_entry, prove
 from nmes.evaluation.identity import creature_hash
 from nmes.evaluation.leaderboard import Leaderboard
 from nmes.evaluation.parallel import Lost
@@ -313,8 +313,6 @@ def test_what_cannot_be_judged_here_is_neither_held_nor_broken_nor_marked(
 
 
 def test_an_entry_whose_worker_was_killed_is_not_judged(board: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from nmes.evaluation import leaderboard
-
     def killed(function: Any, work: list[Any], jobs: int) -> Iterator[tuple[int, Any]]:
         for index, item in enumerate(work):
             yield index, Lost("the process that worked on it was killed by SIGKILL") if index == 0 else function(item)
@@ -523,6 +521,20 @@ def test_a_task_with_a_borrowed_name_is_refused(board: Path, tmp_path: Path) -> 
     assert run("add", board, *recorded).exit_code == 1
     rescored = CliRunner().invoke(main, ["eval", "--from-recording", *recorded])
     assert rescored.exit_code == 0 and task.hash[:16] in rescored.stdout
+
+
+def test_an_entry_on_another_version_of_a_shipped_task_is_not_judged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    board, path = tmp_path / "board.sqlite", borrowed(tmp_path / "mine.json")
+    recorded = proofs_of(tmp_path / "forged", Genome.load("walker").document, json.loads(path.read_text()))
+    with monkeypatch.context() as patch:  # as a version does with which this one ships
+        patch.setattr(leaderboard, "borrows_name", lambda *_: False)
+        assert run("tasks", board, "--allow", path).exit_code == 0
+        assert run("add", board, *recorded).exit_code == 0 and verdicts(board)[0] == 0
+    status, found = verdicts(board, "--write")
+    assert status == 3 and found["walker"][0] == "not_judged" and "another walk" in found["walker"][1]
+    assert "walk (not the one that ships)" in run("show", board).stdout
 
 
 def test_an_entry_on_a_task_with_a_borrowed_name_is_not_held(board: Path) -> None:
