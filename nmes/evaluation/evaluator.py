@@ -248,6 +248,14 @@ def _recorded(genome: Genome, brain: Brain | None, task: Task, seed: int, path: 
 
 
 @dataclass(frozen=True, slots=True)
+class _Unrecorded:
+    """A RecordingError as plain data, which can be sent from process to process."""
+
+    code: str
+    message: str
+
+
+@dataclass(frozen=True, slots=True)
 class Job:
     """A genome to be evaluated somewhere else: plain data, the genome not looked at yet.
 
@@ -273,14 +281,14 @@ class Job:
         causes = [self.genome.hex(), task.hash, self.seeds, here]
         return sha256(orjson.dumps(causes, option=orjson.OPT_SORT_KEYS)).hexdigest()
 
-    def run(self) -> Evaluation | tuple[str, str]:
-        """Evaluates the genome; where that cannot be recorded, returns the error's code and message instead."""
+    def run(self) -> Evaluation | _Unrecorded:
+        """Evaluates the genome; where that cannot be recorded, returns why."""
         task = Task(orjson.loads(self.task))
         try:
             genome = Genome.parse(self.genome)
             return evaluate(genome, task, seeds=self.seeds, record=self.record)
         except RecordingError as error:
-            return error.code, error.message  # plain data, as whoever works somewhere else must return
+            return _Unrecorded(error.code, error.message)
         except DocumentError as error:
             return self.failed(error.message)
         except Exception as error:  # a mistake of ours, which this genome has found
@@ -309,6 +317,6 @@ def evaluate_all(work: Sequence[Job], *, jobs: int = 1, ray: str | None = None) 
     """
     results = in_processes(Job.run, work, jobs) if ray is None else on_ray(Job.run, work, ray)
     for index, result in results:
-        if isinstance(result, tuple):
-            raise RecordingError(*result)
+        if isinstance(result, _Unrecorded):
+            raise RecordingError(result.code, result.message)
         yield index, work[index].failed(result.reason) if isinstance(result, Lost) else result
