@@ -88,7 +88,8 @@ def say(**command: Any) -> bytes:
 
 def empty_genome(attack: Attack) -> None:
     """600 KB of a genome with 200,000 empty cubes."""
-    attack.again(b'{"type":"spawn_creature","genome":{"nmes":1,"cubes":[' + b",".join([b"{}"] * 200_000) + b"]}}")
+    genome = b'{"format":"nmes-genome/1","name":"x","body":{"cubes":[' + b",".join([b"{}"] * 200_000) + b"]}}"
+    attack.again(b'{"type":"spawn_creature","genome":' + genome + b"}")
 
 
 def small_genome(attack: Attack) -> None:

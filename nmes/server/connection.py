@@ -176,7 +176,7 @@ class Connection(asyncio.BufferedProtocol):
         if self._host.accepts(password):
             return None
         guesses.wrong(self._address, now)
-        logger.warning("%s gave a wrong password", self._peer)  # no more often than guesses are heard
+        logger.warning("%s failed to authenticate: wrong password", self._peer)  # as often as guesses are heard
         return RejectedMessage("auth_failed", "that is not the password")
 
     def _join(self) -> None:
