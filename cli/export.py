@@ -56,7 +56,10 @@ def command(recording: Recording, kind: str, what: str | None, output: Path | No
             write_parquet(rows, unfinished)
     else:
         with _text(output, recording.path) as file:
-            (write_jsonl if kind == "jsonl" else write_csv)(rows, file)
+            if kind == "jsonl":
+                write_jsonl(rows, file)
+            else:
+                write_csv(rows, file)
     if recording.damage is not None:
         click.echo(f"{recording.path} ends early, and so does what was written: {recording.damage.message}", err=True)
         sys.exit(1)
@@ -66,9 +69,9 @@ def command(recording: Recording, kind: str, what: str | None, output: Path | No
 def _text(output: Path | None, source: Path) -> Iterator[IO[str]]:
     """Opens the file to write, or standard output."""
     if output is None:
-        file = click.get_text_stream("stdout", "utf-8")
-        yield file
-        file.flush()
+        with click.open_file("-", "w", encoding="utf-8") as standard:
+            yield standard
+            standard.flush()
     else:
         with whole_file(output, source) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as file:
             yield file

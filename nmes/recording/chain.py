@@ -8,25 +8,27 @@ from __future__ import annotations
 import re
 import struct
 from itertools import islice, zip_longest
+from typing import Any
 
 import jsonschema_rs
 import orjson
 from mcap.records import Channel
 
+from nmes.errors import RecordingError
 from nmes.recording.mcap_format import (
+    MAX_RECORDS,
     MESSAGE_OVERHEAD,
     DamagedFile,
     Message,
     Skim,
     message_checksums,
-    skim_chunk,
     split_chunk,
 )
 from nmes.recording.mcap_reader import Block
 from nmes.recording.records import BOXES, KEYFRAMES, SEQUENCE_MASK, Kind, Record, next_head, who_said
 from nmes.schemas import load
 
-__all__ = ["Chain"]
+__all__ = ["Chain", "ticks_before"]
 
 _CLIENT_TOPIC = re.compile(r"client/(\d{1,9})/(commands|replies|refused)")  # until version 3 of the format
 _CLIENT_KINDS = {"commands": Kind.COMMAND, "replies": Kind.REPLY, "refused": Kind.REFUSED}
@@ -39,39 +41,53 @@ _SHAPES = {
     if not topic.startswith("/") and topic != KEYFRAMES
 }
 _WRONG = (ValueError, KeyError, TypeError, IndexError)  # the errors that the bytes of a damaged chunk may lead to
+_KEYFRAME = jsonschema_rs.Draft202012Validator(load("recording/keyframes.json"))
+_SNAPSHOT_VERSION = 1
+_LONGEST = 1 << 20  # bytes of the JSON of a record of our own that is not a keyframe
+_LONGEST_KEYFRAME = 64 << 20  # bytes of the line of JSON with which one begins
 _RECORD_START = struct.Struct("<BQ")
 _LINK_SIZE = len('{"head":""}') + 64  # bytes of a message on `chain`
 
 
 class Chain:
-    """Reads chunk after chunk, each of which must continue the hash chain and the count of those before it."""
+    """Reads chunk after chunk, each of which must continue the hash chain and the counts of those before it.
+
+    Attributes:
+        head: The head of the chain so far.
+        sequence: How many messages there were.
+        ticks: How many ticks there were, over all resets; None where that is not known.
+    """
 
     def __init__(self, head: bytes) -> None:
         self.head = head
         self.sequence = 0
+        self.ticks: int | None = 0
         self._kinds: dict[int, tuple[Kind | None, int | None]] = {}  # by channel; None: not known to this version
         self._boxes: dict[int, str] = {}  # by channel: the name of the cube
+        self._topics: dict[int, str] = {}
 
     def copy(self) -> Chain:
         """Makes a chain that stands at the same place."""
         other = Chain(self.head)
-        other.sequence, other._kinds, other._boxes = self.sequence, dict(self._kinds), dict(self._boxes)
+        other.sequence, other.ticks = self.sequence, self.ticks
+        other._kinds, other._boxes = dict(self._kinds), dict(self._boxes)
+        other._topics = dict(self._topics)
         return other
 
-    def follow(self, block: Block | None) -> None:
-        """Goes on behind a chunk, whose own head and count are believed; None: stays at the beginning.
+    def follow(self, block: Block) -> None:
+        """Goes on behind a chunk, whose own head and count are believed.
+
+        What channels there are and how many ticks there were is not known then: a keyframe says so again.
 
         Raises:
             DamagedFile: The chunk does not end with a head.
         """
-        if block is None:
-            return
         try:
             *_, last = split_chunk(block.content)
             if not isinstance(last, Message):
                 raise ValueError("its last record is no message")
             self.head = bytes.fromhex(orjson.loads(last.data)["head"])
-            self.sequence = last.sequence + 1
+            self.sequence, self.ticks = last.sequence + 1, None
         except _WRONG as error:
             raise self._damage(block, error) from error
 
@@ -108,9 +124,10 @@ class Chain:
 
     def check(self, block: Block) -> None:
         """Checks the next chunk as `records` does, but makes no records, which is many times faster."""
-        content = block.content
+        content, skim = block.content, block.skim
         try:
-            skim = skim_chunk(content)
+            if skim is None:
+                raise ValueError("it is no chunk")
             count = len(skim.sequences)
             expected = [number & SEQUENCE_MASK for number in range(self.sequence, self.sequence + count)]
             if list(skim.sequences) != expected:
@@ -132,11 +149,11 @@ class Chain:
         """Checks messages of our own against their schemas; raises ValueError or, for an unknown channel, KeyError."""
         channels = skim.channels[begin:end]
         kinds = {channel: self._kinds[channel][0] for channel in set(channels)}
-        ours = {channel: _SHAPES[kind] for channel, kind in kinds.items() if kind in _SHAPES}
+        ours = {channel for channel, kind in kinds.items() if kind in _SHAPES or kind is Kind.KEYFRAME}
         for number in [n for n, channel in enumerate(channels, begin) if channel in ours]:
-            channel = channels[number - begin]
-            if not ours[channel].is_valid(orjson.loads(skim.data(content, number))):
-                raise ValueError(f"record {skim.sequences[number]} does not have the shape of {kinds[channel]}")
+            kind = kinds[channels[number - begin]]
+            if kind is not None:
+                self._own(kind, skim.sequences[number], skim.data(content, number))
 
     def first_bad(self, content: bytes) -> int | None:
         """Finds the first record of the next chunk that does not match its checksum, and returns its number.
@@ -144,7 +161,7 @@ class Chain:
         The content may be any bytes. The checksums are searched from its end; None where there are none, or all match.
         """
         link = len(content) - MESSAGE_OVERHEAD - _LINK_SIZE
-        for count in range(link // 4):
+        for count in range(min(link // 4, MAX_RECORDS)):
             start = link - MESSAGE_OVERHEAD - 4 * count
             if start < 0:
                 break
@@ -173,7 +190,13 @@ class Chain:
             raise ValueError(f"record {sequence} is out of its place")
 
     def define(self, channel: Channel) -> None:
-        """Learns the kind of records that a channel has, and whose they are, from its topic."""
+        """Learns the kind of records that a channel has, and whose they are, from its topic.
+
+        Raises:
+            ValueError: It was another channel's number.
+        """
+        if self._topics.setdefault(channel.id, channel.topic) != channel.topic:
+            raise ValueError(f"channel {channel.id} is defined in two ways")
         if match := _CLIENT_TOPIC.fullmatch(channel.topic):
             self._kinds[channel.id] = _CLIENT_KINDS[match[2]], int(match[1])
         elif channel.topic.startswith(BOXES):
@@ -197,18 +220,59 @@ class Chain:
         kind, client = self._kinds[number]
         if kind is None:
             return None
-        shape = _SHAPES.get(kind)
         if kind is Kind.BOX:
             return Record(kind, sequence, log_time, publish_time, None, data, {"cube": self._boxes[number]})
         if client is None and kind in _SAID:
             client, data = who_said(data)
         elif client is None and kind is Kind.REFUSED:
             client, data = int.from_bytes(data[:4], "little"), data[4:]
-        if shape is None:
+        about = self._own(kind, sequence, data) if kind in _SHAPES or kind is Kind.KEYFRAME else None
+        if about is None:
             return Record(kind, sequence, log_time, publish_time, client, data)
-        about = orjson.loads(data)
-        if not shape.is_valid(about):
-            raise ValueError(f"record {sequence} does not have the shape of {kind}")
         if kind is Kind.JOINED:  # stands for its channel, on which clients leave too
             kind, client = Kind(about["event"]), about["client"]
         return Record(kind, sequence, log_time, publish_time, client, data, about)
+
+    def _own(self, kind: Kind, sequence: int, data: bytes) -> dict[str, Any] | None:
+        """Checks a record of the recorder's own.
+
+        Returns:
+            Its JSON; None of a keyframe.
+
+        Raises:
+            ValueError: It does not have its shape, or does not go on from those before it.
+        """
+        if kind is Kind.KEYFRAME:
+            ticks = ticks_before(data)
+            begins = self.ticks is None or sequence == self.sequence == 0
+            if not begins and ticks != self.ticks:
+                raise ValueError(f"the keyframe in record {sequence} is of tick {ticks}, not of {self.ticks}")
+            self.ticks = ticks
+            return None
+        about: Any = orjson.loads(data) if len(data) <= _LONGEST else None
+        if not _SHAPES[kind].is_valid(about):
+            raise ValueError(f"record {sequence} does not have the shape of {kind}")
+        if kind is Kind.TICKS and self.ticks is not None:
+            self.ticks += len(about["digests"])
+        return dict(about)
+
+
+def ticks_before(snapshot: bytes) -> int:
+    """Counts the ticks before a keyframe, by the line of JSON with which its snapshot begins.
+
+    Raises:
+        RecordingError: It is one of a newer version (`unknown_format`).
+        ValueError: It is no snapshot of a world.
+    """
+    end = snapshot.find(b"\n", 0, _LONGEST_KEYFRAME)
+    try:
+        state: Any = orjson.loads(snapshot[:end]) if end >= 0 else None
+    except ValueError:
+        state = None
+    version = state.get("version") if isinstance(state, dict) else None
+    if isinstance(version, int) and version > _SNAPSHOT_VERSION:
+        text = f"a keyframe has a snapshot of version {version}; this nmes knows version {_SNAPSHOT_VERSION}"
+        raise RecordingError("unknown_format", text)
+    if not _KEYFRAME.is_valid(state):
+        raise ValueError("a keyframe is no snapshot of a world")
+    return int(state["ticks"])

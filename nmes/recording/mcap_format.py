@@ -17,14 +17,16 @@ from typing import NamedTuple, TypeVar
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, DataEnd, Header, McapRecord, Metadata
+from mcap.records import Channel, ChunkIndex, DataEnd, Header, McapRecord, Metadata, Schema
 
 from nmes.errors import RecordingError
 
 __all__ = [
     "FOOTER",
     "MAGIC",
+    "MAX_PACKED",
     "MAX_RECORD",
+    "MAX_RECORDS",
     "MESSAGE",
     "MESSAGE_FIELDS",
     "MESSAGE_OVERHEAD",
@@ -42,15 +44,17 @@ __all__ = [
 
 MAGIC = b"\x89MCAP0\r\n"
 MAX_RECORD = 256 << 20  # bytes; also of a chunk when unpacked
+MAX_RECORDS = 1 << 18  # of a chunk: a reader holds some hundred bytes for each
+MAX_PACKED = 128  # times: a chunk that packs better than that is not packed, so that a small file is read in no time
 PREFIX = struct.Struct("<BQ")  # opcode, length of what follows
 MESSAGE = struct.Struct("<BQHIQQ")  # the same, then channel, sequence, log time, publish time
 FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its offsets, checksum
 OPCODE_MESSAGE = int(Opcode.MESSAGE)
 MESSAGE_OVERHEAD = MESSAGE.size  # bytes of a message record beside its data
 MESSAGE_FIELDS = MESSAGE.size - PREFIX.size
-_SKIMMED = struct.Struct("<BQHI")  # as much of a message as tells whose it is
+_SKIMMED = struct.Struct("<BQHIQ")  # as much of a message as tells whose and when it is
 
-_Record = TypeVar("_Record", Header, Metadata, ChunkIndex, Channel, DataEnd)
+_Record = TypeVar("_Record", Header, Metadata, ChunkIndex, Channel, DataEnd, Schema)
 
 
 class DamagedFile(RecordingError):
@@ -138,16 +142,20 @@ class Skim(NamedTuple):
     Attributes:
         channels: The channel of each message, in order.
         sequences: The sequence number of each message.
+        times: The log time of each message, ns.
         lengths: The length of each message's record in bytes, without its type and length.
         ends: Where each message's record ends in the chunk.
         definitions: The channels that are defined in it, each with how many messages stand before it.
+        schemas: The schemas that are defined in it.
     """
 
     channels: Sequence[int]
     sequences: Sequence[int]
+    times: Sequence[int]
     lengths: Sequence[int]
     ends: Sequence[int]
     definitions: list[tuple[int, Channel]]
+    schemas: list[Schema]
 
     def data(self, content: bytes, number: int) -> bytes:
         """Returns the data of one of its messages."""
@@ -156,14 +164,20 @@ class Skim(NamedTuple):
 
 
 def skim_chunk(content: bytes) -> Skim:
-    """Returns the columns of a chunk, many times faster than `split_chunk`; raises the same."""
-    records: list[tuple[int, int, int, int]] = []
+    """Returns the columns of a chunk, many times faster than `split_chunk`.
+
+    Raises:
+        ValueError: It does not consist of whole messages, channels and schemas, or of too many.
+    """
+    records: list[tuple[int, int, int, int, int]] = []
     ends: list[int] = []
     # A chunk has thousands of messages. This loop does what must be done for each; the rest is done for all at once.
     add, end, unpack, prefix = records.append, ends.append, _SKIMMED.unpack_from, PREFIX.size
     position, size = 0, len(content)
     try:
-        while position < size:
+        for _ in range(MAX_RECORDS):
+            if position >= size:
+                break
             record = unpack(content, position)
             add(record)
             position += prefix + record[1]
@@ -173,21 +187,26 @@ def skim_chunk(content: bytes) -> Skim:
     if position != size:
         raise ValueError("a record does not fit into its chunk")
     definitions: list[tuple[int, Channel]] = []
+    schemas: list[Schema] = []
     if [record[0] for record in records].count(OPCODE_MESSAGE) < len(records):
-        messages: list[tuple[tuple[int, int, int, int], int]] = []
+        messages: list[tuple[tuple[int, int, int, int, int], int]] = []
         for record, stop in zip(records, ends, strict=True):
-            if record[0] == OPCODE_MESSAGE:
+            opcode, body = record[0], content[stop - record[1] : stop]
+            if opcode == OPCODE_MESSAGE:
                 messages.append((record, stop))
-            elif record[0] == Opcode.CHANNEL:
-                start = stop - record[1]
-                definitions.append((len(messages), parse_record(Channel, content[start:stop], start - prefix)))
+            elif opcode == Opcode.CHANNEL:
+                definitions.append((len(messages), parse_record(Channel, body, stop - record[1] - prefix)))
+            elif opcode == Opcode.SCHEMA:
+                schemas.append(parse_record(Schema, body, stop - record[1] - prefix))
+            else:
+                raise ValueError(f"a record of type {opcode} does not belong into a chunk")
         records, ends = [record for record, _ in messages], [stop for _, stop in messages]
     if not records:
-        return Skim((), (), (), (), definitions)
-    _, lengths, channels, sequences = zip(*records, strict=True)
+        raise ValueError("it has no messages")
+    _, lengths, channels, sequences, times = zip(*records, strict=True)
     if min(lengths) < MESSAGE_FIELDS:
         raise ValueError("a message does not fit into its chunk")
-    return Skim(channels, sequences, lengths, ends, definitions)
+    return Skim(channels, sequences, times, lengths, ends, definitions, schemas)
 
 
 def message_checksums(content: bytes | bytearray) -> Iterator[int]:

@@ -1,7 +1,9 @@
 """The reader of MCAP files: damage costs no more than it must.
 
 Invariants: no length that a file states is believed before it was compared with the bytes that are there, no more than
-`MAX_RECORD` bytes are held for one record, and whatever is wrong ends in `DamagedFile`.
+`MAX_RECORD` bytes are held for one record, a file does not unpack to more than `MAX_PACKED` times its size and
+`_UNPACKED_FREE` bytes, and whatever is wrong ends in `DamagedFile`. Of a whole file all that is said of the chunks is
+compared with them: their times, the indexes of their messages, and the summary.
 """
 
 from __future__ import annotations
@@ -19,10 +21,22 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, DataEnd, Header, Metadata
 
 from nmes.errors import RecordingError
-from nmes.recording.mcap_format import FOOTER, MAGIC, MAX_RECORD, PREFIX, DamagedFile, parse_record
+from nmes.recording.mcap_format import (
+    FOOTER,
+    MAGIC,
+    MAX_PACKED,
+    MAX_RECORD,
+    PREFIX,
+    DamagedFile,
+    Skim,
+    parse_record,
+    skim_chunk,
+)
+from nmes.recording.mcap_summary import Contents, message_indexes
 
-__all__ = ["Block", "FileIndex", "Reader"]
+__all__ = ["Block", "Reader"]
 
+_UNPACKED_FREE = 64 << 20  # bytes
 _CHUNK = struct.Struct("<QQQII")  # of its body: times, size, checksum, length of the compression's name, which follows
 _LENGTH = struct.Struct("<Q")
 
@@ -35,24 +49,14 @@ class Block(NamedTuple):
         size: How many bytes that takes up in the file.
         metadata: The metadata record that it is, or None for a chunk.
         content: A chunk's records, unpacked, or the bytes of the metadata record.
+        skim: A chunk's messages.
     """
 
     offset: int
     size: int
     metadata: Metadata | None
     content: bytes
-
-
-class FileIndex(NamedTuple):
-    """The summary at the end of a file.
-
-    Attributes:
-        channels: All channels.
-        chunks: The offset of each chunk, in file order, and the channels with messages in it.
-    """
-
-    channels: list[Channel]
-    chunks: list[tuple[int, frozenset[int]]]
+    skim: Skim | None
 
 
 class Reader:
@@ -90,8 +94,15 @@ class Reader:
         except OSError as error:
             raise RecordingError("recording_unreadable", f"cannot read {self.path}: {error.strerror}") from error
 
-    def summary(self) -> FileIndex | None:
-        """Returns the file's summary, or None where there is no sound one. What it says of the rest is not checked."""
+    def chunks_with(self, topic: str) -> list[tuple[int | None, int]] | None:
+        """Finds the chunks with messages of a topic by the file's summary, without reading any.
+
+        What the summary says is not compared with the chunks, so it is no more than a place to look at.
+
+        Returns:
+            For each such chunk, in file order, where the chunk before it begins (None: it is the first) and where it
+            begins itself; or None where there is no sound summary.
+        """
         try:
             with open(self.path, "rb") as file:
                 end = FOOTER.size + len(MAGIC)
@@ -101,23 +112,31 @@ class Reader:
                 if start >= self.size:
                     return None
                 file.seek(start)
-                self._check_end(file, start)
-                return self._summary(file, start)
+                self._ending(file, start)
+                return self._listed(file, start, topic)
         except (DamagedFile, OSError):
             return None
 
-    def _summary(self, file: BinaryIO, offset: int) -> FileIndex:
-        summary = FileIndex([], [])
+    def _listed(self, file: BinaryIO, offset: int, topic: str) -> list[tuple[int | None, int]]:
+        numbers: set[int] = set()
+        found: list[tuple[int | None, int]] = []
+        last: int | None = None
         file.seek(offset)
         while True:
             opcode, body = self._record(file, offset)
             if opcode == Opcode.FOOTER:
-                return summary
+                return found
             if opcode == Opcode.CHANNEL:
-                summary.channels.append(parse_record(Channel, body, offset))
+                channel = parse_record(Channel, body, offset)
+                if channel.topic == topic:
+                    numbers.add(channel.id)
             elif opcode == Opcode.CHUNK_INDEX:
                 index = parse_record(ChunkIndex, body, offset)
-                summary.chunks.append((index.chunk_start_offset, frozenset(index.message_index_offsets)))
+                if last is not None and index.chunk_start_offset <= last:
+                    raise DamagedFile(offset, "the summary lists the chunks out of order")
+                if not numbers.isdisjoint(index.message_index_offsets):
+                    found.append((last, index.chunk_start_offset))
+                last = index.chunk_start_offset
             offset += PREFIX.size + len(body)
 
     def blocks(self, start: int | None = None) -> Iterator[Block]:
@@ -143,14 +162,13 @@ class Reader:
             DamagedFile: It is cut or damaged.
         """
         for block in self.blocks(offset):
-            if block.offset == offset:
-                return block
-            break
+            return block
         raise DamagedFile(offset, f"no chunk begins at byte {offset}")
 
     def _blocks(self, file: BinaryIO, start: int | None) -> Iterator[Block]:
         decompressor = zstandard.ZstdDecompressor()  # as costly to make as a small chunk is to unpack
         offset = self._start if start is None else start
+        contents, unpacked = Contents(), 0
         crc = zlib.crc32(file.read(self._start))
         file.seek(offset)
         while True:
@@ -159,20 +177,46 @@ class Reader:
                 if parse_record(DataEnd, body, offset).data_section_crc != crc and start is None:
                     raise DamagedFile(offset, "the checksum of the data section does not match")
                 break
-            size = PREFIX.size + len(body)
+            size, indexes = PREFIX.size + len(body), b""
             if opcode == Opcode.METADATA:
-                yield Block(offset, size, parse_record(Metadata, body, offset), PREFIX.pack(opcode, len(body)) + body)
+                metadata = parse_record(Metadata, body, offset)
+                contents.add_metadata(metadata.name, offset, size)
+                yield Block(offset, size, metadata, PREFIX.pack(opcode, len(body)) + body, None)
             elif opcode == Opcode.CHUNK:
-                yield Block(offset, size, None, _unpacked(body, decompressor, offset))
-            elif opcode != Opcode.MESSAGE_INDEX:
+                packed = _PackedChunk(body, offset)
+                unpacked += packed.size
+                if unpacked > _UNPACKED_FREE + MAX_PACKED * (offset + size):
+                    raise DamagedFile(offset, f"the chunk at byte {offset} unpacks to more than a reader takes")
+                content = packed.unpacked(decompressor)
+                skim, indexes = packed.listed(content, contents)
+                yield Block(offset, size, None, content, skim)
+            else:
                 raise DamagedFile(offset, f"a record of type {opcode} at byte {offset} does not belong there")
+            self._check_indexes(file, offset + size, indexes)
             if start is None:
-                crc = zlib.crc32(body, zlib.crc32(PREFIX.pack(opcode, len(body)), crc))
-            offset += size
-        self._check_end(file, file.tell())
+                crc = zlib.crc32(indexes, zlib.crc32(body, zlib.crc32(PREFIX.pack(opcode, len(body)), crc)))
+            offset += size + len(indexes)
+        offset = file.tell()
+        if self._ending(file, offset) != contents.ending(offset) and start is None:
+            raise DamagedFile(offset, "the summary does not say what is in the file")
 
-    def _check_end(self, file: BinaryIO, offset: int) -> None:
-        """Checks the summary, from `offset` to the end of the file."""
+    def _check_indexes(self, file: BinaryIO, offset: int, indexes: bytes) -> None:
+        """Compares the message indexes behind a chunk, at `offset`, where the file stands, with what they must be."""
+        if file.read(len(indexes)) == indexes:
+            return
+        file.seek(offset)
+        begin = 0
+        while begin < len(indexes):
+            opcode, body = self._record(file, offset + begin)
+            end = begin + PREFIX.size + len(body)
+            if indexes[begin:end] != PREFIX.pack(opcode, len(body)) + body:
+                break
+            begin = end
+        where = offset + begin
+        raise DamagedFile(where, f"the record at byte {where} is not the index of the messages of the chunk before it")
+
+    def _ending(self, file: BinaryIO, offset: int) -> bytes:
+        """Returns what stands behind the data section, from `offset` to the file's end, if its checksum matches."""
         if self.size - offset > MAX_RECORD:
             raise DamagedFile(offset, f"the summary at byte {offset} is too long")
         end = file.read(self.size - offset)
@@ -184,6 +228,7 @@ class Reader:
             raise DamagedFile(offset + footer, "the footer is damaged")
         if crc != zlib.crc32(end[: footer + FOOTER.size - 4]):
             raise DamagedFile(offset, "the checksum of the summary does not match")
+        return end
 
     def _record(self, file: BinaryIO, offset: int) -> tuple[int, bytes]:
         """Reads the record at `offset`, which is where the file stands."""
@@ -209,26 +254,77 @@ class Reader:
         return DamagedFile(offset, f"the file ends at byte {self.size}, {where}", cut=True)
 
 
-def _unpacked(body: bytes, decompressor: zstandard.ZstdDecompressor, offset: int) -> bytes:
-    """Decompresses a chunk record and checks it against its checksum."""
-    # Not by the `mcap` package: there are thousands of them in a file, and to read one took as long as to unpack it.
-    try:
-        _, _, size, crc, length = _CHUNK.unpack_from(body)
-        begin = _CHUNK.size + length + _LENGTH.size
-        packed, compression = body[begin:], body[_CHUNK.size : _CHUNK.size + length]
-        if _LENGTH.unpack_from(body, begin - _LENGTH.size) != (len(packed),):
-            raise struct.error("it is of another length than it says")
-    except struct.error as error:
-        raise DamagedFile(offset, f"the chunk record at byte {offset} cannot be read") from error
-    if size > MAX_RECORD:
-        raise DamagedFile(offset, f"the chunk at byte {offset} says that it holds {size} bytes")
-    content: bytes | None = None
-    try:
-        # The packed data state their size too, and it is that which the library makes room for.
-        if compression == b"zstd" and zstandard.frame_content_size(packed) == size:
-            content = decompressor.decompress(packed)
-    except zstandard.ZstdError:
-        pass
-    if content is None or zlib.crc32(content) != crc:
-        raise DamagedFile(offset, f"the chunk at byte {offset} does not match its checksum", content=content)
-    return content
+class _PackedChunk:
+    """A chunk's record, not unpacked yet.
+
+    Not read by the `mcap` package: there are thousands of them in a file, and to read one took as long as to unpack it.
+
+    Args:
+        body: The record.
+        offset: Where it begins in the file.
+
+    Raises:
+        DamagedFile: It does not have its form, or says that it is too large.
+    """
+
+    def __init__(self, body: bytes, offset: int) -> None:
+        self._offset = offset
+        self._length = PREFIX.size + len(body)
+        try:
+            self._first, self._last, self.size, self._crc, length = _CHUNK.unpack_from(body)
+            begin = _CHUNK.size + length + _LENGTH.size
+            self._packed, self._compression = body[begin:], body[_CHUNK.size : _CHUNK.size + length]
+            if _LENGTH.unpack_from(body, begin - _LENGTH.size) != (len(self._packed),):
+                raise struct.error("it is of another length than it says")
+        except struct.error as error:
+            raise DamagedFile(offset, f"the chunk record at byte {offset} cannot be read") from error
+        if self.size > MAX_RECORD:
+            raise DamagedFile(offset, f"the chunk at byte {offset} says that it holds {self.size} bytes")
+
+    def unpacked(self, decompressor: zstandard.ZstdDecompressor) -> bytes:
+        """Returns its content; raises DamagedFile where that does not match its checksum."""
+        content: bytes | None = None
+        try:
+            # The packed data state their size too, and it is that which the library makes room for.
+            if self._compression == b"zstd" and zstandard.frame_content_size(self._packed) == self.size:
+                content = decompressor.decompress(self._packed)
+            elif self._compression == b"" and len(self._packed) == self.size:
+                content = self._packed
+        except zstandard.ZstdError:
+            pass
+        if content is None or zlib.crc32(content) != self._crc:
+            message = f"the chunk at byte {self._offset} does not match its checksum"
+            raise DamagedFile(self._offset, message, content=content)
+        return content
+
+    def listed(self, content: bytes, contents: Contents) -> tuple[Skim, bytes]:
+        """Adds it to the contents of its file; returns its messages, and the indexes that must follow it.
+
+        Raises:
+            DamagedFile: Its content has no form, or it is not of the times that it says.
+        """
+        try:
+            skim = skim_chunk(content)
+            if (self._first, self._last) != (min(skim.times), max(skim.times)):
+                raise ValueError("its messages are of other times than it says")
+            for schema in skim.schemas:
+                contents.define(schema)
+            for _, channel in skim.definitions:
+                contents.define(channel)
+        except (ValueError, DamagedFile) as error:
+            message = f"the chunk at byte {self._offset} is not as it was recorded: {error}"
+            raise DamagedFile(self._offset, message, content=content) from error
+        indexes, offsets, counts = message_indexes(skim, self._offset + self._length)
+        index = ChunkIndex(
+            message_start_time=self._first,
+            message_end_time=self._last,
+            chunk_start_offset=self._offset,
+            chunk_length=self._length,
+            message_index_offsets=offsets,
+            message_index_length=len(indexes),
+            compression=self._compression.decode(),
+            compressed_size=len(self._packed),
+            uncompressed_size=self.size,
+        )
+        contents.add_chunk(index, counts)
+        return skim, indexes

@@ -11,7 +11,6 @@ Invariants of a written file:
 from __future__ import annotations
 
 import os
-import struct
 import sys
 import zlib
 from array import array
@@ -20,35 +19,24 @@ from pathlib import Path
 
 import zstandard
 from mcap.opcode import Opcode
-from mcap.records import (
-    Channel,
-    Chunk,
-    ChunkIndex,
-    DataEnd,
-    Header,
-    Metadata,
-    MetadataIndex,
-    Schema,
-    Statistics,
-    SummaryOffset,
-)
+from mcap.records import Channel, Chunk, ChunkIndex, DataEnd, Header, Metadata, Schema
 
 from nmes.errors import RecordingError
 from nmes.recording.mcap_format import (
-    FOOTER,
     MAGIC,
+    MAX_PACKED,
     MAX_RECORD,
+    MAX_RECORDS,
     MESSAGE,
     MESSAGE_FIELDS,
     OPCODE_MESSAGE,
-    PREFIX,
     encode_records,
 )
+from nmes.recording.mcap_summary import MESSAGE_INDEX, Contents
 
 __all__ = ["MAX_CHANNELS", "Writer"]
 
 MAX_CHANNELS = 0xFFFF
-_INDEX = struct.Struct("<BQHI")  # opcode, length, channel, bytes of entries
 _LEVEL = 1  # of zstd: digests do not compress, and what does is already small at the fastest level
 
 
@@ -71,11 +59,10 @@ class Writer:
         except OSError as error:
             raise RecordingError("recording_failed", f"cannot create {self.path}: {error.strerror}") from error
         self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
-        self._schemas: list[Schema] = []
-        self._channels: list[Channel] = []
-        self._metadata: list[MetadataIndex] = []
-        self._chunks: list[ChunkIndex] = []
-        self._counts: dict[int, int] = {}
+        self._contents = Contents()
+        self._schemas = 0
+        self._channels: list[bytes] = []
+        self._defined: list[Schema | Channel] = []  # in the open chunk
         self.open_chunk = bytearray()
         self._index: dict[int, array[int]] = {}  # its messages by channel: log time, offset, log time, offset...
         self._end = 0  # where the data section ends so far, and its checksum
@@ -98,16 +85,15 @@ class Writer:
     def metadata(self, name: str, values: Mapping[str, str]) -> bytes:
         """Writes a metadata record at once (ahead of the open chunk) and returns its bytes."""
         record = encode_records(Metadata(name=name, metadata=dict(values)))
-        self._metadata.append(MetadataIndex(offset=self._end, length=len(record), name=name))
+        self._contents.add_metadata(name, self._end, len(record))
         self._append(record)
         return record
 
     def schema(self, name: str, encoding: str, data: bytes) -> int:
         """Adds a schema to the open chunk and returns its number."""
-        schema = Schema(id=len(self._schemas) + 1, name=name, encoding=encoding, data=data)
-        self._schemas.append(schema)
-        self._add_definition(schema)
-        return schema.id
+        self._schemas += 1
+        self._define(Schema(id=self._schemas, name=name, encoding=encoding, data=data))
+        return self._schemas
 
     def channel(self, topic: str, encoding: str, schema: int = 0) -> int:
         """Adds a channel to the open chunk and returns its number."""
@@ -116,10 +102,12 @@ class Writer:
         )
         if channel.id > MAX_CHANNELS:
             raise RecordingError("recording_failed", f"a file holds at most {MAX_CHANNELS:,} channels; begin a new one")
-        self._channels.append(channel)
-        self._counts[channel.id] = 0
-        self._add_definition(channel)
+        self._channels.append(self._define(channel))
         return channel.id
+
+    def repeat_channels(self) -> None:
+        """Defines all channels again in the open chunk, for those who begin to read there."""
+        self.open_chunk += b"".join(self._channels)
 
     def add(self, channel: int, sequence: int, log_time: int, publish_time: int, data: bytes) -> None:
         """Adds a message to the open chunk; the fields are those of `Message`."""
@@ -138,20 +126,24 @@ class Writer:
         """Hands the open chunk to the operating system; nothing to do when it has no message."""
         if not self._index:
             return
-        if len(self.open_chunk) > MAX_RECORD:
-            size = len(self.open_chunk)
-            raise RecordingError("recording_failed", f"a chunk of {size} bytes is more than a reader takes")
+        counts = {channel: len(entries) // 2 for channel, entries in self._index.items()}
+        size, records = len(self.open_chunk), sum(counts.values()) + self._schemas + 2 * len(self._channels)
+        if size > MAX_RECORD or records > MAX_RECORDS:
+            reason = f"a chunk of {size} bytes and {records} records is more than a reader takes"
+            raise RecordingError("recording_failed", reason)
         first = min(min(entries[::2]) for entries in self._index.values())
         last = max(max(entries[::2]) for entries in self._index.values())
-        compressed = self._compressor.compress(self.open_chunk)
+        compression, data = "zstd", self._compressor.compress(self.open_chunk)
+        if len(self.open_chunk) > MAX_PACKED * len(data):
+            compression, data = "", bytes(self.open_chunk)
         chunk = encode_records(
             Chunk(
                 message_start_time=first,
                 message_end_time=last,
                 uncompressed_size=len(self.open_chunk),
                 uncompressed_crc=zlib.crc32(self.open_chunk),
-                compression="zstd",
-                data=compressed,
+                compression=compression,
+                data=data,
             )
         )
         offsets, indexes = self._message_indexes(self._end + len(chunk))
@@ -162,21 +154,19 @@ class Writer:
             chunk_length=len(chunk),
             message_index_offsets=offsets,
             message_index_length=len(indexes),
-            compression="zstd",
-            compressed_size=len(compressed),
+            compression=compression,
+            compressed_size=len(data),
             uncompressed_size=len(self.open_chunk),
         )
         self._append(chunk + indexes)
-        self._chunks.append(index)
-        for channel, entries in self._index.items():
-            self._counts[channel] += len(entries) // 2
+        for record in self._defined:
+            self._contents.define(record)
+        self._contents.add_chunk(index, counts)
+        self._defined.clear()
         self.open_chunk, self._index = bytearray(), {}
 
     def _message_indexes(self, offset: int) -> tuple[dict[int, int], bytes]:
-        """Returns the index of the open chunk's messages, one record a channel, and where each is if they begin there.
-
-        The counts of messages are taken from the entries afterwards: on a big-endian machine these are swapped here.
-        """
+        """Returns the index of the open chunk's messages, one record a channel, and where each is if they begin so."""
         indexes: list[bytes] = []
         offsets: dict[int, int] = {}
         for channel, entries in self._index.items():
@@ -184,7 +174,7 @@ class Writer:
             size = 8 * len(entries)
             if sys.byteorder == "big":  # pragma: no cover - MCAP is little-endian
                 entries.byteswap()
-            indexes.append(_INDEX.pack(Opcode.MESSAGE_INDEX, size + 6, channel, size) + entries.tobytes())
+            indexes.append(MESSAGE_INDEX.pack(Opcode.MESSAGE_INDEX, size + 6, channel, size) + entries.tobytes())
             offset += len(indexes[-1])
         return offsets, b"".join(indexes)
 
@@ -193,44 +183,10 @@ class Writer:
         self.flush()
         self._unseal()
         last = encode_records(Metadata(name=name, metadata=dict(values)))
-        indexes = [*self._metadata, MetadataIndex(offset=self._end, length=len(last), name=name)]
         data_end = encode_records(DataEnd(data_section_crc=zlib.crc32(last, self._crc)))
-        statistics = Statistics(
-            message_count=sum(self._counts.values()),
-            schema_count=len(self._schemas),
-            channel_count=len(self._channels),
-            attachment_count=0,
-            metadata_count=len(indexes),
-            chunk_count=len(self._chunks),
-            message_start_time=min((chunk.message_start_time for chunk in self._chunks), default=0),
-            message_end_time=max((chunk.message_end_time for chunk in self._chunks), default=0),
-            channel_message_counts=self._counts,
-        )
-        start = self._end + len(last) + len(data_end)
-        summary, offsets = self._summary(start, statistics, indexes)
-        # The summary's checksum covers the footer too, up to the checksum itself.
-        footer = FOOTER.pack(Opcode.FOOTER, FOOTER.size - PREFIX.size, start, offsets, 0)[:-4]
-        crc = struct.pack("<I", zlib.crc32(footer, zlib.crc32(summary)))
-        self._write(b"".join((last, data_end, summary, footer, crc, MAGIC)))
+        self._contents.add_metadata(name, self._end, len(last))
         self._sealed = True
-
-    def _summary(self, start: int, statistics: Statistics, metadata: list[MetadataIndex]) -> tuple[bytes, int]:
-        """Returns the summary, which begins at `start`, and where in the file its own table of offsets begins."""
-        groups: list[bytes] = []
-        offsets: list[SummaryOffset] = []
-        for opcode, records in (
-            (Opcode.SCHEMA, self._schemas),
-            (Opcode.CHANNEL, self._channels),
-            (Opcode.STATISTICS, [statistics]),
-            (Opcode.CHUNK_INDEX, self._chunks),
-            (Opcode.METADATA_INDEX, metadata),
-        ):
-            group = encode_records(*records)
-            if group:
-                groups.append(group)
-                offsets.append(SummaryOffset(group_opcode=opcode, group_start=start, group_length=len(group)))
-                start += len(group)
-        return b"".join((*groups, encode_records(*offsets))), start
+        self._write(last + data_end + self._contents.ending(self._end + len(last) + len(data_end)))
 
     def sync(self) -> None:
         """Waits until the disk has all written bytes, and the first time until the folder has the file."""
@@ -251,8 +207,11 @@ class Writer:
         """Closes the file as it is: without `seal` it stays without an end."""
         self._file.close()
 
-    def _add_definition(self, record: Schema | Channel) -> None:
-        self.open_chunk += encode_records(record)
+    def _define(self, record: Schema | Channel) -> bytes:
+        self._defined.append(record)
+        definition = encode_records(record)
+        self.open_chunk += definition
+        return definition
 
     def _append(self, data: bytes) -> None:
         self._unseal()
@@ -267,6 +226,7 @@ class Writer:
                 self._file.truncate()
             except OSError as error:
                 raise self._failure(error) from error
+            self._contents.drop_last_metadata()
             self._sealed = False
 
     def _write(self, data: bytes) -> None:

@@ -75,16 +75,16 @@ class Recording:
 
     def _read_metadata(self) -> None:
         """Reads the metadata at the beginning, and with them config, fingerprint and the first head of the chain."""
-        metadata, reason = b"", ""
+        metadata, reason = [], ""
         try:
             for block in self._reader.blocks():
                 if block.metadata is None or block.metadata.name == END:
                     break
                 self.metadata[block.metadata.name] = block.metadata.metadata
-                metadata += block.content
+                metadata.append(block.content)
         except DamagedFile as error:
             reason = f": {error.message}"
-        self._head = next_head(b"", metadata)
+        self._head = next_head(b"", b"".join(metadata))
         written = self.metadata.get("nmes.recording", {}).get("format", FORMAT)
         if written not in FORMATS:
             known = " and ".join(sorted(FORMATS))
@@ -139,12 +139,18 @@ class Recording:
         offset = None if start is None else start.offset
         self.stopped = None
         end: dict[str, str] = {}
+        begun = False
         try:
             for block in self._reader.blocks(offset):
+                if end:
+                    raise DamagedFile(block.offset, f"there is more at byte {block.offset}, behind the end")
                 if block.metadata is None:
+                    begun = True
                     yield block.offset + block.size, read(chain, block)
                 elif block.metadata.name == END:
                     end = block.metadata.metadata
+                elif begun:
+                    raise DamagedFile(block.offset, f"metadata at byte {block.offset} stand among the records")
             if (end.get("head"), end.get("records")) != (chain.head.hex(), str(chain.sequence)):
                 raise DamagedFile(self.size, "the file's closing metadata do not belong to its records")
             self.end = end

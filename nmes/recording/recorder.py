@@ -163,9 +163,10 @@ class Recorder:
             self._pack()
 
     def keyframe(self, snapshot: bytes) -> None:
-        """Records a snapshot of the world. It begins a chunk, so that a reader can begin there."""
+        """Records a snapshot of the world. It begins a chunk that defines all channels: a reader can begin there."""
         with self._lock:
             self.flush()
+            self._writer.repeat_channels()
             self._notes.append((KEYFRAME, self._world.frame, time_ns(), snapshot))
             self._pack()
 

@@ -157,7 +157,7 @@ def _beside(recording: Recording) -> Path:
 def _statement(recording: Recording) -> bytes:
     if recording.damage is not None:
         raise SigningError("bad_signature", f"only a whole recording can be signed: {recording.damage.message}")
-    return orjson.dumps({"version": _VERSION, **recording.end}, option=orjson.OPT_SORT_KEYS)
+    return orjson.dumps({**recording.end, "version": _VERSION}, option=orjson.OPT_SORT_KEYS)
 
 
 def _read(path: str | os.PathLike[str]) -> bytes:

@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+import json
 import os
+import random
 import resource
+import struct
 import subprocess
 import sys
-from collections.abc import Iterator
+import zlib
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
+import zstandard
 from click.testing import CliRunner
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 
 from nmes.cli import main
-from recordings import busy, record
+from nmes.protocol import parse
+from nmes.recording import Kind, Recording
+from nmes.world import World
+from recordings import Line, busy, record, rewrite, send
 
 
 @pytest.fixture(scope="module")
@@ -29,6 +38,22 @@ def run(*arguments: str | Path) -> tuple[int, str]:
     result = CliRunner().invoke(main, [str(argument) for argument in arguments])
     assert result.exception is None or isinstance(result.exception, SystemExit), (arguments, result.exception)
     return result.exit_code, result.output
+
+
+def long(world: World, client: int) -> None:
+    """Two clients that push two cubes, for so long that there are many keyframes."""
+    other = world.join()
+    send(world, client, type="spawn_cube", cube_name="one", position=[0, 5, 0])
+    send(world, other, type="spawn_cube", cube_name="two", position=[3, 7, 0])
+    for i in range(20):
+        send(world, client, type="apply_physics", cube_name="one", force=[1.5, 0.25 * i, 0])
+        send(world, other, type="apply_physics", cube_name="two", force=[0, 0, 0.125 + i])
+        send(world, client, type="step", ticks=4)
+
+
+@pytest.fixture(scope="module")
+def long_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(tmp_path_factory.mktemp("hostile") / "long.mcap", long, {"keyframes": 0.1})
 
 
 # -- what is written -------------------------------------------------------------------------------------------------
@@ -162,3 +187,167 @@ def test_a_full_standard_output_is_an_error_in_words(command: str, busy_file: Pa
         done = subprocess.run(program, stdout=full, stderr=subprocess.PIPE, text=True, check=False)
     assert done.stderr == "Error: cannot write: No space left on device\n"
     assert done.returncode == 1
+
+
+# -- what stands outside the chain -----------------------------------------------------------------------------------
+
+FOOTER = 37  # bytes of the footer and the magic at a file's end
+
+
+def summary_of(data: bytes) -> int:
+    """Returns where a file's summary begins."""
+    return int(struct.unpack_from("<Q", data, len(data) - FOOTER + 9)[0])
+
+
+def with_checksums(data: bytearray) -> bytes:
+    """Makes the checksums of the data section and of the summary anew."""
+    start = summary_of(data)
+    struct.pack_into("<I", data, start - 4, zlib.crc32(data[: start - 13]))
+    struct.pack_into("<I", data, len(data) - 12, zlib.crc32(data[start:-12]))
+    return bytes(data)
+
+
+def parts(data: bytes, begin: int, end: int) -> Iterator[tuple[int, int, int]]:
+    """Yields the records between two places: type, where the body begins, where it ends."""
+    while begin < end:
+        opcode, length = struct.unpack_from("<BQ", data, begin)
+        yield opcode, begin + 9, begin + 9 + length
+        begin += 9 + length
+
+
+def readings(path: Path) -> list[Any]:
+    """Returns what all ways to read a recording say of it."""
+    recording = Recording(path)
+    told: list[Any] = [list(recording), recording.metadata, recording.config, recording.last_frame, recording.summary()]
+    for frame in range(0, recording.last_frame + 1, 9):
+        start = recording.start(frame)
+        told.append((start.frame, start.snapshot, list(recording.records(start))))
+        told.append(recording.lineage(frame))
+    return told
+
+
+def swap(data: bytearray, opcode: int, offset: int, width: int) -> None:
+    """Exchanges a field of the second and the last record of a type in the summary."""
+    found = [begin for kind, begin, _ in parts(data, summary_of(data), len(data) - FOOTER) if kind == opcode]
+    one, other = found[1] + offset, found[-1] + offset
+    data[one : one + width], data[other : other + width] = data[other : other + width], data[one : one + width]
+
+
+def exchange_topics(data: bytearray) -> None:
+    begin = summary_of(data)
+    one, other = (data.index(topic, begin) for topic in (b"client/1/commands", b"client/2/commands"))
+    data[one : one + 17], data[other : other + 17] = data[other : other + 17], data[one : one + 17]
+
+
+SUMMARIES: dict[str, Callable[[bytearray], None]] = {
+    "places of chunks": lambda data: swap(data, 8, 16, 8),
+    "channels of chunks": lambda data: swap(data, 8, 36, 20),
+    "times of chunks": lambda data: swap(data, 8, 0, 16),
+    "topics": exchange_topics,
+    "numbers of channels": lambda data: swap(data, 4, 0, 2),
+}
+
+
+@pytest.mark.parametrize("edit", SUMMARIES)
+def test_a_permuted_summary_is_found_and_leads_no_reader_astray(edit: str, long_file: Path, tmp_path: Path) -> None:
+    data = bytearray(long_file.read_bytes())
+    SUMMARIES[edit](data)
+    assert with_checksums(bytearray(data)) != long_file.read_bytes()
+    (path := tmp_path / "long.mcap").write_bytes(with_checksums(data))
+    code, text = run("verify", path)
+    assert code == 1 and "the summary does not say what is in the file" in text
+    expected, told = readings(long_file), readings(path)
+    for one, other in zip(expected[5::2], told[5::2], strict=True):
+        # Where the summary is of no use all is read from the beginning, or from an earlier keyframe.
+        assert other[0] <= one[0] and other[2][-len(one[2]) :] == one[2]
+    assert run("replay", path, "--from", "60", "--to", "75")[0] == 0
+
+
+def edited(data: bytes, place: int, by: int) -> bytes:
+    changed = bytearray(data)
+    changed[place] ^= by
+    try:
+        return with_checksums(changed)
+    except struct.error:  # the footer no longer says where the summary is
+        return bytes(changed)
+
+
+@pytest.mark.parametrize("count", [60, pytest.param(20_000, marks=pytest.mark.long)])
+def test_an_edit_of_a_signed_recording_is_found_or_changes_no_reading(
+    count: int, long_file: Path, tmp_path: Path, key: Path
+) -> None:
+    path = tmp_path / "long.mcap"
+    path.write_bytes(data := long_file.read_bytes())
+    assert run("sign", path, "--key", key)[0] == 0
+    private = Ed25519PrivateKey.from_private_bytes(bytes(32))
+    (public := tmp_path / "public.pem").write_bytes(
+        private.public_key().public_bytes(Encoding.PEM, PublicFormat.SubjectPublicKeyInfo)
+    )
+    assert run("verify", path, "--verify-key", public)[0] == 0
+    expected = readings(path)
+    source = random.Random(14)
+    begins = [begin for _, begin, _ in parts(data, 8, summary_of(data))]
+    unpacked = [place for begin in begins for place in range(begin - 9, begin + 30)]  # records' heads
+    places = [*unpacked, *range(summary_of(data) - 250, len(data))]
+    for _ in range(count):
+        path.write_bytes(edited(data, place := source.choice(places), 1 << source.randrange(8)))
+        code, text = run("verify", path, "--verify-key", public)
+        if code == 0:
+            assert readings(path) == expected, f"byte {place}"
+        assert code in (0, 1, 2), text
+
+
+def test_a_keyframe_of_another_tick_is_found(long_file: Path, tmp_path: Path) -> None:
+    def edit(lines: list[Line]) -> list[Line]:
+        at = [i for i, line in enumerate(lines) if line.topic == "keyframes"][3]
+        head, _, rest = lines[at].data.partition(b"\n")
+        state = json.loads(head)
+        forged = json.dumps({**state, "ticks": state["ticks"] + 4}).encode() + b"\n" + rest
+        return [*lines[:at], lines[at]._replace(data=forged), *lines[at + 1 :]]
+
+    path = rewrite(long_file, tmp_path / "x.mcap", edit)  # its chain is made anew
+    code, text = run("verify", path)
+    assert code == 1 and "is of tick" in text
+    assert run("replay", path)[0] == 2
+
+
+# -- what is small and would be large --------------------------------------------------------------------------------
+
+
+def with_chunk(source: Path, target: Path, content: bytes) -> Path:
+    """Writes the beginning of a recording, and a chunk of any content behind it."""
+    data = source.read_bytes()
+    end = next(begin - 9 for kind, begin, _ in parts(data, 8, len(data)) if kind == 6)
+    packed = zstandard.ZstdCompressor(level=1).compress(content)
+    body = struct.pack("<QQQII4sQ", 0, 0, len(content), zlib.crc32(content), 4, b"zstd", len(packed)) + packed
+    target.write_bytes(data[:end] + struct.pack("<BQ", 6, len(body)) + body)
+    return target
+
+
+def empty_messages(count: int) -> bytes:
+    return b"".join(struct.pack("<BQHIQQ", 5, 22, 1, number, 0, 0) for number in range(count))
+
+
+BOMBS = {
+    "many zeros": (bytes(80 << 20), "unpacks to more than a reader takes"),
+    "zeros": (bytes(8 << 20), "a record of type 0 does not belong into a chunk|does not fit into its chunk"),
+    "a large message": (struct.pack("<BQ", 5, 70 << 20) + bytes(70 << 20), "unpacks to more than a reader takes"),
+    "messages": (empty_messages(300_000), "does not fit into its chunk"),
+}
+
+
+@pytest.mark.parametrize("bomb", BOMBS)
+def test_a_small_file_is_not_unpacked_to_a_large_one(bomb: str, busy_file: Path, tmp_path: Path) -> None:
+    content, reason = BOMBS[bomb]
+    damage = Recording(with_chunk(busy_file, tmp_path / "x.mcap", content)).damage
+    assert damage is not None and any(part in damage.message for part in reason.split("|"))
+
+
+def test_what_packs_too_well_is_recorded_unpacked(tmp_path: Path) -> None:
+    def play(world: World, client: int) -> None:
+        for _ in range(3):
+            world.handle(client, parse(b'{"type":"ping"' + b" " * 900_000 + b"}"))
+
+    recording = Recording(record(tmp_path / "x.mcap", play))
+    assert recording.size > 2_700_000 and recording.complete
+    assert [len(item.data) for item in recording if item.kind is Kind.COMMAND] == [900_015] * 3
