@@ -21,11 +21,12 @@ import pytest
 from nmes.playback import replay
 from nmes.protocol import parse
 from nmes.recording import Recorder, Recording
+from nmes.recording.records import who_said
 from nmes.world import World
 from recordings import Line, record, rewrite, send
 
 ENGINES = ("ballistic", "mujoco", "pymunk")
-HISTORY = ("client", "ticks", "faults")  # how the topics begin that tell what happened
+HISTORY = ("clients", "commands", "replies", "refused", "ticks", "faults")  # the topics that tell what happened
 
 
 def session(seed: int) -> Callable[[World, int], None]:
@@ -66,15 +67,15 @@ class Group(NamedTuple):
 
     @property
     def command(self) -> dict[str, Any] | None:
-        return orjson.loads(self.lines[0].data) if self.lines[0].topic.endswith("/commands") else None
+        return orjson.loads(self.lines[0].data) if self.lines[0].topic == "commands" else None
 
 
 def groups_of(lines: list[Line]) -> list[Group]:
     groups: list[Group] = []
     for line in lines:
         last = groups[-1].lines if groups else [line]
-        effect = last[0].topic.endswith("/commands") and not last[-1].topic.endswith("/replies")
-        if effect and not line.topic.endswith("/commands"):
+        effect = last[0].topic == "commands" and last[-1].topic != "replies"
+        if effect and line.topic != "commands":
             last.append(line)
         else:
             groups.append(Group([line]))
@@ -142,7 +143,7 @@ def events_of(lines: list[Line]) -> list[tuple[int, Event]]:
             ticks = orjson.loads(line.data)
             for i, digest in enumerate(ticks["digests"]):
                 events.append((number, ("tick", ticks["frame"] + i, digest)))
-        elif line.topic.startswith(HISTORY):
+        elif line.topic in HISTORY:
             events.append((number, (line.topic, line.data)))
     return events
 
@@ -153,8 +154,9 @@ def retold(path: Path, lines: list[Line], config: dict[str, Any]) -> list[Event]
     recorder = world.journal = Recorder(path, world, pose_rate=0)
     for group in groups_of(lines):
         first = group.lines[0]
-        if first.topic.endswith("/commands"):
-            world.handle(int(first.topic.split("/")[1]), parse(first.data))
+        if first.topic == "commands":
+            client, command = who_said(first.data)
+            world.handle(client, parse(command))
         elif first.topic == "clients":
             world.join()
         elif first.topic == "ticks":

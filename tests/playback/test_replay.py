@@ -291,11 +291,12 @@ def test_a_changed_digest_is_found_at_its_tick(busy_file: Path, tmp_path: Path) 
 def test_a_changed_input_is_found_at_its_tick_and_shown(busy_file: Path, tmp_path: Path) -> None:
     def edit(lines: list[Line]) -> list[Line]:
         at = next(i for i in commands_of(lines) if b"apply_physics" in lines[i].data)
-        command = orjson.loads(lines[at].data)
-        command["force"][0] = float(np.nextafter(command["force"][0], 2))
+        record = orjson.loads(lines[at].data)
+        force = record["message"]["force"]
+        force[0] = float(np.nextafter(force[0], 2))
         tick = orjson.loads(lines[first(lines, "ticks", at)].data)
         frame.append(tick["frame"])
-        return changed(lines, at, orjson.dumps(command))
+        return changed(lines, at, orjson.dumps(record))
 
     frame: list[int] = []
     result = divergence(busy_file, tmp_path, edit)
@@ -309,10 +310,11 @@ def test_a_changed_input_is_found_at_its_tick_and_shown(busy_file: Path, tmp_pat
 def test_a_changed_reply_is_found_with_both_values(busy_file: Path, tmp_path: Path) -> None:
     def edit(lines: list[Line]) -> list[Line]:
         at = next(i for i, line in enumerate(lines) if b'"cube_info"' in line.data)
-        info = orjson.loads(lines[at].data)
-        values.extend([info["position"][1], info["position"][1] + 0.5])
-        info["position"][1] += 0.5
-        return changed(lines, at, orjson.dumps(info))
+        record = orjson.loads(lines[at].data)
+        position = record["message"]["position"]
+        values.extend([position[1], position[1] + 0.5])
+        position[1] += 0.5
+        return changed(lines, at, orjson.dumps(record))
 
     values: list[float] = []
     result = divergence(busy_file, tmp_path, edit)
