@@ -204,7 +204,8 @@ class RunningModel:
         count_awake(model, data)
         if self.scenery.attracts:
             self.scenery.pull(model, data, 0.0)  # the state has no forces in it: these go again
-        mujoco.mj_forward(model, data)
+        with self.depenetration.crowds(self.compiled, data):
+            mujoco.mj_forward(model, data)
         mujoco.mj_setState(model, data, state, STATE)
         self.asleep[:] = asleep
         count_awake(model, data)

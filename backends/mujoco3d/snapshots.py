@@ -86,7 +86,7 @@ def _take_up(
     used = [root for root in roots if root != SPARE]
     _require(len(used) == len(forest.trees) and set(used) == forest.trees.keys(), "the root of each tree")
     _require(len(roots) <= 2 * scene.max_bodies, "no more parked bodies than there may be")
-    poses = {number: (pose[:3], pose[3:]) for number, pose in frozen_at.items()}
+    poses = {number: ((x, y, z), (a, b, c, w)) for number, (x, y, z, a, b, c, w) in frozen_at.items()}
     compiled = compile_model(scene, running.scenery, bodies, joints, forest, poses, roots)
     running.install(compiled, joints)
     state = np.frombuffer(base64.b64decode(fields["state"], validate=True))

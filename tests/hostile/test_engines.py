@@ -305,7 +305,27 @@ def told_world(backend: str) -> tuple[World, Say]:
     return world, say
 
 
-ODD = [None, True, -1, 0, 1, 2, 7, 10**6, 10**30, 1e300, -1e9, 0.5, "", "c1", "hinge", [], {}, [0] * 40, [1e9] * 3]
+ODD: list[Any] = [
+    None,
+    True,
+    -1,
+    0,
+    1,
+    2,
+    7,
+    10**6,
+    10**30,
+    1e300,
+    -1e9,
+    0.5,
+    "",
+    "c1",
+    "hinge",
+    [],
+    {},
+    [0] * 40,
+    [1e9] * 3,
+]
 
 
 def paths(value: Any, at: tuple[Any, ...] = ()) -> list[tuple[Any, ...]]:
@@ -397,7 +417,7 @@ def test_an_edited_snapshot_is_refused_or_sound(data: st.DataObject, backend: st
     assert_refused_or_sound(backend, written(documents[0]) + b"\n" + written(documents[1], backend))
 
 
-FORGED: dict[str, Callable[[Any], None]] = {
+FORGED: dict[str, Callable[[Any], object]] = {
     "a tree that sleeps with one that is not there": lambda e: e["asleep"].__setitem__(0, 10**6),
     "trees that sleep in no ring": lambda e: e.update(asleep=[1] * len(e["asleep"])),
     "a count beyond all": lambda e: e["asleep"].__setitem__(0, -(10**6)),
@@ -437,7 +457,7 @@ def test_a_forged_snapshot_is_refused(what: str) -> None:
     assert world.snapshot() == snapshot
 
 
-FORGED_WORLDS: dict[str, Callable[[Any], None]] = {
+FORGED_WORLDS: dict[str, Callable[[Any], object]] = {
     "parameters left out": lambda w: w["assembly"]["joints"][0]["params"].clear(),
     "a parameter of another type": lambda w: w["assembly"]["joints"][0]["params"].update(stiffness="high"),
     "a number given away again": lambda w: w["assembly"].update(spawned=2),
@@ -460,3 +480,46 @@ def test_a_snapshot_with_a_forged_world_is_refused(what: str) -> None:
     with pytest.raises(WorldError) as caught:
         world.restore(written(state) + b"\n" + snapshot.partition(b"\n")[2])
     assert caught.value.code == "bad_snapshot"
+
+
+# -- many cubes in one place -----------------------------------------------------------------------------------------
+
+
+def heap_in_one_place(count: int, ticks: int, *, each: bool) -> None:
+    """Spawns cubes in one place, all at once or one a tick, and sees every step bounded and none fail.
+
+    All pairs of them would have 4 contacts each: at 60 cubes 120 a cube, and a step of seconds.
+    """
+    world, say = world_of()
+    simulation = world.simulation
+    assert isinstance(simulation, MujocoSimulation)
+    for _ in range(count):
+        say("spawn_cube", position=[0, 0.5, 0], list=False)
+        if each:
+            say("step")
+    for _ in range(ticks):
+        say("step")
+        assert world.fault is None
+        assert simulation.running.data.ncon < 30 * count
+    places = simulation.states(range(1, count + 1))[:, :3]
+    assert np.isfinite(places).all()
+    assert len(np.unique(places.round(2), axis=0)) > 16  # the first have made room for others
+    again = World({"mode": "lockstep"})
+    again.restore(world.snapshot())
+    for one in (world, again):
+        one.tick()
+    assert again.digest() == world.digest()
+    masks = simulation.running.model.geom_conaffinity
+    assert set(masks.tolist()) <= {0, 1}  # those that wait do so only within a step
+
+
+@pytest.mark.parametrize(("count", "ticks", "each"), [(40, 2, True), (100, 8, False)])
+def test_cubes_in_one_place_part_in_bounded_steps(count: int, ticks: int, each: bool) -> None:
+    heap_in_one_place(count, ticks, each=each)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("count", [60, 150, 300, 600])
+@pytest.mark.parametrize("each", [False, True])
+def test_hundreds_of_cubes_in_one_place_part_in_bounded_steps(count: int, each: bool) -> None:
+    heap_in_one_place(count, 120, each=each)
