@@ -25,7 +25,7 @@ __all__ = ["PART", "RISE", "Balance", "Excess"]
 
 PART: Final = 0.01
 """What part of its motors' work, counted without signs, a body may gain beyond it: too little to buy by shaking."""
-RISE: Final = 0.04
+RISE: Final = 0.05
 """By how much more: the energy that lifts the body by so many metres at 9.81 m/s^2."""
 _GRAVITY = 9.81
 _MOMENT = 0.1  # s for which contacts may hold energy

@@ -53,7 +53,7 @@ QUANTITIES: Final[Mapping[str, tuple[str, str]]] = {
     "time": ("since the start", "s"),
     "time_upright": ("time so far in which uprightness was at least 0.5, which is 60 degrees from upright", "s"),
     "energy": (
-        "work of its motors since the start: the sum over ticks of the size of effort times velocity, times a tick",
+        "work of its motors since the start: the size of effort times velocity, over time",
         "J",
     ),
     "cubes": ("how many cubes it has", ""),
