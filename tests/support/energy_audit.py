@@ -30,8 +30,8 @@ __all__ = ["Audit", "audited"]
 
 TOLERANCE: Final = 0.05
 """The part of the motors' work by which the balance may be broken."""
-HELD: Final = 0.2
-"""J for each kg that contacts and joints' limits may hold and give back: as much as 2 cm of height."""
+HELD: Final = 0.4
+"""J for each kg that contacts and joints' limits may hold and give back: as much as 4 cm of height."""
 MOMENT: Final = 0.1
 """s for which contacts and limits may hold more than that, as in an impact."""
 

@@ -195,7 +195,7 @@ def _surface(draw: Draw) -> Json:
     if draw.chance(0.4):
         surface["friction"] = draw.number((0.0, 2.0), (0.0, 10.0))
     if draw.chance(0.2):
-        surface["restitution"] = draw.number((0.0, 1.0))
+        surface["restitution"] = draw.number((0.0, 0.5), (0.0, 1.0))
     return surface
 
 
