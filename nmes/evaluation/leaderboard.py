@@ -142,10 +142,12 @@ class Leaderboard:
     def tasks(self) -> list[tuple[str, str]]:
         """Returns name and hash of the tasks on which entries are taken, sorted."""
         with self._trouble():
-            return self._db.execute("SELECT name, hash FROM tasks ORDER BY name, hash").fetchall()
+            rows = self._db.execute("SELECT name, hash FROM tasks ORDER BY name, hash").fetchall()
+        return [(str(name), str(task_hash)) for name, task_hash in rows]
 
     def _takes(self, task_hash: str) -> bool:
-        return self._db.execute("SELECT 1 FROM tasks WHERE hash = ?", (task_hash,)).fetchone() is not None
+        with self._trouble():
+            return self._db.execute("SELECT 1 FROM tasks WHERE hash = ?", (task_hash,)).fetchone() is not None
 
     # -- entries -----------------------------------------------------------------------------------------------------
 
@@ -303,7 +305,8 @@ class Leaderboard:
             try:
                 yield
             except BaseException:
-                self._db.execute("ROLLBACK")
+                if self._db.in_transaction:  # SQLite has ended it itself where the disk is full
+                    self._db.execute("ROLLBACK")
                 raise
             self._db.execute("COMMIT")
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import copy
 import json
 import os
+import random
+import shutil
 import sqlite3
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -207,6 +209,23 @@ def test_a_database_of_other_tables_is_no_leaderboard(board: Path, proofs: list[
         result = run(command[0], board, *command[1:], *(proofs if command == ["add"] else ()))
         assert result.exit_code == 2 and "board.sqlite is " in result.stderr
     assert board.read_bytes() == before
+
+
+def test_a_damaged_database_gives_no_traceback(board: Path) -> None:
+    shutil.rmtree(board.with_suffix(".recordings"))  # so that nothing is run
+    whole = board.read_bytes()
+    page = board.with_suffix(".html")
+    for seed in range(60):
+        draw, content = random.Random(seed), bytearray(whole)
+        for _ in range(draw.choice((1, 3, 30))):
+            begin = draw.randrange(100 if draw.random() < 0.2 else len(content))
+            harm = draw.choice((bytes([draw.randrange(256)]), bytes(draw.randrange(1, 64)), draw.randbytes(16)))
+            content[begin : begin + len(harm)] = harm
+        size = draw.choice((len(content), len(content), draw.randrange(len(content))))
+        commands = ("show", "--broken"), ("tasks",), ("verify", "--jobs", "1", "--write"), ("export", "-o", str(page))
+        for command, *options in commands:
+            board.write_bytes(content[:size])
+            assert run(command, board, *options).exit_code in (0, 1, 2, 3), seed
 
 
 def test_two_rows_of_one_creature_are_not_both_held(board: Path) -> None:
