@@ -294,7 +294,8 @@ class Leaderboard:
             numbers = [number for (number,) in self._db.execute("SELECT id FROM entries ORDER BY id")]
         for number in numbers:
             try:
-                yield read_row(self._db.execute(f"SELECT {columns} FROM entries WHERE id = ?", (number,)).fetchone())
+                row = self._db.execute(f"SELECT {columns} FROM entries WHERE id = ?", (number,)).fetchone()
+                yield read_row(row or ())  # a damaged file may not find what it has listed
             except (ValueError, sqlite3.Error) as error:
                 yield Verdict(number, "", "", "broken", f"its row cannot be read: {error}")
 
@@ -314,7 +315,7 @@ class Leaderboard:
     def _trouble(self) -> Iterator[None]:
         try:
             yield
-        except (sqlite3.Error, OSError) as error:
+        except (sqlite3.Error, OSError, UnicodeDecodeError) as error:  # the last where SQLite repeats what it has read
             raise LeaderboardError("no_leaderboard", f"{self.path}: {error}") from error
 
 
