@@ -22,7 +22,7 @@ Json = dict[str, Any]
 
 # Of these, an engine says by itself that it cannot go on.
 PHYSICS = {"diverged", "contact_overflow", "constraint_overflow", "arena_exhausted"}
-NAMES = ["a", "b", "c", "d.torso", "d.leg", "d", "cube_1", "x" * 128, "no_such_thing"]
+NAMES = ["a", "b", "c", "d", "x" * 128, "no_such_thing"]
 EXPRESSIONS = [
     "height < sqrt(position.x) ? 1.0 : 2.0",
     "mean.height / (max.speed - max.speed)",
@@ -49,16 +49,26 @@ CHAIN = {
 
 
 class Stranger:
-    """Makes up commands, most of them valid, with numbers at and between their bounds."""
+    """Makes up commands, most of them valid and about what is there, with numbers at and between their bounds."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, world: World) -> None:
         self.choice = random.Random(seed)
-        self._kinds = sorted(protocol.COMMANDS)
+        self._world = world
+        often = [
+            "create_joint",
+            "set_joint_param",
+            "spawn_creature",
+            "drive",
+            "set_objective",
+            "compute_reward",
+            "step",
+        ]
+        self._kinds = [*sorted(protocol.COMMANDS), *often, *often]
 
     def command(self, within: bool = False) -> Json:
         kind = self.choice.choice(self._kinds)
-        if kind == "batch" and within:
-            kind = "ping"
+        if (kind == "batch" and within) or (kind in ("reset", "despawn_cube") and self.choice.random() < 0.9):
+            kind = "create_joint"
         schema = protocol.COMMANDS[kind].schema
         command: Json = {"type": kind}
         for name, part in schema["properties"].items():
@@ -69,7 +79,17 @@ class Stranger:
 
     def field(self, kind: str, name: str, part: Json) -> Any:
         choose = self.choice.choice
+        there = {
+            **{"creature": self._world.creatures, "joint_name": self._world.joints},
+            **dict.fromkeys(["cube", "cube1", "cube2", "cube_name"] if kind != "spawn_cube" else [], self._world.cubes),
+        }
+        if name in there and (names := there[name]()) and self.choice.random() < 0.95:
+            return choose(names)
         match name:
+            case "cubes":
+                return self.choice.sample(names := self._world.cubes(), min(len(names), 3)) or ["a"]
+            case "controls":
+                return [choose([-1, 0, 0.5, 1])] * choose([1, 1, 8])
             case "commands":
                 return [self.command(within=True) for _ in range(self.choice.randint(0, 6))]
             case "ticks" | "agents":
@@ -109,14 +129,18 @@ class Stranger:
         return choose([None, 1, "x", {"y": []}])
 
 
+# What numpy and MuJoCo say of bodies that are on their way to a fault.
+diverging = pytest.mark.filterwarnings("ignore:invalid value:RuntimeWarning", "ignore:Inertia matrix:UserWarning")
+
+
 def campaign(seed: int, commands: int, backend: str) -> None:
-    stranger = Stranger(seed)
     config: Json = {"backend": backend, "mode": "lockstep", "limits": {"cubes": 60}}
     world = World(config, emit=lambda client, event: protocol.validate_event(protocol.decode(event)))
     hostile, neighbour = world.join(), world.join()
+    stranger = Stranger(seed, world)
     world.execute(neighbour, {"type": "subscribe"})
     for number in range(commands):
-        if number % 60 == 0:
+        if number % 100 == 0 or not world.cubes():
             world.execute(neighbour, {"type": "reset", "seed": number})
             for name in "abc":
                 place = [1.5 * ord(name) - 147, 1, 0]
@@ -137,12 +161,14 @@ def campaign(seed: int, commands: int, backend: str) -> None:
     world.close()
 
 
+@diverging
 @pytest.mark.parametrize("backend", ["mujoco", "ballistic", "pymunk"])
 @pytest.mark.parametrize("seed", range(3))
 def test_nothing_that_a_stranger_sends_stops_a_world_but_its_physics(seed: int, backend: str) -> None:
     campaign(seed, 400, backend)
 
 
+@diverging
 @pytest.mark.long
 @pytest.mark.parametrize("backend", ["mujoco", "ballistic", "pymunk"])
 @pytest.mark.parametrize("seed", range(100, 140))

@@ -11,7 +11,7 @@ import re
 import struct
 import sys
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -21,11 +21,12 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from nmes import World, protocol
-from nmes.brain import load_brain
+from nmes.brain import KINDS, load_brain
 from nmes.errors import DocumentError, RejectedMessage
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
 from nmes.protocol import DELIMITER
+from nmes.schemas import load
 from nmes.schemas.documents import fits
 from onnx_models import field, tensor
 
@@ -280,6 +281,34 @@ def test_a_document_s_file_is_read_up_to_a_bound(tmp_path: Path) -> None:
     path = tmp_path / "large.json"
     with path.open("wb") as file:
         file.truncate(1 << 40)  # a file with nothing in it takes no room
-    for load in (Genome.load, Task.load):
+    for kind in (Genome, Task):
         with pytest.raises(DocumentError, match="over 80 MiB"):
-            load(path)
+            kind.load(path)
+
+
+DOCUMENTS = ["auth", "genome", "task", "world_config", *(f"brain-{kind}" for kind in KINDS)]
+# Bounded by the frame they come in, by the table of commands, by param_name, by a schema of its own, by the engine.
+ELSEWHERE = re.compile(r"\w+/id|batch/commands/\[\]/type|set_joint_param/value|spawn_creature/genome|[\w/]+/engine")
+
+
+def unbounded(part: Json, path: str) -> Iterator[str]:
+    """Yields the places of a schema at which a stranger may write as much as he likes."""
+    kind = part.get("type")
+    fixed = "enum" in part or "const" in part or re.search(r"\}\$$", part.get("pattern", "")) is not None
+    ends = {"minimum", "maximum"}
+    needed = {"array": {"maxItems"}, "string": {"maxLength"}, "object": {"properties"}, "number": ends, "integer": ends}
+    choices = [*part.get("anyOf", ()), *part.get("oneOf", ())]
+    if not fixed and not (kind is None and choices) and (kind is None or not needed.get(kind, set()) <= part.keys()):
+        yield path
+    for name, inner in part.get("properties", {}).items():
+        yield from unbounded(inner, f"{path}/{name}")
+    for inner in ([part["items"]] if "items" in part else []) + choices:
+        yield from unbounded(inner, f"{path}/[]")
+
+
+def test_all_that_a_stranger_may_write_has_a_bound_in_its_schema() -> None:
+    schemas = {kind: command.schema for kind, command in protocol.COMMANDS.items()}
+    schemas |= {name: load(f"{name}.json") for name in DOCUMENTS}
+    places = [place for name, schema in schemas.items() for place in unbounded(schema, name)]
+    assert len(places) > len(protocol.COMMANDS)  # each has an id
+    assert [place for place in places if not ELSEWHERE.fullmatch(place)] == []
