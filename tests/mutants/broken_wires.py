@@ -382,7 +382,7 @@ def broken_utf8_accepted(patch: MonkeyPatch) -> None:
 @defect("4.1:nested-201-deep")
 def depth_not_limited(patch: MonkeyPatch) -> None:
     """It reads JSON however deep it is nested."""
-    patch.setattr(documents, "_too_deep", lambda raw, value: False)
+    patch.setattr(documents, "_too_deep", lambda value: False)
 
 
 @defect("4.6")
