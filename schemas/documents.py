@@ -71,7 +71,7 @@ def parse_json(text: bytes) -> Any:
     Raises:
         RejectedMessage: It is not UTF-8 (`bad_frame`), or not strict JSON (`bad_json`).
     """
-    brackets = text.count(b"[") + text.count(b"{")
+    brackets = text.count(b"[") + text.count(b"{") if len(text) > 2 * NESTING else 0
     if brackets > CONTAINERS:  # those in strings count, which are too few to matter
         raise RejectedMessage("bad_json", f"more than {CONTAINERS:,} arrays and objects")
     try:
