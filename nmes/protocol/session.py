@@ -54,7 +54,7 @@ class Limits:
     pending: int = 8 << 20
     stall_timeout: float = 10.0
     connections: int = 1024
-    unauthenticated: int = 256
+    unauthenticated: int = 128
 
 
 @dataclass(frozen=True, slots=True)

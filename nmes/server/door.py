@@ -32,7 +32,7 @@ __all__ = ["Door", "Entrant", "Guesses", "address_of"]
 logger = logging.getLogger(__name__)
 
 BACKLOG = 1024  # sockets that the system keeps for us
-AT_ONCE = 64  # of these that are accepted before others have their turn
+AT_ONCE = 4  # of these that are accepted before others have their turn
 PAUSE = 0.2  # s: for how long none is accepted where the system has no more descriptors
 SILENCE = 60.0  # s: for how long that is not logged again
 

@@ -210,7 +210,7 @@ def test_the_limits_are_those_of_the_protocol() -> None:
     assert (limits.auth_frame, limits.auth_timeout) == (16 << 10, 5.0)
     assert (limits.frame, limits.idle_timeout) == (MIB, 300.0)
     assert (limits.pending, limits.stall_timeout, limits.connections) == (8 * MIB, 10.0, 1024)
-    assert limits.unauthenticated == 256
+    assert limits.unauthenticated == 128
 
 
 # -- connections ------------------------------------------------------------------------------------------------------
