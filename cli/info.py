@@ -16,6 +16,8 @@ from nmes.recording import Recording
 
 __all__ = ["command", "open_recording"]
 
+_DIGITS = 19  # of a frame
+
 
 def open_recording(_: click.Context, parameter: click.Parameter, value: str) -> Recording:
     """Opens the file that an argument names; one that cannot be read is wrong usage."""
@@ -87,10 +89,17 @@ def _about(recording: Recording) -> dict[str, Any]:
     }
 
 
+def _date(text: str) -> str:
+    """Returns a date for people; one that is none, as a forger may write, as it stands."""
+    try:
+        return f"{datetime.fromisoformat(text).astimezone(UTC):%Y-%m-%d %H:%M:%S} UTC"
+    except (ValueError, OverflowError):
+        return text
+
+
 def _rows(about: dict[str, Any]) -> list[tuple[str, str]]:
     fingerprint, damage = about["fingerprint"], about["damage"]
     engine = [fingerprint["backend"], fingerprint.get("engine.version", ""), f"nmes {fingerprint['nmes']}"]
-    created = datetime.fromisoformat(about["created"]).astimezone(UTC)
     commands = sum(about["commands"].values())
     parent = about["parent"]
     begins = f", from frame {about['first_frame']:,} on" if about["first_frame"] else ""
@@ -99,7 +108,7 @@ def _rows(about: dict[str, Any]) -> list[tuple[str, str]]:
         ("world", f"{about['world']}, seed {about['seed']}"),
         ("engine", ", ".join(part for part in engine if part)),
         ("machine", ", ".join(fingerprint[name] for name in ("cpu", "simd", "libc", "python"))),
-        ("created", f"{created:%Y-%m-%d %H:%M:%S} UTC"),
+        ("created", _date(about["created"])),
         ("duration", f"{about['sim_seconds']:,.2f} s of simulation in {about['wall_seconds']:,.2f} s"),
         ("ticks", f"{about['ticks']:,}{begins}{saved}"),
         ("clients", f"{about['clients']:,}"),
@@ -107,7 +116,7 @@ def _rows(about: dict[str, Any]) -> list[tuple[str, str]]:
     ]
     rows += [(f"  {name}", f"{count:,}") for name, count in about["commands"].items()]
     if parent is not None:
-        rows.append(("parent", f"{parent['file']}, frame {int(parent['frame']):,} ({parent['recording'][:16]})"))
+        rows.append(("parent", f"{parent['file']}, frame {parent['frame'][:_DIGITS]} ({parent['recording'][:16]})"))
     if about["faults"]:
         rows.append(("faults", f"{about['faults']:,}"))
     rows.append(("size", decimal(about["size"])))

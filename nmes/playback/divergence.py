@@ -146,7 +146,11 @@ def _list_difference(expected: list[Any], actual: list[Any], cube: str | None, p
 
 def pose_difference(recorded: bytes, now: bytes) -> Difference | None:
     """Finds the value in which the poses of two transforms messages differ most."""
-    expected, actual = decode_poses(recorded), decode_poses(now)
+    actual = decode_poses(now)
+    try:
+        expected = decode_poses(recorded)
+    except ValueError as error:
+        return Difference(None, "cubes", str(error), list(actual))
     if list(expected) != list(actual):
         return Difference(None, "cubes", list(expected), list(actual))
     differences = [

@@ -200,14 +200,18 @@ def _advance_by(world: World, recorded: RecordedInput, ticks: int, last: bool) -
 
 def _shortened(recorded: RecordedInput, ticks: int) -> dict[str, Any] | None:
     """Returns as much of a command that ticks as comes before its tick after so many; None: nothing of it."""
-    command = protocol.parse(recorded.record.data).command or {}
+    command = protocol.parse(recorded.record.data).command
+    if command is None:
+        return None  # no command, so that it made no tick
     if command["type"] == "step":
         return {**command, "ticks": ticks} if ticks else None
-    results = _content(recorded.reply).get("results", ())
+    results = _content(recorded.reply).get("results")
+    codes = [one.get("code") if isinstance(one, dict) else None for one in results] if isinstance(results, list) else []
     parts = []
-    for part, result in zip_longest(command.get("commands", ()), results):
+    for part, code in zip_longest(command["commands"], codes[: len(command["commands"])]):
         # Where the reply is missing, all its steps are taken to have ticked; if not, the digests will show it.
-        if part["type"] == "step" and (result is None or result.get("code", "world_faulted") == "world_faulted"):
+        request = protocol.request_from(part)
+        if request.type == "step" and request.error is None and code in (None, "world_faulted"):
             count = part.get("ticks", 1)
             if count > ticks:
                 parts += [{**part, "ticks": ticks}] if ticks else []

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from nmes.backend import Array
-from nmes.errors import FilmError
+from nmes.errors import FilmError, RecordingError
 from nmes.playback import replay, watch
 from nmes.playback.report import fingerprint_differences
 from nmes.recording import Kind, Recording
@@ -69,26 +69,24 @@ def _run_again(recording: Recording) -> Iterator[Moment]:
 def _recorded(recording: Recording) -> Iterator[Moment]:
     """Yields the recorded poses, and one moment a tick between two of them."""
     rate: int = recording.config["tick_rate"]
-    before = frame = 0  # ticks before the last reset, and since
+    ticks = 0
     shapes: dict[str, Shape] = {}
     last: Moment | None = None
     for record in recording:
-        now_at = round(record.time * rate / 1e9)
-        if now_at < frame:
-            before += frame
-        frame = now_at
-        match record.kind:
-            case Kind.SCENE:
-                shapes = decode_shapes(record.data, shapes)
-            case Kind.POSES:
-                poses = decode_poses(record.data)
-                cubes = {name: shapes[name] for name in poses if name in shapes}
-                rows = np.array([poses[name] for name in cubes], float).reshape(-1, 7)
-                now = Moment((before + frame) / rate, recording.config["seed"], cubes, rows)
-                if last is not None:
-                    yield from _between(last, now, rate)
-                yield now
-                last = now
+        ticks += len(record.digests)
+        try:
+            poses = decode_poses(record.data) if record.kind is Kind.POSES else {}
+            shapes = decode_shapes(record.data, shapes) if record.kind is Kind.SCENE else shapes
+        except ValueError as error:
+            raise RecordingError("recording_damaged", f"{recording.path}: record {record.sequence}: {error}") from error
+        if record.kind is Kind.POSES:
+            cubes = {name: shapes[name] for name in poses if name in shapes}
+            rows = np.array([poses[name] for name in cubes], float).reshape(-1, 7)
+            now = Moment(ticks / rate, recording.config["seed"], cubes, rows)
+            if last is not None:
+                yield from _between(last, now, rate)
+            yield now
+            last = now
     if last is None:
         raise FilmError(
             "nothing_to_see",

@@ -224,10 +224,10 @@ def _lines(recording: Recording, rate: int) -> Iterator[_Line]:
     """Yields the lines of a recording's log, in order."""
     ticks = 0
     for record, effects in recorded_inputs(recording):
-        reply = orjson.loads(effects[-1].data) if effects and effects[-1].kind is Kind.REPLY else {}
+        reply = _object(effects[-1].data) if effects and effects[-1].kind is Kind.REPLY else {}
         match record.kind:
             case Kind.COMMAND:
-                yield _command(ticks, record.client, orjson.loads(record.data), reply, rate)
+                yield _command(ticks, record.client, _object(record.data), reply, rate)
             case Kind.REFUSED:
                 text = f"client {record.client}: a frame that is no command: {reply.get('message')}"
                 yield _Line(ticks, text, "WARN")
@@ -246,7 +246,19 @@ def _command(ticks: int, client: int | None, command: Json, reply: Json, rate: i
     text = " ".join([f"client {client}: {command.get('type')}", *fields])
     text = text if len(text) <= _TEXT else text[:_TEXT] + "..."
     if reply.get("type") == "error":
-        return _Line(ticks, f"{text} -> {reply['code']}: {reply['message']}", "WARN")
+        return _Line(ticks, f"{text} -> {reply.get('code')}: {reply.get('message')}", "WARN")
+    try:
+        pushes, rewards = _acts(client, command, reply, rate)
+    except (AttributeError, KeyError, TypeError, ValueError):  # messages that somebody has edited
+        pushes, rewards = [], []
+    quiet = command.get("type") in _EVERY_TICK or str(command.get("type")).startswith("get_")
+    return _Line(ticks, text, "TRACE" if quiet else "INFO", pushes, rewards)
+
+
+def _acts(
+    client: int | None, command: Json, reply: Json, rate: int
+) -> tuple[list[tuple[str, Array, Array | None]], list[tuple[str, float]]]:
+    """Returns the forces that a command applied, and the rewards that it asked for."""
     pushes: list[tuple[str, Array, Array | None]] = []
     rewards: list[tuple[str, float]] = []
     for part, answer in _parts(command, reply):
@@ -258,8 +270,16 @@ def _command(ticks: int, client: int | None, command: Json, reply: Json, rate: i
                 pushes.append((answer["cube_name"], force, None if point is None else np.array(point, float)))
         elif answer.get("type") == "reward":
             rewards.append((f"reward of client {client}", float(answer["value"])))
-    quiet = command.get("type") in _EVERY_TICK or str(command.get("type")).startswith("get_")
-    return _Line(ticks, text, "TRACE" if quiet else "INFO", pushes, rewards)
+    return pushes, rewards
+
+
+def _object(data: bytes) -> Json:
+    """Returns the JSON object of a message; an empty one where somebody has edited it to something else."""
+    try:
+        message = orjson.loads(data)
+    except ValueError:
+        return {}
+    return message if isinstance(message, dict) else {}
 
 
 def _parts(command: Json, reply: Json) -> Iterator[tuple[Json, Json]]:

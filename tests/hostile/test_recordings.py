@@ -10,8 +10,9 @@ import struct
 import subprocess
 import sys
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -194,7 +195,7 @@ def test_a_full_standard_output_is_an_error_in_words(command: str, busy_file: Pa
 FOOTER = 37  # bytes of the footer and the magic at a file's end
 
 
-def summary_of(data: bytes) -> int:
+def summary_of(data: bytes | bytearray) -> int:
     """Returns where a file's summary begins."""
     return int(struct.unpack_from("<Q", data, len(data) - FOOTER + 9)[0])
 
@@ -207,7 +208,7 @@ def with_checksums(data: bytearray) -> bytes:
     return bytes(data)
 
 
-def parts(data: bytes, begin: int, end: int) -> Iterator[tuple[int, int, int]]:
+def parts(data: bytes | bytearray, begin: int, end: int) -> Iterator[tuple[int, int, int]]:
     """Yields the records between two places: type, where the body begins, where it ends."""
     while begin < end:
         opcode, length = struct.unpack_from("<BQ", data, begin)
@@ -351,3 +352,129 @@ def test_what_packs_too_well_is_recorded_unpacked(tmp_path: Path) -> None:
     recording = Recording(record(tmp_path / "x.mcap", play))
     assert recording.size > 2_700_000 and recording.complete
     assert [len(item.data) for item in recording if item.kind is Kind.COMMAND] == [900_015] * 3
+
+
+# -- what is valid MCAP, and not ours --------------------------------------------------------------------------------
+
+
+def despawning(world: World, client: int, force: float = 1.5) -> None:
+    """A cube goes before another is pushed."""
+    for name in ("one", "two", "three"):
+        send(world, client, type="spawn_cube", cube_name=name, position=[3 * len(name), 5, 0])
+    send(world, client, type="step", ticks=6)
+    send(world, client, type="despawn_cube", cube_name="two")
+    send(world, client, type="step", ticks=6)
+    send(world, client, type="apply_physics", cube_name="one", force=[force, 0.25, 0])
+    send(world, client, type="step", ticks=12)
+    send(world, client, type="batch", commands=[{"type": "ping"}, {"type": "step", "ticks": 2}])
+    world.handle(client, parse(b"no frame"))
+    send(world, client, type="get_world_state")
+
+
+READERS = [
+    "info {path}",
+    "info {path} --json",
+    "info {path} --plot {output}",
+    "verify {path}",
+    "export {path} --to jsonl -o {output}",
+    "export {path} --to csv -o {output} --keep-going",
+    "replay {path}",
+    "replay {path} --from 3 --to 9",
+    "replay {path} --backend pymunk",
+    "diff {path} {other} --keep-going",
+    "diff {other} {path} --keep-going",
+    "fork {path} --at 20 -o {fork}",
+    "render {path} -o {picture} --size 16x16",
+    "view {path} --save {output}",
+]
+
+
+def read_with(command: str, path: Path, other: Path, folder: Path) -> tuple[int, str]:
+    (fork := folder / "fork.mcap").unlink(missing_ok=True)
+    places = {"path": path, "other": other, "output": folder / "output", "picture": folder / "x.png", "fork": fork}
+    return run(*(word.format(**places) for word in command.split()))
+
+
+@pytest.fixture(scope="module")
+def despawn_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(tmp_path_factory.mktemp("hostile") / "despawn.mcap", despawning, {"keyframes": 0.1})
+
+
+METADATA: dict[str, tuple[str, dict[str, str]]] = {
+    "no date": ("nmes.recording", {"created": "yesterday"}),
+    "an early date": ("nmes.recording", {"created": "0001-01-01T00:00:00+14:00"}),
+    "a large frame": ("nmes.parent", {"recording": "0" * 64, "head": "0" * 64, "frame": "9" * 5000, "file": "x"}),
+    "no frame": ("nmes.parent", {"file": "x"}),
+    "a foreign seed": ("nmes.world", {"seed": "9" * 5000}),
+    "no config": ("nmes.world", {"config": "[]"}),
+    "an unknown engine": ("nmes.fingerprint", {"backend": "x"}),
+    "an evaluation": ("nmes.evaluation", {"task": "[]", "genome": "1"}),
+    "a deep config": ("nmes.world", {"config": "[" * 100_000}),
+}
+
+
+@pytest.mark.parametrize("odd", METADATA)
+def test_odd_metadata_are_an_error_in_words(odd: str, despawn_file: Path, tmp_path: Path) -> None:
+    name, values = METADATA[odd]
+    about = {name: {**Recording(despawn_file).metadata.get(name, {}), **values}}
+    path = rewrite(despawn_file, tmp_path / "x.mcap", lambda lines: lines, about=about)
+    for command in READERS[:-2]:
+        read_with(command, path, despawn_file, tmp_path)
+
+
+def test_a_despawn_before_a_divergence_is_no_matter(despawn_file: Path, tmp_path: Path) -> None:
+    path = record(tmp_path / "x.mcap", lambda world, client: despawning(world, client, 2.0), {"keyframes": 0.1})
+    for command in READERS:
+        read_with(command, path, despawn_file, tmp_path)
+    code, text = run("diff", path, despawn_file)
+    assert code == 1 and "states part at tick 13" in text
+
+    def push_harder(lines: list[Line]) -> list[Line]:
+        return [line._replace(data=line.data.replace(b"[1.5,0.25,0]", b"[1.75,0.25,0]")) for line in lines]
+
+    forged = rewrite(despawn_file, tmp_path / "forged.mcap", push_harder)
+    for command in READERS:
+        read_with(command, forged, path, tmp_path)
+
+
+WORDS = [b"", b"{}", b"[]", b"1", b"null", b"\xff", b"x", b'{"type":1}']
+FIELDS = [b'"step"', b'"ticks"', b'"type"', b'"results"', b'"cube_name"', b'"client":1', b'"code"', b'"frame"']
+
+
+def mangled(lines: list[Line], source: random.Random) -> list[Line]:
+    """Drops, repeats, moves or changes messages, or puts others' words into them."""
+    lines = list(lines)
+    for _ in range(source.randrange(1, 4)):
+        at, other = source.randrange(len(lines)), source.randrange(len(lines))
+        line = lines[at]
+        match source.randrange(7):
+            case 0:
+                del lines[at]
+            case 1:
+                lines.insert(other, line)
+            case 2:
+                lines[at] = line._replace(data=lines[other].data)
+            case 3:
+                lines[at] = line._replace(data=source.choice(WORDS))
+            case 4:
+                data = bytearray(line.data or b"x")
+                data[source.randrange(len(data))] = source.randrange(256)
+                lines[at] = line._replace(data=bytes(data))
+            case 5:
+                lines[at] = line._replace(data=line.data.replace(source.choice(FIELDS), source.choice(FIELDS)))
+            case _:
+                lines[at] = line._replace(log_time=source.choice([0, 1, 2**63, 2**64 - 1]))
+    return lines or [Line("clients", 0, b"")]
+
+
+@pytest.mark.parametrize("seeds", [(10, 53, 65), pytest.param(range(100, 3000), marks=pytest.mark.long)])
+def test_an_edited_recording_makes_no_command_fail_but_in_words(
+    seeds: Sequence[int], despawn_file: Path, tmp_path: Path
+) -> None:
+    for seed in seeds:
+        source = random.Random(seed)
+        path = tmp_path / f"{seed}.mcap"
+        rewrite(despawn_file, path, partial(mangled, source=source))
+        for command in READERS[:-2] if seed % 10 else READERS:
+            read_with(command, path, despawn_file, tmp_path)
+        path.unlink()

@@ -99,7 +99,16 @@ def busy(world: World, client: int) -> None:
     send(world, client, type="get_world_state")
 
 
-def rewrite(source: Path, target: Path, edit: Edit, *, chained: bool = True, missing: int = 0, skip: int = 0) -> Path:
+def rewrite(
+    source: Path,
+    target: Path,
+    edit: Edit,
+    *,
+    chained: bool = True,
+    missing: int = 0,
+    skip: int = 0,
+    about: Mapping[str, Mapping[str, str]] | None = None,
+) -> Path:
     """Writes a recording again with its messages edited, all checksums in order.
 
     Args:
@@ -109,6 +118,7 @@ def rewrite(source: Path, target: Path, edit: Edit, *, chained: bool = True, mis
         chained: Whether the hash chain is made anew too; otherwise its old heads are kept.
         missing: How many records more than there are the closing metadata speak of.
         skip: By how much the second half of the sequence numbers is too high.
+        about: Metadata records by name, in place of those that there are or beside them.
     """
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
@@ -130,8 +140,8 @@ def rewrite(source: Path, target: Path, edit: Edit, *, chained: bool = True, mis
     assert chained or len(heads) == 1, "more than one chunk"
     writer = Writer(target, profile="nmes", library="test")
     chain = hashlib.sha256()
-    for item in metadata[:-1]:
-        chain.update(writer.metadata(item.name, item.metadata))
+    for name, values in {**{item.name: item.metadata for item in metadata[:-1]}, **(about or {})}.items():
+        chain.update(writer.metadata(name, values))
     for schema in schemas.values():
         writer.schema(schema.name, schema.encoding, schema.data)
     numbers = {
