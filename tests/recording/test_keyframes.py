@@ -18,7 +18,8 @@ from histories import FRAMES, histories, play_history
 from nmes.cli import main
 from nmes.errors import RecordingError
 from nmes.playback import replay, states, world_at
-from nmes.recording import Kind, Recorder, Recording, mcap_reader
+from nmes.recording import Kind, Recorder, Recording
+from nmes.recording.mcap_format import skim_chunk
 from nmes.world import World
 from recordings import Line, record, rewrite, send
 
@@ -232,11 +233,10 @@ def test_damage_outside_the_replayed_part_is_not_reported(long_file: Path, tmp_p
 
 def test_restoring_a_late_frame_reads_little_of_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     read: list[int] = []
-    skim = mcap_reader.skim_chunk
 
     def count(content: bytes) -> Any:
         read.append(len(content))
-        return skim(content)
+        return skim_chunk(content)
 
     recording = Recording(record(tmp_path / "x.mcap", long, {"keyframes": 1 / 60}))
     chunks = len(list(recording.chunks()))
