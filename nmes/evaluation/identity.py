@@ -70,7 +70,7 @@ def _half(quaternion: Sequence[float]) -> np.ndarray[Any, Any]:
 def _axis(joint: BodyJoint) -> Any:
     """Returns an axis of length 1; None for joints that need none, or take theirs from where their cubes are."""
     axis = _AXES.get(joint.kind) if joint.axis is None else joint.axis
-    return None if axis is None or joint.kind in ("fixed", "pin") else np.array(axis) / np.linalg.norm(axis)
+    return None if axis is None or joint.kind in ("fixed", "pin") else np.array(axis) / np.sqrt(np.square(axis).sum())
 
 
 def _brain(brain: Brain) -> list[Any]:
