@@ -26,7 +26,7 @@ _DEEP = 0.01  # part of a box's shortest edge
 _SPEED = 3.0  # m/s and rad/s
 _CROWD = 16  # trees whose roots may be in one place before some have to wait
 _FIRST = 4  # of a crowd so many do not wait
-_WAITING = 2  # the bit of MuJoCo's collision masks by which those that wait touch all but their crowds
+_WAITING = 2  # the bit of MuJoCo's collision masks by which those that wait touch what cannot move
 
 
 class Depenetration:
@@ -66,7 +66,7 @@ class Depenetration:
 
     @contextmanager
     def crowds(self, compiled: CompiledModel, data: mujoco.MjData) -> Iterator[list[int]]:
-        """Gives the trees that wait; while it lasts they touch nothing that is watched, too."""
+        """Gives the trees that wait; while it lasts they touch nothing but what cannot move."""
         model, waiting = compiled.model, self._waiting(compiled, data)
         if not waiting:
             yield waiting
@@ -74,9 +74,8 @@ class Depenetration:
         masks = [model.geom_contype, model.geom_conaffinity, model.body_contype, model.body_conaffinity]
         saved = [mask.copy() for mask in masks]
         trees = model.body_treeid
-        watched = trees[[compiled.body_index[body] for body in sorted(self.bodies)]]
         for (kind, affinity), tree in ((masks[:2], trees[model.geom_bodyid]), (masks[2:], trees)):
-            affinity[(kind != 0) & ~np.isin(tree, watched)] |= _WAITING
+            affinity[(kind != 0) & (tree < 0)] |= _WAITING
             wait = np.isin(tree, waiting)
             kind[wait], affinity[wait] = _WAITING, 0
         try:
