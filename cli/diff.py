@@ -7,13 +7,14 @@ import sys
 from pathlib import Path
 
 import click
-import orjson
 from rich.console import Console
 from rich.table import Table
 
 from nmes.cli._drift import plot
+from nmes.cli._json import print_json
 from nmes.cli._output import check_output
 from nmes.cli.info import open_recording
+from nmes.errors import visible
 from nmes.playback.diff import Comparison, compare
 from nmes.recording import Recording
 
@@ -49,7 +50,7 @@ def command(first: Recording, second: Recording, plot_to: Path | None, keep_goin
     if plot_to is not None:
         plot(f"Drift of {second.path.name} from the recording on {first.path.name}", comparison.drifts, plot_to)
     if as_json:
-        click.echo(orjson.dumps(comparison.to_json(), option=orjson.OPT_INDENT_2))
+        print_json(comparison.to_json())
     else:
         _show(comparison, Console(highlight=False, markup=False, soft_wrap=True))
     sys.exit(0 if comparison.same else 1)
@@ -61,15 +62,15 @@ def _show(comparison: Comparison, console: Console) -> None:
         console.print("inputs: the same")
     else:
         console.print(f"inputs part after {inputs.ticks:,} ticks")
-        console.print(f"  A: {inputs.first}")
-        console.print(f"  B: {inputs.second}")
+        console.print(f"  A: {visible(inputs.first)}")
+        console.print(f"  B: {visible(inputs.second)}")
     if states is None:
         console.print(f"states: the same after each of {comparison.ticks[0]:,} ticks")
         return
     console.print(f"states part at tick {states.tick:,} (A has {comparison.ticks[0]:,}, B has {comparison.ticks[1]:,})")
     if states.field is not None:
         where = states.field if states.cube is None else f"cube {states.cube}: {states.field}"
-        console.print(f"  {where}: A {states.first}, B {states.second}")
+        console.print(visible(f"  {where}: A {states.first}, B {states.second}"))
     if comparison.drifts:
         worst = {name: max(drift.distance for drift in line) for name, line in comparison.drifts.items()}
         table = Table("cube", "apart at last (m)", "at most (m)", "turned", box=None, pad_edge=False)
@@ -77,7 +78,9 @@ def _show(comparison: Comparison, console: Console) -> None:
             column.justify = "right"
         for name in sorted(worst, key=lambda name: -worst[name])[:_CUBES]:
             last = comparison.drifts[name][-1]
-            table.add_row(name, f"{last.distance:.6g}", f"{worst[name]:.6g}", f"{math.degrees(last.angle):.2f}°")
+            table.add_row(
+                visible(name), f"{last.distance:.6g}", f"{worst[name]:.6g}", f"{math.degrees(last.angle):.2f}°"
+            )
         console.print(table)
         if len(worst) > _CUBES:
             console.print(f"and {len(worst) - _CUBES} cubes that come less far apart")

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 import click
-import orjson
 from rich.filesize import decimal
 
+from nmes.cli._json import print_json
 from nmes.cli._output import check_output
-from nmes.errors import RecordingError
+from nmes.errors import RecordingError, visible
 from nmes.recording import Recording
 
 __all__ = ["command", "open_recording"]
@@ -54,12 +54,12 @@ def command(recording: Recording, plot_to: Path | None, as_json: bool) -> None:
 
         plot_recordings([recording], plot_to)
     if as_json:
-        click.echo(orjson.dumps(about, option=orjson.OPT_INDENT_2))
+        print_json(about)
         return
     rows = _rows(about)
-    width = max(len(name) for name, _ in rows)
+    width = max(len(visible(name)) for name, _ in rows)
     for name, value in rows:
-        click.echo(f"{name:<{width}}  {value}")
+        click.echo(f"{visible(name):<{width}}  {visible(value)}")
 
 
 def _about(recording: Recording) -> dict[str, Any]:

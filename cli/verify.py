@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import click
-import orjson
 from rich.filesize import decimal
 
 from nmes import protocol
+from nmes.cli._json import print_json
 from nmes.cli.info import open_recording
-from nmes.errors import SigningError
+from nmes.errors import SigningError, visible
 from nmes.recording import Recording
 from nmes.recording.signing import check_signature, public_key
 
@@ -51,10 +51,10 @@ def command(recording: Recording, verify_key: Path | None, signature: Path | Non
         raise click.UsageError("--signature needs --verify-key")
     report = _check(recording, verify_key, signature)
     if as_json:
-        click.echo(orjson.dumps(report, option=orjson.OPT_INDENT_2))
+        print_json(report)
     else:
         for line in _lines(report):
-            click.echo(line)
+            click.echo(visible(line))
     sys.exit(0 if report["verdict"] == "sound" and report["signed"] is not False else 1)
 
 

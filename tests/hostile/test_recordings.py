@@ -478,3 +478,20 @@ def test_an_edited_recording_makes_no_command_fail_but_in_words(
         for command in READERS[:-2] if seed % 10 else READERS:
             read_with(command, path, despawn_file, tmp_path)
         path.unlink()
+
+
+def test_what_recordings_say_commands_no_terminal(despawn_file: Path, tmp_path: Path) -> None:
+    hostile = "\x1b[2J\n\u202e\x9b"
+    about = {
+        "nmes.recording": {**Recording(despawn_file).metadata["nmes.recording"], "nmes": hostile, "created": hostile},
+        "nmes.fingerprint": {**Recording(despawn_file).fingerprint, "cpu": hostile, "nmes": hostile},
+        "nmes.parent": {"recording": "0" * 64, "head": "0" * 64, "frame": "1", "file": hostile},
+    }
+
+    def refuse(lines: list[Line]) -> list[Line]:
+        return [line._replace(data=line.data.replace(b"no frame", hostile.encode())) for line in lines]
+
+    path = rewrite(despawn_file, tmp_path / "x.mcap", refuse, about=about)
+    for command in ("info {path}", "info {path} --json", "verify {path}", "diff {path} {other} --keep-going"):
+        _, text = read_with(command, path, despawn_file, tmp_path)
+        assert all(line.isprintable() for line in text.split("\n")), text
