@@ -41,11 +41,9 @@ def tower(size: float, brain: dict[str, Any], *, restitution: float = 0.0, effor
     return Genome({"format": "nmes-genome/1", "name": "tower", "body": body, "sensors": sensors, "brain": brain})
 
 
-FLAT = ("walk", "jump-high", "jump-far", "rough")
-
-
 @pytest.mark.parametrize("size", [1.95, 3.99])
-@pytest.mark.parametrize(("name", "restitution"), [("stairs", 0.0), *((name, r) for name in FLAT for r in (0.0, 0.5))])
+@pytest.mark.parametrize("restitution", [0.0, 0.5])
+@pytest.mark.parametrize("name", ["walk", "jump-high", "jump-far", "stairs", "rough"])
 def test_a_tower_that_falls_scores_nothing(name: str, restitution: float, size: float) -> None:
     evaluation = evaluate(tower(size, FORWARD, restitution=restitution), Task.load(name), seeds=[1])
     assert evaluation.error is None
@@ -75,3 +73,9 @@ def test_a_wheel_that_is_shaken_pays_for_no_bounce(restitution: float) -> None:
     evaluation = evaluate(Genome(document), Task.load("walk"), seeds=[1])
     assert evaluation.error is None or (restitution > 0.5 and "restitution" in evaluation.error)
     assert not any(result.score for result in evaluation.results), evaluation.results
+
+
+def test_a_hop_beside_the_stairs_is_no_climb() -> None:
+    """The jumper hops on the spot, and is in the air when its time is over."""
+    evaluation = evaluate(Genome.load("jumper"), Task.load("stairs"), seeds=[1])
+    assert [result.score for result in evaluation.results] == [0.0]
