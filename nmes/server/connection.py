@@ -83,7 +83,9 @@ class Connection(asyncio.BufferedProtocol):
         self._active_at = self._progress_at = monotonic()
         self._address = address_of(self._transport.get_extra_info("peername"))
         loop = asyncio.get_running_loop()
-        self._timer = loop.call_later(self._limits.auth_timeout, self._auth_timed_out)
+        limit = self._limits.auth_timeout
+        late = RejectedMessage("auth_timeout", f"no authentication within {limit:g} s")
+        self._timer = loop.call_later(limit, self.hang_up, late)
         self._host.admit(self, self._address)
 
     def get_buffer(self, sizehint: int) -> memoryview:
@@ -195,9 +197,6 @@ class Connection(asyncio.BufferedProtocol):
         self._transport.pause_reading()
         self._timer = asyncio.get_running_loop().call_later(self._host.auth_delay, self.hang_up, error)
 
-    def _auth_timed_out(self) -> None:
-        self.hang_up(RejectedMessage("auth_timeout", f"no authentication within {self._limits.auth_timeout:g} s"))
-
     # -- commands --------------------------------------------------------------------------------------------------
 
     def resume(self) -> None:
@@ -260,14 +259,15 @@ class Connection(asyncio.BufferedProtocol):
     def _read_in_thread(self, frame: bytes) -> None:
         """Reads the first frame of the backlog in a thread; what came behind it waits."""
         loop = asyncio.get_running_loop()
-        self._reading = self._host.parse(frame)
-        self._reading.add_done_callback(lambda _: loop.call_soon_threadsafe(self._was_read))
+        self._reading = reading = self._host.parse(frame)
 
-    def _was_read(self) -> None:
-        reading, self._reading = self._reading, None
-        if self._backlog and reading is not None:  # else the connection was ended meanwhile
-            self._backlog[0] = self._session.redacted(reading.result())
-        self.resume()
+        def go_on() -> None:
+            self._reading = None
+            if self._backlog:  # else the connection was ended meanwhile
+                self._backlog[0] = self._session.redacted(reading.result())
+            self.resume()
+
+        reading.add_done_callback(lambda _: loop.call_soon_threadsafe(go_on))
 
     def _wait_or_leave(self, waits: bool) -> None:
         """Has the rest executed when others have had their turn, or after `resume`; leaves if none is left."""

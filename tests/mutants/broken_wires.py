@@ -175,9 +175,10 @@ def auth_time_out_put_off(patch: MonkeyPatch) -> None:
 
     def again(connection: Connection, nbytes: int) -> None:
         if connection._world is None and connection._timer is not None:
-            loop, left = connection._timer._loop, connection._limits.auth_timeout  # type: ignore[attr-defined]
-            connection._timer.cancel()
-            connection._timer = loop.call_later(left, connection._auth_timed_out)
+            timer, left = connection._timer, connection._limits.auth_timeout
+            timer.cancel()
+            late = RejectedMessage("auth_timeout", "too late")
+            connection._timer = asyncio.get_running_loop().call_later(left, connection.hang_up, late)
         updated(connection, nbytes)
 
     patch.setattr(Connection, "buffer_updated", again)
