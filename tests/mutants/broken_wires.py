@@ -253,8 +253,8 @@ def heard_behind_a_wrong_password(patch: MonkeyPatch) -> None:
 @defect("2.15")
 def any_world(patch: MonkeyPatch) -> None:
     """It lets a connection into its world whatever world is named."""
-    find = Host.find
-    patch.setattr(Host, "find", lambda host, name: find(host, None))
+    find = Host.world_name
+    patch.setattr(Host, "world_name", lambda host, name: find(host, None))
 
 
 # -- dialects ---------------------------------------------------------------------------------------------------------
