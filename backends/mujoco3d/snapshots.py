@@ -119,15 +119,13 @@ def _check_structure(fields: dict[str, Any], bodies: dict[int, Body], joints: di
 
 
 def _check_sleep(compiled: CompiledModel, asleep: list[int]) -> None:
-    """Raises ValueError unless trees sleep in rings, and what is parked sleeps alone."""
+    """Raises ValueError unless each tree is awake or in a ring of sleeping ones."""
     _require(
         len(asleep) == compiled.model.ntree and all(type(link) is int for link in asleep), "a number for each tree"
     )
     sleeping = {tree for tree, link in enumerate(asleep) if link >= 0}
     _require({asleep[tree] for tree in sleeping} == sleeping, "rings of sleeping trees")
     _require(min(asleep, default=0) >= AWAKE, "counts of ticks awake")
-    parked = compiled.model.body_treeid[compiled.spares].tolist()
-    _require(all(asleep[tree] == tree for tree in parked), "parked bodies asleep")
 
 
 def _numbers(values: Sequence[float], count: int) -> tuple[float, ...]:
