@@ -22,6 +22,7 @@ from nmes.errors import WorldError
 
 __all__ = ["read_snapshot", "write_snapshot"]
 
+_FIELDS = frozenset("bodies joints frozen_at force impulse parting state asleep roots".split())
 _KINDS = frozenset({"fixed", "hinge", "slide", "pin", "conetwist"})
 
 
@@ -70,6 +71,7 @@ def read_snapshot(
 def _take_up(
     fields: dict[str, Any], scene: SceneSpec, running: RunningModel, structure: Structure, wrenches: Wrenches
 ) -> None:
+    _require(fields.keys() == _FIELDS, "these fields alone: " + ", ".join(sorted(_FIELDS)))
     structure.replace([*map(Body.from_json, fields["bodies"])], [*map(Joint.from_json, fields["joints"])])
     bodies, joints = structure.bodies, structure.joints
     _check_structure(fields, bodies, joints)
@@ -79,7 +81,7 @@ def _take_up(
     for name, wrench in (("force", wrenches.forces), ("impulse", wrenches.impulses)):
         wrench.clear()
         wrench.update((number, [*_numbers(values, 6)]) for number, values in fields[name])
-        _require(wrench.keys() <= movable, "forces on movable bodies alone")
+        _require(wrench.keys() <= bodies.keys(), "forces on bodies that are there")
     running.depenetration.bodies = set(fields["parting"])
     _require(running.depenetration.bodies <= movable, "only movable bodies are let apart")
     forest, roots = spanning_forest(bodies, joints.values()), fields["roots"]

@@ -68,8 +68,8 @@ class Guesses:
     It reads no clock: whoever asks says what time it is (s).
     """
 
-    ADDRESS = (10, 0.5)  # an address may guess so often at once, and so often a second
-    COMMON = (100, 5.0)  # and all of them together
+    ADDRESS = (60, 1.0)  # an address may guess so often at once (`nmes conform` does, 30 times), and so often a second
+    COMMON = (200, 5.0)  # and all of them together
     ADDRESSES = 65_536  # that are remembered
 
     def __init__(self) -> None:

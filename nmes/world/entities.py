@@ -123,6 +123,10 @@ class Entities:
         """
         self.require("snapshot", "snapshots")
         engine = self.simulation.snapshot()
+        return self.assembly(), engine
+
+    def assembly(self) -> JsonObject:
+        """Returns the cubes and joints as plain JSON data."""
         cubes = [
             {name: getattr(cube, name) for name in Cube.__slots__ if name != "joints"} for cube in self.cubes.values()
         ]
@@ -135,14 +139,13 @@ class Entities:
             }
             for joint in self.joints.values()
         ]
-        state = {
+        return {
             "version": self.version,
             "spawned": self._spawned,
             "joined": self._joined,
             "cubes": cubes,
             "joints": joints,
         }
-        return state, engine
 
     def restore(self, state: JsonObject, engine: bytes) -> None:
         """Rebuilds the cubes and joints of a snapshot in a world without cubes, of the same config and seed.

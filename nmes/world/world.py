@@ -327,7 +327,7 @@ class World(WorldQueries):
             creatures = Creatures(entities)
             creatures.restore(state["creatures"])
             clients = Clients.restored(state, entities)
-            _require_same(state, engine, entities, creatures, clients)
+            _require_same(state, entities, creatures, clients)
         except Exception as error:  # an engine's bytes may be anything, and so may what its library thinks of them
             entities.simulation.close()
             raise WorldError("bad_snapshot", f"the snapshot does not fit together: {error}") from error
@@ -387,15 +387,14 @@ class World(WorldQueries):
         self.announce({"type": "world_fault", "code": code, "frame": fault.frame, "message": message})
 
 
-def _require_same(state: JsonObject, engine: bytes, entities: Entities, creatures: Creatures, clients: Clients) -> None:
-    """Raises WorldError unless what was restored would be saved as the very same bytes: then nothing was lost."""
-    assembly, saved = entities.snapshot()
-    parts = {"assembly": assembly, "creatures": creatures.snapshot(), **clients.snapshot(entities)}
+def _require_same(state: JsonObject, entities: Entities, creatures: Creatures, clients: Clients) -> None:
+    """Raises WorldError unless what was restored, the engine's part aside, would be saved as the very same bytes."""
+    parts = {"assembly": entities.assembly(), "creatures": creatures.snapshot(), **clients.snapshot(entities)}
     told = {name: state[name] for name in parts}
     counts = [state[name] for name in ("seed", "frame", "ticks", "next_client")]
     if any(type(count) is not int for count in counts) or state["ticks"] < state["frame"]:
         raise WorldError("bad_snapshot", "its numbers of ticks, or of clients, are none")
     if max(clients, default=0) >= state["next_client"]:
         raise WorldError("bad_snapshot", "the next client has the number of one that is in")
-    if saved != engine or protocol.encode(parts) != protocol.encode(told):
+    if protocol.encode(parts) != protocol.encode(told):
         raise WorldError("bad_snapshot", "no world would save itself like this")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import mmap
 from collections.abc import Sequence
 from dataclasses import replace
@@ -255,11 +256,12 @@ class SavesRounded(Planted):
 class NeverFaults(Planted):
     class Defect(BallisticSimulation):
         def step(self, substeps: int) -> None:
-            before = self.snapshot()
+            before = copy.deepcopy(self._bodies)
             try:
                 super().step(substeps)
             except Exception:
-                self.restore(before)
+                self._bodies = before
+                self._clusters = None
 
 
 class ShowsTheFault(Planted):

@@ -282,10 +282,11 @@ def test_tls_handshakes_are_counted() -> None:
             assert peer.rest() == []
 
 
-def test_who_guesses_is_not_heard_for_a_while_and_others_are() -> None:
+def test_who_guesses_is_not_heard_for_a_while_and_others_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Guesses, "ADDRESS", (10, 0.5))
     with served() as server:
         wrong = {"type": "auth", "password": "guess"}
-        for _ in range(10):
+        for _ in range(Guesses.ADDRESS[0]):
             with server.peer(None) as peer:
                 peer.say(wrong)
                 assert json.loads(peer.rest()[-1])["message"] == "that is not the password"

@@ -236,8 +236,8 @@ def swap(data: bytearray, opcode: int, offset: int, width: int) -> None:
 
 def exchange_topics(data: bytearray) -> None:
     begin = summary_of(data)
-    one, other = (data.index(topic, begin) for topic in (b"client/1/commands", b"client/2/commands"))
-    data[one : one + 17], data[other : other + 17] = data[other : other + 17], data[one : one + 17]
+    one, other = (data.index(topic, begin) for topic in (b"commands", b"checksum"))
+    data[one : one + 8], data[other : other + 8] = data[other : other + 8], data[one : one + 8]
 
 
 SUMMARIES: dict[str, Callable[[bytearray], None]] = {

@@ -130,8 +130,7 @@ def test_recordings_without_checksums_are_read(busy_file: Path, tmp_path: Path) 
         lambda lines: [line for line in lines if line.topic != "checksums"][1:],
         chained=False,
     )
-    damage = Recording(path).damage
-    assert damage is not None and damage.record is None
+    assert Recording(path).damage is not None
 
 
 def test_verify_finds_the_damage_that_reading_finds(busy_file: Path, tmp_path: Path) -> None:
