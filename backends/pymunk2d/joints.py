@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import ctypes
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
 import pymunk
 from pymunk._chipmunk_cffi import ffi
 
-from nmes.backend import BodySpec, JointParams
+from nmes.backend import Array, BodySpec, JointParams
 
-__all__ = ["Body", "Joint", "Point"]
+__all__ = ["Body", "Joint", "MotorWork", "Point"]
 
 _SERVO_RATE = 15.0  # 1/s: a servo closes in like exp(-rate t), so it does not overshoot unless its effort is short
 _FAR = 1e5  # m behind the anchor of a slide, where the rod that drives it along its axis is held
@@ -61,8 +63,6 @@ class Joint:
     spring: pymunk.DampedRotarySpring | pymunk.DampedSpring | None = None
     motor: pymunk.GearJoint | pymunk.PinJoint | None = None
     impulse: ctypes.c_double = field(default_factory=ctypes.c_double)  # of the motor in the last engine step
-    speed: float = 0.0  # when the last engine step of a motor ended
-    works: tuple[float, float] = (0.0, 0.0)  # what the motor worked in the last step, and the sum of its sizes, J
 
     def constraints(self) -> list[pymunk.Constraint]:
         """Returns all constraints, in the order in which they are added to the space; none while it is not built."""
@@ -148,27 +148,57 @@ class Joint:
         velocity = b.velocity_at_world_point(here) - a.velocity_at_world_point(here)
         return axis.dot(here - anchor), axis.dot(velocity)
 
-    def begin(self) -> None:
-        """Counts the motor's work anew."""
-        self.speed, self.works = self.velocity(), (0.0, 0.0)
-
-    def keep(self) -> None:
-        """Adds what the motor worked in an engine step: its impulse times the mean velocity."""
-        before, self.speed = self.speed, self.velocity()
-        work = self.sign * self.impulse.value * (before + self.speed) / 2.0
-        self.works = self.works[0] + work, self.works[1] + abs(work)
-
-    def velocity(self) -> float:
-        """Returns the velocity of a hinge or slide, rad/s or m/s."""
-        if self.kind == "slide":
-            return self.measure()[1]
-        return self.sign * (self.two.body.angular_velocity - self.one.body.angular_velocity)
-
     def is_driving(self) -> bool:
         """Tells whether the motor still has something to do, so that the bodies must not fall asleep."""
         if self.params.motor == "velocity":
             return self.params.target_velocity != 0.0
         return self.params.motor == "position" and abs(self.measure()[0] - self.params.target_position) > 1e-3
+
+
+class MotorWork:
+    """What motors work in a step: kept as the engine has it in every engine step, computed when it is asked for.
+
+    Args:
+        driven: The joints with motors, by number.
+        ranks: Of each body, by number, its row among the angular velocities.
+    """
+
+    def __init__(self, driven: Mapping[int, Joint], ranks: Mapping[int, int]) -> None:
+        self.joints = list(driven.values())
+        self._columns = {number: column for column, number in enumerate(driven)}
+        self._slides = [(column, j) for column, j in enumerate(self.joints) if j.kind == "slide"]
+        self._ends = np.array([(ranks[j.one.number], ranks[j.two.number]) for j in self.joints], np.intp).reshape(-1, 2)
+        self._signs = np.array([j.sign for j in self.joints])
+        self._speeds: list[Array] = []  # before the first engine step and after each
+        self._impulses: list[list[float]] = []
+        self._works: Array | None = None
+
+    def begin(self, spins: Array) -> None:
+        """Begins a step, at these angular velocities of the bodies, shape (n,), rad/s."""
+        self._speeds, self._impulses, self._works = [self._measured(spins)], [], None
+
+    def keep(self, spins: Array) -> None:
+        """Keeps what the motors gave in an engine step that ended at these angular velocities."""
+        self._speeds.append(self._measured(spins))
+        self._impulses.append([j.impulse.value for j in self.joints])
+
+    def of(self, joint: int) -> Array:
+        """Returns what a joint's motor worked in the last step, and the sum of its sizes, J; array (2,)."""
+        if joint not in self._columns or not self._impulses:
+            return np.zeros(2)
+        if self._works is None:
+            speeds = np.array(self._speeds)
+            works = self._signs * np.array(self._impulses) * (speeds[:-1] + speeds[1:]) / 2.0
+            self._works = np.add.accumulate(np.stack([works, np.abs(works)]), axis=1)[:, -1].T
+        return self._works[self._columns[joint]]
+
+    def _measured(self, spins: Array) -> Array:
+        """Returns the velocities of the joints, rad/s or m/s."""
+        ends = spins[self._ends]
+        speeds = self._signs * (ends[:, 1] - ends[:, 0])
+        for column, j in self._slides:
+            speeds[column] = j.measure()[1]
+        return speeds
 
 
 def _signed_impulse(motor: pymunk.GearJoint | pymunk.PinJoint) -> ctypes.c_double:

@@ -33,7 +33,7 @@ from nmes.backend import (
     Simulation,
     Vector,
 )
-from nmes.backends.pymunk2d.joints import Body, Joint
+from nmes.backends.pymunk2d.joints import Body, Joint, MotorWork
 from nmes.backends.pymunk2d.scenery import add_scenery
 from nmes.errors import SimulationFault, WorldError
 
@@ -69,6 +69,8 @@ class PymunkSimulation(Simulation):
         self._order: npt.NDArray[np.intp] = np.zeros(0, dtype=np.intp)  # for each body its place in the engine's order
         self._ranks: dict[int, int] | None = None  # each body's row; None: to be found
         self._rows: Array | None = None  # x, y, angle, vx, vy, w of each body; None: to be read
+        self._motors: MotorWork | None = None  # None: they are to be looked up
+        self._work = MotorWork({}, {})  # in the last step
         self._packed_specs: bytes | None = None  # what the digest says of specs and parameters; None: to be packed
         _set_options(space, scene.options)
         add_scenery(space, scene)
@@ -89,7 +91,7 @@ class PymunkSimulation(Simulation):
         self._space.add(b, shape)
         self._bodies[body] = self._placed[body] = Body(body, spec, b, shape, spec.frozen)
         self._numbers[shape] = body
-        self._ranks = self._rows = self._packed_specs = None
+        self._ranks = self._rows = self._motors = self._packed_specs = None
 
     def remove_body(self, body: int) -> None:
         """Removes a body; Chipmunk wakes what touched it."""
@@ -98,7 +100,7 @@ class PymunkSimulation(Simulation):
         self._pushed.pop(body, None)
         del self._numbers[b.shape]
         self._space.remove(b.shape, b.body)
-        self._ranks = self._rows = self._packed_specs = None
+        self._ranks = self._rows = self._motors = self._packed_specs = None
 
     def add_joint(self, joint: int, spec: JointSpec) -> None:
         """Joins two bodies.
@@ -175,11 +177,12 @@ class PymunkSimulation(Simulation):
             for constraint in j.structure:
                 constraint.error_bias = (1.0 - CORRECTION) ** (1.0 / self._timestep)
             self._space.add(*j.constraints())
-        self._packed_specs = None
+        self._motors = self._packed_specs = None
 
     def _detach(self, j: Joint) -> None:
         self._space.remove(*j.constraints())
         j.structure, j.spring, j.motor = [], None, None
+        self._motors = None
 
     # -- state --------------------------------------------------------------------------------------------------
 
@@ -239,15 +242,18 @@ class PymunkSimulation(Simulation):
         anchor, axis = j.where()
         world_axis = (axis.x, axis.y, 0.0) if j.kind == "slide" else (0.0, 0.0, j.sign)
         position, velocity = j.measure() if j.kind in ("hinge", "slide") else (0.0, 0.0)
-        effort = 0.0 if j.motor is None else j.sign * j.impulse.value / self._timestep
-        return JointState(position, velocity, effort, (anchor.x, anchor.y, 0.0), world_axis)
+        return JointState(position, velocity, self._effort(j), (anchor.x, anchor.y, 0.0), world_axis)
 
     def powers(self, joints: Sequence[int], out: Array) -> None:
         """Writes powers, from the motors' impulses in each engine step."""
         for column, joint in enumerate(joints):
-            j = self._joints[joint]
-            out[:, column] = (0.0, 0.0) if j.motor is None else j.works
+            out[:, column] = self._work.of(joint)
         out /= self._elapsed
+
+    def joint_readings(self, joints: Sequence[int]) -> Array:
+        """Returns a new array (n, 3) of positions, velocities and efforts."""
+        readings = ((*j.measure(), self._effort(j)) for j in map(self._joints.__getitem__, joints))
+        return np.array(list(readings)).reshape(-1, 3)
 
     def contacts(self, body: int) -> list[Contact]:
         """Returns the body's contacts in the last step, each the mean of its points, ordered by partner."""
@@ -273,9 +279,11 @@ class PymunkSimulation(Simulation):
         for b in self._pushed.values():
             b.body.velocity += pymunk.Vec2d(*b.impulse) / b.spec.mass
             b.body.angular_velocity += b.spin / b.body.moment
-        driven = [j for j in self._joints.values() if j.motor is not None]
-        for j in driven:
-            j.begin()
+        if self._pushed:
+            self._rows = None
+        self._work = work = self._find_motors()
+        work.begin(self._read()[:, 5])
+        for j in work.joints:
             if j.motor is not None and j.is_driving():
                 j.motor.activate_bodies()
         for _ in range(substeps):
@@ -284,13 +292,14 @@ class PymunkSimulation(Simulation):
             self._space.step(self._timestep)
             # After every engine step: an infinity must never come into the next, which could hang or abort on it.
             self._rows = None
-            if not np.abs(self._fetch()).max(initial=0.0) < TOO_FAR:
-                extent = np.abs(np.nan_to_num(self._read(), nan=np.inf)).max(axis=1)
+            rows = self._read()
+            if not np.abs(rows).max(initial=0.0) < TOO_FAR:
+                extent = np.abs(np.nan_to_num(rows, nan=np.inf)).max(axis=1)
                 self._rows = before
                 worst = list(self._bodies)[int(np.argmax(extent))]
                 raise SimulationFault("diverged", "a body moves too fast or is too far away", worst)
-            for j in driven:
-                j.keep()
+            if work.joints:
+                work.keep(rows[:, 5])
         self._elapsed = substeps * self._timestep
         for b in list(self._pushed.values()):
             self._clear_wrench(b)
@@ -341,6 +350,16 @@ class PymunkSimulation(Simulation):
             occupied.add(tuple(place))
         self._placed.clear()
         self._rows = None
+
+    def _find_motors(self) -> MotorWork:
+        if self._motors is None:
+            driven = {number: j for number, j in self._joints.items() if j.motor is not None}
+            self._motors = MotorWork(driven, self._rank_bodies())
+        return self._motors
+
+    def _effort(self, j: Joint) -> float:
+        """Returns what a joint's motor gave in the last engine step, N m or N."""
+        return 0.0 if j.motor is None else j.sign * j.impulse.value / self._timestep
 
     def _clear_wrench(self, b: Body) -> None:
         """Drops the wrench that acts on a body."""
