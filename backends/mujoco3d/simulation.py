@@ -156,9 +156,9 @@ class MujocoSimulation(Simulation):
                     out[row] = (*state.position, *state.quaternion, *state.linear_velocity, *state.angular_velocity)
         return out
 
-    def track(self, bodies: Sequence[int], joints: Sequence[int], rows: int) -> MujocoTrack:
+    def track(self, bodies: Sequence[int], joints: Sequence[int], motors: Sequence[int], rows: int) -> MujocoTrack:
         """Returns a Track that copies rows from MuJoCo's arrays."""
-        return MujocoTrack(self, bodies, joints, rows, self.running, self.structure)
+        return MujocoTrack(self, bodies, joints, motors, rows, self.running, self.structure)
 
     def sleeping(self, body: int) -> bool:
         """Tells whether the body's tree sleeps."""

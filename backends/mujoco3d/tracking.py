@@ -27,7 +27,8 @@ class MujocoTrack(Track):
     Args:
         simulation: The scene.
         bodies: The bodies whose states are kept.
-        joints: The joints whose readings are kept.
+        joints: The joints whose positions are kept.
+        motors: The joints the powers of whose motors are kept.
         rows: The number of rows that there is room for.
         running: The scene's model, which has all bodies and joints where `structure` has no edits.
         structure: The scene's bodies and joints.
@@ -38,17 +39,18 @@ class MujocoTrack(Track):
         simulation: Simulation,
         bodies: Sequence[int],
         joints: Sequence[int],
+        motors: Sequence[int],
         rows: int,
         running: RunningModel,
         structure: Structure,
     ) -> None:
-        super().__init__(simulation, bodies, joints)
+        super().__init__(simulation, bodies, joints, motors)
         n, m = len(bodies), len(joints)
         self._running, self._structure = running, structure
         self._data: mujoco.MjData | None = None  # that of which the views are
         self._pose, self._turn = np.empty((rows, n, 3)), np.empty((rows, n, 4))
         self._motion, self._centre = np.empty((rows, n, 6)), np.empty((rows, n, 3))
-        self._position, self._work = np.empty((rows, m)), WorkLog(joints, rows)
+        self._position, self._work = np.empty((rows, m)), WorkLog(motors, rows)
         # Where the rows come from: views of what lies in one piece in the engine's arrays, and what must be gathered.
         self._views: list[tuple[Array, Array]] = []
         self._gathered: list[tuple[Array, Array, npt.NDArray[np.intp]]] = []
@@ -129,5 +131,5 @@ class MujocoTrack(Track):
         return self._position[begin:end]
 
     def powers(self, begin: int, end: int) -> Array:
-        """Returns the powers of the joints' motors in rows, array (rows, 2, m)."""
+        """Returns the powers of the motors in rows, array (rows, 2, m)."""
         return self._work.powers(begin, end)

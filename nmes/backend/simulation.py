@@ -38,15 +38,18 @@ class Track(ABC):
     Args:
         simulation: The scene.
         bodies: The bodies whose states are kept.
-        joints: The joints whose positions and powers are kept: hinges and slides.
+        joints: The joints whose positions are kept: hinges and slides.
+        motors: The joints the powers of whose motors are kept.
 
     Attributes:
         rows: The number of rows that are kept.
     """
 
-    def __init__(self, simulation: Simulation, bodies: Sequence[int], joints: Sequence[int]) -> None:
+    def __init__(
+        self, simulation: Simulation, bodies: Sequence[int], joints: Sequence[int], motors: Sequence[int]
+    ) -> None:
         self._simulation = simulation
-        self._bodies, self._joints = list(bodies), list(joints)
+        self._bodies, self._joints, self._motors = list(bodies), list(joints), tuple(motors)
         self.rows = 0
 
     @abstractmethod
@@ -63,21 +66,25 @@ class Track(ABC):
 
     @abstractmethod
     def powers(self, begin: int, end: int) -> Array:
-        """Returns the powers of the joints' motors in those rows, array (rows, 2, m), as `Simulation.powers`."""
+        """Returns the powers of the motors in those rows, array (rows, 2, m), as `Simulation.powers`."""
 
 
 class _PlainTrack(Track):
     """A track that asks the simulation for every row, which works for every engine."""
 
-    def __init__(self, simulation: Simulation, bodies: Sequence[int], joints: Sequence[int], rows: int) -> None:
-        super().__init__(simulation, bodies, joints)
+    def __init__(
+        self, simulation: Simulation, bodies: Sequence[int], joints: Sequence[int], motors: Sequence[int], rows: int
+    ) -> None:
+        super().__init__(simulation, bodies, joints, motors)
         self._states = np.empty((rows, len(bodies), 13))
-        self._positions, self._powers = np.empty((rows, len(joints))), np.empty((rows, 2, len(joints)))
+        self._positions, self._powers = np.empty((rows, len(joints))), np.empty((rows, 2, len(motors)))
 
     def note(self) -> None:
-        self._states[self.rows] = self._simulation.states(self._bodies)
-        self._positions[self.rows] = self._simulation.joint_readings(self._joints)[:, 0]
-        self._simulation.powers(self._joints, self._powers[self.rows])
+        if self._bodies:
+            self._states[self.rows] = self._simulation.states(self._bodies)
+        if self._joints:
+            self._positions[self.rows] = self._simulation.joint_readings(self._joints)[:, 0]
+        self._simulation.powers(self._motors, self._powers[self.rows])
         self.rows += 1
 
     def states(self, begin: int, end: int) -> Array:
@@ -228,12 +235,12 @@ class Simulation(ABC):
         """
         raise NotImplementedError
 
-    def track(self, bodies: Sequence[int], joints: Sequence[int], rows: int) -> Track:
-        """Returns a Track that keeps up to `rows` rows of bodies' states and of joints' positions and powers.
+    def track(self, bodies: Sequence[int], joints: Sequence[int], motors: Sequence[int], rows: int) -> Track:
+        """Returns a Track that keeps up to `rows` rows of bodies' states, joints' positions and motors' powers.
 
         An engine overrides it where it can keep a row at less cost than by being asked for it.
         """
-        return _PlainTrack(self, bodies, joints, rows)
+        return _PlainTrack(self, bodies, joints, motors, rows)
 
     # -- time ---------------------------------------------------------------------------------------------------
 

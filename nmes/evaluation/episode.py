@@ -158,7 +158,7 @@ class Episode:
         for command in task.entry(seed, genome.document, genome.body):
             yield protocol.encode(command)
         creature = world.creature(CREATURE)
-        rest = _Rest(world, creature, task.tick_rate)
+        rest = _Rest(world, creature, task)
         while world.frame < task.settle_ticks or not rest.reached:
             if world.frame == task.settle_limit_ticks:
                 after = f"{world.frame / task.tick_rate:g} s"
@@ -208,16 +208,16 @@ class _Rest:
     Args:
         world: The world, where it has just been set down.
         creature: The creature.
-        tick_rate: Ticks in a second.
+        task: The task.
     """
 
-    def __init__(self, world: World, creature: Creature, tick_rate: int) -> None:
+    def __init__(self, world: World, creature: Creature, task: Task) -> None:
         cubes = creature.body.cubes
-        self._names = [creature.cubes[cube.id] for cube in cubes]
+        self._track = world.track([creature.cubes[cube.id] for cube in cubes], [], [], task.settle_limit_ticks)
         self._arms = np.array([math.hypot(*cube.size) / 2.0 for cube in cubes])
         low, high = creature.body.bounds()
         self._limit = _REST_SPEED * max(b - a for a, b in zip(low, high, strict=True))
-        self._world, self._ticks, self._still = world, max(1, round(_REST_TIME * tick_rate)), 0
+        self._ticks, self._still = max(1, round(_REST_TIME * task.tick_rate)), 0
         self.speed = 0.0  # of the fastest corner, when one was too fast last, m/s
 
     @property
@@ -227,9 +227,9 @@ class _Rest:
 
     def look(self) -> None:
         """Takes the tick that has just ended."""
-        track = self._world.track(self._names, [], 1)
+        track = self._track
         track.note()
-        self.states = track.states(0, 1)[0]
+        self.states = track.states(track.rows - 1, track.rows)[0]
         squares = self.states[:, 7:13] * self.states[:, 7:13]
         speeds, spins = (np.sqrt(squares[:, i] + squares[:, i + 1] + squares[:, i + 2]) for i in (0, 3))
         speed = float((speeds + spins * self._arms).max())
@@ -255,12 +255,10 @@ class _Observer:
         self._task = task
         touchy = any(quantity.name == "contacts" for quantity in task.needs)
         self.trajectory = Trajectory(bodies, task.ticks, len(creature.motors), contacts=touchy)
-        # Those with motors come first, then those that have a spring alone.
-        motors = [joint for joint in body.joints if joint.motor is not None]
+        motors = [creature.joints[joint.id] for joint in body.joints if joint.motor is not None]
         sprung = [joint for joint in body.joints if joint.stiffness]
-        joints = [*motors, *(joint for joint in sprung if joint.motor is None)]
-        self._motors, self._springs = len(motors), [joints.index(joint) for joint in sprung]
-        self._track = world.track(cubes, [creature.joints[joint.id] for joint in joints], task.ticks + 1)
+        springs = [creature.joints[joint.id] for joint in sprung]
+        self._track = world.track(cubes, springs, motors, task.ticks + 1)
         self._balance = Balance.of(bodies, world.config, [joint.stiffness for joint in sprung])
         self._world, self._cubes = world, cubes
         self.note = self._note_with_touches if touchy else self._track.note
@@ -276,7 +274,7 @@ class _Observer:
         if begin == end:
             return None
         trajectory.states[begin:end] = self._track.states(begin, end)
-        trajectory.meter(begin, self._track.powers(begin, end)[:, 1, : self._motors])
+        trajectory.meter(begin, self._track.powers(begin, end)[:, 1])
         trajectory.rows = end
         stop = self._task.ended(trajectory, max(begin, 1), end)
         if stop is None:
@@ -287,8 +285,8 @@ class _Observer:
     def imbalance(self) -> str | None:
         """Returns why the body's energy was not earned, over the rows that count; None where it was."""
         rows = self.trajectory.rows
-        powers, positions = self._track.powers(0, rows)[:, :, : self._motors], self._track.positions(0, rows)
-        excess = self._balance.excess(self.trajectory.states[:rows], powers, positions[:, self._springs])
+        powers, positions = self._track.powers(0, rows), self._track.positions(0, rows)
+        excess = self._balance.excess(self.trajectory.states[:rows], powers, positions)
         if excess is None:
             return None
         return (

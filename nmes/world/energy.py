@@ -26,14 +26,14 @@ class EnergyMeter:
         self._simulation = simulation
         self._watts: dict[int, float] = {}  # the sums by joint, in the order in which they came, but for what is kept
         self._numbers: tuple[int, ...] | None = ()  # None while joints come and go: nothing is kept then
-        self._track = simulation.track([], [], 0)
+        self._track = simulation.track([], [], [], 0)
 
     @property
     def numbers(self) -> tuple[int, ...]:
         """The joints that are metered, in the order in which they came: the same tuple until that changes."""
         if self._numbers is None:
             self._numbers = tuple(self._watts)
-            self._track = self._simulation.track([], self._numbers, _ROWS)
+            self._track = self._simulation.track([], [], self._numbers, _ROWS)
         return self._numbers
 
     def powers(self) -> Array:
@@ -74,4 +74,4 @@ class EnergyMeter:
             rows = self._track.powers(0, self._track.rows)[:, 1]
             sums = np.add.accumulate(np.vstack([list(self._watts.values()), rows]))[-1]
             self._watts = dict(zip(self._watts, sums.tolist(), strict=True))
-            self._track = self._simulation.track([], self._numbers or (), _ROWS)
+            self._track = self._simulation.track([], [], self._numbers or (), _ROWS)

@@ -133,15 +133,16 @@ class WorldQueries:
         """
         return self.cubes(), self.entities.states()
 
-    def track(self, cubes: Sequence[str], joints: Sequence[str], rows: int) -> Track:
-        """Returns a Track that records up to `rows` ticks of cube states and motor joint readings.
+    def track(self, cubes: Sequence[str], joints: Sequence[str], motors: Sequence[str], rows: int) -> Track:
+        """Returns a Track that records up to `rows` ticks of cubes' states, joints' positions and motors' powers.
 
         Raises:
             WorldError: `cube_not_found`, `joint_not_found`.
         """
         entities = self.entities
         bodies = [entities.cube(name).body for name in cubes]
-        return entities.simulation.track(bodies, [entities.joint(name).number for name in joints], rows)
+        numbers = ([entities.joint(name).number for name in names] for names in (joints, motors))
+        return entities.simulation.track(bodies, *numbers, rows)
 
     def touches(self, cubes: Sequence[str], body: int) -> Flags:
         """Returns whether each cube touches anything now, and anything outside the first `body` cubes: array (n, 2).

@@ -160,7 +160,7 @@ def test_a_creature_scores_what_its_trajectory_scores_bit_for_bit() -> None:
             clients.append(world.join())
         set_ = {"type": "set_objective", "expression": text, "name": f"n{index}", "creature": "it", "target": [1, 2, 3]}
         assert send(world, clients[-1], **set_)["cubes"] == names[:-1]
-    track = world.simulation.track(numbers, joints, 61)
+    track = world.simulation.track(numbers, [], joints, 61)
     for row in range(61):
         if row:
             wire("drive", creature="it", controls=[math.sin(row / 4)] * len(spawned["motors"]))

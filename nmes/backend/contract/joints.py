@@ -253,7 +253,7 @@ class JointChecks(Checks):
         kind = next(kind for kind in ("hinge", "slide") if self.can(f"joint.{kind}"))
         sim = self.machine(kind, JointParams("velocity", target_velocity=2.0, max_effort=5.0), gravity=(0.0, -G, 0.0))
         bodies = [1, 0]
-        track, records = sim.track(bodies, [0], 9), []
+        track, records = sim.track(bodies, [0], [0], 9), []
         for row in range(9):
             if row == 4:
                 sim.set_body_state(1, replace(sim.body_state(1), linear_velocity=(0.0, 0.1, 0.0)))
@@ -261,7 +261,7 @@ class JointChecks(Checks):
                 sim.add_body(7, box((30.0, 0.5, 0.0)))
             track.note()
             powers = np.zeros((2, 1))
-            sim.powers([0], powers)
+            sim.powers((0,), powers)
             records.append((sim.states(bodies), sim.joint_state(0).position, powers))
             sim.step(SUBSTEPS)
         assert track.rows == 9
