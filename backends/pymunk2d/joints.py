@@ -188,9 +188,10 @@ class MotorWork:
             return np.zeros(2)
         if self._works is None:
             speeds = np.array(self._speeds)
-            works = self._signs * np.array(self._impulses) * (speeds[:-1] + speeds[1:]) / 2.0
-            self._works = np.add.accumulate(np.stack([works, np.abs(works)]), axis=1)[:, -1].T
-        return self._works[self._columns[joint]]
+            each = self._signs * np.array(self._impulses) * (speeds[:-1] + speeds[1:]) / 2.0
+            self._works = np.add.accumulate(np.stack([each, np.abs(each)]), axis=1)[:, -1].T
+        works: Array = self._works[self._columns[joint]]
+        return works
 
     def _measured(self, spins: Array) -> Array:
         """Returns the velocities of the joints, rad/s or m/s."""

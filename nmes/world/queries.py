@@ -141,8 +141,8 @@ class WorldQueries:
         """
         entities = self.entities
         bodies = [entities.cube(name).body for name in cubes]
-        numbers = ([entities.joint(name).number for name in names] for names in (joints, motors))
-        return entities.simulation.track(bodies, *numbers, rows)
+        moved, driven = ([entities.joint(name).number for name in names] for names in (joints, motors))
+        return entities.simulation.track(bodies, moved, driven, rows)
 
     def touches(self, cubes: Sequence[str], body: int) -> Flags:
         """Returns whether each cube touches anything now, and anything outside the first `body` cubes: array (n, 2).
