@@ -8,6 +8,7 @@ import orjson
 from rich.console import Console
 from rich.table import Table
 
+from nmes.errors import visible
 from nmes.playback.answers import Mismatch
 from nmes.playback.remote import RemoteReplayReport
 
@@ -27,7 +28,8 @@ def show(report: RemoteReplayReport, console: Console) -> None:
         table.columns[2].justify = "right"
         for row in report.fields[:FIELDS]:
             worst = "" if row.worst is row.first else _place(row.worst)
-            table.add_row(row.command, row.field or "answer", f"{row.count:,}", _place(row.first), worst)
+            cells = (row.command, row.field or "answer", f"{row.count:,}", _place(row.first), worst)
+            table.add_row(*map(visible, cells))
         console.print(table)
         if len(report.fields) > FIELDS:
             console.print(f"and {len(report.fields) - FIELDS} fields more; --json has them all")
@@ -43,7 +45,7 @@ def show(report: RemoteReplayReport, console: Console) -> None:
     if report.damage is not None:
         lines.append(f"the recording ends early: {report.damage}")
     for line in lines:
-        console.print(f"  {line}", soft_wrap=True)
+        console.print(visible(f"  {line}"), soft_wrap=True)
 
 
 def _place(mismatch: Mismatch) -> str:

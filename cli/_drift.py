@@ -10,6 +10,7 @@ from rich.console import Console
 from rich.table import Table
 
 from nmes.cli._plot import Curves, write_plot
+from nmes.errors import visible
 from nmes.playback.drift import Drift, DriftReport
 
 __all__ = ["plot", "show"]
@@ -33,16 +34,16 @@ def show(report: DriftReport, console: Console) -> None:
         for name, drifts in cubes[:CUBES]:
             at = {drift.time: f"{drift.distance:.4f}" for drift in drifts}
             turned = f"{math.degrees(drifts[-1].angle):.2f}°"
-            table.add_row(name, *(at.get(time, "") for time in times), f"{_worst(drifts):.4f}", turned)
+            table.add_row(visible(name), *(at.get(time, "") for time in times), f"{_worst(drifts):.4f}", turned)
         console.print(table)
         if len(cubes) > CUBES:
             console.print(f"and {len(cubes) - CUBES} cubes that drift less")
     else:
         console.print("the recording shows no poses to compare with")
     for code, count in report.refused.items():
-        console.print(f"{count:,} commands that were good on {report.recorded} are refused here: {code}")
+        console.print(visible(f"{count:,} commands that were good on {report.recorded} are refused here: {code}"))
     if report.ended is not None:
-        console.print(f"ended early: {report.ended}")
+        console.print(visible(f"ended early: {report.ended}"))
 
 
 def plot(title: str, cubes: Mapping[str, list[Drift]], path: Path) -> None:

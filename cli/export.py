@@ -12,6 +12,7 @@ import click
 
 from nmes.cli._output import whole_file
 from nmes.cli.info import open_recording
+from nmes.errors import visible
 from nmes.playback import states
 from nmes.playback.export import messages, state_rows, write_csv, write_jsonl, write_parquet
 from nmes.recording import Recording
@@ -65,12 +66,23 @@ def command(recording: Recording, kind: str, what: str | None, output: Path | No
         sys.exit(1)
 
 
+class _Terminal:
+    """A terminal, to which nothing is written that would command it."""
+
+    def __init__(self, terminal: IO[str]) -> None:
+        self._terminal = terminal
+
+    def write(self, text: str) -> int:
+        """Writes text; what does not print in it is escaped."""
+        return self._terminal.write(visible(text, keep="\n"))
+
+
 @contextmanager
-def _text(output: Path | None, source: Path) -> Iterator[IO[str]]:
+def _text(output: Path | None, source: Path) -> Iterator[_Terminal | IO[str]]:
     """Opens the file to write, or standard output."""
     if output is None:
         with click.open_file("-", "w", encoding="utf-8") as standard:
-            yield standard
+            yield _Terminal(standard) if standard.isatty() else standard
             standard.flush()
     else:
         with whole_file(output, source) as unfinished, unfinished.open("w", encoding="utf-8", newline="") as file:

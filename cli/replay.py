@@ -11,17 +11,17 @@ from pathlib import Path
 from typing import Any
 
 import click
-import orjson
 from rich.console import Console
 
 from nmes.cli import _against, _drift
 from nmes.cli._address import split_address
 from nmes.cli._connection import connection_options, connector
+from nmes.cli._json import print_json
 from nmes.cli._output import check_output
 from nmes.cli._progress import progress_bars
 from nmes.cli._replay_report import log_lines, replay_lines
 from nmes.cli.info import open_recording
-from nmes.errors import NmesError, RecordingError
+from nmes.errors import NmesError, RecordingError, visible
 from nmes.playback import ReplayReport, replay
 from nmes.playback.drift import measure_drift
 from nmes.playback.log import Log
@@ -175,7 +175,7 @@ def _run_log(log: Log, as_json: bool) -> int:
         try:
             report = replay_log(log, progress=progress)
         except RecordingError as error:
-            click.echo(f"Error: {error}", err=True)
+            click.echo(visible(f"Error: {error}"), err=True)
             return 2
     if as_json:
         _print_json(report)
@@ -200,7 +200,7 @@ def _run_remotely(
             )
         except (NmesError, TimeoutError) as error:
             # Usage, or a file that cannot be read: nothing was compared.
-            click.echo(f"Error: {error}", err=True)
+            click.echo(visible(f"Error: {error}"), err=True)
             return 2
     if as_json:
         _print_json(report)
@@ -221,8 +221,8 @@ def _console() -> Console:
 
 def _print_lines(lines: Iterable[str]) -> None:
     for line in lines:
-        click.echo(line)
+        click.echo(visible(line))
 
 
 def _print_json(report: RunReport, **more: Any) -> None:
-    click.echo(orjson.dumps(report.to_json() | more, option=orjson.OPT_INDENT_2))
+    print_json(report.to_json() | more)

@@ -157,7 +157,9 @@ class AnswerComparison:
     def _compare_lists(
         self, command: str, record: Record, expected: list[Any], actual: list[Any], path: str, cube: str | None
     ) -> None:
-        if expected and all(isinstance(one, dict) and "cube_name" in one for one in (*expected, *actual)):
+        if expected and all(
+            isinstance(one, dict) and isinstance(one.get("cube_name"), str) for one in (*expected, *actual)
+        ):
             self._compare_cubes(command, record, expected, actual, path)
             return
         if len(expected) != len(actual):

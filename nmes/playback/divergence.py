@@ -16,11 +16,12 @@ __all__ = [
     "Divergence",
     "equal_replies",
     "json_difference",
+    "message_or_text",
     "pose_difference",
     "reply_difference",
 ]
 
-VOLATILE = {kind for kind, reply in protocol.REPLIES.items() if reply.schema.get("x-volatile")}
+VOLATILE = tuple(kind for kind, reply in protocol.REPLIES.items() if reply.schema.get("x-volatile"))
 """Types of replies whose content may differ between machines that agree on everything else: pictures.
 
 Where one of them could be made, and where none could, is not a divergence either.
@@ -97,14 +98,17 @@ def equal_replies(expected: bytes, actual: bytes) -> bool:
 
 def reply_difference(expected: bytes, actual: bytes) -> Difference | None:
     """Finds the first value in which two encoded replies differ; None where only volatile ones do."""
-    return json_difference(_json(expected), _json(actual))
+    return json_difference(message_or_text(expected), message_or_text(actual))
 
 
-def _json(data: bytes) -> Any:
+def message_or_text(data: bytes) -> Any:
+    """Returns the JSON of a message; its text where it is none, or is nested deeper than JSON can be written."""
     try:
-        return orjson.loads(data)
-    except ValueError:
-        return None
+        message = orjson.loads(data)
+        orjson.dumps(message)  # it writes no such depth as it reads
+        return message
+    except (ValueError, TypeError):
+        return data.decode(errors="replace")
 
 
 def json_difference(expected: Any, actual: Any, cube: str | None = None, path: str = "") -> Difference | None:

@@ -16,9 +16,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import orjson
-
 from nmes.backend.rotation import angle_between
+from nmes.playback.divergence import message_or_text
 from nmes.playback.inputs import Progress, RecordedInput, apply_input, recorded_inputs, walk
 from nmes.playback.report import RunReport, fingerprint_differences
 from nmes.playback.restore import make_world
@@ -186,5 +185,5 @@ def _error(reply: bytes) -> str | None:
     """Returns the code of a reply if it is an error, else None."""
     if b'"error"' not in reply:
         return None
-    message = orjson.loads(reply)
-    return message["code"] if message["type"] == "error" else None
+    message = message_or_text(reply)
+    return str(message.get("code")) if isinstance(message, dict) and message.get("type") == "error" else None

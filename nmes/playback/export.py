@@ -11,13 +11,17 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
 from itertools import chain, islice
-from typing import IO, Any
+from typing import TYPE_CHECKING, Any
 
 import orjson
 
 from nmes.errors import MissingPackage, RecordingError
+from nmes.playback.divergence import message_or_text
 from nmes.playback.watch import States
 from nmes.recording import Kind, Record, Recording
+
+if TYPE_CHECKING:
+    from _typeshed import SupportsWrite
 
 __all__ = ["COLUMNS", "messages", "state_rows", "write_csv", "write_jsonl", "write_parquet"]
 
@@ -35,7 +39,8 @@ def messages(recording: Recording) -> Iterator[Row]:
     """Yields a row for each message and event: commands, replies, who came and went, ticks, faults.
 
     The first row says how the world began: the recording's metadata. Where a recording begins at a keyframe, because
-    its world has a past, the second row holds that, in base64. A frame that is not JSON stands as text.
+    its world has a past, the second row holds that, in base64. What is not JSON, or too
+    deep to be written, stands as text.
     """
     beginning = {"record": None, "kind": "recording", "t": 0.0, "wall_ns": None, "client": None}
     yield {**beginning, "message": recording.metadata}
@@ -57,10 +62,7 @@ def _message(record: Record) -> Any:
         return record.about
     if record.kind is Kind.KEYFRAME:
         return {"snapshot": base64.b64encode(record.data).decode()}
-    try:
-        return orjson.loads(record.data)
-    except ValueError:
-        return record.data.decode(errors="replace")
+    return message_or_text(record.data)
 
 
 def state_rows(ticks: Iterable[States]) -> Iterator[Row]:
@@ -70,13 +72,13 @@ def state_rows(ticks: Iterable[States]) -> Iterator[Row]:
             yield {"frame": frame, "t": time, "cube_name": name, **dict(zip(COLUMNS, value, strict=True))}
 
 
-def write_jsonl(rows: Iterable[Row], file: IO[str]) -> None:
+def write_jsonl(rows: Iterable[Row], file: SupportsWrite[str]) -> None:
     """Writes each row as a line of JSON."""
     for row in rows:
         file.write(orjson.dumps(row, option=orjson.OPT_APPEND_NEWLINE).decode())
 
 
-def write_csv(rows: Iterable[Row], file: IO[str]) -> None:
+def write_csv(rows: Iterable[Row], file: SupportsWrite[str]) -> None:
     """Writes a table with a header; messages stand in it as JSON."""
     rows = iter(rows)
     for first in islice(rows, 1):

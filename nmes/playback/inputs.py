@@ -18,10 +18,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import zip_longest
 from typing import Any, Generic, NamedTuple, TypeVar
 
-import orjson
-
 from nmes import protocol
 from nmes.errors import RejectedMessage
+from nmes.playback.divergence import message_or_text
 from nmes.playback.report import departure
 from nmes.protocol import NO_ID, Request
 from nmes.recording import REFUSED_LIMIT, Kind, Record, Recording, Start
@@ -235,8 +234,5 @@ def _request(record: Record, reply: Record | None) -> Request:
 
 def _content(reply: Record | None) -> dict[str, Any]:
     """Returns the JSON object of a reply; an empty one where it is none, which a comparison of replies will find."""
-    try:
-        content = orjson.loads(reply.data) if reply is not None and reply.kind is Kind.REPLY else {}
-    except ValueError:
-        return {}
+    content = message_or_text(reply.data) if reply is not None and reply.kind is Kind.REPLY else {}
     return content if isinstance(content, dict) else {}

@@ -119,7 +119,8 @@ class Log:
     def _line(self, number: int, text: bytes) -> Line:
         try:
             row = orjson.loads(text)
-        except ValueError as error:
+            orjson.dumps(row)  # it writes no such depth as it reads
+        except (ValueError, TypeError) as error:
             raise self.wrong(number, f"is not JSON: {error}") from None
         if not isinstance(row, dict):
             raise self.wrong(number, "is no JSON object")

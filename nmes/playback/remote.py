@@ -25,6 +25,7 @@ import orjson
 from nmes import protocol
 from nmes.errors import CommandFailed, Disconnected
 from nmes.playback.answers import AnswerComparison, FieldReport
+from nmes.playback.divergence import message_or_text
 from nmes.playback.inputs import Progress, RecordedInput, recorded_inputs, walk
 from nmes.playback.report import RunReport
 from nmes.recording import Kind, Record, Recording
@@ -188,10 +189,14 @@ class _RemoteReplay:
         try:
             answer = connection.request(message)
         except CommandFailed as error:
-            return {"type": "error", "code": error.code, "message": error.message, "field": error.path}
+            answer = {"type": "error", "code": error.code, "message": error.message, "field": error.path}
         except (Disconnected, TimeoutError) as error:
             raise _CannotGoOn(f"at frame {self._answers.frame}, asked to {message.get('type')}: {error}") from error
-        return answer if isinstance(answer, dict) else {"type": None}
+        try:
+            orjson.dumps(answer)
+        except TypeError as error:
+            raise self._cannot_go_on(f"the answer to {message.get('type')} is nested too deep") from error
+        return {"type": None, **answer} if isinstance(answer, dict) else {"type": None}
 
     def _cannot_go_on(self, reason: str) -> _CannotGoOn:
         return _CannotGoOn(f"at frame {self._answers.frame} {reason}")
@@ -224,15 +229,20 @@ class _RemoteReplay:
         record, reply = recorded.record, recorded.reply
         if reply is None or record.client is None:
             return  # cut in the midst of it
-        message, expected = orjson.loads(record.data), orjson.loads(reply.data)
+        message, expected = protocol.parse(record.data).command, message_or_text(reply.data)
+        if message is None:
+            self._report.kept_back["a frame that is no valid command"] += 1
+            return
+        if not isinstance(expected, dict):
+            expected = {"type": None, "message": expected}
         reason = _reason_to_keep_back(message, recorded)
         if reason is not None:
             self._report.kept_back[reason] += 1
             return
-        self._follow(recorded, reset=message["type"] == "reset" and expected["type"] != "error")
+        self._follow(recorded, reset=message["type"] == "reset" and expected.get("type") != "error")
         message.pop("id", None)
         actual = self._ask(self._connections[record.client], self._answers.rename(message))
-        failed = actual["type"] == "error" and expected["type"] != "error"
+        failed = actual["type"] == "error" and expected.get("type") != "error"
         if failed and actual["code"] in _UNSUPPORTED:
             self._unsupported(message["type"], recorded)
             return

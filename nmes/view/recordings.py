@@ -15,6 +15,7 @@ from nmes.backend import Array, load_backend
 from nmes.errors import ProofError, RecordingError
 from nmes.evaluation import scores_so_far
 from nmes.playback import ReplayReport, replay, watch
+from nmes.playback.divergence import message_or_text
 from nmes.playback.inputs import recorded_inputs
 from nmes.recording import Kind, Recording
 from nmes.recording.viewer_messages import Shape
@@ -275,10 +276,7 @@ def _acts(
 
 def _object(data: bytes) -> Json:
     """Returns the JSON object of a message; an empty one where somebody has edited it to something else."""
-    try:
-        message = orjson.loads(data)
-    except ValueError:
-        return {}
+    message = message_or_text(data)
     return message if isinstance(message, dict) else {}
 
 
