@@ -32,4 +32,4 @@ def weigh(weights: Array, row: Array, out: Array) -> None:
 
 def each(function: Callable[[float], float], values: Array) -> None:
     """Puts a function of each number in the place of that number."""
-    values.flat[:] = list(map(function, values.ravel().tolist()))
+    values[...] = np.fromiter(map(function, values.ravel().tolist()), np.float64, values.size).reshape(values.shape)
