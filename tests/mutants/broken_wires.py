@@ -15,7 +15,7 @@ from pytest import MonkeyPatch
 from defects import defect
 from nmes import protocol
 from nmes.errors import NmesError, RejectedMessage
-from nmes.protocol import DELIMITER, NO_ID, Auth, FrameSplitter, Limits, Request, Session, messages, session
+from nmes.protocol import DELIMITER, NO_ID, Auth, FrameSplitter, Limits, Request, Session, messages, parse, session
 from nmes.schemas import documents
 from nmes.schemas.documents import parse_json
 from nmes.server import Host
@@ -107,7 +107,7 @@ def deaf_once_half_closed(patch: MonkeyPatch) -> None:
     """It drops a connection, and what it still has to do for it, as soon as the peer says no more."""
     work = Connection._work
 
-    def late(connection: Connection, messages: Iterable[Auth | Request] = ()) -> None:
+    def late(connection: Connection, messages: Iterable[bytes] = ()) -> None:
         asyncio.get_running_loop().call_later(0.02, work, connection, messages)
 
     patch.setattr(Connection, "_work", late)
@@ -143,8 +143,8 @@ def errors_overtake(patch: MonkeyPatch) -> None:
     """It answers what it refuses before the commands that came earlier."""
     work = Connection._work
 
-    def sort(connection: Connection, messages: Iterable[Auth | Request] = ()) -> None:
-        work(connection, sorted(messages, key=lambda message: message.error is None))
+    def sort(connection: Connection, messages: Iterable[bytes] = ()) -> None:
+        work(connection, sorted(messages, key=lambda frame: parse(frame).error is None))
 
     patch.setattr(Connection, "_work", sort)
 
@@ -526,8 +526,9 @@ def hangs_up_on_errors(patch: MonkeyPatch) -> None:
     """It closes a connection that sent something invalid, when it has said why."""
     work = Connection._work
 
-    def last(connection: Connection, messages: Iterable[Auth | Request] = ()) -> None:
-        bad = any(message.error is not None for message in (*connection._backlog, *messages))
+    def last(connection: Connection, messages: Iterable[bytes] = ()) -> None:
+        frames = [frame for frame in (*connection._backlog, *messages) if isinstance(frame, bytes)]
+        bad = any(parse(frame).error is not None for frame in frames)
         work(connection, messages)
         if bad:
             connection.hang_up()
@@ -552,9 +553,10 @@ def dies_of_a_bad_frame(patch: MonkeyPatch) -> None:
     work = Connection._work
     tasks = []
 
-    def die(connection: Connection, messages: Iterable[Auth | Request] = ()) -> None:
+    def die(connection: Connection, messages: Iterable[bytes] = ()) -> None:
         work(connection, messages)
-        if any(message.error is not None and message.error.code == "bad_json" for message in messages):
+        errors = [parse(frame).error for frame in messages]
+        if any(error is not None and error.code == "bad_json" for error in errors):
             for other in list(connection._host._connections):
                 other.abort()
             tasks.append(asyncio.get_running_loop().create_task(connection._host._stop_listening()))
