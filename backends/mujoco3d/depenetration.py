@@ -1,8 +1,8 @@
 """Depenetration: bodies that an edit left inside others are let apart gently.
 
-Contact springs alone would shoot off what was put deep inside something, and contacts of many things in one place are
-as many as their pairs: hundreds of cubes there would take minutes a step. So where too many are in one place, only the
-first few of them touch the others until these have made room.
+Contact springs alone would shoot off what was put deep inside something, and all that touches it with it: so the whole
+island of trees in contact is held back. And contacts of many things in one place are as many as their pairs: hundreds
+of cubes there would take minutes a step. So only the first few of them touch others until these have made room.
 
 Hides how deep is deep, which trees of the model are held back, and which wait. Which bodies are watched is part of a
 simulation's state: its digest and its snapshots have it; who waits follows from where they are.
@@ -12,20 +12,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from math import frexp
 
 import mujoco
 import numpy as np
 
-from nmes.backends.mujoco3d.model import CompiledModel
+from nmes.backend import Array
+from nmes.backends.mujoco3d.model import CompiledModel, Slot
 from nmes.backends.mujoco3d.sleep import AWAKE
 
 __all__ = ["Depenetration"]
 
 _DEEP = 0.01  # part of a box's shortest edge
 _SPEED = 3.0  # m/s and rad/s
-_CROWD = 16  # trees whose roots may be in one place before some have to wait
-_FIRST = 4  # of a crowd so many do not wait
+_CROWD = 16  # bodies that may be watched before some have to wait
+_FIRST = 4  # of watched ones in one place so many touch each other, the rest wait
+_INSIDE = 0.9  # part of the sum of two inner radii; nearer centres are in one place
 _WAITING = 2  # the bit of MuJoCo's collision masks by which those that wait touch what cannot move
 
 
@@ -42,7 +43,8 @@ class Depenetration:
     def step(self, compiled: CompiledModel, data: mujoco.MjData) -> None:
         """Takes one engine step in which trees with these bodies gain little speed by being deep inside others.
 
-        Trees that they are in go on being held back; all others are forgotten.
+        Trees that they are in go on being held back, and those so fast that they may be inside others after the next
+        step go on being watched; all others are forgotten.
         """
         model = compiled.model
         before = data.qvel.copy()
@@ -55,13 +57,14 @@ class Depenetration:
         trees = model.body_treeid[bodies[data.contact.dist < -depth]]
         watched = {int(model.body_treeid[compiled.body_index[body]]) for body in self.bodies}
         deep = {tree for pair in trees.tolist() if watched.intersection(pair) for tree in pair if tree >= 0}
-        for tree in sorted(deep):
+        islands = data.tree_island[sorted(deep)]
+        for tree in np.flatnonzero(np.isin(data.tree_island, islands[islands >= 0])).tolist():
             dofs = slice(model.tree_dofadr[tree], model.tree_dofadr[tree] + model.tree_dofnum[tree])
             bound = max(_SPEED, float(np.abs(before[dofs]).max()))
             speed = float(np.abs(data.qvel[dofs]).max())
-            if speed > bound:
+            if bound < speed <= mujoco.mjMAXVAL:  # beyond it the world faults as diverged
                 data.qvel[dofs] *= bound / speed
-        deep.update(waiting)
+        deep.update(waiting, self._fast(compiled, data))
         self.bodies = {body for body, index in compiled.body_index.items() if int(model.body_treeid[index]) in deep}
 
     @contextmanager
@@ -85,14 +88,36 @@ class Depenetration:
                 mask[:] = values
 
     def _waiting(self, compiled: CompiledModel, data: mujoco.MjData) -> list[int]:
-        """Returns the trees that wait: of watched ones whose roots are in one place, where these are too many."""
+        """Returns the trees that wait: those whose roots lie in the roots of too many watched ones before them."""
         if len(self.bodies) <= _CROWD:
             return []
-        model, places = compiled.model, dict[tuple[int, ...], list[int]]()
-        for body in sorted(self.bodies & compiled.free.keys()):
-            index, q = compiled.body_index[body], compiled.free[body].q
-            # Boxes of about one size are in one place where their centres are in one cell of a grid of that size.
-            size = frexp(float(model.geom_rbound[model.body_geomadr[index]]))[1]
-            cell = np.floor(data.qpos[q : q + 3] / 2.0**size).astype(int).tolist()
-            places.setdefault((size, *cell), []).append(int(model.body_treeid[index]))
-        return sorted(tree for trees in places.values() if len(trees) > _CROWD for tree in trees[_FIRST:])
+        trees, radii, slots = self._roots(compiled)
+        rows = [[slot.q, slot.q + 1, slot.q + 2] for slot in slots]
+        places = np.clip(data.qpos[rows], -mujoco.mjMAXVAL, mujoco.mjMAXVAL)
+        first, count, waiting = np.empty(len(trees), np.intp), 0, []
+        for row, tree in enumerate(trees):
+            others = first[:count]
+            way = places[others] - places[row]
+            # Balls within the boxes: plates that lie on each other are in places of their own.
+            inside = (way * way).sum(axis=1) < (_INSIDE * (radii[others] + radii[row])) ** 2
+            if inside.sum() < _FIRST:
+                first[count] = row
+                count += 1
+            else:
+                waiting.append(tree)
+        return sorted(waiting)
+
+    def _fast(self, compiled: CompiledModel, data: mujoco.MjData) -> list[int]:
+        """Returns the trees of watched roots that go further in a step than contacts can see."""
+        trees, radii, slots = self._roots(compiled)
+        velocities = data.qvel[[[slot.v, slot.v + 1, slot.v + 2] for slot in slots]].reshape(-1, 3)
+        return [
+            trees[row] for row in np.flatnonzero(np.abs(velocities).max(axis=1) * compiled.model.opt.timestep > radii)
+        ]
+
+    def _roots(self, compiled: CompiledModel) -> tuple[list[int], Array, list[Slot]]:
+        """Returns the trees of watched free bodies by their numbers, the radii of balls in them, their coordinates."""
+        model, bodies = compiled.model, sorted(self.bodies & compiled.free.keys())
+        index = [compiled.body_index[body] for body in bodies]
+        trees: list[int] = model.body_treeid[index].tolist()
+        return trees, model.geom_size[model.body_geomadr[index]].min(axis=1), [compiled.free[body] for body in bodies]
