@@ -81,7 +81,7 @@ def _take_up(
     for name, wrench in (("force", wrenches.forces), ("impulse", wrenches.impulses)):
         wrench.clear()
         wrench.update((number, [*_numbers(values, 6)]) for number, values in fields[name])
-        _require(wrench.keys() <= bodies.keys(), "forces on bodies that are there")
+        _require(wrench.keys() <= bodies.keys(), "forces on bodies alone")  # one may be frozen after it was pushed
     running.depenetration.bodies = set(fields["parting"])
     _require(running.depenetration.bodies <= movable, "only movable bodies are let apart")
     forest, roots = spanning_forest(bodies, joints.values()), fields["roots"]

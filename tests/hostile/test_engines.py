@@ -556,3 +556,16 @@ def test_plates_that_lie_on_each_other_are_not_in_one_place() -> None:
         say("spawn_cube", cube_name=f"p{number}", size=[1, 0.05, 1], position=[0, height, 0], list=False)
     say("step", ticks=60)
     assert np.diff(world.simulation.states(range(1, 25))[:, 1]).min() > 0.04
+
+
+def test_a_push_on_a_cube_that_is_then_frozen_is_in_its_snapshot() -> None:
+    world, say = world_of()
+    say("spawn_cube", cube_name="a", position=[0, 3, 0])
+    say("step")
+    say("apply_physics", cube_name="a", force=[1, 0, 0])
+    say("freeze_cube", cube_name="a", freeze=True)
+    again = World({"mode": "lockstep"})
+    again.restore(world.snapshot())
+    for one in (world, again):
+        one.tick()
+    assert again.digest() == world.digest()
