@@ -190,8 +190,9 @@ class Writer:
 
     def sync(self) -> None:
         """Waits until the disk has all written bytes, and the first time until the folder has the file."""
+        written = self._written  # more may be written meanwhile, by another thread
         try:
-            if self._written != self._synced:
+            if written != self._synced:
                 os.fsync(self._file.fileno())
                 if not self._synced and hasattr(os, "O_DIRECTORY"):
                     folder = os.open(self.path.parent, os.O_RDONLY | os.O_DIRECTORY)
@@ -199,9 +200,11 @@ class Writer:
                         os.fsync(folder)
                     finally:
                         os.close(folder)
-                self._synced = self._written
+                self._synced = written
         except OSError as error:
             raise self._failure(error) from error
+        except ValueError as error:  # another thread could not write, and has closed it
+            raise RecordingError("recording_failed", f"cannot write {self.path}: it is closed") from error
 
     def close(self) -> None:
         """Closes the file as it is: without `seal` it stays without an end."""

@@ -256,9 +256,16 @@ class Recorder:
         """Where the flush interval is 0: returns when all that was recorded so far is on disk. Else does nothing."""
         if self._durable:
             self.flush()
-            try:
-                self._writer.sync()
-            except RecordingError as error:
+            self.sync()
+
+    def sync(self) -> None:
+        """Returns when all that was flushed so far is on disk; may be called in any thread."""
+        if self._error is not None:
+            raise self._error
+        try:
+            self._writer.sync()  # without the lock: the world may note and write more meanwhile
+        except RecordingError as error:
+            with self._lock:
                 self._fail(error)
 
     def close(self) -> None:

@@ -7,7 +7,8 @@ Invariants:
 - All replies to what one read brought leave in one write, in the order of the requests; events keep their place.
 - Nobody waits for long: commands are read and run in slices of `SLICE` s, then others have their turn; a long frame is
   read in a thread.
-- What waits for the disk is on it before it is handed to the socket: `flush` is the only way out.
+- What has to be on disk is on it before it is handed to the socket: the `Outbox` is the only way out. What this socket
+  asks next waits with it.
 - What a peer does not read is bounded: over half the limit its commands wait, over the limit it is cut.
 """
 
@@ -27,6 +28,7 @@ from nmes.errors import NmesError, RejectedMessage, WorldError
 from nmes.protocol import Auth, Request, Session, parse
 from nmes.server.door import address_of
 from nmes.server.hosted_world import HostedWorld
+from nmes.server.outbox import Outbox
 from nmes.server.threads import SLICE
 
 if TYPE_CHECKING:
@@ -46,6 +48,7 @@ class Connection(asyncio.BufferedProtocol):
     """One socket: its authentication, its requests, its output, and when it has to go."""
 
     _transport: asyncio.Transport
+    _output: Outbox
 
     def __init__(self, host: Host, default_world: str | None) -> None:
         """Serves `default_world` to a client that names none."""
@@ -67,9 +70,7 @@ class Connection(asyncio.BufferedProtocol):
         self._ended = False  # the peer sends nothing more
         self._closing = False  # we send nothing more
         self._lost = False
-        self._output: list[bytes] = []
-        self._output_size = 0
-        self._written = 0
+        self._sent = 0  # bytes of output at the last look
         self._progress = 0  # how much of that the peer had read at the last look, and when it last read some
         self._progress_at = 0.0
         self._active_at = 0.0
@@ -79,6 +80,7 @@ class Connection(asyncio.BufferedProtocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """Waits for authentication."""
         self._transport = cast(asyncio.Transport, transport)
+        self._output = Outbox(self._host, self._transport, self.resume)
         self._transport.set_write_buffer_limits(high=self._limits.pending // 2)
         self._active_at = self._progress_at = monotonic()
         self._address = address_of(self._transport.get_extra_info("peername"))
@@ -113,10 +115,10 @@ class Connection(asyncio.BufferedProtocol):
         self._leave()  # also where it is ending already
 
     def eof_received(self) -> bool:
-        """Hangs up: everything is answered, for while something waits nothing is read."""
+        """Hangs up: everything is answered, or waits for the disk; for while anything else waits nothing is read."""
         self._ended = True
         self.hang_up()
-        return False
+        return self._output.waits and self._transport.can_write_eof()  # where it returns False, the socket is closed
 
     def connection_lost(self, error: Exception | None) -> None:
         """Leaves the world when the rest of the requests are done."""
@@ -154,7 +156,7 @@ class Connection(asyncio.BufferedProtocol):
             self._refuse(error)
         elif auth.list:
             port = int(self._transport.get_extra_info("sockname")[1])
-            self._output.append(self._session.accept(self._host.list_worlds(port)))
+            self._output.put(self._session.accept(self._host.list_worlds(port)))
             self.hang_up()
         elif not self._host.let_in(self):
             most = self._limits.connections
@@ -187,9 +189,9 @@ class Connection(asyncio.BufferedProtocol):
             return
         world = self._host.find(self._destination, self)
         if world is not None and (joined := world.join(self)) is not None:
-            self._destination, self._world = None, world
+            self._destination, self._world, self._output.world = None, world, world
             self._client, welcome = joined
-            self._queue_output(self._session.accept(welcome))
+            self._output.put(self._session.accept(welcome))
             self._work(self._session.receive(b""))
 
     def _refuse(self, error: NmesError) -> None:
@@ -202,7 +204,9 @@ class Connection(asyncio.BufferedProtocol):
     def resume(self) -> None:
         """Goes on with what had to wait."""
         try:
-            if self._world is None:
+            if self._closing and not self._backlog:
+                self._end()
+            elif self._world is None:
                 self._join()
             elif self._backlog:
                 self._work()
@@ -211,7 +215,7 @@ class Connection(asyncio.BufferedProtocol):
 
     def _work(self, messages: Sequence[Auth | bytes] = ()) -> None:
         """Queues what came, and executes what is queued for one slice."""
-        world, session, backlog = self._world, self._session, self._backlog
+        world, session, backlog, output = self._world, self._session, self._backlog, self._output
         if world is None:
             return
         now = monotonic()
@@ -222,7 +226,7 @@ class Connection(asyncio.BufferedProtocol):
         if session.violation is not None:
             self._queue_violation(session.violation)
         waits = self._reading is not None
-        while backlog and not self._full and not waits:
+        while backlog and not self._full and not waits and not output.waits:
             first = backlog[0]
             if isinstance(first, Request):
                 request = first
@@ -242,17 +246,19 @@ class Connection(asyncio.BufferedProtocol):
             backlog.popleft()
             reply = session.reply(request, encoded)
             if reply:
-                self._output.append(reply)
-                self._output_size += len(reply)
-                if self._output_size > CHUNK:
-                    self.flush()
+                output.queue.append(reply)
+                output.size += len(reply)
+                if output.size > CHUNK:
+                    output.flush()
             if request.error is not None and request.error is session.violation:
                 self.hang_up()
             if monotonic() >= until:
                 break
-        self.flush()
+        output.flush()
+        if self._overflowed:
+            self._cut()
         if backlog or self._lost:
-            self._wait_or_leave(waits)
+            self._wait_or_leave(waits or output.waits)
         else:
             self._transport.resume_reading()
 
@@ -293,40 +299,27 @@ class Connection(asyncio.BufferedProtocol):
         """Queues an event, unless the peer is too far behind: then `flush` ends the connection."""
         if self._closing or self._overflowed:
             return
-        if self._output_size + self._transport.get_write_buffer_size() > self._limits.pending:
+        if self._output.size + self._transport.get_write_buffer_size() > self._limits.pending:
             self._overflowed = True  # `flush` ends it: the world is in the middle of telling its clients
         else:
-            self._queue_output(self._session.event(event))
+            self._output.put(self._session.event(event))
 
     def discard_output(self) -> None:
         """Drops what was not yet handed to the socket."""
-        self._output.clear()
-        self._output_size = 0
-
-    def _queue_output(self, data: bytes) -> None:
-        self._output.append(data)
-        self._output_size += len(data)
+        self._output.discard()
 
     def flush(self) -> None:
         """Hands what is queued to the socket, in one write, when it is on disk."""
-        if self._output and self._world is not None and self._world.durable:
-            self._world.commit()
-        if self._output:
-            data = b"".join(self._output)
-            self._output.clear()
-            self._output_size = 0
-            if not self._lost:
-                self._written += len(data)
-                self._host.sent += len(data)
-                self._active_at = monotonic()
-                self._transport.write(data)
+        self._output.flush()
         if self._overflowed:
             self._cut()
 
     def inspect(self, now: float) -> None:
         """Ends the connection where nothing has moved for too long; called now and then."""
         buffered = self._transport.get_write_buffer_size()
-        progress = self._written - buffered
+        if self._output.written != self._sent:
+            self._sent, self._active_at = self._output.written, now
+        progress = self._output.written - buffered
         if progress != self._progress or not (buffered or self._closing):
             self._progress, self._progress_at = progress, now
         if self._closing:
@@ -349,7 +342,7 @@ class Connection(asyncio.BufferedProtocol):
     @property
     def draining(self) -> bool:
         """Whether there is output that the peer has not read yet."""
-        return self._transport.get_write_buffer_size() > 0
+        return self._output.waits or self._transport.get_write_buffer_size() > 0
 
     def abort(self) -> None:
         """Ends the connection at once."""
@@ -365,11 +358,17 @@ class Connection(asyncio.BufferedProtocol):
         self._backlog.clear()
         self._cancel_timer()
         if error is not None:
-            self._output.append(self._session.refuse(error))
+            self._output.put(self._session.refuse(error))
         self.flush()
         self._leave()
         self._progress_at = monotonic()
         self._timer = asyncio.get_running_loop().call_later(self._limits.idle_timeout, self._transport.abort)
+        self._end()
+
+    def _end(self) -> None:
+        """Closes this side of the socket when all output was handed to it."""
+        if self._output.waits or self._lost:
+            return
         if self._ended or not self._transport.can_write_eof():
             self._transport.close()
         else:

@@ -11,14 +11,16 @@ Invariants:
 
 - A world is touched by one thread at a time, in one order: requests are executed as they are submitted, ticks come
   between. While it is in a thread, requests wait in the order in which they came.
-- With a flush interval of 0, nothing reaches a socket before it is on disk.
+- With a flush interval of 0, nothing reaches a socket before it is on disk. The loop does not wait for it, the world
+  does: it ticks on when its last output is there.
 """
 
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
@@ -30,6 +32,7 @@ from nmes.protocol import Request
 from nmes.server.barrier import StepBarrier
 from nmes.server.clock import Clock
 from nmes.server.metrics import Metrics, WorldFigures
+from nmes.server.outbox import Outbox
 from nmes.server.peers import Peer, Peers
 from nmes.server.threads import LONG_COMMANDS, Worker, WorkerPool
 from nmes.server.world_recorder import Origin, WorldRecorder
@@ -77,10 +80,12 @@ class HostedWorld:
         self.world = World(config) if metrics is None else metrics.world(config)
         self.name: str = self.world.config["name"]
         self._recorder = _begin(self.world, record_to, flush_interval, origin)
-        self.durable = self._recorder is not None and flush_interval == 0
+        self.durable = self._recorder is not None and flush_interval == 0  # whether output waits for the disk
         self._peers = Peers()
         self.world.emit = self._peers.send
         self._settling: asyncio.Handle | None = None  # where `_settle` is to be called
+        self._uncommitted: dict[Outbox, None] = {}  # output that is to be on disk first
+        self._committing: asyncio.Task[None] | None = None  # that sees to it
         self._closing = False
         self.abandoned = False  # closed while it is in a thread still, in the middle of a tick
         self.lost: str | None = None  # why its recording is not whole, once it is closed
@@ -96,8 +101,8 @@ class HostedWorld:
         self._waiting: dict[Peer, None] = {}  # those that are to `resume` when it is back
         self._leavers: list[int] = []  # clients that are to leave then
         self._results: dict[int, Future[bytes]] = {}  # replies to requests that were executed there
-        self._loss: RecordingError | None = None  # why events were lost
-        self._turn_due = False
+        self._loss: RecordingError | None = None  # why its recording ended
+        self._turn_due = False  # also while output is brought to disk
 
     def __repr__(self) -> str:
         return f"HostedWorld({self.name!r}, frame {self.status.frame}, {len(self._peers)} clients)"
@@ -189,10 +194,8 @@ class HostedWorld:
             waits = self._barrier.arrive(client, command.get("ticks", 1))
             return None if waits else world.handle(client, request)
         execute = partial(self._worker.execute, client, request)
-        if self._worker.takes_long(command):
-            # A commit that fails before the world goes to a thread hangs up on all its clients.
-            if self._worker.run(execute, partial(self._executed, client)) or client not in self._peers:
-                return None
+        if self._worker.takes_long(command) and self._worker.run(execute, partial(self._executed, client)):
+            return None
         return execute()
 
     def _executed(self, client: int, reply: Future[bytes]) -> None:
@@ -237,7 +240,7 @@ class HostedWorld:
         """Ticks as often as the clock says, for one slice."""
         if self._closing:
             return
-        if self._worker.away:
+        if self._worker.away or self._committing is not None:
             self._turn_due = True
             return
         due = self._clock.due()
@@ -256,8 +259,7 @@ class HostedWorld:
     # -- in a thread -----------------------------------------------------------------------------------------------
 
     def prepare_thread(self) -> bool:
-        """Commits before the world goes to a thread; returns whether it may go."""
-        self.commit()
+        """Prepares for the world to go to a thread; returns whether it may."""
         if self.world.fault is not None:
             return False
         self._status = self.status
@@ -266,18 +268,11 @@ class HostedWorld:
         return True
 
     def end_slice(self) -> None:
-        """Sends events; called in the world's thread.
-
-        Raises:
-            RecordingError: The recording cannot be written. Where it waits for the disk, nobody hears of these events.
-        """
+        """Sends events; called in the world's thread."""
         if self._events:
             if self._recorder is not None:
-                try:
-                    self._recorder.commit()
-                except RecordingError as error:
-                    self._events, self._loss = [], error
-                    raise
+                with contextlib.suppress(RecordingError):  # which the loop meets too, and tells
+                    self._recorder.commit()  # here as well: a world does not run away from its disk
             events, self._events = self._events, []
             self._loop.call_soon_threadsafe(self._peers.deliver, events)
 
@@ -291,15 +286,18 @@ class HostedWorld:
         self._end_waiting()
         self._peers.deliver(events)
         if self._loss is not None:
-            self._peers.hang_up(self._loss)
-            self._loss = None
-        if self._turn_due:
-            self._turn_due = False
-            self._clock.turn_soon()
+            self.world.stop_recording(self._loss)
+        self._take_turn()
         try:
             finish()
         finally:
             self._settle()
+
+    def _take_turn(self) -> None:
+        """Takes the turn that came while the world, or its disk, was busy."""
+        if self._turn_due:
+            self._turn_due = False
+            self._clock.turn_soon()
 
     def _end_waiting(self) -> None:
         """Resumes the connections that waited, and lets those clients go that left meanwhile."""
@@ -325,20 +323,51 @@ class HostedWorld:
                     self.world.stop_recording(error)
                     self._settle_soon()
 
-    def commit(self) -> None:
-        """Waits for the disk, if that was asked for: to be called before anything is handed to a socket.
+    def commit(self, output: Outbox) -> None:
+        """Has `committed` of some output called when all that was recorded so far is on disk.
 
-        Where it fails, nobody may hear of what is lost: all output is dropped, the world stops, and its clients are
-        hung up on. While the world is in a thread, it commits its own events; earlier ones are on disk since it went.
+        It is waited for in a thread, once for all that one turn of the loop brings, and the world does not tick
+        meanwhile. Where it fails, nobody may hear of what is lost: all output is dropped, the world stops, and its
+        clients are hung up on.
         """
-        if self._recorder is None or self._worker.away:
-            return
-        try:
-            self._recorder.commit()
-        except RecordingError as error:
-            self._peers.discard_output()
+        self._uncommitted[output] = None
+        if self._committing is None:
+            self._committing = asyncio.get_running_loop().create_task(self._commit())
+
+    async def _commit(self) -> None:
+        while self._uncommitted:
+            outputs, self._uncommitted = self._uncommitted, {}
+            if self.durable:
+                try:
+                    await self._sync()
+                except RecordingError as error:
+                    self._lose(error, outputs)
+            for output in outputs:
+                output.committed()
+        self._committing = None
+        if not self._worker.away and not self._closing:
+            self._take_turn()
+
+    async def _sync(self) -> None:
+        """Returns when all that was recorded so far is on disk."""
+        assert self._recorder is not None
+        if self._worker.away:
+            await asyncio.to_thread(self._recorder.commit)
+        else:  # a command is flushed as a whole, with its ticks and its reply
+            self._recorder.flush()
+            await asyncio.to_thread(self._recorder.sync)
+
+    def _lose(self, error: RecordingError, outputs: Iterable[Outbox]) -> None:
+        """Drops all output, stops the world, and hangs up on its clients: what is recorded may not be on disk."""
+        for output in outputs:
+            output.discard()
+        self._peers.discard_output()
+        self.durable = False  # what follows tells of nothing but the error
+        self._loss = error
+        if not self._worker.away:
             self.world.stop_recording(error)
-            self._peers.hang_up(error)
+        self._peers.hang_up(error)
+        if not self._closing:
             self._settle_soon()
 
     # -- the end ---------------------------------------------------------------------------------------------------
@@ -361,7 +390,8 @@ class HostedWorld:
             self.world.announce({"type": "world_closed"})
         else:
             self.world.close()
-        self._peers.flush()
+        if self._committing is not None:
+            await self._committing
         if self.world.fault is not None and self.world.fault.code == "recording_failed":
             self.lost = self.world.fault.message
         if self._recorder is not None:
@@ -370,6 +400,10 @@ class HostedWorld:
             except RecordingError as error:
                 self.lost = error.message
                 logger.error("the recording %s could not be completed: %s", self.recording, error.message)
+                if self.durable:
+                    self._lose(error, ())
+        self.durable = False
+        self._peers.flush()
 
 
 def _begin(world: World, record_to: Path | None, flush_interval: float, origin: Origin | None) -> WorldRecorder | None:

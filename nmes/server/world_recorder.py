@@ -61,7 +61,7 @@ class WorldRecorder:
         return monotonic() - self._flushed
 
     def flush(self) -> None:
-        """Brings the recording to disk, as far as the world has gone.
+        """Hands the recording to the system, as far as the world has gone.
 
         Raises:
             RecordingError: It cannot be written.
@@ -70,14 +70,21 @@ class WorldRecorder:
             self._recorder.flush()
             self._flushed = monotonic()
 
-    def commit(self) -> None:
-        """Waits for the disk where the flush interval is 0: to be called before anything is told to anybody.
+    def sync(self) -> None:
+        """Waits until the disk has all that was flushed; may be called in any thread.
 
         Raises:
             RecordingError: It cannot be written, so what is about to be told may be of what is lost.
         """
-        if self._world.journal is not None:
-            self._recorder.commit()
+        self._recorder.sync()
+
+    def commit(self) -> None:
+        """Flushes and waits for the disk where the flush interval is 0; may be called in any thread.
+
+        Raises:
+            RecordingError: It cannot be written, so what is about to be told may be of what is lost.
+        """
+        self._recorder.commit()
 
     def close(self) -> None:
         """Completes the recording; what the world does after that is not recorded.

@@ -164,6 +164,81 @@ def test_a_host_ends_though_a_tick_takes_long_and_its_recording_is_whole(
             assert replay(recording).verdict == "reproduced"
 
 
+def test_nobody_else_waits_while_the_disk_takes_long(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    entered, leave = threading.Event(), threading.Event()
+
+    def slow(number: int) -> None:
+        entered.set()
+        assert leave.wait(PATIENCE)
+
+    configs = {"name": "slow"}, {"name": "quick"}
+    with served(*configs, record_to=tmp_path, flush_interval=0) as server, ExitStack() as stack:
+        slow_one, quick = (stack.enter_context(server.peer(None)) for _ in range(2))
+        for peer, world in ((slow_one, "slow"), (quick, "quick")):
+            peer.ask({"type": "auth", "password": PASSWORD, "world": world})
+        recording, fsync = server.host.worlds["slow"].recording, os.fsync
+        assert recording is not None
+        watched = stack.enter_context(recording.open("rb")).fileno()
+        monkeypatch.setattr(
+            "nmes.recording.mcap_writer.os.fsync",
+            lambda number: slow(number) if os.path.sameopenfile(number, watched) else fsync(number),
+        )
+        slow_one.say({"type": "ping", "id": 1})
+        assert entered.wait(PATIENCE)
+        slow_one.say({"type": "ping", "id": 2}, {"type": "ping", "id": 3})
+        slow_one.hang_up()
+        assert [quick.ask({"type": "ping", "id": n})["id"] for n in range(20)] == list(range(20))
+        slow_one.socket.setblocking(False)
+        with pytest.raises(BlockingIOError):  # what is not on disk is not told
+            slow_one.socket.recv(1)
+        slow_one.socket.settimeout(PATIENCE)
+        leave.set()
+        assert [json.loads(frame)["id"] for frame in slow_one.rest()] == [1, 2, 3]
+
+
+def test_a_world_does_not_tick_away_from_its_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    entered, leave = threading.Event(), threading.Event()
+
+    def slow(number: int) -> None:
+        entered.set()
+        assert leave.wait(PATIENCE)
+
+    with served({"mode": "fast"}, record_to=tmp_path, flush_interval=0) as server, server.peer() as peer:
+        peer.ask({"type": "pause"})
+        monkeypatch.setattr("nmes.recording.mcap_writer.os.fsync", slow)
+        peer.say({"type": "resume"})
+        assert entered.wait(PATIENCE)
+        frame = server.call(lambda: server.hosted.world.frame)
+        for _ in range(50):
+            server.call(lambda: None)  # a turn of the loop
+        assert server.call(lambda: server.hosted.world.frame) == frame
+        leave.set()
+        assert peer.hear()["type"] != "error"
+        until(lambda: server.call(lambda: server.hosted.world.frame) > frame)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL], ids=lambda number: number.name)
+def test_a_server_that_ends_while_a_structure_is_compiled_keeps_what_it_acknowledged(
+    tmp_path: Path, number: signal.Signals
+) -> None:
+    options = ["--port", "0", "--backend", "mujoco", "--mode", "lockstep", "--record", str(tmp_path)]
+    with process("serve", "--json", *options, "--flush-interval", "0", NMES_PASSWORD=PASSWORD) as server:
+        with Peer(ready(server)["port"]) as peer:
+            peer.ask({"type": "auth", "password": PASSWORD})
+            cubes = [{"type": "spawn_cube", "cube_name": f"c{n}", "position": [2 * n, 1, 0]} for n in range(1000)]
+            assert peer.ask({"type": "batch", "commands": cubes})["type"] == "batch_result"
+            peer.say({"type": "step"})
+            server.send_signal(number)
+            _, log = server.communicate(timeout=PATIENCE)
+    assert server.returncode == (0 if number == signal.SIGTERM else -signal.SIGKILL)
+    assert "Traceback" not in log
+    (path,) = tmp_path.iterdir()
+    recording = Recording(path)
+    assert recording.complete == (number == signal.SIGTERM)
+    assert b'"c999"' in b"".join(record.data for record in recording)
+    assert replay(recording).verdict == "reproduced"
+
+
 # -- nobody waits for what takes long --------------------------------------------------------------------------------
 
 GENOME = json.loads((files("nmes.genome") / "shipped/walker.json").read_text())
