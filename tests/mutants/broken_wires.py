@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import json
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any, cast
 
@@ -107,7 +107,7 @@ def deaf_once_half_closed(patch: MonkeyPatch) -> None:
     """It drops a connection, and what it still has to do for it, as soon as the peer says no more."""
     work = Connection._work
 
-    def late(connection: Connection, messages: Iterable[bytes] = ()) -> None:
+    def late(connection: Connection, messages: Sequence[Auth | bytes] = ()) -> None:
         asyncio.get_running_loop().call_later(0.02, work, connection, messages)
 
     patch.setattr(Connection, "_work", late)
@@ -143,8 +143,8 @@ def errors_overtake(patch: MonkeyPatch) -> None:
     """It answers what it refuses before the commands that came earlier."""
     work = Connection._work
 
-    def sort(connection: Connection, messages: Iterable[bytes] = ()) -> None:
-        work(connection, sorted(messages, key=lambda frame: parse(frame).error is None))
+    def sort(connection: Connection, messages: Sequence[Auth | bytes] = ()) -> None:
+        work(connection, sorted(messages, key=lambda frame: parse(cast(bytes, frame)).error is None))
 
     patch.setattr(Connection, "_work", sort)
 
@@ -526,7 +526,7 @@ def hangs_up_on_errors(patch: MonkeyPatch) -> None:
     """It closes a connection that sent something invalid, when it has said why."""
     work = Connection._work
 
-    def last(connection: Connection, messages: Iterable[bytes] = ()) -> None:
+    def last(connection: Connection, messages: Sequence[Auth | bytes] = ()) -> None:
         frames = [frame for frame in (*connection._backlog, *messages) if isinstance(frame, bytes)]
         bad = any(parse(frame).error is not None for frame in frames)
         work(connection, messages)
@@ -553,9 +553,9 @@ def dies_of_a_bad_frame(patch: MonkeyPatch) -> None:
     work = Connection._work
     tasks = []
 
-    def die(connection: Connection, messages: Iterable[bytes] = ()) -> None:
+    def die(connection: Connection, messages: Sequence[Auth | bytes] = ()) -> None:
         work(connection, messages)
-        errors = [parse(frame).error for frame in messages]
+        errors = [parse(cast(bytes, frame)).error for frame in messages]
         if any(error is not None and error.code == "bad_json" for error in errors):
             for other in list(connection._host._connections):
                 other.abort()
