@@ -204,7 +204,7 @@ def _write_motor(compiled: CompiledModel, joint: Joint, dof: int) -> None:
         gain[0] = inertia * _SERVO_RATE * _SERVO_RATE
         # Critically damped; and where the bound is low, damped so much that from one unit away (rad or m) the bound is
         # enough to brake: at full effort that takes half the root of unit * inertia / effort.
-        brake = 0.5 * gain[0] * sqrt(inertia / params.max_effort)
+        brake = 0.5 * gain[0] * sqrt(inertia / max(params.max_effort, 1e-200))  # a product within floats
         bias[1], bias[2] = -gain[0], -max(2.0 * inertia * _SERVO_RATE, brake)
     model.actuator_gainprm[motor], model.actuator_biasprm[motor] = gain, bias
     bound = max(params.max_effort, 1e-300)

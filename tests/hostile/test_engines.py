@@ -569,3 +569,22 @@ def test_a_push_on_a_cube_that_is_then_frozen_is_in_its_snapshot() -> None:
     for one in (world, again):
         one.tick()
     assert again.digest() == world.digest()
+
+
+# -- motors ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_servo_of_hardly_any_strength_brakes_within_numbers() -> None:
+    world, say = world_of()
+    for number in range(2):
+        say("spawn_cube", cube_name=f"c{number}", position=[2 * number, 5, 0], mass=1e9, list=False)
+    slide = {"joint_type": "slide", "cube1": "c0", "cube2": "c1", "axis": [1, 0, 0]}
+    name = say("create_joint", **slide)["joint_name"]
+    for param, value in {"motor_max_force": 1e-300, "motor_enabled": True, "target_position": 1}.items():
+        reply = say("set_joint_param", joint_name=name, param_name=param, value=value)
+        assert reply["type"] == "joint_param_set"
+    assert say("step")["type"] == "stepped"
+    simulation = world.simulation
+    assert isinstance(simulation, MujocoSimulation)
+    assert np.isfinite(simulation.running.model.actuator_biasprm).all()
+    assert say("remove_joint", joint_name=name)["type"] == "joint_removed"  # takes the motor's work into the sums
