@@ -11,6 +11,7 @@ poses (free roots are placed at the origin), so a restored simulation compiles t
 
 from __future__ import annotations
 
+import warnings
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -39,6 +40,9 @@ _CONTACT_TIME = 0.02
 # Loops are closed as stiffly as the time step allows.
 _LOOP_SOLIMP = [0.95, 0.999, 0.0005, 0.5, 2.0]
 _KIBIBYTE = 1 << 10
+
+# MuJoCo warns so of masses that are too unequal. A structure of them goes on, or its world faults and says why.
+warnings.filterwarnings("ignore", "Inertia matrix is too close to singular", UserWarning)
 
 
 def compile_model(

@@ -588,3 +588,25 @@ def test_a_servo_of_hardly_any_strength_brakes_within_numbers() -> None:
     assert isinstance(simulation, MujocoSimulation)
     assert np.isfinite(simulation.running.model.actuator_biasprm).all()
     assert say("remove_joint", joint_name=name)["type"] == "joint_removed"  # takes the motor's work into the sums
+
+
+UNEQUAL = """
+from nmes import World
+world = World({"mode": "lockstep"})
+client = world.join()
+for number, (mass, size) in enumerate(((1e-6, 0.01), (1, 0.01), (1e9, 100), (1e9, 100))):
+    cube = {"cube_name": f"c{number}", "position": [1.1 * number, 5, 0], "mass": mass, "size": [size, size, size]}
+    world.execute(client, {"type": "spawn_cube", **cube})
+for number, kind in enumerate(("pin", "hinge", "pin")):
+    pair = {"cube1": f"c{number}", "cube2": f"c{number + 1}", "axis": [0, 0, 1]}
+    world.execute(client, {"type": "create_joint", "joint_type": kind, **pair})
+reply = world.execute(client, {"type": "step"})
+print(reply.get("code", reply["type"]))
+"""
+
+
+def test_masses_that_are_very_unequal_put_nothing_on_the_terminal() -> None:
+    code = [sys.executable, "-c", UNEQUAL]
+    done = subprocess.run(code, capture_output=True, text=True, timeout=PATIENCE, check=False)
+    assert done.stderr == ""
+    assert done.stdout in ("stepped\n", "world_faulted\n")  # as the physics goes
