@@ -32,6 +32,9 @@ __all__ = ["LOCAL", "Screen", "has_display", "lay_out", "screen"]
 
 LOCAL = "127.0.0.1"
 _LISTENS = 30.0  # s that Rerun has to begin to listen
+_BEGINS = 64 << 10  # bytes: more than Rerun writes before it says that it can
+_ENDS = b"RRF2FOOT\x01\0\0\0"  # how a whole file of Rerun ends
+_WRITES = 600.0  # s that it has to write what waits: on a full disk it may wait for ever
 _ELEVATION, _AZIMUTH = radians(20.0), radians(30.0)  # of the eye
 _AWAY = 2.2  # radii of the scene: how far the eye is
 _NEAREST, _NOTHING = 1.0, 4.0  # m: the smallest radius, and that of a world without cubes
@@ -153,15 +156,24 @@ def screen(
 
     Raises:
         MissingPackage: Rerun is not installed.
+        OSError: The file cannot be written, as on a full disk.
         MachineError: There is no display for a window (`no_display`), or Rerun does not begin to listen (`no_viewer`).
     """
     stream = load_rerun().RecordingStream("nmes", send_properties=False)
     stream.send_recording_name(name)
     if save is not None:
-        stream.save(str(save))
-        yield Screen(stream)
-        stream.flush()
-        stream.disconnect()
+        if save.is_file():
+            save.write_bytes(bytes(_BEGINS))  # where there is no room for it, Rerun would wait for ever
+        try:
+            stream.save(str(save))
+            yield Screen(stream)
+            stream.flush(timeout_sec=_WRITES)
+        except RuntimeError as error:  # what Rerun raises, of whatever its writer's thread met
+            raise OSError(f"Rerun cannot go on writing: {error}") from error
+        finally:
+            stream.disconnect()
+        if save.is_file():
+            _check_end(save)
         return
     if not web and not has_display():
         message = "there is no display for a window: use --web for a browser, or --save for a file"
@@ -188,6 +200,13 @@ def screen(
             # The program is a child of the one that was started.
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
+
+
+def _check_end(path: Path) -> None:
+    with path.open("rb") as file:
+        file.seek(max(0, path.stat().st_size - len(_ENDS)))
+        if file.read() != _ENDS:  # it tells of nothing that fails at the end
+            raise OSError("Rerun wrote no end: is the disk full?")
 
 
 def _free_port(host: str) -> int:

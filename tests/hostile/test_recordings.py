@@ -118,7 +118,7 @@ def full_disk(room: int) -> Iterator[None]:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-@pytest.mark.parametrize("command", [name for name in WRITERS if not name.startswith("view")])
+@pytest.mark.parametrize("command", WRITERS)
 def test_a_full_disk_costs_no_older_file_and_leaves_no_half_one(
     command: str, busy_file: Path, tmp_path: Path, key: Path
 ) -> None:
@@ -131,6 +131,15 @@ def test_a_full_disk_costs_no_older_file_and_leaves_no_half_one(
     assert code == 1
     assert "cannot write" in text and "older.gif" in text
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+def test_a_disk_that_becomes_full_ends_what_the_viewer_writes(busy_file: Path, tmp_path: Path) -> None:
+    assert run("view", busy_file, "--save", tmp_path / "whole.rrd")[0] == 0
+    assert (tmp_path / "whole.rrd").stat().st_size > 90_000
+    with full_disk(66_000):
+        code, text = run("view", busy_file, "--save", tmp_path / "x.rrd")
+    assert code == 1 and "cannot write" in text
+    assert [path.name for path in tmp_path.iterdir()] == ["whole.rrd"]
 
 
 @pytest.mark.parametrize("room", [0, 100, 2000])
@@ -236,8 +245,8 @@ def swap(data: bytearray, opcode: int, offset: int, width: int) -> None:
 
 def exchange_topics(data: bytearray) -> None:
     begin = summary_of(data)
-    one, other = (data.index(topic, begin) for topic in (b"commands", b"checksum"))
-    data[one : one + 8], data[other : other + 8] = data[other : other + 8], data[one : one + 8]
+    one, other = (data.index(topic, begin) for topic in (b"clients", b"replies"))
+    data[one : one + 7], data[other : other + 7] = data[other : other + 7], data[one : one + 7]
 
 
 SUMMARIES: dict[str, Callable[[bytearray], None]] = {
