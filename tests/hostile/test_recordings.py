@@ -201,6 +201,7 @@ def test_a_full_standard_output_is_an_error_in_words(command: str, busy_file: Pa
 
 # -- what stands outside the chain -----------------------------------------------------------------------------------
 
+MESSAGE_INDEX = 7  # the type of the record
 FOOTER = 37  # bytes of the footer and the magic at a file's end
 
 
@@ -297,11 +298,18 @@ def test_an_edit_of_a_signed_recording_is_found_or_changes_no_reading(
     expected = readings(path)
     source = random.Random(14)
     begins = [begin for _, begin, _ in parts(data, 8, summary_of(data))]
-    unpacked = [place for begin in begins for place in range(begin - 9, begin + 30)]  # records' heads
-    places = [*unpacked, *range(summary_of(data) - 250, len(data))]
-    for _ in range(count):
-        path.write_bytes(edited(data, place := source.choice(places), 1 << source.randrange(8)))
+    heads = [place for begin in begins for place in range(begin - 9, begin + 30)]
+    kinds: dict[int, list[int]] = {}  # of message indexes and of all records of the summary: their bytes
+    for kind, begin, end in (*parts(data, 8, summary_of(data)), *parts(data, summary_of(data), len(data) - FOOTER)):
+        if kind == MESSAGE_INDEX or begin > summary_of(data):
+            kinds.setdefault(kind, []).extend(range(begin, end))
+    assert {3, 4, MESSAGE_INDEX, 8, 11, 13, 14} <= set(kinds)  # and schemas, channels, chunks, statistics, metadata
+    groups = [heads, list(range(len(data) - FOOTER, len(data))), *kinds.values()]
+    for number in range(count):
+        place = source.choice(groups[number % len(groups)])
+        path.write_bytes(edited(data, place, 1 << source.randrange(8)))
         code, text = run("verify", path, "--verify-key", public)
+        assert code != 0 or number % len(groups) < 2, f"byte {place}"  # other programs go by what is listed
         if code == 0:
             assert readings(path) == expected, f"byte {place}"
         assert code in (0, 1, 2), text
