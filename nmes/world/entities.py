@@ -114,17 +114,6 @@ class Entities:
 
     # -- snapshots -----------------------------------------------------------------------------------------------
 
-    def snapshot(self) -> tuple[JsonObject, bytes]:
-        """Returns the cubes and joints as plain JSON data, and the engine's snapshot.
-
-        Raises:
-            WorldError: The engine has no snapshots (`unsupported`).
-            SimulationFault: It cannot take up what was edited since the last tick.
-        """
-        self.require("snapshot", "snapshots")
-        engine = self.simulation.snapshot()
-        return self.assembly(), engine
-
     def assembly(self) -> JsonObject:
         """Returns the cubes and joints as plain JSON data."""
         cubes = [
@@ -151,7 +140,7 @@ class Entities:
         """Rebuilds the cubes and joints of a snapshot in a world without cubes, of the same config and seed.
 
         Args:
-            state: The cubes and joints, as `snapshot` returned them.
+            state: The cubes and joints, as `assembly` returned them.
             engine: The engine's snapshot.
 
         Raises:

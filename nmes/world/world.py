@@ -295,7 +295,8 @@ class World(WorldQueries):
         """
         if self.fault is not None:
             raise WorldError("world_faulted", f"the world stopped at frame {self.fault.frame}: {self.fault.message}")
-        entities, engine = self.entities.snapshot()
+        self.entities.require("snapshot", "snapshots")
+        engine = self.simulation.snapshot()  # first: it takes up what was edited
         self._built = self.entities.edits
         barrier = self.barrier
         state = {
@@ -306,7 +307,7 @@ class World(WorldQueries):
             "rate": self.rate,
             "paused": self.paused,
             "barrier": None if barrier is None else {"agents": barrier.agents, "timeout": barrier.timeout},
-            "assembly": entities,
+            "assembly": self.entities.assembly(),
             "creatures": self.all_creatures.snapshot(),
             **self._clients.snapshot(self.entities),
         }
