@@ -113,7 +113,10 @@ class Chain:
             DamagedFile: The chunk does not go on from those before it, or its records do not have their shape.
         """
         try:
-            messages = self._messages(block.content)
+            skim = self._in_place(block)
+            for _, channel in skim.definitions:
+                self.define(channel)
+            messages = list(skim.messages(block.content))
             head = self._next(block.content, MESSAGE_OVERHEAD + len(messages[-1].data))
             records = [record for record in map(self._record, messages) if record is not None]
         except _WRONG as error:
@@ -124,16 +127,10 @@ class Chain:
 
     def check(self, block: Block) -> None:
         """Checks the next chunk as `records` does, but makes no records, which is many times faster."""
-        content, skim = block.content, block.skim
+        content = block.content
         try:
-            if skim is None:
-                raise ValueError("it is no chunk")
-            count = len(skim.sequences)
-            expected = [number & SEQUENCE_MASK for number in range(self.sequence, self.sequence + count)]
-            if list(skim.sequences) != expected:
-                wrong = next(one for one, other in zip(skim.sequences, expected, strict=True) if one != other)
-                raise ValueError(f"record {wrong} is out of its place")
-            done = 0
+            skim = self._in_place(block)
+            count, done = len(skim.sequences), 0
             for before, channel in skim.definitions:
                 self._check_shapes(content, skim, done, before)
                 self.define(channel)
@@ -185,9 +182,16 @@ class Chain:
         message = f"the chunk at byte {block.offset} is not as it was recorded: {error}"
         return DamagedFile(block.offset, message, content=block.content)
 
-    def _place(self, sequence: int, count: int) -> None:
-        if sequence != (self.sequence + count) & SEQUENCE_MASK:
-            raise ValueError(f"record {sequence} is out of its place")
+    def _in_place(self, block: Block) -> Skim:
+        """Returns the messages of the next chunk; raises ValueError unless they are numbered on from those before."""
+        if block.skim is None:
+            raise ValueError("it is no chunk")
+        sequences = block.skim.sequences
+        expected = [number & SEQUENCE_MASK for number in range(self.sequence, self.sequence + len(sequences))]
+        if list(sequences) != expected:
+            wrong = next(one for one, other in zip(sequences, expected, strict=True) if one != other)
+            raise ValueError(f"record {wrong} is out of its place")
+        return block.skim
 
     def define(self, channel: Channel) -> None:
         """Learns the kind of records that a channel has, and whose they are, from its topic.
@@ -204,16 +208,6 @@ class Chain:
             self._boxes[channel.id] = channel.topic.removeprefix(BOXES)
         else:
             self._kinds[channel.id] = {**_KINDS, **_CLIENT_KINDS}.get(channel.topic), None
-
-    def _messages(self, content: bytes) -> list[Message]:
-        messages: list[Message] = []
-        for item in split_chunk(content):
-            if isinstance(item, Message):
-                self._place(item.sequence, len(messages))
-                messages.append(item)
-            else:
-                self.define(item)
-        return messages
 
     def _record(self, message: Message) -> Record | None:
         number, sequence, log_time, publish_time, data = message

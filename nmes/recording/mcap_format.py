@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from functools import lru_cache
 from io import BytesIO
-from typing import NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from mcap.data_stream import ReadDataStream, RecordBuilder
 from mcap.exceptions import McapError
@@ -52,7 +53,7 @@ FOOTER = struct.Struct("<BQQQI")  # opcode, length, start of the summary, of its
 OPCODE_MESSAGE = int(Opcode.MESSAGE)
 MESSAGE_OVERHEAD = MESSAGE.size  # bytes of a message record beside its data
 MESSAGE_FIELDS = MESSAGE.size - PREFIX.size
-_SKIMMED = struct.Struct("<BQHIQ")  # as much of a message as tells whose and when it is
+_SHORT = 4096  # bytes of a record that is kept when it was read: most chunks define the channels of others again
 
 _Record = TypeVar("_Record", Header, Metadata, ChunkIndex, Channel, DataEnd, Schema)
 
@@ -102,11 +103,19 @@ def parse_record(kind: type[_Record], body: bytes, offset: int) -> _Record:
         DamagedFile: The bytes are no such record; `offset` is where it stands.
     """
     try:
-        record: _Record = kind.read(ReadDataStream(BytesIO(body)))
+        record: _Record = (_read_once if len(body) <= _SHORT else _read)(kind, body)
         return record
     except (McapError, ValueError, struct.error) as error:
         name = kind.__name__.lower()
         raise DamagedFile(offset, f"the {name} record at byte {offset} cannot be read") from error
+
+
+def _read(kind: type[McapRecord], body: bytes) -> Any:
+    return kind.read(ReadDataStream(BytesIO(body)))  # type: ignore[attr-defined]
+
+
+# Nobody changes a record that was read.
+_read_once: Callable[[type[McapRecord], bytes], Any] = lru_cache(maxsize=1024)(_read)  # type: ignore[assignment]
 
 
 def split_chunk(content: bytes) -> Iterator[Message | Channel]:
@@ -143,6 +152,7 @@ class Skim(NamedTuple):
         channels: The channel of each message, in order.
         sequences: The sequence number of each message.
         times: The log time of each message, ns.
+        walls: The publish time of each message, ns.
         lengths: The length of each message's record in bytes, without its type and length.
         ends: Where each message's record ends in the chunk.
         definitions: The channels that are defined in it, each with how many messages stand before it.
@@ -152,6 +162,7 @@ class Skim(NamedTuple):
     channels: Sequence[int]
     sequences: Sequence[int]
     times: Sequence[int]
+    walls: Sequence[int]
     lengths: Sequence[int]
     ends: Sequence[int]
     definitions: list[tuple[int, Channel]]
@@ -162,6 +173,12 @@ class Skim(NamedTuple):
         end = self.ends[number]
         return content[end - self.lengths[number] + MESSAGE_FIELDS : end]
 
+    def messages(self, content: bytes) -> Iterator[Message]:
+        """Yields its messages."""
+        spans = zip(self.lengths, self.ends, strict=True)
+        data = (content[end - length + MESSAGE_FIELDS : end] for length, end in spans)
+        return map(Message, self.channels, self.sequences, self.times, self.walls, data)
+
 
 def skim_chunk(content: bytes) -> Skim:
     """Returns the columns of a chunk, many times faster than `split_chunk`.
@@ -169,10 +186,10 @@ def skim_chunk(content: bytes) -> Skim:
     Raises:
         ValueError: It does not consist of whole messages, channels and schemas, or of too many.
     """
-    records: list[tuple[int, int, int, int, int]] = []
+    records: list[tuple[int, int, int, int, int, int]] = []
     ends: list[int] = []
     # A chunk has thousands of messages. This loop does what must be done for each; the rest is done for all at once.
-    add, end, unpack, prefix = records.append, ends.append, _SKIMMED.unpack_from, PREFIX.size
+    add, end, unpack, prefix = records.append, ends.append, MESSAGE.unpack_from, PREFIX.size
     position, size = 0, len(content)
     try:
         for _ in range(MAX_RECORDS):
@@ -189,7 +206,7 @@ def skim_chunk(content: bytes) -> Skim:
     definitions: list[tuple[int, Channel]] = []
     schemas: list[Schema] = []
     if [record[0] for record in records].count(OPCODE_MESSAGE) < len(records):
-        messages: list[tuple[tuple[int, int, int, int, int], int]] = []
+        messages: list[tuple[tuple[int, int, int, int, int, int], int]] = []
         for record, stop in zip(records, ends, strict=True):
             opcode, body = record[0], content[stop - record[1] : stop]
             if opcode == OPCODE_MESSAGE:
@@ -203,10 +220,10 @@ def skim_chunk(content: bytes) -> Skim:
         records, ends = [record for record, _ in messages], [stop for _, stop in messages]
     if not records:
         raise ValueError("it has no messages")
-    _, lengths, channels, sequences, times = zip(*records, strict=True)
+    _, lengths, channels, sequences, times, walls = zip(*records, strict=True)
     if min(lengths) < MESSAGE_FIELDS:
         raise ValueError("a message does not fit into its chunk")
-    return Skim(channels, sequences, times, lengths, ends, definitions, schemas)
+    return Skim(channels, sequences, times, walls, lengths, ends, definitions, schemas)
 
 
 def message_checksums(content: bytes | bytearray) -> Iterator[int]:

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections import Counter
+from collections import defaultdict
 from collections.abc import Mapping
 
-import numpy as np
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, MetadataIndex, Schema, Statistics, SummaryOffset
 
@@ -93,7 +92,7 @@ class Contents:
         return end + struct.pack("<I", zlib.crc32(end)) + MAGIC
 
 
-def message_indexes(skim: Skim, offset: int) -> tuple[bytes, dict[int, int], Counter[int]]:
+def message_indexes(skim: Skim, offset: int) -> tuple[bytes, dict[int, int], dict[int, int]]:
     """Makes the message indexes that stand behind a chunk, one a channel.
 
     Args:
@@ -103,18 +102,15 @@ def message_indexes(skim: Skim, offset: int) -> tuple[bytes, dict[int, int], Cou
     Returns:
         The indexes; where each begins, by channel; and how many messages each channel has in the chunk.
     """
-    counts = Counter(skim.channels)  # in the order in which they are first used
-    order = np.argsort(np.array(skim.channels, np.uint16), kind="stable")
-    entries = np.empty((len(order), 2), "<u8")
-    entries[:, 0] = np.array(skim.times, np.uint64)[order]
-    entries[:, 1] = (np.array(skim.ends) - np.array(skim.lengths) - PREFIX.size)[order]
-    ends = np.cumsum([counts[channel] for channel in sorted(counts)])
-    parts = dict(zip(sorted(counts), np.split(entries, ends[:-1]), strict=True))
+    entries: defaultdict[int, list[int]] = defaultdict(list)  # in the order in which channels are first used
+    for channel, time, end, length in zip(skim.channels, skim.times, skim.ends, skim.lengths, strict=True):
+        entries[channel] += time, end - length - PREFIX.size
     indexes: list[bytes] = []
     offsets: dict[int, int] = {}
-    for channel in counts:
-        size = parts[channel].nbytes
+    for channel, numbers in entries.items():
+        size = 8 * len(numbers)
         offsets[channel] = offset
-        indexes.append(MESSAGE_INDEX.pack(Opcode.MESSAGE_INDEX, size + 6, channel, size) + parts[channel].tobytes())
+        head = MESSAGE_INDEX.pack(Opcode.MESSAGE_INDEX, size + 6, channel, size)
+        indexes.append(head + struct.pack(f"<{len(numbers)}Q", *numbers))
         offset += len(indexes[-1])
-    return b"".join(indexes), offsets, counts
+    return b"".join(indexes), offsets, {channel: len(numbers) // 2 for channel, numbers in entries.items()}
