@@ -96,6 +96,8 @@ class FrameSplitter:
             data: The bytes; none may be given to go on with what waits.
             most: How many frames to return at most; the others wait.
         """
+        if self.exceeded:
+            return []
         if self._start:
             del self._buffer[: self._start]
             self._scanned -= self._start
@@ -116,6 +118,8 @@ class FrameSplitter:
             self._start = self._scanned = end + len(DELIMITER)
             if frame := frame.strip(_WHITE):
                 frames.append(frame)
+        if self.exceeded:  # its connection may stay for a while
+            self._buffer, self._start, self._scanned = bytearray(), 0, 0
         return frames
 
 

@@ -339,7 +339,7 @@ def test_a_changed_reply_is_found_with_both_values(busy_file: Path, tmp_path: Pa
             '{ "type":"paused","frame":15}',
             '{"type":"paused","frame":15}',
         ),
-        (b'{"type":"pong"', b'{{"type":"pong"', "", None, {"type": "pong"}),
+        (b'{"type":"pong"', b'{{"type":"pong"', "", '{{"type":"pong"}', {"type": "pong"}),
     ],
 )
 def test_any_change_of_a_reply_is_shown(
