@@ -162,6 +162,8 @@ class _RecordingReplay(Journal):
             if (record := records.peek()) is not None and record.kind is Kind.KEYFRAME:
                 next(records)  # with which the world began
             while not self._over and (record := records.peek()) is not None and not self._reached(record):
+                if record.kind is Kind.COMMAND and records.peek(1) is None:
+                    break  # the file was cut behind it: nothing says what came of it, and a `step` would tick unseen
                 calls = self._calls
                 apply_input(world, record, records.peek(1) if record.kind is Kind.REFUSED else None)
                 if self._mistake is not None:
