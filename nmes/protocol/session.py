@@ -104,7 +104,7 @@ class FrameSplitter:
             self._start = 0
         self._buffer += data
         frames: list[bytes] = []
-        while not self.exceeded and len(frames) != most:
+        while len(frames) != most:
             end = self._buffer.find(DELIMITER, self._scanned)
             if end < 0:
                 self._scanned = max(self._start, len(self._buffer) - len(DELIMITER) + 1)
