@@ -183,7 +183,7 @@ class MotorWork:
         self._impulses.append([j.impulse.value for j in self.joints])
 
     def of(self, joint: int) -> Array:
-        """Returns what a joint's motor worked in the last step, and the sum of its sizes, J; array (2,)."""
+        """Returns the work of a joint's motor in the last step, and the sum of its sizes, J; array (2,)."""
         if joint not in self._columns or not self._impulses:
             return np.zeros(2)
         if self._works is None:

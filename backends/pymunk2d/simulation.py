@@ -358,7 +358,7 @@ class PymunkSimulation(Simulation):
         return self._motors
 
     def _effort(self, j: Joint) -> float:
-        """Returns what a joint's motor gave in the last engine step, N m or N."""
+        """Returns the effort of a joint's motor in the last engine step, N m or N."""
         return 0.0 if j.motor is None else j.sign * j.impulse.value / self._timestep
 
     def _clear_wrench(self, b: Body) -> None:

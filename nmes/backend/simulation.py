@@ -271,7 +271,7 @@ class Simulation(ABC):
         raise NotImplementedError
 
     def members(self) -> tuple[dict[int, bool], dict[int, tuple[str, int, int]]]:
-        """Returns what there is: the bodies, each with whether it is frozen, and the joints: kind, body1 and body2.
+        """Returns the bodies, each with whether it is frozen, and the joints: kind, body1 and body2.
 
         Only with capability `snapshot`: a World holds what was restored against what it says of itself.
         """

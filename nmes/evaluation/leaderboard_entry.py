@@ -210,6 +210,6 @@ def _proved(entry: Entry, paths: Sequence[Path]) -> Mapping[str, Any]:
 
 
 def _differences(entry: Entry, proved: Mapping[str, Any]) -> str:
-    """Returns what an entry says otherwise than its recordings, in words."""
+    """Returns the differences between an entry and its recordings, in words."""
     pairs = ((name, getattr(entry, name), value) for name, value in proved.items())
     return "; ".join(f"{name}: listed {listed!r}, proved {value!r}" for name, listed, value in pairs if listed != value)

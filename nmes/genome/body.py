@@ -169,7 +169,7 @@ class _Reader:
             raise DocumentError(self.problems)
 
     def hint(self, name: str, known: Sequence[str]) -> str:
-        """Returns what `did_you_mean` does, for the first problems: each may be held against hundreds of names."""
+        """Returns a suggestion, with the first problems only: each name may be held against hundreds."""
         return did_you_mean(name, known) if len(self.problems) < _HINTS else ""
 
     def read(self, body: JsonObject, sensors: Sequence[JsonObject] | None) -> Body:

@@ -110,12 +110,11 @@ def parse_record(kind: type[_Record], body: bytes, offset: int) -> _Record:
         raise DamagedFile(offset, f"the {name} record at byte {offset} cannot be read") from error
 
 
-def _read(kind: type[McapRecord], body: bytes) -> Any:
-    return kind.read(ReadDataStream(BytesIO(body)))  # type: ignore[attr-defined]
+def _read(kind: Any, body: bytes) -> Any:
+    return kind.read(ReadDataStream(BytesIO(body)))
 
 
-# Nobody changes a record that was read.
-_read_once: Callable[[type[McapRecord], bytes], Any] = lru_cache(maxsize=1024)(_read)  # type: ignore[assignment]
+_read_once: Callable[[Any, bytes], Any] = lru_cache(maxsize=1024)(_read)  # nobody changes a record that was read
 
 
 def split_chunk(content: bytes) -> Iterator[Message | Channel]:

@@ -216,7 +216,7 @@ class Reader:
         raise DamagedFile(where, f"the record at byte {where} is not the index of the messages of the chunk before it")
 
     def _ending(self, file: BinaryIO, offset: int) -> bytes:
-        """Returns what stands behind the data section, from `offset` to the file's end, if its checksum matches."""
+        """Returns the bytes behind the data section, from `offset` to the file's end, if its checksum matches."""
         if self.size - offset > MAX_RECORD:
             raise DamagedFile(offset, f"the summary at byte {offset} is too long")
         end = file.read(self.size - offset)

@@ -10,6 +10,7 @@ import struct
 import zlib
 from collections import defaultdict
 from collections.abc import Mapping
+from typing import Any
 
 from mcap.opcode import Opcode
 from mcap.records import Channel, ChunkIndex, MetadataIndex, Schema, Statistics, SummaryOffset
@@ -37,9 +38,8 @@ class Contents:
         Raises:
             ValueError: It was another when it was said before.
         """
-        known: dict[int, Schema] | dict[int, Channel]
-        known = self._schemas if isinstance(record, Schema) else self._channels
-        if known.setdefault(record.id, record) != record:  # type: ignore[arg-type]
+        known: dict[int, Any] = self._schemas if isinstance(record, Schema) else self._channels
+        if known.setdefault(record.id, record) != record:
             raise ValueError(f"{type(record).__name__.lower()} {record.id} is defined in two ways")
         if isinstance(record, Channel):
             self._counts.setdefault(record.id, 0)
