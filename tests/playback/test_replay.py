@@ -355,6 +355,16 @@ def test_any_change_of_a_reply_is_shown(
     assert result.value.amount is None
 
 
+def test_a_step_behind_which_the_file_ends_ticks_nothing(busy_file: Path, tmp_path: Path) -> None:
+    def edit(lines: list[Line]) -> list[Line]:
+        steps = [i for i in commands_of(lines) if b'"step"' in lines[i].data]
+        return lines[: steps[1] + 1]
+
+    report = replay(rewrite(busy_file, tmp_path / "x.mcap", edit))
+    assert report.verdict == "reproduced"
+    assert (report.ticks, report.frames) == (1, (0, 1))  # those of the first step
+
+
 def test_a_missing_reply_is_reported_with_the_next_record(busy_file: Path, tmp_path: Path) -> None:
     def edit(lines: list[Line]) -> list[Line]:
         at = commands_of(lines, "replies")[0]
