@@ -11,8 +11,9 @@ import orjson
 from mcap.records import Channel, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
+from nmes.playback import Divergence, replay
 from nmes.protocol import Request, parse
-from nmes.recording import Recorder
+from nmes.recording import Kind, Recorder, Recording
 from nmes.recording.mcap_writer import Writer
 from nmes.world import World
 from nmes.world.journal import Journal
@@ -164,3 +165,41 @@ def rewrite(
 def commands_of(lines: list[Line], kind: str = "commands") -> list[int]:
     """Returns the indices of the messages of clients."""
     return [i for i, line in enumerate(lines) if line.topic == kind]
+
+
+def told_by(recording: Recording) -> list[tuple[Any, ...]]:
+    """Returns what a recording tells of a history, an entry for each tick, fault, client and message."""
+    entries: list[tuple[Any, ...]] = []
+    for item in recording:
+        about = item.about or {}
+        match item.kind:
+            case Kind.TICKS:
+                entries += [("tick", about["frame"] + i, digest) for i, digest in enumerate(about["digests"])]
+            case Kind.FAULT:
+                entries.append(("fault", about["frame"], about["code"], about["message"]))
+            case Kind.JOINED | Kind.LEFT:
+                entries.append((str(item.kind), item.client))
+            case Kind.COMMAND | Kind.REFUSED | Kind.REPLY:
+                entries.append((str(item.kind), item.client, item.data))
+    return entries
+
+
+def divergence(source: Path, tmp_path: Path, edit: Edit) -> Divergence:
+    """Replays a recording that was edited, its chain made anew, and returns where it diverges."""
+    path = tmp_path / "edited.mcap"
+    path.unlink(missing_ok=True)
+    report = replay(rewrite(source, path, edit))
+    assert report.verdict == "diverged"
+    assert report.damage is None
+    assert report.divergence is not None
+    return report.divergence
+
+
+def changed(lines: list[Line], at: int, data: bytes) -> list[Line]:
+    """Returns the messages with the content of one exchanged."""
+    return [*lines[:at], lines[at]._replace(data=data), *lines[at + 1 :]]
+
+
+def first(lines: list[Line], topic: str, after: int = 0) -> int:
+    """Returns the index of the first message of a topic, from an index on."""
+    return next(i for i, line in enumerate(lines) if i >= after and line.topic == topic)
