@@ -61,9 +61,7 @@ class Connection(asyncio.BufferedProtocol):
         self._world: HostedWorld | None = None  # the world joined
         self._client = 0
         self._timer: asyncio.TimerHandle | None = None  # the deadline that applies: auth, its answer, hanging up
-        self._backlog: deque[bytes | Request] = (
-            deque()
-        )  # frames yet to be read and executed; the socket waits meanwhile
+        self._backlog: deque[bytes | Request] = deque()  # yet to be read and executed; the socket waits meanwhile
         self._reading: Future[Request] | None = None  # the first of them, where it is read in a thread
         self._full = False  # the peer does not read: its commands wait
         self._overflowed = False  # it did not read for so long that events were dropped: it must go

@@ -87,9 +87,7 @@ class Host:
         self._door = Door(self.limits.unauthenticated, tls, self.limits.auth_timeout, LINGER)
         self.guesses = self._door.guesses
         self._reader = ThreadPoolExecutor(1, "nmes-reader")  # one: a frame is read without a pause for others
-        self._creating: dict[
-            str, dict[Connection, None]
-        ] = {}  # worlds that are made in a thread, and who waits for them
+        self._creating: dict[str, dict[Connection, None]] = {}  # worlds made in a thread now, and who waits for them
         self._makers: set[asyncio.Task[None]] = set()  # that create them
         self._open = False  # whether it listens
         self._metrics_servers: list[asyncio.Server] = []
