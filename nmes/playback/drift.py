@@ -17,13 +17,14 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 from nmes.backend.rotation import angle_between
+from nmes.errors import RecordingError
 from nmes.playback.divergence import message_or_text
 from nmes.playback.inputs import Progress, RecordedInput, apply_input, recorded_inputs, walk
 from nmes.playback.report import RunReport, fingerprint_differences
 from nmes.playback.restore import make_world
 from nmes.protocol import Request
 from nmes.recording import Kind, Record, Recording
-from nmes.recording.viewer_messages import decode_poses
+from nmes.recording.viewer_messages import Pose, decode_poses
 from nmes.world import World
 from nmes.world.journal import Journal
 
@@ -111,7 +112,8 @@ class _DriftMeasurement(Journal):
             self.world = World({**config, "backend": backend, "engine": {}}, journal=self)
         self.ticks = 0  # of this world
         self._recorded = 0  # ticks of the recorded one
-        self._shown: dict[int, bytes] = {}  # recorded poses that this world has not come to yet, by ticks
+        self._path = recording.path
+        self._shown: dict[int, dict[str, Pose]] = {}  # recorded poses that this world has not come to yet, by ticks
         self._rate = config["tick_rate"]
         self._answer = b""  # the last reply of this world
 
@@ -154,13 +156,16 @@ class _DriftMeasurement(Journal):
         """Counts the ticks of a record and keeps its poses, until this world has come as far."""
         self._recorded += len(record.digests)
         if record.kind is Kind.POSES:
-            self._shown[self._recorded] = record.data
+            try:
+                self._shown[self._recorded] = decode_poses(record.data)
+            except ValueError as error:
+                message = f"{self._path}: record {record.sequence}: {error}"
+                raise RecordingError("recording_damaged", message) from error
 
     def _compare(self) -> None:
         """Compares the cubes with the poses that were recorded after as many ticks, if some were."""
-        if (data := self._shown.pop(self.ticks, None)) is None:
+        if (recorded := self._shown.pop(self.ticks, None)) is None:
             return
-        recorded = decode_poses(data)
         names, rows = self.world.poses()
         here = dict(zip(names, rows[:, :7].tolist(), strict=True))
         now = self.ticks / self._rate

@@ -183,6 +183,8 @@ def _advance_by(world: World, recorded: RecordedInput, ticks: int, last: bool) -
         last: Whether the input has more than that, or a fault right after them.
     """
     record, digests = recorded.record, recorded.digests[:ticks]
+    if digests and record.kind is Kind.COMMAND and protocol.parse(record.data).type not in _TICKING:
+        return False  # no such command ticks: somebody has edited the file
     if record.kind is Kind.TICKS:
         for _ in digests:
             apply_input(world, record)
@@ -204,6 +206,8 @@ def _shortened(recorded: RecordedInput, ticks: int) -> dict[str, Any] | None:
         return None  # no command, so that it made no tick
     if command["type"] == "step":
         return {**command, "ticks": ticks} if ticks else None
+    if command["type"] not in _TICKING:
+        return command  # the world stopped at it
     results = _content(recorded.reply).get("results")
     codes = [one.get("code") if isinstance(one, dict) else None for one in results] if isinstance(results, list) else []
     parts = []

@@ -279,7 +279,7 @@ def edited(data: bytes, place: int, by: int) -> bytes:
     changed[place] ^= by
     try:
         return with_checksums(changed)
-    except struct.error:  # the footer no longer says where the summary is
+    except (struct.error, IndexError):  # the footer no longer says where the summary is
         return bytes(changed)
 
 
@@ -484,7 +484,7 @@ def mangled(lines: list[Line], source: random.Random) -> list[Line]:
     return lines or [Line("clients", 0, b"")]
 
 
-@pytest.mark.parametrize("seeds", [(10, 53, 65), pytest.param(range(100, 3000), marks=pytest.mark.long)])
+@pytest.mark.parametrize("seeds", [(10, 53, 65, 348), pytest.param(range(100, 3000), marks=pytest.mark.long)])
 def test_an_edited_recording_makes_no_command_fail_but_in_words(
     seeds: Sequence[int], despawn_file: Path, tmp_path: Path
 ) -> None:
@@ -495,6 +495,27 @@ def test_an_edited_recording_makes_no_command_fail_but_in_words(
         for command in READERS[:-2] if seed % 10 else READERS:
             read_with(command, path, despawn_file, tmp_path)
         path.unlink()
+
+
+def test_poses_that_are_none_are_told_of_in_words(
+    despawn_file: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    def spoil(lines: list[Line]) -> list[Line]:
+        return [line._replace(data=b"\xff\xff") if line.topic == "/tf" else line for line in lines]
+
+    path = rewrite(despawn_file, tmp_path / "x.mcap", spoil)
+    code, text = run("replay", path, "--backend", "pymunk")
+    assert code == 1 and "not a transforms message" in text, text
+    assert not caplog.records
+
+
+def test_ticks_behind_a_command_that_makes_none_are_a_departure(despawn_file: Path, tmp_path: Path) -> None:
+    def ping_instead(lines: list[Line]) -> list[Line]:
+        return [line._replace(data=line.data.replace(b'"step"', b'"ping"')) for line in lines]
+
+    path = rewrite(despawn_file, tmp_path / "x.mcap", ping_instead)
+    code, text = run("fork", path, "--at", "20", "-o", tmp_path / "fork.mcap")
+    assert code == 1 and "does not come out as recorded" in text, text
 
 
 def test_what_recordings_say_commands_no_terminal(despawn_file: Path, tmp_path: Path) -> None:
