@@ -26,7 +26,7 @@ SUBCOMMANDS = {
     "eval": "Score creatures on a task.",
     "export": "Write a recording as data for other programs.",
     "fork": "Take the world out of a recording as it was at a frame.",
-    "genome": "Check, show and expand genomes.",
+    "genome": "Check, show and vary genomes.",
     "info": "Show what a recording holds.",
     "leaderboard": "Keep a list of scores that are proved.",
     "render": "Make a film or a picture of recordings.",

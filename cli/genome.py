@@ -1,10 +1,11 @@
-"""`nmes genome`: check, show and expand the files of creatures."""
+"""`nmes genome`: check, show, expand, mutate, cross and compare the files of creatures."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 import orjson
@@ -15,11 +16,17 @@ from rich.text import Text
 from nmes.cli._genomes import find_genomes
 from nmes.cli._json import print_json
 from nmes.cli._output import check_output, whole_file
-from nmes.errors import DocumentError, visible
+from nmes.errors import DocumentError, VariationError, visible
 from nmes.genome import Genome
 from nmes.genome.body import Body
 
+if TYPE_CHECKING:
+    from nmes.evaluation import Task
+    from nmes.evolution import Difference, Draw
+
 __all__ = ["command"]
+
+Bred = TypeVar("Bred")
 
 
 def _files(_: click.Context, parameter: click.Parameter, values: Iterable[str]) -> list[str]:
@@ -32,7 +39,7 @@ _json = click.option("--json", "as_json", is_flag=True, help="Print it as JSON."
 
 @click.group("genome")
 def command() -> None:
-    """Check, show and expand genomes.
+    """Check, show and vary genomes.
 
     FILE is a file, a directory (the *.json in it), a pattern such as 'creatures/*.json', or the name of a genome that
     ships with the package.
@@ -242,8 +249,158 @@ def expand(files: list[str], output: Path | None) -> None:
     for target in targets:
         check_output(target, *files)
     for target, document in zip(targets, documents, strict=True):
-        target.parent.mkdir(parents=True, exist_ok=True)
-        with whole_file(target) as unfinished:
-            unfinished.write_bytes(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
+        _write_document(target, document)
     for target in targets:
         click.echo(f"wrote {visible(str(target))}")
+
+
+def _write_document(target: Path, document: Any) -> None:
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(target) as unfinished:
+        unfinished.write_bytes(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
+
+
+_seed = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of all that is drawn.")
+_count = click.option(
+    "-n", "--count", type=click.IntRange(1, 100_000), default=1, show_default=True, help="How many to make."
+)
+_task = click.option(
+    "--task", metavar="NAME|FILE", help="Make only what may take part in this task: a shipped one's name, or a file."
+)
+_output = click.option(
+    "-o",
+    "--output",
+    type=click.Path(path_type=Path),
+    metavar="PATH",
+    help="Write to a file; of many, to files in a directory. Else they are printed.",
+)
+
+
+@command.command("mutate")
+@click.argument("file", metavar="GENOME")
+@click.option(
+    "--kind", metavar="KIND", help="What to change, such as add-part; drawn if left out. See docs/evolution.md."
+)
+@_task
+@_seed
+@_count
+@_output
+def mutate(file: str, kind: str | None, task: str | None, seed: int, count: int, output: Path | None) -> None:
+    """Change a genome a little: its body, and the brain along with it.
+
+    What comes out is a good genome, and the same one for the same seed.
+
+    For example:
+
+    \b
+        nmes genome mutate walker -o mutant.json
+        nmes genome mutate walker --kind add-part --seed 7 --task walk -o mutant.json
+        nmes genome mutate walker -n 20 -o mutants/
+    """
+    from nmes import evolution
+
+    parent, allowed = _load(file), _load_task(task)
+    mutants = [_bred(lambda d: evolution.mutate(parent, d, kind=kind, task=allowed), seed, i) for i in range(count)]
+    _write_bred([(mutant.genome, mutant.kind) for mutant in mutants], output, seed, file)
+
+
+@command.command("cross")
+@click.argument("first", metavar="GENOME")
+@click.argument("second", metavar="GENOME")
+@_task
+@_seed
+@_count
+@_output
+def cross(first: str, second: str, task: str | None, seed: int, count: int, output: Path | None) -> None:
+    """Breed two genomes: the child is mostly like the first, and has something of the second.
+
+    For example:
+
+    \b
+        nmes genome cross walker roller -o child.json
+        nmes genome cross centipede inchworm -n 10 --task walk -o children/
+    """
+    from nmes import evolution
+
+    one, other, allowed = _load(first), _load(second), _load_task(task)
+    children = [_bred(lambda d: evolution.cross(one, other, d, task=allowed), seed, i) for i in range(count)]
+    _write_bred([(child, f"cross with {other.name}") for child in children], output, seed, first, second)
+
+
+@command.command("diff")
+@click.argument("first", metavar="GENOME")
+@click.argument("second", metavar="GENOME")
+@_json
+@click.pass_context
+def diff(context: click.Context, first: str, second: str, as_json: bool) -> None:
+    """Say in what two genomes differ, part by part; ends with status 1 if they do.
+
+    Names, authors and parents do not count.
+
+    For example:
+
+    \b
+        nmes genome diff walker mutant.json
+    """
+    from nmes.evolution import differences
+
+    found = differences(_load(first), _load(second))
+    if as_json:
+        print_json([asdict(each) for each in found])
+    for each in () if as_json else found:
+        click.echo(visible(f"{each.path}: {_told(each)}"))
+    if not found and not as_json:
+        click.echo("the same creature")
+    context.exit(1 if found else 0)
+
+
+def _load_task(name: str | None) -> Task | None:
+    from nmes.evaluation import Task
+
+    try:
+        return None if name is None else Task.load(name)
+    except DocumentError as error:
+        raise click.ClickException(f"{visible(str(name))}:\n{error.message}") from error
+
+
+def _bred(breed: Callable[[Draw], Bred], seed: int, number: int) -> Bred:
+    """Makes the genome of that number; every number has choices of its own."""
+    from nmes.evolution import Draw
+
+    try:
+        return breed(Draw(seed, "genome", number))
+    except (DocumentError, VariationError) as error:
+        raise click.ClickException(visible(error.message, keep="\n")) from error
+
+
+def _write_bred(bred: list[tuple[Genome, str]], output: Path | None, seed: int, *inputs: str) -> None:
+    """Prints genomes, or writes them to a file or to files of a directory, and says how each came about."""
+    if output is None:
+        for genome, _ in bred:
+            print_json(genome.document)
+        return
+    targets = [output]
+    if len(bred) > 1 or output.is_dir():
+        targets = [output / f"{Path(inputs[0]).name.removesuffix('.json')}-{seed}-{i}.json" for i in range(len(bred))]
+    for target in targets:
+        check_output(target, *inputs)
+    for target, (genome, how) in zip(targets, bred, strict=True):
+        _write_document(target, genome.document)
+        click.echo(f"wrote {visible(str(target))}: {visible(how)}")
+
+
+def _told(difference: Difference) -> str:
+    """Tells a difference in a line; of long values, how long they are."""
+    before, after = (_short(value) for value in (difference.before, difference.after))
+    match difference.kind:
+        case "added":
+            return f"added {after}"
+        case "removed":
+            return f"removed {before}"
+        case _:
+            return f"{before} -> {after}"
+
+
+def _short(value: Any) -> str:
+    text = orjson.dumps(value).decode()
+    return text if len(text) <= 100 else f"{text[:97]}..."

@@ -26,6 +26,7 @@ __all__ = [
     "RejectedMessage",
     "SigningError",
     "SimulationFault",
+    "VariationError",
     "WorldError",
     "visible",
 ]
@@ -109,6 +110,10 @@ class ProofError(NmesError):
 
 class LeaderboardError(NmesError):
     """A leaderboard that cannot be read or written, or proofs that it does not list."""
+
+
+class VariationError(NmesError):
+    """A genome that cannot be varied as asked: an unknown kind of mutation, or no good offspring found."""
 
 
 class FilmError(NmesError):

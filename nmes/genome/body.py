@@ -23,7 +23,7 @@ from nmes.errors import DocumentError
 from nmes.genome.sensors import OF_CUBE, OF_JOINT, VECTORS
 from nmes.schemas.documents import did_you_mean, fits
 
-__all__ = ["Body", "BodyCube", "BodyJoint", "Motor", "Sensor", "corners", "read_body"]
+__all__ = ["Body", "BodyCube", "BodyJoint", "Motor", "Sensor", "corners", "read_body", "read_cube"]
 
 JsonObject = Mapping[str, Any]
 Indices = npt.NDArray[np.intp]
@@ -173,7 +173,7 @@ class _Reader:
         return did_you_mean(name, known) if len(self.problems) < _HINTS else ""
 
     def read(self, body: JsonObject, sensors: Sequence[JsonObject] | None) -> Body:
-        cubes = [_cube(entry) for entry in body["cubes"]]
+        cubes = [read_cube(entry) for entry in body["cubes"]]
         self.unique([f"body/cubes/{i}/id" for i in range(len(cubes))], [cube.id for cube in cubes], "cube")
         joints = [_joint(entry) for entry in body.get("joints", ())]
         self.unique([f"body/joints/{i}/id" for i in range(len(joints))], [joint.id for joint in joints], "joint")
@@ -341,7 +341,8 @@ class _Reader:
         return readable
 
 
-def _cube(entry: JsonObject) -> BodyCube:
+def read_cube(entry: JsonObject) -> BodyCube:
+    """Reads a cube of a document that its schema has accepted."""
     size, color = entry["size"], entry.get("color")
     x, y, z = size if isinstance(size, Sequence) else (size, size, size)
     return BodyCube(

@@ -1,0 +1,132 @@
+"""Mutation: from a genome to one that differs from it a little, and is as good a genome.
+
+Hides how the two ways of writing a body are changed, and that what does not fit is drawn again. Invariants: a mutant
+is a good genome with a good brain, and may take part in the task that it was bred for; it follows from its parent, the
+kind of change, the task and the draw alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+from nmes.errors import DocumentError, VariationError
+from nmes.evaluation import Task
+from nmes.evolution import brain_changes, cube_bodies, graph_bodies
+from nmes.evolution.draw import Draw
+from nmes.evolution.offspring import is_planar, offspring, written_sensors
+from nmes.genome import Genome
+from nmes.genome.body import Body
+from nmes.genome.sensors import OF_CUBE, OF_JOINT
+from nmes.schemas.documents import JsonObject, did_you_mean
+
+__all__ = ["KINDS", "Mutant", "mutate"]
+
+KINDS: Final[Mapping[str, float]] = {
+    "add-part": 1.0,
+    "remove-part": 0.8,
+    "resize-part": 1.5,
+    "move-part": 1.2,
+    "joint": 0.3,
+    "limits": 0.6,
+    "axis": 0.4,
+    "motor": 1.0,
+    "symmetry": 0.4,
+    "recursion": 0.4,
+    "sensors": 0.4,
+    "weights": 4.0,
+    "oscillators": 4.0,
+    "topology": 1.0,
+}
+"""The kinds of mutation, each with how often it is drawn where it can be, relative to the others."""
+_TRIES = 100
+_FRUITLESS = 20  # draws in a row after which a kind that is asked for has nothing to change
+_MOST_SENSORS = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class Mutant:
+    """A genome and how it came about.
+
+    Attributes:
+        genome: The genome; its `parents` name the one that it came from.
+        kind: The kind of mutation.
+    """
+
+    genome: Genome
+    kind: str
+
+
+def mutate(genome: Genome, draw: Draw, *, kind: str | None = None, task: Task | None = None) -> Mutant:
+    """Changes a genome a little.
+
+    Args:
+        genome: The parent. Its brain, if it has one, must be a good one.
+        draw: All choices.
+        kind: One of `KINDS`; drawn by their weights if None.
+        task: What the mutant must be allowed to take part in, if anything.
+
+    Raises:
+        DocumentError: The parent's brain is none for its body.
+        VariationError: There is no such kind (`unknown_mutation`), or none of many tries gave a good genome that may
+            take part (`no_offspring`), as when the kind has nothing to change in this genome.
+    """
+    if kind is not None and kind not in KINDS:
+        hint = did_you_mean(kind, KINDS) or f": there are {', '.join(KINDS)}"
+        raise VariationError("unknown_mutation", f"there is no kind of mutation {kind!r}{hint}")
+    if "brain" in genome.document:
+        genome.brain()
+    planar = is_planar(task)
+    reason = "there is nothing of that kind to change"
+    given, fruitless = genome.document, 0
+    for _ in range(_TRIES):
+        chosen = draw.one_of(tuple(KINDS), tuple(KINDS.values())) if kind is None else kind
+        document = genome.document
+        if _change(document, genome.body, chosen, draw, planar):
+            try:
+                child = offspring(document, genome.body, [genome], draw, task)
+            except DocumentError as error:
+                reason, fruitless = f"the last {error.problems[0][1]}", 0
+                continue
+            if not _same(child.document, given):
+                return Mutant(child, chosen)
+        fruitless += 1
+        if fruitless == _FRUITLESS and kind is not None:
+            break
+    what = "mutation" if kind is None else f"mutation {kind!r}"
+    raise VariationError("no_offspring", f"no try gave a good {what} of {genome.name!r}: {reason}")
+
+
+def _same(document: JsonObject, other: JsonObject) -> bool:
+    return all(document.get(name) == other.get(name) for name in ("body", "sensors", "brain"))
+
+
+def _change(document: JsonObject, body: Body, kind: str, draw: Draw, planar: bool) -> bool:
+    """Makes one change to a document; returns whether there was anything to change."""
+    if kind in brain_changes.CHANGES:
+        return "brain" in document and brain_changes.CHANGES[kind](document["brain"], body, draw)
+    if kind == "sensors":
+        return _change_sensors(document, body, draw)
+    graph = document["body"].get("graph")
+    if graph is not None:
+        graph.setdefault("connections", [])
+        return graph_bodies.CHANGES[kind](graph, body, draw, planar)
+    document["body"].setdefault("joints", [])
+    return kind in cube_bodies.CHANGES and cube_bodies.CHANGES[kind](document["body"], body, draw, planar)
+
+
+def _change_sensors(document: JsonObject, body: Body, draw: Draw) -> bool:
+    """Adds a sensor or takes one away; those of a body by default are written out first."""
+    sensors = document.setdefault("sensors", written_sensors(body))
+    if len(sensors) > 1 and draw.chance(0.4):
+        sensors.remove(draw.one_of(sensors))
+        return True
+    if len(sensors) >= _MOST_SENSORS:
+        return False
+    driven = [joint.id for joint in body.joints if joint.kind in ("hinge", "slide")]
+    if driven and draw.chance(0.4):
+        sensors.append({"type": draw.one_of(OF_JOINT), "joint": draw.one_of(driven)})
+    else:
+        sensors.append({"type": draw.one_of(OF_CUBE), "cube": draw.one_of(body.cubes).id})
+    return True

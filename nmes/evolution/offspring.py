@@ -1,0 +1,88 @@
+"""From a document whose body was changed to a genome: sensors and brain go along, and all of it is judged.
+
+Hides what a child keeps of its parent's document besides the body: its name and licence, but neither its author nor
+what was said about it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from nmes.backend import load_backend
+from nmes.errors import DocumentError
+from nmes.evaluation import Task
+from nmes.evolution.brains import carry_over, motor_names, sensor_names
+from nmes.evolution.draw import Draw
+from nmes.genome import Genome
+from nmes.genome.body import Body
+from nmes.schemas.documents import JsonObject, fits
+
+__all__ = ["is_planar", "offspring", "written_sensors"]
+
+
+def offspring(document: JsonObject, before: Body, parents: Sequence[Genome], draw: Draw, task: Task | None) -> Genome:
+    """Returns the genome that a changed document becomes.
+
+    Args:
+        document: Its body was changed; its sensors and brain are still those of the body before.
+        before: That body.
+        parents: Of whom it comes.
+        draw: What is new in the brain.
+        task: What the genome must be allowed to take part in, if anything.
+
+    Raises:
+        DocumentError: It is no good genome, its brain is none for its body, or it may not take part.
+    """
+    child = {name: value for name, value in document.items() if name not in ("author", "description")}
+    child["parents"] = list(dict.fromkeys(parent.hash for parent in parents))
+    after = _body_of(child)
+    if "brain" in child and _names(before) != _names(after):
+        child["brain"] = carry_over(child["brain"], before, after, draw)
+    genome = Genome(child)
+    if "brain" in child:
+        genome.brain()
+    reasons = [] if task is None else task.check(genome.body)
+    if is_planar(task) and not genome.body.planar:
+        reasons.append("it leaves the plane z = 0, and the task's engine knows no other")
+    if reasons:
+        raise DocumentError([("body", reason) for reason in reasons])
+    return genome
+
+
+def is_planar(task: Task | None) -> bool:
+    """Tells whether a task is in a world of one plane."""
+    return task is not None and load_backend(task.world_config(task.seeds[0])["backend"]).dims == 2
+
+
+def _names(body: Body) -> tuple[list[str], list[str]]:
+    return sensor_names(body), motor_names(body)
+
+
+def _body_of(document: JsonObject) -> Body:
+    """Returns the body of a document, whose sensors are taken away where it has nothing that they could be on."""
+    bare = {"format": document["format"], "name": document["name"], "body": document["body"]}
+    if "sensors" not in document:
+        return Genome(bare).body
+    body = Genome({**bare, "sensors": []}).body
+    document["sensors"] = [sensor for sensor in document["sensors"] if _readable(sensor, body)]
+    return Genome({**bare, "sensors": document["sensors"]}).body
+
+
+def _readable(sensor: Mapping[str, Any], body: Body) -> bool:
+    """Tells whether there is what a sensor of a document is on."""
+    if "cube" in sensor:
+        names = [cube.id for cube in body.cubes]
+    elif sensor["type"] == "effort":
+        names = [joint.id for joint in body.joints if joint.motor is not None]
+    else:
+        names = [joint.id for joint in body.joints if joint.kind in ("hinge", "slide")]
+    return any(map(fits(sensor["cube" if "cube" in sensor else "joint"]), names))
+
+
+def written_sensors(body: Body) -> list[JsonObject]:
+    """Returns the sensors that a body has by default as a document names them."""
+    written: dict[tuple[str, str], JsonObject] = {}
+    for sensor in body.sensors:
+        written[sensor.type, sensor.target] = {"type": sensor.type, sensor.of: sensor.target}
+    return list(written.values())

@@ -1,0 +1,224 @@
+"""Mutants are good genomes, differ from their parents as the kind says, and follow from the seed."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from itertools import count, islice
+from typing import Any
+
+import numpy as np
+import orjson
+import pytest
+
+from nmes.errors import VariationError
+from nmes.evaluation import Task, evaluate
+from nmes.evolution import KINDS, Draw, Mutant, mutate
+from nmes.evolution.brains import motor_names, sensor_names
+from nmes.genome import Genome
+from random_bodies import valid_genomes
+
+Json = dict[str, Any]
+
+BODY = ["add-part", "remove-part", "resize-part", "move-part", "joint", "limits", "axis", "motor", "symmetry"]
+SHORT, LONG = 24, 100_000
+"""How many mutants of each kind."""
+NEVER = {
+    "recursion": "there is nothing of that kind to change",  # of a body that is written out
+    "weights": "there is nothing of that kind to change",  # of oscillators
+    "oscillators": "there is nothing of that kind to change",  # of networks
+}
+
+
+def line(kind: str, parent: Genome, number: int, task: Task) -> Mutant | None:
+    try:
+        return mutate(parent, Draw(14, kind, number), kind=kind, task=task)
+    except VariationError as error:
+        assert error.code == "no_offspring"
+        return None
+
+
+def lines_of_descent(kind: str, task: Task) -> Iterator[tuple[Genome, Genome]]:
+    """Yields parents and mutants without end: shipped genomes and random ones, and what comes of them."""
+    numbers = count()
+    founders: list[Genome] = [Genome.load(name) for name in Genome.names()]
+    founders += [Genome(document) for _, document in islice(valid_genomes(count(7_000), Counter(), planar=False), 12)]
+    while True:
+        for founder in founders:
+            parent = founder
+            for _ in range(4):
+                mutant = line(kind, parent, next(numbers), task)
+                if mutant is None:
+                    break
+                yield parent, mutant.genome
+                parent = mutant.genome
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("mutants", [SHORT, pytest.param(LONG, marks=[pytest.mark.long, pytest.mark.timeout(20_000)])])
+def test_mutants_are_good_genomes_that_may_take_part(kind: str, mutants: int) -> None:
+    task = Task.load("walk")
+    for parent, child in islice(lines_of_descent(kind, task), mutants):
+        read = Genome.parse(orjson.dumps(child.document))  # as from a file
+        assert read.hash == child.hash
+        assert task.check(read.body) == []
+        if "brain" in read.document:
+            assert read.brain().outputs == tuple(motor_names(read.body))
+        assert child.document["parents"] == [parent.hash]
+        parts = ("body", "sensors", "brain")
+        assert any(child.document.get(part) != parent.document.get(part) for part in parts), "nothing has changed"
+
+
+def sizes(genome: Genome) -> list[tuple[float, ...]]:
+    return sorted(cube.size for cube in genome.body.cubes)
+
+
+@pytest.mark.parametrize("name", ["walker", "centipede"])
+def test_each_kind_changes_what_it_says(name: str) -> None:
+    parent = Genome.load(name)
+
+    def mutants(kind: str) -> list[Genome]:
+        return [mutate(parent, Draw(3, kind, number), kind=kind).genome for number in range(8)]
+
+    assert all(len(child.body.cubes) > len(parent.body.cubes) for child in mutants("add-part"))
+    assert all(len(child.body.cubes) < len(parent.body.cubes) for child in mutants("remove-part"))
+    for child in mutants("resize-part"):
+        assert len(child.body.cubes) == len(parent.body.cubes)
+        assert sizes(child) != sizes(parent) or child.body.mass != parent.body.mass
+    for child in mutants("move-part"):
+        places = {cube.id: (cube.position, cube.quaternion) for cube in child.body.cubes}
+        assert any(places[cube.id] != (cube.position, cube.quaternion) for cube in parent.body.cubes)
+    for kind, field in (("joint", "kind"), ("limits", "limits"), ("axis", "axis")):
+        for child in mutants(kind):
+            before, after = ({j.id: getattr(j, field) for j in g.body.joints} for g in (parent, child))
+            assert before != after and before.keys() == after.keys(), kind
+    for child in mutants("motor"):
+        assert child.body.joints != parent.body.joints and child.body.cubes == parent.body.cubes
+    for child in mutants("symmetry"):
+        assert child.body.cubes != parent.body.cubes
+    for child in mutants("sensors"):
+        assert sensor_names(child.body) != sensor_names(parent.body) and child.body.cubes == parent.body.cubes
+    for kind in ("oscillators", "topology"):
+        for child in mutants(kind):
+            assert child.body == parent.body and child.document["brain"] != parent.document["brain"]
+
+
+def test_a_written_out_limb_is_mirrored_across_its_parent() -> None:
+    one_leg = Genome(
+        {
+            "format": "nmes-genome/1",
+            "name": "one leg",
+            "body": {
+                "cubes": [
+                    {"id": "torso", "size": [0.6, 0.2, 0.4], "mass": 6, "position": [0, 0.6, 0]},
+                    {"id": "leg", "size": [0.1, 0.4, 0.1], "mass": 1, "position": [0.2, 0.3, 0.26]},
+                ],
+                "joints": [
+                    {
+                        "id": "hip",
+                        "cube1": "torso",
+                        "cube2": "leg",
+                        "type": "hinge",
+                        "anchor": [0.2, 0.5, 0.2],
+                        "axis": [1, 0, 0],
+                        "motor": {"mode": "position", "range": [-1, 1], "max_effort": 10},
+                    }
+                ],
+            },
+            "brain": {"kind": "sine", "oscillators": [{"motor": "hip"}]},
+        }
+    )
+    children = [mutate(one_leg, Draw(seed), kind="symmetry").genome for seed in range(12)]
+    child = next(each for each in children if each.body.cubes[2].position[2] == -0.26)
+    assert [cube.id for cube in child.body.cubes] == ["torso", "leg", "leg.mirror"]
+    assert child.body.cubes[2].position == (0.2, 0.3, -0.26)
+    mirrored = child.body.joints[1]
+    assert (mirrored.cube1, mirrored.cube2, mirrored.anchor) == ("torso", "leg.mirror", (0.2, 0.5, -0.2))
+    assert mirrored.axis == (-1.0, 0.0, 0.0)  # so that both legs swing outwards together
+    assert [each["motor"] for each in child.document["brain"]["oscillators"]] == ["hip", "hip.mirror"]
+
+
+@pytest.mark.parametrize("name", Genome.names())
+def test_what_keeps_its_name_keeps_its_part_of_the_brain(name: str) -> None:
+    parent = Genome.load(name)
+    for number in range(6):
+        child = mutate(parent, Draw(5, number), kind="add-part").genome
+        kept = set(motor_names(parent.body)) & set(motor_names(child.body))
+        shared = [sensor for sensor in sensor_names(parent.body) if sensor in sensor_names(child.body)]
+        assert kept and child.document["brain"]["kind"] == parent.document["brain"]["kind"]
+        before, after = parent.brain(), child.brain()
+        before.reset(0, 1 / 60)
+        after.reset(0, 1 / 60)
+        if parent.document["brain"]["kind"] == "cpg" or shared != sensor_names(parent.body):
+            continue  # others pull at its oscillators
+        # What is new reads 0: then the old motors are driven as before.
+        readings = dict(zip(shared, np.linspace(-1.0, 1.0, len(shared)).tolist(), strict=True))
+        one = before.step(np.array([readings.get(each, 0.0) for each in before.inputs]))
+        other = after.step(np.array([readings.get(each, 0.0) for each in after.inputs]))
+        for motor in kept:
+            was, now = one[before.outputs.index(motor)], other[after.outputs.index(motor)]
+            if "*" not in str(parent.document["brain"].get("oscillators", "")):
+                assert now == pytest.approx(was, abs=1e-12), motor
+
+
+def test_mutants_of_planar_tasks_stay_in_the_plane() -> None:
+    task = Task.load("planar-walk")
+    genome = Genome.load("inchworm")
+    for number in range(30):
+        genome = mutate(genome, Draw(9, number), task=task).genome
+        assert genome.body.planar
+    assert evaluate(genome, task, seeds=[1]).error is None
+
+
+def test_a_split_link_has_the_same_name_in_two_lines_of_descent() -> None:
+    def split(genome: Genome) -> set[str]:
+        found: set[str] = set()
+        for number in range(60):
+            child = mutate(genome, Draw(2, genome.name, number), kind="topology").genome
+            found |= {node["id"] for node in child.document["brain"]["nodes"] if node["id"].startswith("split.")}
+        return found
+
+    seeker = Genome.load("seeker")
+    cousin = mutate(seeker, Draw(1), kind="weights").genome
+    assert len(split(seeker) & split(cousin)) >= 2
+
+
+def test_an_unknown_kind_is_refused_with_a_hint() -> None:
+    with pytest.raises(VariationError) as caught:
+        mutate(Genome.load("walker"), Draw(1), kind="add-prt")
+    assert caught.value.code == "unknown_mutation" and "add-part" in caught.value.message
+
+
+@pytest.mark.parametrize("kind", NEVER)
+def test_a_kind_that_has_nothing_to_change_is_refused(kind: str) -> None:
+    genome = Genome.load("balancer" if kind != "weights" else "walker")
+    with pytest.raises(VariationError) as caught:
+        mutate(genome, Draw(1), kind=kind)
+    assert caught.value.code == "no_offspring" and NEVER[kind] in caught.value.message
+
+
+PROGRAM = """
+from nmes.evolution import Draw, cross, mutate
+from nmes.genome import Genome
+for name in ("walker", "centipede", "roller", "lurcher"):
+    genome = Genome.load(name)
+    for number in range(6):
+        genome = mutate(genome, Draw(11, number)).genome
+    print(genome.hash, cross(genome, Genome.load("seeker"), Draw(12)).hash)
+"""
+
+
+def test_mutants_and_children_are_the_same_in_fresh_processes() -> None:
+    seen = {
+        subprocess.run(
+            [sys.executable, "-c", PROGRAM],
+            env={**os.environ, "PYTHONHASHSEED": seed},
+            capture_output=True,
+            check=True,
+        ).stdout
+        for seed in ("1", "2")
+    }
+    assert len(seen) == 1
