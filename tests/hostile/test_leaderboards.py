@@ -12,51 +12,19 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner, Result
-from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
-from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+from click.testing import CliRunner
 
+from boards import DASH, edit, entry, proofs_of, run, verdicts
 from creatures import SINE, WAVE, cpg, mlp, snake
 from nmes.cli import main
 from nmes.errors import BackendNotFound, MissingPackage, ProofError, RecordingError
-from nmes.evaluation import Task, evaluate, leaderboard, leaderboard_entry, prove
+from nmes.evaluation import Task, leaderboard, leaderboard_entry, prove
 from nmes.evaluation.identity import creature_hash
 from nmes.evaluation.leaderboard import Leaderboard
 from nmes.evaluation.parallel import Lost
 from nmes.genome import Genome
 
-DASH: dict[str, Any] = {
-    "format": "nmes-task/1",
-    "name": "dash",
-    "description": "Get away from the start.",
-    "duration": 0.5,
-    "seeds": [3, 4],
-    "vary": {"yaw": [-1, 1], "drop": [0.01, 0.1]},
-    "objective": "displacement.horizontal",
-}
 COLUMNS = ("task", "task_hash", "name", "genome_hash", "creature_hash", "author", "key", "score", "recorded")
-
-
-def run(*arguments: str | Path) -> Result:
-    """Runs `nmes leaderboard`; a traceback is a failure, and so is a character that does not print."""
-    result = CliRunner().invoke(main, ["leaderboard", *map(str, arguments)])
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    assert all(line.isprintable() for line in result.output.split("\n")), ascii(result.output)
-    return result
-
-
-def verdicts(board: Path, *options: str) -> tuple[int, dict[str, tuple[str, str]]]:
-    """Verifies a board; returns the exit status, and by the name of each entry its verdict and the reason."""
-    result = run("verify", board, "--jobs", "1", "--json", *options)
-    assert result.stdout, result.output
-    return result.exit_code, {row["name"]: (row["verdict"], row["reason"] or "") for row in json.loads(result.stdout)}
-
-
-def proofs_of(folder: Path, genome: dict[str, Any], task: dict[str, Any] = DASH) -> list[str]:
-    folder.mkdir(exist_ok=True)
-    evaluation = evaluate(Genome(genome), Task(task), record=folder)
-    assert evaluation.error is None and evaluation.faults == 0
-    return list(evaluation.recordings)
 
 
 @pytest.fixture(scope="module")
@@ -82,18 +50,6 @@ def board(tmp_path: Path, proofs: list[str], dash: Path) -> Path:
     assert run("tasks", path, "--allow", dash).exit_code == 0
     assert run("add", path, *proofs).exit_code == 0
     return path
-
-
-def edit(board: Path, *statements: str) -> None:
-    with sqlite3.connect(board) as database:
-        for statement in statements:
-            database.execute(statement)
-    database.close()
-
-
-def entry(board: Path, name: str = "wave") -> leaderboard_entry.Entry:
-    (found,) = (each for each in Leaderboard(board).entries(broken=True) if each.name == name)
-    return found
 
 
 # -- what a row says --------------------------------------------------------------------------------------------------
@@ -447,75 +403,6 @@ def test_a_renamed_copy_is_not_listed(board: Path, tmp_path: Path) -> None:
     result = run("add", board, *proofs_of(tmp_path / "copy", copied))
     assert result.exit_code == 1 and "'wave' by 'Ada (unsigned)'" in result.stderr
     assert len(Leaderboard(board).entries()) == 2
-
-
-# -- authors ----------------------------------------------------------------------------------------------------------
-
-
-def key_in(path: Path, seed: int) -> Path:
-    key = Ed25519PrivateKey.from_private_bytes(bytes([seed]) * 32)
-    path.write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
-    return path
-
-
-def signed(recordings: list[str], key: Path) -> list[str]:
-    for recording in recordings:
-        done = CliRunner().invoke(main, ["sign", recording, "--key", str(key)])
-        assert done.exit_code == 0, done.output
-    return recordings
-
-
-def test_an_author_counts_when_all_recordings_are_signed_by_one_key(tmp_path: Path, dash: Path) -> None:
-    board, ada, eve = tmp_path / "board.sqlite", key_in(tmp_path / "ada.pem", 1), key_in(tmp_path / "eve.pem", 2)
-    run("tasks", board, "--allow", dash)
-    claimed = proofs_of(tmp_path / "1", snake(SINE, name="claimed", author="Bob"))
-    assert run("add", board, *claimed).exit_code == 0
-    mine = signed(proofs_of(tmp_path / "2", snake(cpg(4), name="mine")), ada)
-    assert run("add", board, *mine).exit_code == 0
-    listed = entry(board, "mine")
-    assert len(listed.key) == 64 and entry(board, "claimed").key == ""
-    table = run("show", board).stdout
-    assert f"Ada (key {listed.key[:16]})" in table and "Bob (unsigned)" in table
-    page = tmp_path / "board.html"
-    run("export", board, "-o", page)
-    assert f"Ada (key {listed.key[:16]})" in page.read_text() and "Bob (unsigned)" in page.read_text()
-    # The name is that key's now: however it is written, and whoever would like it.
-    for number, (author, key) in enumerate((("Ada", eve), ("Ada", None), ("ADA ", eve), ("\uff21da", None))):
-        other = proofs_of(tmp_path / f"x{number}", snake(mlp(4, seed=number), name="other", author=author))
-        refused = run("add", board, *(other if key is None else signed(other, key)))
-        assert refused.exit_code == 1 and "another key" in refused.stderr
-    half = proofs_of(tmp_path / "5", snake(mlp(4, seed=9), name="half", author="Cleo"))
-    signed(half[:1], eve)
-    assert run("add", board, *half).exit_code == 0 and entry(board, "half").key == ""
-    mixed = proofs_of(tmp_path / "6", snake(mlp(4, seed=8), name="mixed", author="Dora"))
-    signed(mixed[:1], ada)
-    signed(mixed[1:], eve)
-    assert run("add", board, *mixed).exit_code == 0 and entry(board, "mixed").key == ""
-    more = signed(proofs_of(tmp_path / "7", snake(mlp(4, seed=7), name="more")), ada)
-    assert run("add", board, *more).exit_code == 0 and entry(board, "more").key == listed.key
-    assert verdicts(board)[0] == 0
-
-
-def test_a_signature_that_is_gone_or_of_another_recording_is_found(tmp_path: Path, dash: Path) -> None:
-    board, ada = tmp_path / "board.sqlite", key_in(tmp_path / "ada.pem", 1)
-    run("tasks", board, "--allow", dash)
-    mine = signed(proofs_of(tmp_path / "1", snake(name="mine")), ada)
-    wrong = proofs_of(tmp_path / "2", snake(cpg(4), name="wrong"))
-    for path, other in zip(wrong, mine, strict=True):
-        Path(f"{path}.sig").write_bytes(Path(f"{other}.sig").read_bytes())
-    refused = run("add", board, *wrong)
-    assert refused.exit_code == 1 and "signature" in refused.stderr
-    assert run("add", board, *mine).exit_code == 0
-    signature = Path(f"{Leaderboard(board).recording(entry(board, 'mine').recordings[0])}.sig")
-    content = signature.read_bytes()
-    signature.unlink()
-    status, found = verdicts(board)
-    assert status == 1 and "key: listed " in found["mine"][1]
-    signature.write_bytes(content[:100])
-    assert verdicts(board)[0] == 1
-    for nonsense in (b"", b"[]", b'{"signature": 1}', b'{"signature": "", "public_key": "AAAA"}', b"\xff" * 99):
-        signature.write_bytes(nonsense)
-        assert verdicts(board)[0] == 1
 
 
 # -- tasks ------------------------------------------------------------------------------------------------------------

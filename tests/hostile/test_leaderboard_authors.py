@@ -1,0 +1,73 @@
+"""Whose an entry is: names belong to the keys that signed under them, however they are written."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from boards import DASH, entry, key_in, proofs_of, run, signed, verdicts
+from creatures import SINE, cpg, mlp, snake
+from nmes.evaluation.leaderboard import Leaderboard
+
+
+@pytest.fixture(scope="module")
+def dash(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The task's file."""
+    path = tmp_path_factory.mktemp("task") / "dash.json"
+    path.write_text(json.dumps(DASH))
+    return path
+
+
+def test_an_author_counts_when_all_recordings_are_signed_by_one_key(tmp_path: Path, dash: Path) -> None:
+    board, ada, eve = tmp_path / "board.sqlite", key_in(tmp_path / "ada.pem", 1), key_in(tmp_path / "eve.pem", 2)
+    run("tasks", board, "--allow", dash)
+    claimed = proofs_of(tmp_path / "1", snake(SINE, name="claimed", author="Bob"))
+    assert run("add", board, *claimed).exit_code == 0
+    mine = signed(proofs_of(tmp_path / "2", snake(cpg(4), name="mine")), ada)
+    assert run("add", board, *mine).exit_code == 0
+    listed = entry(board, "mine")
+    assert len(listed.key) == 64 and entry(board, "claimed").key == ""
+    table = run("show", board).stdout
+    assert f"Ada (key {listed.key[:16]})" in table and "Bob (unsigned)" in table
+    page = tmp_path / "board.html"
+    run("export", board, "-o", page)
+    assert f"Ada (key {listed.key[:16]})" in page.read_text() and "Bob (unsigned)" in page.read_text()
+    # The name is that key's now: however it is written, and whoever would like it.
+    for number, (author, key) in enumerate((("Ada", eve), ("Ada", None), ("ADA ", eve), ("\uff21da", None))):
+        other = proofs_of(tmp_path / f"x{number}", snake(mlp(4, seed=number), name="other", author=author))
+        refused = run("add", board, *(other if key is None else signed(other, key)))
+        assert refused.exit_code == 1 and "another key" in refused.stderr
+    half = proofs_of(tmp_path / "5", snake(mlp(4, seed=9), name="half", author="Cleo"))
+    signed(half[:1], eve)
+    assert run("add", board, *half).exit_code == 0 and entry(board, "half").key == ""
+    mixed = proofs_of(tmp_path / "6", snake(mlp(4, seed=8), name="mixed", author="Dora"))
+    signed(mixed[:1], ada)
+    signed(mixed[1:], eve)
+    assert run("add", board, *mixed).exit_code == 0 and entry(board, "mixed").key == ""
+    more = signed(proofs_of(tmp_path / "7", snake(mlp(4, seed=7), name="more")), ada)
+    assert run("add", board, *more).exit_code == 0 and entry(board, "more").key == listed.key
+    assert verdicts(board)[0] == 0
+
+
+def test_a_signature_that_is_gone_or_of_another_recording_is_found(tmp_path: Path, dash: Path) -> None:
+    board, ada = tmp_path / "board.sqlite", key_in(tmp_path / "ada.pem", 1)
+    run("tasks", board, "--allow", dash)
+    mine = signed(proofs_of(tmp_path / "1", snake(name="mine")), ada)
+    wrong = proofs_of(tmp_path / "2", snake(cpg(4), name="wrong"))
+    for path, other in zip(wrong, mine, strict=True):
+        Path(f"{path}.sig").write_bytes(Path(f"{other}.sig").read_bytes())
+    refused = run("add", board, *wrong)
+    assert refused.exit_code == 1 and "signature" in refused.stderr
+    assert run("add", board, *mine).exit_code == 0
+    signature = Path(f"{Leaderboard(board).recording(entry(board, 'mine').recordings[0])}.sig")
+    content = signature.read_bytes()
+    signature.unlink()
+    status, found = verdicts(board)
+    assert status == 1 and "key: listed " in found["mine"][1]
+    signature.write_bytes(content[:100])
+    assert verdicts(board)[0] == 1
+    for nonsense in (b"", b"[]", b'{"signature": 1}', b'{"signature": "", "public_key": "AAAA"}', b"\xff" * 99):
+        signature.write_bytes(nonsense)
+        assert verdicts(board)[0] == 1
