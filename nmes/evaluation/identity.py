@@ -3,12 +3,17 @@
 A creature is what it does: its body as it has grown, its sensors and its brain. Names, authors, words, parents and
 colours are not, nor are the ids of parts, where the whole stands, what is left out because it is the default, and
 differences below a billionth. What is changed by more, or put into another order, is another creature.
+
+An author's name is what is seen of it: letters of other scripts that look the same, and what is not seen at all, make
+no other name. Which letters do is after Unicode Technical Standard 39, for those that look like Latin ones.
 """
 
 from __future__ import annotations
 
 import hashlib
 import json
+import re
+import unicodedata
 from collections.abc import Sequence
 from functools import cache
 from importlib.resources import files
@@ -23,10 +28,30 @@ from nmes.genome import Genome
 from nmes.genome.body import Body, BodyJoint
 from nmes.schemas.documents import parse_document
 
-__all__ = ["borrows_name", "creature_hash", "shipped_hash"]
+__all__ = ["author_forms", "borrows_name", "creature_hash", "shipped_hash"]
 
 _DIGITS: Final = 9  # behind the point: what differs by less is the same
 _AXES: Final = {"hinge": (0.0, 0.0, 1.0), "slide": (1.0, 0.0, 0.0)}  # of joints that name none
+_UNSEEN: Final = re.compile(
+    r"[\u00ad\u034f\u061c\u115f\u1160\u17b4\u17b5\u180b-\u180f\u200b-\u200f\u202a-\u202e\u2060-\u206f\u2800"
+    r"\u3164\ufe00-\ufe0f\ufeff\uffa0\ufff0-\ufff8\U0001bca0-\U0001bca3\U0001d173-\U0001d17a\U000e0000-\U000e0fff]"
+)
+# Letters of Cyrillic, Greek, Armenian and Latin, and digits, that look like the Latin ones below.
+_LOOKS: Final = str.maketrans(
+    (
+        "\u0410\u0412\u0415\u0405\u0406\u0408\u041a\u041c\u041d\u041e"
+        "\u0420\u0421\u0422\u0423\u0425\u051a\u051c\u04ae\u0474"
+        "\u0430\u0435\u0455\u0456\u0458\u043e\u0440\u0441\u0443\u0445"
+        "\u04bb\u051b\u051d\u0501\u0475\u04af\u04cf\u04c0"
+        "\u0391\u0392\u0395\u0396\u0397\u0399\u039a\u039c\u039d\u039f"
+        "\u03a1\u03a4\u03a5\u03a7"
+        "\u03b1\u03bf\u03b9\u03bd\u03c1\u03c5\u03c7\u03b3"
+        "\u0585\u0578\u057d\u0570\u0581\u054f\u0555\u054d"
+        "\u0131\u0251\u0261"
+        "I1|0"
+    ),
+    "ABESlJKMHOPCTYXQWYVaesijopcyxhqwdvyllABEZHlKMNOPTYXaoivpuxyonuhgSOUiaglllO",
+)
 _MOTORS, _SENSORS = ("motor", "motors", "outputs"), ("sensor", "inputs")
 
 
@@ -120,3 +145,10 @@ def shipped_hash(task: str) -> str | None:
 def borrows_name(task: str, task_hash: str) -> bool:
     """Tells whether a task has the name of one that ships, but is another."""
     return shipped_hash(task) not in (None, task_hash)
+
+
+def author_forms(author: str) -> tuple[str, ...]:
+    """Returns what an author's name is compared by: two names that share a form look alike; none for an empty name."""
+    seen = _UNSEEN.sub("", unicodedata.normalize("NFKC", author))
+    forms = (" ".join(text.casefold().split()) for text in (seen, seen.translate(_LOOKS)))
+    return tuple(form for form in forms if form)

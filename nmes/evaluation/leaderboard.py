@@ -20,7 +20,6 @@ import os
 import secrets
 import shutil
 import sqlite3
-import unicodedata
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from hashlib import file_digest
@@ -31,7 +30,7 @@ from typing import TYPE_CHECKING, Any
 import orjson
 
 from nmes.errors import LeaderboardError
-from nmes.evaluation.identity import borrows_name, shipped_hash
+from nmes.evaluation.identity import author_forms, borrows_name, shipped_hash
 from nmes.evaluation.leaderboard_entry import COLUMNS, Entry, Verdict, examine, facts, read_row
 from nmes.evaluation.parallel import Lost, in_processes
 from nmes.evaluation.proof import recorded_genome
@@ -64,6 +63,7 @@ _TABLES = (
     UNIQUE (task_hash, creature_hash)
 ) STRICT""",
 )
+_EMPTY: tuple[int, int, list[tuple[str, ...]]] = (0, 0, [])  # kind, version and tables of a new file
 _SCHEMA = "SELECT type, name, tbl_name, sql FROM sqlite_schema ORDER BY name"
 _LONGEST = 1 << 20  # bytes of a row that are read: 1,000 recordings, the most that there can be, are 67 kB
 
@@ -96,15 +96,11 @@ class Leaderboard:
                 raise
 
     def _begin(self, create: bool) -> None:
-        kind, version = (
-            self._db.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version")
-        )
-        tables = self._db.execute(_SCHEMA).fetchall()
-        empty = (kind, version, tables) == (0, 0, [])
-        if empty and create:
+        if create and self._state() == _EMPTY:
             self._create()
-        elif kind != _KIND:
-            what = "empty" if empty else "a database, but no leaderboard"
+        kind, version, tables = state = self._state()
+        if kind != _KIND:
+            what = "empty" if state == _EMPTY else "a database, but no leaderboard"
             raise LeaderboardError("no_leaderboard", f"{self.path} is {what}")
         elif version != _VERSION:
             what = f"{self.path} is a leaderboard of format {version}, not {_VERSION}"
@@ -112,8 +108,17 @@ class Leaderboard:
         elif tables != _own_tables():
             raise LeaderboardError("no_leaderboard", f"{self.path} is a leaderboard with tables of somebody else")
 
+    def _state(self) -> tuple[int, int, list[tuple[str, ...]]]:
+        """Returns of which kind and version the file says that it is, and its tables."""
+        kind, version = (
+            self._db.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version")
+        )
+        return kind, version, self._db.execute(_SCHEMA).fetchall()
+
     def _create(self) -> None:
         with self._transaction():
+            if self._state() != _EMPTY:
+                return  # another process has made it meanwhile
             for table in _TABLES:
                 self._db.execute(table)
             shipped = [(shipped_hash(name), name) for name in Task.names()]
@@ -184,15 +189,14 @@ class Leaderboard:
         if not self._takes(task_hash) or borrows_name(task, task_hash):
             what = f"{self.path} does not take the task {task} ({task_hash[:16]})"
             raise LeaderboardError("task_not_taken", f"{what}: see `nmes leaderboard tasks`")
-        author = _folded(row["author"])
-        for other in self.entries(broken=True):
+        others = self.entries(broken=True)
+        for other in others:
             if (other.task_hash, other.creature_hash) == (task_hash, row["creature_hash"]):
                 what = f"this creature is listed for the task {task} already: {other.name!r} by {other.signed_author!r}"
                 raise LeaderboardError("already_listed", what)
-            owned = other.key and other.broken is None and author == _folded(other.author) != ""
-            if owned and other.key != row["key"]:
-                what = f"entries by {other.author!r} are signed with another key ({other.key[:16]})"
-                raise LeaderboardError("author_taken", what)
+        taken = _taken(row["author"], row["key"], _owners(other for other in others if other.broken is None))
+        if taken is not None:
+            raise LeaderboardError("author_taken", taken)
 
     def _keep(self, proof: Proof) -> None:
         copy = self.recording(proof.recording_hash)
@@ -217,11 +221,13 @@ class Leaderboard:
             top: Only so many of each task.
             broken: Also those that are marked as broken.
         """
-        found = [
-            entry
-            for entry in self._rows()
-            if isinstance(entry, Entry) and task in (None, entry.task) and (broken or entry.broken is None)
-        ]
+        found = []
+        for entry in self._rows():
+            if isinstance(entry, Entry):
+                if task in (None, entry.task) and (broken or entry.broken is None):
+                    found.append(entry)
+            elif entry.verdict == "not_judged":
+                raise LeaderboardError("no_leaderboard", f"{self.path}, entry {entry.id}: {entry.reason}")
         found.sort(key=lambda entry: (entry.task, entry.task_hash, -entry.score, entry.id))
         groups = groupby(found, key=lambda entry: (entry.task, entry.task_hash))
         return [entry for _, group in groups for entry in list(group)[:top]]
@@ -265,6 +271,8 @@ class Leaderboard:
                 yield Verdict(entry.id, entry.task, entry.name, "broken", reason)
             else:
                 work.append((entry, [self.recording(each) for each in entry.recordings]))
+        contested = []
+        keys = _keys_by_author(entry for entry, _ in work)
         for index, verdict in in_processes(examine, work, jobs):
             entry = work[index][0]
             if isinstance(verdict, Lost):
@@ -272,7 +280,11 @@ class Leaderboard:
             elif verdict.verdict == "holds" and borrows_name(entry.task, entry.task_hash):
                 reason = f"its task is another {entry.task} than the one that ships with this version"
                 verdict = Verdict(entry.id, entry.task, entry.name, "not_judged", reason)
-            yield verdict
+            if verdict.verdict == "holds" and any(len(keys[form]) > 1 for form in author_forms(entry.author)):
+                contested.append((entry, verdict))  # until it is known which of those who claim the name hold
+            else:
+                yield verdict
+        yield from _settled(contested)
 
     def mark(self, verdicts: Iterable[Verdict]) -> None:
         """Writes down which entries are broken, and that others hold again; what was not judged stays as it is."""
@@ -296,6 +308,8 @@ class Leaderboard:
             try:
                 row = self._db.execute(f"SELECT {columns} FROM entries WHERE id = ?", (number,)).fetchone()
                 yield read_row(row or ())  # a damaged file may not find what it has listed
+            except sqlite3.OperationalError as error:  # another process, the disk: nothing that the row is to blame for
+                yield Verdict(number, "", "", "not_judged", f"its row cannot be read: {error}")
             except (ValueError, sqlite3.Error) as error:
                 yield Verdict(number, "", "", "broken", f"its row cannot be read: {error}")
 
@@ -330,6 +344,41 @@ def _own_tables() -> list[tuple[str, ...]]:
         database.close()
 
 
-def _folded(author: str) -> str:
-    """Returns an author's name as it is compared: wide, small or padded letters make no other name."""
-    return " ".join(unicodedata.normalize("NFKC", author).casefold().split())
+def _keys_by_author(entries: Iterable[Entry]) -> dict[str, set[str]]:
+    """Returns the keys with which entries are signed, "" for none, by the forms of their authors."""
+    keys: dict[str, set[str]] = {}
+    for entry in entries:
+        for form in author_forms(entry.author):
+            keys.setdefault(form, set()).add(entry.key)
+    return keys
+
+
+def _owners(entries: Iterable[Entry]) -> dict[str, Entry]:
+    """Returns the first entry that was signed under a name, by each form of it."""
+    owners: dict[str, Entry] = {}
+    for entry in entries:
+        if entry.key:
+            for form in author_forms(entry.author):
+                owners.setdefault(form, entry)
+    return owners
+
+
+def _taken(author: str, key: str, owners: Mapping[str, Entry]) -> str | None:
+    """Returns why a name cannot be that of somebody who signs with a key, or with none; None where it can."""
+    for form in author_forms(author):
+        other = owners.get(form)
+        if other is not None and other.key != key:
+            return f"entries by {other.author!r} are signed with another key ({other.key[:16]})"
+    return None
+
+
+def _settled(contested: list[tuple[Entry, Verdict]]) -> Iterator[Verdict]:
+    """Yields the verdicts on entries that hold under names with several keys: each name is the first one's."""
+    owners: dict[str, Entry] = {}
+    for entry, verdict in sorted(contested, key=lambda each: each[0].id):
+        taken = _taken(entry.author, entry.key, owners)
+        if taken is not None:
+            verdict = Verdict(entry.id, entry.task, entry.name, "broken", taken)
+        else:
+            owners = {**_owners([entry]), **owners}
+        yield verdict

@@ -91,7 +91,10 @@ def recorded_genome(recording: str | os.PathLike[str]) -> Genome:
 
 def _closed(source: Recording) -> str:
     try:
-        return datetime.fromisoformat(source.end["closed"]).astimezone(UTC).isoformat(timespec="seconds")
+        closed = datetime.fromisoformat(source.end["closed"])
+        if closed.tzinfo is None:
+            raise ValueError("it depends on where it is read")
+        return closed.astimezone(UTC).isoformat(timespec="seconds")
     except (KeyError, ValueError, OverflowError) as error:
         raise ProofError("not_an_evaluation", f"{source.path} does not say when it was closed") from error
 

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import json
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
-from boards import DASH, entry, key_in, proofs_of, run, signed, verdicts
+from boards import DASH, edit, entry, key_in, proofs_of, run, signed, verdicts
 from creatures import SINE, cpg, mlp, snake
+from nmes.evaluation.identity import author_forms
 from nmes.evaluation.leaderboard import Leaderboard
 
 
@@ -71,3 +74,66 @@ def test_a_signature_that_is_gone_or_of_another_recording_is_found(tmp_path: Pat
     for nonsense in (b"", b"[]", b'{"signature": 1}', b'{"signature": "", "public_key": "AAAA"}', b"\xff" * 99):
         signature.write_bytes(nonsense)
         assert verdicts(board)[0] == 1
+
+
+ALIKE = [
+    "\u0410da",  # A is Cyrillic
+    "Ad\u0430",  # and here a
+    "\u0391da",  # Greek
+    "Ada\ufe0f",  # what follows is not seen
+    "A\u034fda",
+    "Ad\u3164a",
+    "Ada\U000e0041",
+    "\uff21da",
+]
+
+
+@pytest.mark.parametrize("author", ALIKE, ids=ascii)
+def test_a_name_that_looks_like_anothers_is_not_listed(tmp_path: Path, dash: Path, author: str) -> None:
+    board, eve = tmp_path / "board.sqlite", key_in(tmp_path / "eve.pem", 2)
+    run("tasks", board, "--allow", dash)
+    mine = signed(proofs_of(tmp_path / "1", snake(name="mine")), key_in(tmp_path / "ada.pem", 1))
+    assert run("add", board, *mine).exit_code == 0
+    other = signed(proofs_of(tmp_path / "2", snake(cpg(4), name="other", author=author)), eve)
+    refused = run("add", board, *other)
+    assert refused.exit_code == 1 and "another key" in refused.stderr
+
+
+def alike(one: str, other: str) -> bool:
+    return not set(author_forms(one)).isdisjoint(author_forms(other))
+
+
+def test_names_that_do_not_look_alike_are_several() -> None:
+    names = ["Ada", "Adam", "Ali", "All", "AI", "Ad\u00e4", "\u0410\u0434\u0430", "\u5c0f\u6797", "Bo 1", "Bo 2"]
+    for one in names:
+        assert [other for other in names if alike(one, other)] == [one]
+    assert alike("Al", "A\u0406") and alike("Bob", "B0b") and alike("ALI", "ali") and not alike("", "")
+
+
+def test_an_author_with_two_keys_holds_with_the_first(tmp_path: Path, dash: Path) -> None:
+    """Somebody wrote the second entry into the file by hand, beside recordings that prove it."""
+    board = tmp_path / "board.sqlite"
+    for number, name in ((1, "mine"), (2, "other"), (3, "unsigned")):
+        path = board if number == 1 else tmp_path / f"{number}.sqlite"
+        run("tasks", path, "--allow", dash)
+        made = proofs_of(tmp_path / name, snake(mlp(4, seed=number), name=name))
+        listed = made if number == 3 else signed(made, key_in(tmp_path / f"{number}.pem", number))
+        assert run("add", path, *listed).exit_code == 0
+        for file in Leaderboard(path).recordings.iterdir():
+            file.rename(Leaderboard(board).recordings / file.name)
+        if number > 1:
+            with closing(sqlite3.connect(board)) as database, database:
+                database.execute("ATTACH ? AS other", (str(path),))
+                row = "task, task_hash, name, genome_hash, creature_hash, author, key, score, recordings, recorded"
+                database.execute(f"INSERT INTO entries ({row}) SELECT {row} FROM other.entries")
+    status, found = verdicts(board, "--write")
+    assert status == 1 and found["mine"] == ("holds", "")
+    for name in ("other", "unsigned"):
+        assert found[name][0] == "broken" and "another key" in found[name][1]
+    assert [each.name for each in Leaderboard(board).entries()] == ["mine"]
+    # A name belongs to nobody by an entry that does not hold.
+    edit(board, "UPDATE entries SET score = 7.0 WHERE name = 'mine'")
+    found = verdicts(board)[1]
+    assert {name: verdict for name, (verdict, _) in found.items()} == {
+        "mine": "broken", "other": "holds", "unsigned": "broken"
+    }  # fmt: skip

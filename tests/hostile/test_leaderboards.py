@@ -8,6 +8,8 @@ import os
 import random
 import sqlite3
 from collections.abc import Callable, Iterator
+from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +25,7 @@ from nmes.evaluation.identity import creature_hash
 from nmes.evaluation.leaderboard import Leaderboard
 from nmes.evaluation.parallel import Lost
 from nmes.genome import Genome
+from recordings import rewrite
 
 COLUMNS = ("task", "task_hash", "name", "genome_hash", "creature_hash", "author", "key", "score", "recorded")
 
@@ -253,6 +256,13 @@ def test_a_recording_of_another_entry_is_no_proof(board: Path) -> None:
     assert status == 1 and found["wave"][0] == "broken" and "name: listed 'wave'" in found["wave"][1]
 
 
+@pytest.mark.parametrize("closed", ["2026-01-01", "2026-01-01T00:00:00", "20260101T000000"])
+def test_a_time_that_depends_on_where_it_is_read_is_none(proofs: list[str], tmp_path: Path, closed: str) -> None:
+    made = rewrite(Path(proofs[0]), tmp_path / "x.mcap", lambda lines: lines, closed=closed)
+    with pytest.raises(ProofError, match="does not say when it was closed"):
+        prove(made)
+
+
 REASONS: list[Exception] = [
     ProofError("not_comparable", "it comes out otherwise on this machine"),
     BackendNotFound("there is no engine 'mujoco' here"),
@@ -287,6 +297,49 @@ def test_what_cannot_be_judged_here_is_neither_held_nor_broken_nor_marked(
     status, found = verdicts(board, "--write")
     assert status == 1 and found["wave"][0] == "not_judged" and found["chain"][0] == "broken"
     assert [each.name for each in Leaderboard(board).entries()] == ["wave"]
+
+
+def test_a_row_that_is_locked_is_not_judged(board: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    number = entry(board).id
+    edit(board, f"UPDATE entries SET recordings = '' WHERE id = {number}")
+    monkeypatch.setattr(sqlite3, "connect", partial(sqlite3.connect, timeout=0.0))
+    found = Leaderboard(board)
+    verdicts = found.verify()
+    assert next(verdicts).verdict == "broken"  # of the first row; now somebody else takes the file
+    with closing(sqlite3.connect(board, isolation_level=None)) as other:
+        other.execute("BEGIN EXCLUSIVE")
+        left = list(verdicts)
+        assert [(each.verdict, each.reason) for each in left] == [
+            ("not_judged", "its row cannot be read: database is locked")
+        ]
+        for command in (("show", board), ("verify", board), ("export", board, "-o", board.with_suffix(".html"))):
+            refused = run(*command)
+            assert refused.exit_code != 0 and "database is locked" in refused.stderr and refused.stdout == ""
+    assert [each.verdict for each in Leaderboard(board).verify()] == ["broken", "holds"]
+
+
+def test_what_cannot_be_read_is_not_left_out_of_what_is_shown(board: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def busy(*_: Any) -> Any:
+        raise sqlite3.OperationalError("disk I/O error")
+
+    monkeypatch.setattr(leaderboard, "read_row", busy)
+    refused = run("show", board)
+    assert refused.exit_code == 1 and "disk I/O error" in refused.stderr and refused.stdout == ""
+
+
+def test_a_board_that_somebody_else_makes_meanwhile_is_taken(
+    tmp_path: Path, dash: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    board, create = tmp_path / "board.sqlite", Leaderboard._create
+
+    def late(self: Leaderboard) -> None:
+        monkeypatch.undo()
+        assert run("tasks", board, "--allow", dash).exit_code == 0
+        create(self)
+
+    monkeypatch.setattr(Leaderboard, "_create", late)
+    Leaderboard(board, create=True).close()
+    assert ("dash", Task(DASH).hash) in Leaderboard(board).tasks()
 
 
 def test_an_entry_whose_worker_was_killed_is_not_judged(board: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -109,6 +109,7 @@ def rewrite(
     missing: int = 0,
     skip: int = 0,
     about: Mapping[str, Mapping[str, str]] | None = None,
+    closed: str = "now",
 ) -> Path:
     """Writes a recording again with its messages edited, all checksums in order.
 
@@ -120,6 +121,7 @@ def rewrite(
         missing: How many records more than there are the closing metadata speak of.
         skip: By how much the second half of the sequence numbers is too high.
         about: Metadata records by name, in place of those that there are or beside them.
+        closed: When it was closed, as its end says.
     """
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
@@ -157,7 +159,7 @@ def rewrite(
     last = orjson.dumps({"head": head}) if chained else heads[0]
     writer.add(numbers["chain"], len(edited), edited[-1].log_time, 0, last)
     records = str(len(edited) + 1 + missing)
-    writer.seal("nmes.end", {"head": orjson.loads(last)["head"], "records": records, "closed": "now"})
+    writer.seal("nmes.end", {"head": orjson.loads(last)["head"], "records": records, "closed": closed})
     writer.close()
     return target
 
