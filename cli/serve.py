@@ -133,9 +133,9 @@ def command(log_format: str, view: bool, as_json: bool, **options: Any) -> None:
     """Host a world that clients drive over TCP, or many.
 
     Each world is recorded to a new file. With --resume it goes on from where a recording ends, or from any frame of it;
-    those who were in it then have left. Ctrl-C or SIGTERM closes the recording and ends with status 0, or with 1 where
-    a recording could not be written to its end. Without a
-    password one is made up and printed, which is allowed only on an address of this machine alone.
+    those who were in it then have left. Ctrl-C, SIGTERM or SIGHUP closes the recording and ends with status 0, or with
+    1 where a recording could not be written to its end. Without a password one is made up and printed, which is allowed
+    only on an address of this machine alone.
 
     For example:
 
@@ -175,8 +175,9 @@ def command(log_format: str, view: bool, as_json: bool, **options: Any) -> None:
 async def _serve(settings: Settings, report: Callable[[Running], None]) -> Running:
     """Hosts until a signal comes; `report` is called when clients may connect. Returns what was hosted, closed now."""
     stop = asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        asyncio.get_running_loop().add_signal_handler(number, stop.set)
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # as nohup leaves it
+            asyncio.get_running_loop().add_signal_handler(number, stop.set)
     host = Host(
         settings.password,
         record_to=settings.record_to,

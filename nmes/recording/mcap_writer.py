@@ -15,6 +15,7 @@ import sys
 import zlib
 from array import array
 from collections.abc import Mapping
+from errno import ENOENT
 from pathlib import Path
 
 import zstandard
@@ -238,6 +239,8 @@ class Writer:
             while rest:
                 rest = rest[self._file.write(rest) :]
             self._written += len(data)
+            if os.fstat(self._file.fileno()).st_nlink == 0:  # the system would go on taking what nobody can read
+                raise FileNotFoundError(ENOENT, "it was removed while it was written")
         except OSError as error:
             raise self._failure(error) from error
 

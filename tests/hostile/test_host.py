@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import resource
+import shutil
 import signal
 import socket
 import ssl
@@ -143,6 +144,54 @@ def test_serve_says_that_a_recording_is_not_whole_and_ends_with_status_1(tmp_pat
     assert server.returncode == 1
     assert "the recording of world 'main' is not whole: cannot write" in log
     assert "Traceback" not in log
+
+
+@pytest.mark.parametrize("interval", ["0", "0.02"])
+def test_serve_says_that_its_recording_was_removed_and_ends_with_status_1(tmp_path: Path, interval: str) -> None:
+    options = ["--port", "0", "--backend", "ballistic", "--mode", "lockstep", "--record", str(tmp_path / "kept")]
+    with process("serve", "--json", *options, "--flush-interval", interval, NMES_PASSWORD=PASSWORD) as server:
+        info = ready(server)
+        with Peer(info["port"]) as peer:
+            peer.ask({"type": "auth", "password": PASSWORD})
+            assert peer.ask({"type": "subscribe"})["type"] == "subscribed"
+            shutil.rmtree(tmp_path / "kept")
+            peer.say({"type": "ping"})
+            if interval == "0":  # nobody is told what is not on disk
+                assert json.loads(peer.rest()[-1])["code"] == "recording_failed"
+            else:
+                heard = [peer.hear(), peer.hear()]
+                assert "was removed" in next(each for each in heard if each["type"] != "pong")["message"]
+        server.send_signal(signal.SIGTERM)
+        _, log = server.communicate(timeout=PATIENCE)
+    assert server.returncode == 1
+    assert "the recording of world 'main' is not whole: cannot write" in log and "was removed" in log
+    assert "Traceback" not in log
+
+
+def test_a_server_whose_terminal_is_closed_keeps_what_it_acknowledged(tmp_path: Path) -> None:
+    options = ["--port", "0", "--backend", "ballistic", "--mode", "lockstep", "--record", str(tmp_path)]
+    with process("serve", "--json", *options, "--flush-interval", "60", NMES_PASSWORD=PASSWORD) as server:
+        info = ready(server)
+        with Peer(info["port"]) as peer:
+            peer.ask({"type": "auth", "password": PASSWORD})
+            peer.ask({"type": "spawn_cube", "cube_name": "kept"})
+            server.send_signal(signal.SIGHUP)
+            assert server.wait(PATIENCE) == 0
+    recording = Recording(info["recording"])
+    assert recording.complete and b'"kept"' in b"".join(record.data for record in recording)
+
+
+def test_a_server_that_is_to_outlive_its_terminal_goes_on() -> None:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)  # which a child inherits: what nohup does
+    try:
+        with process("serve", "--json", "--port", "0", "--no-record", NMES_PASSWORD=PASSWORD) as server:
+            info = ready(server)
+            server.send_signal(signal.SIGHUP)
+            with Peer(info["port"]) as peer:
+                assert peer.ask({"type": "auth", "password": PASSWORD})["type"] == "auth_success"
+                assert peer.ask({"type": "ping"})["type"] == "pong"
+    finally:
+        signal.signal(signal.SIGHUP, before)
 
 
 def test_a_host_ends_though_a_tick_takes_long_and_its_recording_is_whole(
