@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import resource
 import shutil
@@ -20,7 +21,7 @@ import pytest
 import trustme
 from click.testing import CliRunner
 
-from nmes.cli import main
+from nmes.cli import _logs, main
 from nmes.playback import replay
 from nmes.protocol import DELIMITER, Limits, Request, parse
 from nmes.recording import Kind, Recorder, Recording
@@ -192,6 +193,37 @@ def test_a_server_that_is_to_outlive_its_terminal_goes_on() -> None:
                 assert peer.ask({"type": "ping"})["type"] == "pong"
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+def test_the_log_stays_small_whatever_is_done_again_and_again() -> None:
+    options = ["--port", "0", "--backend", "ballistic", "--mode", "lockstep", "--no-record"]
+    with process("serve", "--json", *options, NMES_PASSWORD=PASSWORD) as server:
+        port = ready(server)["port"]
+        with ExitStack() as stack:
+            guessers = [stack.enter_context(Peer(port)) for _ in range(50)]
+            for peer in guessers:
+                peer.send(b"guess" + DELIMITER)
+            assert all(b"auth_failed" in peer.frame() for peer in guessers)
+        server.send_signal(signal.SIGTERM)
+        _, log = server.communicate(timeout=PATIENCE)
+    lines = log.splitlines()
+    assert server.returncode == 0 and 1 <= len(lines) <= _logs.AT_ONCE
+    assert all("wrong password" in line for line in lines)
+
+
+def test_lines_that_were_left_out_are_told_a_minute_later() -> None:
+    seldom = _logs.Seldom()
+
+    def line(at: float, number: int = 7) -> str | None:
+        record = logging.LogRecord("x", logging.WARNING, "door.py", number, "%s guesses", ("100 %",), None)
+        record.created = at
+        return record.getMessage() if seldom.filter(record) else None
+
+    assert [line(100.0) for _ in range(1000)] == ["100 % guesses"] * 20 + [None] * 980
+    assert line(100.0, 8) == "100 % guesses"  # another place in the code
+    left = "100 % guesses (981 more like this were left out)"
+    assert [line(159.0), line(161.0), line(162.0)] == [None, left, None]
+    assert sum(line(200.0 + second) is not None for second in range(86_400)) <= 1441
 
 
 def test_a_host_ends_though_a_tick_takes_long_and_its_recording_is_whole(
