@@ -55,9 +55,10 @@ def probe(backend: Backend) -> str:
     """
     kind = type(backend)
     if kind not in _probes:
-        digest = blake2b(_arithmetic(), digest_size=16)
-        for episode in _episodes(backend):
-            digest.update(episode)
+        with np.errstate(all="ignore"):  # whatever the program says that numpy is to raise
+            digest = blake2b(_arithmetic(), digest_size=16)
+            for episode in _episodes(backend):
+                digest.update(episode)
         _probes[kind] = digest.hexdigest()
     return _probes[kind]
 

@@ -18,6 +18,7 @@ import pytest
 from layout import ROOT
 from nmes.backend import load_backend
 from nmes.backend.fingerprint import fingerprint
+from nmes.backend.probe import probe
 from nmes.evaluation import Job
 from processes import NMES
 
@@ -212,6 +213,13 @@ def test_a_proof_that_comes_out_otherwise_beside_another_probe_is_not_comparable
     assert code == 3 and "recorded with another probe" in output
     code, output = nmes("leaderboard", "add", str(tmp_path / "board"), str(proof), **UNLIKE)
     assert code != 0 and "diverge" not in output
+
+
+def test_a_program_that_raises_where_numbers_underflow_has_the_same_probe() -> None:
+    program = "import numpy; from nmes.backend import load_backend; from nmes.backend.probe import probe\n"
+    program += f"numpy.seterr(all='raise')\nprint(*(probe(load_backend(name)) for name in {ENGINES!r}))"
+    process = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert process.stdout.split() == [probe(load_backend(name)) for name in ENGINES], process.stderr
 
 
 def test_a_result_is_found_again_where_the_same_is_computed(monkeypatch: pytest.MonkeyPatch) -> None:
