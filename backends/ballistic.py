@@ -35,7 +35,7 @@ from nmes.backend import (
     Simulation,
     Vector,
 )
-from nmes.backend.rotation import cross, multiply, normalize
+from nmes.backend.rotation import cross, multiply, normalize, total
 from nmes.errors import SimulationFault, WorldError
 
 __all__ = ["BallisticBackend"]
@@ -218,7 +218,7 @@ class BallisticSimulation(Simulation):
         first = cluster[0]
         mass, force, velocity = first.spec.mass, first.force, first.linear
         if len(cluster) > 1:
-            mass = sum(b.spec.mass for b in cluster)
+            mass = total(b.spec.mass for b in cluster)
             force = _vector(np.sum([b.force for b in cluster], axis=0))
             velocity = _mean([b.linear for b in cluster], cluster, mass)
         acceleration = _add(self._scene.gravity, force, 1.0 / mass)
@@ -327,7 +327,7 @@ def _sound(b: _Body) -> bool:
     spec = b.spec
     wrench = (*b.force, *b.torque, *b.impulse, *b.angular_impulse, b.ground_force)
     state = (*b.position, *b.quaternion, *b.linear, *b.angular, *wrench, spec.friction, spec.restitution)
-    turn = sum(x * x for x in b.quaternion)
+    turn = total(x * x for x in b.quaternion)
     solid = all(0.0 < x < TOO_FAR for x in (*spec.size, spec.mass))
     return solid and all(abs(x) < TOO_FAR for x in state) and abs(turn - 1.0) < 1e-6
 

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 
 from nmes.backend import Array, Contact, Vector
+from nmes.backend.rotation import total
 from nmes.backends.mujoco3d.model import CompiledModel
 from nmes.backends.mujoco3d.scenery import Scenery
 from nmes.backends.mujoco3d.sleep import AWAKE, count_awake
@@ -50,7 +51,7 @@ class _Contacts:
             if others is None or other in others:
                 x, y, z = self._frames[i][:3]  # the frame's first axis points from the first geom to the second
                 normal = (x, y, z) if second else (-x, -y, -z)
-                force = self._force[at] if edges == 1 else sum(self._force[at : at + edges])
+                force = self._force[at] if edges == 1 else total(self._force[at : at + edges])
                 result.append(Contact(numbers.get(other), tuple(self._points[i]), normal, force))
         return result
 

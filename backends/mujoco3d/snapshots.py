@@ -11,6 +11,7 @@ import numpy as np
 import orjson
 
 from nmes.backend import SceneSpec
+from nmes.backend.rotation import total
 from nmes.backends.mujoco3d.compiler import compile_model
 from nmes.backends.mujoco3d.forest import Body, Joint, spanning_forest
 from nmes.backends.mujoco3d.model import SPARE, CompiledModel
@@ -112,7 +113,7 @@ def _check_structure(fields: dict[str, Any], bodies: dict[int, Body], joints: di
         _require({joint.body1, joint.body2} <= bodies.keys() and joint.body1 != joint.body2, "joints of two bodies")
         _numbers((*joint.anchor1, *joint.anchor2), 6)
         for direction, length in ((joint.axis2, 3), (joint.zero, 4)):
-            _require(abs(sum(x * x for x in _numbers(direction, length)) - 1.0) < 1e-6, "directions of unit length")
+            _require(abs(total(x * x for x in _numbers(direction, length)) - 1.0) < 1e-6, "directions of unit length")
         params = joint.params
         _require(params.motor in ("off", "velocity", "position"), "modes of motors")
         efforts = (params.max_effort, params.stiffness, params.damping)

@@ -7,8 +7,10 @@ matrix is `Ry @ Rx @ Rz`. Quaternions that come out have unit length.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from functools import reduce
 from math import asin, atan2, cos, dist, sin, sqrt
+from operator import add
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +28,7 @@ __all__ = [
     "plus",
     "quaternion_from_euler",
     "rotate",
+    "total",
 ]
 
 Vector = tuple[float, float, float]
@@ -34,6 +37,11 @@ Array = npt.NDArray[np.float64]
 
 # Beyond this sine of the X angle, Y and Z turn about the same line and only their sum is defined; Z is then 0.
 _GIMBAL = 1.0 - 1e-12
+
+
+def total(values: Iterable[float]) -> float:
+    """Adds numbers up from the first to the last: `sum` does so in Python 3.11, and has other bits from 3.12 on."""
+    return reduce(add, values, 0.0)
 
 
 def normalize(q: Quaternion) -> Quaternion:

@@ -19,7 +19,7 @@ from typing import Any, Final
 import numpy as np
 
 from nmes.backend import Array, Quaternion, Vector
-from nmes.backend.rotation import multiply, quaternion_from_euler, rotate
+from nmes.backend.rotation import multiply, quaternion_from_euler, rotate, total
 from nmes.errors import DocumentError, NmesError
 from nmes.genome.body import Body, corners
 from nmes.objective import Condition, Objective, Quantity
@@ -222,7 +222,7 @@ class Task:
         """
         vary, lowest = self.document["vary"], body.bounds()[0][1]
         # Whoever was built beside its origin would begin at a target, or beyond an obstacle.
-        x, z = (round(sum(cube.mass * cube.position[axis] for cube in body.cubes) / body.mass, 2) for axis in (0, 2))
+        x, z = (round(total(cube.mass * cube.position[axis] for cube in body.cubes) / body.mass, 2) for axis in (0, 2))
         position = [0.0 - x, self._draw(seed, "drop", vary["drop"]) - lowest, 0.0 - z]
         spawn: JsonObject = {"type": "spawn_creature", "genome": genome, "name": CREATURE, "position": position}
         target = self.target(seed)
@@ -347,7 +347,7 @@ def _top(root: Array, size: Vector) -> Vector:
     """Returns the point above a box's centre where a thing that stands on its highest point has its foot."""
     x, y, z, *turn = root[:7].tolist()
     quaternion: Quaternion = (turn[0], turn[1], turn[2], turn[3])
-    up = sum(abs(rotate(quaternion, axis)[1]) * edge / 2.0 for axis, edge in zip(_UNITS, size, strict=True))
+    up = total(abs(rotate(quaternion, axis)[1]) * edge / 2.0 for axis, edge in zip(_UNITS, size, strict=True))
     return x, y + up, z
 
 

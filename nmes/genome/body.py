@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nmes.backend import Array, Quaternion, Vector
-from nmes.backend.rotation import normalize, quaternion_from_euler, rotate
+from nmes.backend.rotation import normalize, quaternion_from_euler, rotate, total
 from nmes.errors import DocumentError
 from nmes.genome.sensors import OF_CUBE, OF_JOINT, VECTORS
 from nmes.schemas.documents import did_you_mean, fits
@@ -121,7 +121,7 @@ class Body:
     @property
     def mass(self) -> float:
         """Mass of all cubes, kg."""
-        return sum(cube.mass for cube in self.cubes)
+        return total(cube.mass for cube in self.cubes)
 
     @property
     def planar(self) -> bool:

@@ -20,7 +20,7 @@ from typing import Any, cast
 import numpy as np
 
 from nmes.backend import Array, Quaternion, Vector
-from nmes.backend.rotation import multiply, normalize, quaternion_from_euler, rotate
+from nmes.backend.rotation import multiply, normalize, quaternion_from_euler, rotate, total
 from nmes.errors import DocumentError
 
 __all__ = ["MOST_CUBES", "grow"]
@@ -316,7 +316,7 @@ def _joint(grown: _Grown, parent: _Grown, anchor: Sequence[float], axis: Sequenc
 def _lowest(grown: _Grown, position: Vector, turn: Quaternion) -> float:
     half = [edge * grown.scale / 2.0 for edge in _edges(grown.part)]
     axes = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-    reach = sum(abs(rotate(turn, axis)[1]) * h for axis, h in zip(axes, half, strict=True))
+    reach = total(abs(rotate(turn, axis)[1]) * h for axis, h in zip(axes, half, strict=True))
     return position[1] - reach
 
 

@@ -20,7 +20,7 @@ import numpy.typing as npt
 
 from nmes import protocol
 from nmes.backend import Array
-from nmes.backend.rotation import rotate
+from nmes.backend.rotation import rotate, total
 from nmes.errors import SimulationFault, WorldError
 from nmes.objective import Objective
 from nmes.objective.trajectory import ObservedBodies, RunningQuantities, touches
@@ -274,5 +274,5 @@ def metric(entities: Entities, cube: Cube, command: JsonObject) -> JsonObject:
     else:
         axis = command.get("axis", protocol.COMMANDS["compute_reward"].defaults["axis"])
         displacement = (a - b for a, b in zip(state.position, cube.origin, strict=True))
-        value = sum(a * b for a, b in zip(displacement, axis, strict=True)) / hypot(*axis)
+        value = total(a * b for a, b in zip(displacement, axis, strict=True)) / hypot(*axis)
     return {"type": "reward", "value": value, "metric": name, "cube_name": cube.name}

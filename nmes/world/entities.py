@@ -18,7 +18,7 @@ from typing import Any
 
 from nmes import protocol
 from nmes.backend import Array, Backend, BodySpec, BodyState, JointSpec, Simulation, Vector
-from nmes.backend.rotation import cross, minus, plus
+from nmes.backend.rotation import cross, minus, plus, total
 from nmes.errors import WorldError
 from nmes.schemas.documents import JsonObject
 from nmes.world import joint_params, scenery
@@ -468,7 +468,7 @@ class Entities:
     def work(self, cube: Cube) -> float:
         """Returns the work that the motors of all joints that a cube has, or had, have done so far, J."""
         sums = (self.meter.watts(self.joints[name].number) for name in cube.joints)
-        return cube.past_work + sum(watts for watts in sums if watts is not None) / self.tick_rate
+        return cube.past_work + total(watts for watts in sums if watts is not None) / self.tick_rate
 
     def draw(self, prefix: str, count: int) -> str:
         """Draws the name of the `count`-th thing of its kind from the seed."""

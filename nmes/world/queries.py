@@ -12,6 +12,7 @@ from typing import Any
 
 from nmes import protocol
 from nmes.backend import Array, Backend, Contact, Simulation, Track, Vector
+from nmes.backend.rotation import total
 from nmes.objective.trajectory import Flags, touches
 from nmes.schemas.documents import JsonObject
 from nmes.world.clients import Clients
@@ -174,7 +175,7 @@ class WorldQueries:
     def motor_work(self) -> float:
         """Returns the work that the motors of all present joints have done so far, J."""
         meter = self.entities.meter
-        return sum(meter.watts(joint) or 0.0 for joint in meter.numbers) / self._tick_rate
+        return total(meter.watts(joint) or 0.0 for joint in meter.numbers) / self._tick_rate
 
     def welcome(self, client: int) -> JsonObject:
         """Returns the `auth_success` message for a client that has joined."""
