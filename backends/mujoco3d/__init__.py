@@ -45,6 +45,7 @@ class MujocoBackend(Backend):
             "sensors.range",
             "camera",
             "scene.arena",
+            "scene.damping",
             "scene.heightfield",
             "scene.obstacles",
             "scene.planets",

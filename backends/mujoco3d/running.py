@@ -15,7 +15,8 @@ import mujoco
 import numpy as np
 import numpy.typing as npt
 
-from nmes.backend import Array, BodyState, Vector
+from nmes.backend import Array, BodyState, SceneSpec, Vector
+from nmes.backends.mujoco3d.damping import Damping
 from nmes.backends.mujoco3d.depenetration import Depenetration
 from nmes.backends.mujoco3d.forest import Joint
 from nmes.backends.mujoco3d.model import CompiledModel, write_params
@@ -84,9 +85,11 @@ class RunningModel:
         qpos: `data.qpos`; likewise `qvel`, `efforts` (`actuator_force`) and `asleep` (`tree_asleep`).
     """
 
-    def __init__(self, scenery: Scenery, timestep: float) -> None:
-        self.scenery, self._timestep = scenery, timestep
+    def __init__(self, scenery: Scenery, scene: SceneSpec) -> None:
+        self.scenery, self._timestep = scenery, scene.timestep
         self.depenetration = Depenetration()
+        self._damping = Damping(scene)
+        self._one_by_one = scenery.attracts or self._damping.acts  # something is to be done before each engine step
 
     def install(
         self, compiled: CompiledModel, joints: Mapping[int, Joint], shared_data: mujoco.MjData | None = None
@@ -115,6 +118,7 @@ class RunningModel:
         self.senses = Senses(compiled, data, self.scenery)
         self.motors = ActuatorBatch(compiled, data, joints)
         self._driven = model.nu > 0
+        self._damping.install(model)
         for joint in compiled.joint_index:
             self.drive(joints[joint])
 
@@ -203,7 +207,8 @@ class RunningModel:
         self.asleep[:] = AWAKE
         count_awake(model, data)
         if self.scenery.attracts:
-            self.scenery.pull(model, data, 0.0)  # the state has no forces in it: these go again
+            data.xfrc_applied[:] = 0.0
+            self.scenery.pull(model, data)  # the state has no forces in it: these go again
         with self.depenetration.crowds(self.compiled, data):
             mujoco.mj_forward(model, data)
         mujoco.mj_setState(model, data, state, STATE)
@@ -275,8 +280,8 @@ class RunningModel:
             impulses.clear()
 
     def _advance(self, steps: int) -> None:
-        if self.scenery.attracts:
-            self._advance_attracted(steps)
+        if self._one_by_one:
+            self._advance_one_by_one(steps)
             return
         while self.depenetration.bodies and steps:
             self.depenetration.step(self.compiled, self.data)
@@ -295,11 +300,15 @@ class RunningModel:
         for effort, speed in islice(self._slots, 1):
             effort[:], speed[:] = self.efforts, self.qvel
 
-    def _advance_attracted(self, steps: int) -> None:
-        """Takes engine steps in a field of gravity that is another at every place: a force on each body, each step."""
+    def _advance_one_by_one(self, steps: int) -> None:
+        """Takes engine steps in which bodies are damped, or gravity is another at every place: a force on each body."""
         applied = self._xfrc.copy()
         for _ in range(steps):
-            self.scenery.pull(self.model, self.data, applied)
+            self._xfrc[:] = applied
+            if self.scenery.attracts:
+                self.scenery.pull(self.model, self.data)
+            if self._damping.acts:
+                self._damping.act(self.model, self.data)
             if self.depenetration.bodies:
                 self.depenetration.step(self.compiled, self.data)
             else:

@@ -111,8 +111,8 @@ class Scenery:
         x, y, z = (away[nearest] * (-self._strength / max(float(distance[nearest]), 1e-9))).tolist()
         return (x, y, z)
 
-    def pull(self, model: Any, data: Any, applied: Any) -> None:
-        """Sets the wrenches on all bodies to `applied` and their weights towards the planet nearest to each.
+    def pull(self, model: Any, data: Any) -> None:
+        """Adds to the wrenches on all bodies their weights towards the planet nearest to each.
 
         Kinematics are computed first: after a step, or after a query, they belong to different moments.
         """
@@ -123,7 +123,6 @@ class Scenery:
         nearest = distance.argmin(axis=1)
         mass = np.where(model.body_treeid >= 0, model.body_mass, 0.0)
         weight = -self._strength * mass / np.maximum(distance[bodies, nearest], 1e-9)
-        data.xfrc_applied[:] = applied
         data.xfrc_applied[:, :3] += weight[:, None] * away[bodies, nearest]
 
 

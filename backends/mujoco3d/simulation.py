@@ -63,7 +63,7 @@ class MujocoSimulation(Simulation):
         self.structure = Structure(scenery.identity)
         self._wrenches = Wrenches()
         self._renderer = Renderer(scenery)
-        self.running = RunningModel(scenery, scene.timestep)
+        self.running = RunningModel(scenery, scene)
         compiled, data = _empty_model(scenery)
         self.running.install(compiled, self.structure.joints, shared_data=data)
 

@@ -30,7 +30,7 @@ class PymunkBackend(Backend):
     capabilities = frozenset(
         {"joint.fixed", "joint.hinge", "joint.slide", "joint.pin", "joint.conetwist", "motor", "servo", "limits"}
         | {"spring", "friction", "restitution", "contacts", "collisions", "sleep"}
-        | {"scene.obstacles", "scene.heightfield"}
+        | {"scene.obstacles", "scene.heightfield", "scene.damping"}
     )
 
     def version(self) -> str:

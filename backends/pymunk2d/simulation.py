@@ -72,6 +72,8 @@ class PymunkSimulation(Simulation):
         self._motors: MotorWork | None = None  # None: they are to be looked up
         self._work = MotorWork({}, {})  # in the last step
         self._packed_specs: bytes | None = None  # what the digest says of specs and parameters; None: to be packed
+        space.damping = math.exp(-scene.linear_damping)  # what a second leaves of all velocities, angular ones too
+        self._kept_spin = math.exp((scene.linear_damping - scene.angular_damping) * scene.timestep)
         _set_options(space, scene.options)
         add_scenery(space, scene)
 
@@ -289,6 +291,8 @@ class PymunkSimulation(Simulation):
         for _ in range(substeps):
             for b in self._pushed.values():
                 b.body.force, b.body.torque = b.force, b.torque
+            if self._kept_spin != 1.0:
+                self._damp_spins()
             self._space.step(self._timestep)
             # After every engine step: an infinity must never come into the next, which could hang or abort on it.
             self._rows = None
@@ -303,6 +307,16 @@ class PymunkSimulation(Simulation):
         self._elapsed = substeps * self._timestep
         for b in list(self._pushed.values()):
             self._clear_wrench(b)
+
+    def _damp_spins(self) -> None:
+        """Scales angular velocities by what Chipmunk, which damps all alike, takes too little or too much of them."""
+        for b in self._bodies.values():
+            body = b.body
+            # To set a velocity is to wake a body: one that is slow enough to fall asleep is left to do so.
+            speed, spin = body.velocity, body.angular_velocity
+            energy = b.spec.mass * speed.dot(speed) + body.moment * spin * spin
+            if spin and not b.frozen and energy > b.spec.mass * SLEEP_SPEED * SLEEP_SPEED:
+                body.angular_velocity = spin * self._kept_spin
 
     def digest(self) -> bytes:
         """Returns the digest over specs, states, the order of solving, wrenches and the impulses of joints."""

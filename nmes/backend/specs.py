@@ -23,7 +23,8 @@ CAPABILITIES = frozenset(
     {"joint.fixed", "joint.hinge", "joint.slide", "joint.pin", "joint.conetwist"}  # kinds of joints
     | {"motor", "servo", "spring", "limits"}  # what hinges and slides have; `limits` are also a conetwist's
     | {"collisions", "friction", "restitution", "contacts"}  # between bodies; on the ground; and whether it tells
-    | {"scene.obstacles", "scene.heightfield", "scene.planets", "scene.arena"}  # what a SceneSpec may hold
+    | {"scene.obstacles", "scene.heightfield", "scene.planets", "scene.arena"}  # what a SceneSpec may hold, as is
+    | {"scene.damping"}
     | {"sensors.inertial", "sensors.range", "camera"}  # what else than contacts a body can feel and see
     | {"sleep", "snapshot"}
 )
@@ -124,6 +125,9 @@ class SceneSpec:
         planets: Balls (`scene.planets`). Where there are any, each body falls towards the centre of the nearest one,
             as strongly as `gravity` says, at any distance.
         arena: An arena (`scene.arena`).
+        linear_damping: Of each body's own velocity (`scene.damping`), 1/s: without anything else that acts, a velocity
+            v decays as v exp(-c t). It acts as a force at the body's centre would, whatever it is joined to.
+        angular_damping: Likewise of the angular velocity, 1/s.
         options: The world config's `engine` object: settings of one engine, which it validates itself.
     """
 
@@ -135,6 +139,8 @@ class SceneSpec:
     heightfield: Heightfield | None = None
     planets: tuple[Planet, ...] = ()
     arena: Arena | None = None
+    linear_damping: float = 0.0
+    angular_damping: float = 0.0
     options: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -44,6 +44,8 @@ def needs(config: Mapping[str, Any]) -> dict[str, str]:
     fields = {} if scene["type"] == "flat" else {f"scene.{scene['type']}": "scene/type"}
     if scene["obstacles"]:
         fields["scene.obstacles"] = "scene/obstacles"
+    if any(config.get("damping", {}).values()):
+        fields["scene.damping"] = "damping"
     return fields
 
 
@@ -65,7 +67,7 @@ def scene_spec(config: Mapping[str, Any], seed: int) -> SceneSpec:
         raise WorldError("invalid", "only the flat ground can have gaps", f"scene/obstacles/{gaps[0][0]}/type")
     if len(gaps) > _MOST_GAPS:
         raise WorldError("invalid", f"there are {len(gaps):,} gaps, at most {_MOST_GAPS}", "scene/obstacles")
-    arena = scene.get("arena")
+    arena, damping = scene.get("arena"), config.get("damping", {"linear": 0.0, "angular": 0.0})
     return SceneSpec(
         timestep=1.0 / (config["tick_rate"] * config["substeps"]),
         gravity=vector(config["gravity"]),
@@ -75,6 +77,8 @@ def scene_spec(config: Mapping[str, Any], seed: int) -> SceneSpec:
         heightfield=_landscape(scene["heightfield"], seed) if kind == "heightfield" else None,
         planets=tuple(_planets(scene["planets"])) if kind == "planets" else (),
         arena=None if arena is None else Arena(**{"seed": seed, **arena}),
+        linear_damping=float(damping["linear"]),
+        angular_damping=float(damping["angular"]),
         options=config["engine"],
     )
 

@@ -381,6 +381,27 @@ class FeelsOnlyTheGround(PlantedInThePlane):
             return np.array([float(any(c.other is None for c in self.contacts(body))) for body in bodies[::-1]])
 
 
+class DampsSpinsAsMotion(PlantedInThePlane):
+    def create(self, scene: SceneSpec) -> PymunkSimulation:
+        return PymunkSimulation(replace(scene, angular_damping=scene.linear_damping))
+
+
+class DampsOnlyFreeBodies(PlantedInThePlane):
+    class Defect(PymunkSimulation):
+        def add_joint(self, joint: int, spec: JointSpec) -> None:
+            super().add_joint(joint, spec)
+            self._space.damping = 1.0
+
+
+class KeepsAwakeByDamping(PlantedInThePlane):
+    class Defect(PymunkSimulation):
+        def step(self, substeps: int) -> None:
+            for b in self._bodies.values():
+                if not b.frozen:
+                    b.body.velocity *= 1.0  # to set it is to wake the body
+            super().step(substeps)
+
+
 CAUGHT = {
     DropsImpulses: "applies_forces_and_impulses",
     TurnsTheWrongWay: "applies_forces_and_impulses",
@@ -423,6 +444,9 @@ CAUGHT = {
     ConfusesSwingAndTwist: "swings_and_twists_within_a_cone",
     DrivesOnlyTheFirst: "drives_and_reads_many_joints_at_once",
     ReadsManyInItsOwnOrder: "drives_and_reads_many_joints_at_once",
+    DampsSpinsAsMotion: "damps_free_bodies",
+    DampsOnlyFreeBodies: "damps_joined_bodies",
+    KeepsAwakeByDamping: "damped_bodies_sleep",
     FeelsOnlyTheGround: "drives_and_reads_many_joints_at_once",
     SleepsOnInTheAir: "sleeps_only_if_it_says_so",
 }

@@ -561,6 +561,63 @@ def test_making_an_arena_leaves_numpy_s_generator_alone() -> None:
     assert np.random.random_sample(3).tolist() == expected.tolist()
 
 
+# -- damping ---------------------------------------------------------------------------------------------------------
+
+DAMPING = {"linear": 0.4, "angular": 0.1}
+
+
+@pytest.mark.parametrize("backend", ["mujoco", "pymunk"])
+def test_velocities_decay_as_the_config_says(backend: str) -> None:
+    drive = Driver({}, backend=backend, damping=DAMPING, gravity=[0, 0, 0])
+    drive.drop("a", 0, 5, 0, linear_velocity=[3, 1, 0], angular_velocity=[0, 0, 2])
+    drive("step", ticks=120)
+    state = drive("get_cube_state", cube_name="a")
+    kept = math.exp(-0.8)
+    assert state["linear_velocity"] == pytest.approx([3 * kept, kept, 0], abs=1e-3)
+    assert state["angular_velocity"] == pytest.approx([0, 0, 2 * math.exp(-0.2)], abs=1e-3)
+
+
+def test_a_world_that_says_nothing_of_damping_has_none_and_one_that_says_half_of_it_has_half() -> None:
+    def speeds(**config: Any) -> tuple[float, float]:
+        drive = Driver({}, gravity=[0, 0, 0], **config)
+        drive.drop("a", 0, 5, 0, linear_velocity=[1, 0, 0], angular_velocity=[0, 0, 1])
+        drive("step", ticks=60)
+        state = drive("get_cube_state", cube_name="a")
+        return state["linear_velocity"][0], state["angular_velocity"][2]
+
+    assert "damping" not in World({}).config
+    assert speeds() == speeds(damping={}) == pytest.approx((1.0, 1.0), abs=1e-12)
+    assert speeds(damping={"angular": 1}) == pytest.approx((1.0, math.exp(-1)), abs=1e-3)
+
+
+def test_an_engine_without_damping_refuses_it_but_not_none() -> None:
+    with pytest.raises(RejectedMessage) as refused:
+        World({"backend": "ballistic", "damping": DAMPING})
+    assert (refused.value.code, refused.value.path) == ("unsupported", "damping")
+    assert World({"backend": "ballistic", "damping": {}}).config["damping"] == {"linear": 0, "angular": 0}
+
+
+@pytest.mark.parametrize("damping", [{"linear": -0.1}, {"angular": 101}, {"linear": "much"}, {"spin": 1}])
+def test_damping_has_bounds(damping: Reply) -> None:
+    with pytest.raises(RejectedMessage) as refused:
+        World({"damping": damping})
+    assert refused.value.code == "invalid" and (refused.value.path or "").startswith("damping")
+
+
+@pytest.mark.parametrize("damping", [DAMPING, {"linear": 0.1, "angular": 0.1}])
+@pytest.mark.parametrize("scene", [{}, {"type": "planets"}])
+def test_a_restored_world_with_damping_continues_like_the_saved_one(scene: Reply, damping: Reply) -> None:
+    program = programs.draw(11, 60)
+    config = {"mode": "lockstep", "seed": 3, "scene": scene, "damping": damping}
+    first, second = World(config), World(config)
+    for world in (first, second):
+        programs.play(world, program[:30])
+    snapshot = first.simulation.snapshot()
+    second.simulation.snapshot()
+    second.simulation.restore(snapshot)
+    assert programs.play(first, program[30:]) == programs.play(second, program[30:])
+
+
 # -- the same again --------------------------------------------------------------------------------------------------
 
 

@@ -112,9 +112,11 @@ class Checks:
         sim.add_body(2, box((6.0, 6.0, 0.0), quaternion=about_z(0.4), angular_velocity=(0.0, 0.0, 1.0)))
         return sim
 
-    def machine(self, kind: str, params: JointParams, gravity: Vector = ZERO, hanging: bool = False) -> Simulation:
+    def machine(
+        self, kind: str, params: JointParams, gravity: Vector = ZERO, hanging: bool = False, **scenery: Any
+    ) -> Simulation:
         """Returns a cube on a frozen base: on its own centre, or `hanging` from its side, or up and down."""
-        sim = self.sim(gravity=gravity, ground=False)
+        sim = self.sim(gravity=gravity, ground=False, **scenery)
         sim.add_body(0, box((-5.0, 0.0, 0.0), frozen=True))
         sim.add_body(1, box(ZERO))
         anchor = (-0.5, 0.0, 0.0) if hanging else ZERO

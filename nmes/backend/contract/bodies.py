@@ -290,6 +290,43 @@ class BodyChecks(Checks):
                     sim.body_state(1).position, (13.0 - G / 8, -9.0, 0.0), self.fall_error, "fall from the side"
                 )
 
+    def test_damps_free_bodies(self) -> None:
+        """Velocities decay as exp(-c t), each kind with its own c, and an impulse counts in full when it comes."""
+        self.need("scene.damping")
+        sim = self.sim(gravity=ZERO, ground=False, linear_damping=0.3, angular_damping=0.7)
+        sim.add_body(0, box(ZERO, size=(0.4, 1.0, 1.6), mass=2.0, linear_velocity=(3.0, 1.0, 0.0)))
+        sim.add_body(1, box((9.0, 0.0, 0.0), size=(0.4, 1.0, 1.6), angular_velocity=(0.0, 0.0, 2.0)))
+        sim.add_body(2, box((18.0, 0.0, 0.0), mass=2.0))
+        run(sim, 1.0)
+        sim.apply(2, ZERO, ZERO, (4.0, 0.0, 0.0), ZERO)
+        sim.step(SUBSTEPS)
+        kept, spinning = math.exp(-0.3 * (1.0 + TICK)), math.exp(-0.7 * (1.0 + TICK))
+        assert_close(sim.states([0])[0, 7:], (3.0 * kept, kept, 0.0, 0.0, 0.0, 0.0), 1e-3, "velocities of the first")
+        assert_close(sim.states([1])[0, 7:], (0.0, 0.0, 0.0, 0.0, 0.0, 2.0 * spinning), 1e-3, "of the second")
+        assert_close([sim.states([2])[0, 7]], [2.0], 2.0 * 0.3 * TICK, "velocity by an impulse of 4 N s on 2 kg")
+        away = (3.0 * (1.0 - kept) / 0.3, (1.0 - kept) / 0.3, 0.0)
+        assert_close(sim.body_state(0).position, away, 0.01, "the way of the first")
+
+    def test_damps_a_fall(self) -> None:
+        """A body falls towards the speed at which damping carries its weight."""
+        self.need("scene.damping")
+        sim = self.sim(ground=False, linear_damping=0.5)
+        sim.add_body(0, box(ZERO))
+        run(sim, 2.0)
+        assert_close([sim.states([0])[0, 8]], [-G / 0.5 * (1.0 - math.exp(-1.0))], 0.05, "speed after 2 s")
+
+    def test_damped_bodies_sleep(self) -> None:
+        """Damping keeps nothing awake that rests, joined or not."""
+        self.need("scene.damping")
+        self.need("sleep")
+        sim = self.sim(linear_damping=0.2, angular_damping=0.1)
+        for number, x in enumerate((-5.0, -0.5, 0.5)):
+            sim.add_body(number, box((x, 0.5, 0.0)))
+        if self.can("joint.hinge"):
+            sim.add_joint(0, JointSpec("hinge", 1, 2, (0.0, 0.5, 0.0), (0.0, 0.0, 1.0)))
+        run(sim, 5.0)
+        assert [sim.sleeping(body) for body in (0, 1, 2)] == [True] * 3
+
     def test_feels_accelerations(self) -> None:
         """An accelerometer feels nothing in free fall, gravity's opposite at rest, and what pushes the body."""
         self.need("sensors.inertial")

@@ -104,6 +104,46 @@ class JointChecks(Checks):
             apart = float(np.linalg.norm(np.diff(sim.states([0, 1])[:, :3], axis=0)))
             assert apart > 1.5, f"{kind}: {apart} m from each other 2 s after the cut"
 
+    def test_damps_joined_bodies(self) -> None:
+        """Each body's own velocity is damped, as by a force at its centre, whatever joins it to others."""
+        self.need("scene.damping")
+        for kind in KINDS:
+            if self.can(f"joint.{kind}"):
+                for linear, angular in ((0.4, 0.4), (0.6, 0.2), (0.0, 0.5)):
+                    self._damp_pair(kind, linear, angular)
+                    self._damp_machine(kind, linear, angular)
+
+    def _damp_pair(self, kind: str, linear: float, angular: float) -> None:
+        """Momentum decays as that of free bodies would; a rigid pair's spin as its shares of motion and of turning."""
+        sim = self.sim(gravity=ZERO, ground=False, linear_damping=linear, angular_damping=angular)
+        specs = {
+            0: box((-0.5, 0.0, 0.0), linear_velocity=(2.0, -0.5, 0.0), angular_velocity=(0.0, 0.0, 1.0)),
+            1: box((0.5, 0.0, 0.0), linear_velocity=(2.0, 0.5, 0.0), angular_velocity=(0.0, 0.0, 1.0)),
+        }
+        for number, spec in specs.items():
+            sim.add_body(number, spec)
+        sim.add_joint(0, joint(kind, height=0.0))
+        before = momenta(sim, specs)
+        run(sim, 1.0)
+        kept = before[:3] * math.exp(-linear)
+        what = f"{kind}, damping {linear:g} and {angular:g} 1/s"
+        assert_close(momenta(sim, specs)[:3], kept, 4.0 * max(self.joint_momentum_error, 1e-3), f"momentum: {what}")
+        if kind == "fixed":
+            rate = (0.5 * linear + angular / 3.0) / (0.5 + 1.0 / 3.0)  # m r^2, and a cube's own moment, of both
+            spins = sim.states([0, 1])[:, 12]
+            assert_close(spins, [math.exp(-rate)] * 2, 5e-3, f"spin: {what}")
+
+    def _damp_machine(self, kind: str, linear: float, angular: float) -> None:
+        """A cube on an immovable base keeps the part of its speed that its own damping leaves."""
+        if kind not in ("hinge", "slide"):
+            return
+        sim = self.machine(kind, JointParams(), linear_damping=linear, angular_damping=angular)
+        self.drive(sim, kind, 1.0 / 6.0 if kind == "hinge" else 1.0)
+        run(sim, 1.0)
+        rate = angular if kind == "hinge" else linear
+        speed = sim.joint_state(0).velocity
+        assert_close([speed], [math.exp(-rate)], 5e-3, f"speed of a {kind}, damping {linear:g} and {angular:g} 1/s")
+
     def test_lets_joined_bodies_overlap(self) -> None:
         """Jointed bodies do not collide with each other."""
         kind = self.a_joint("fixed", "hinge")
