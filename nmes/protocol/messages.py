@@ -7,7 +7,7 @@ the delimiter.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from enum import Enum
 from typing import Any, Final, Literal
@@ -73,11 +73,12 @@ class Request:
     """One frame of a client: exactly one of `command` and `error` is set.
 
     Attributes:
-        raw: The frame as it came, without white space around it.
+        raw: The frame as it came, without white space around it; where it was translated, the translation's bytes.
         command: The valid command.
         error: Why it is none.
         type: The command's type, where it could be read.
         id: The command's id, where there is one and it could be read, else `NO_ID`.
+        said: The message as its client wrote it, where it was translated.
     """
 
     raw: bytes
@@ -85,6 +86,7 @@ class Request:
     error: RejectedMessage | None = None
     type: str | None = None
     id: Any = NO_ID
+    said: dict[str, Any] | None = None
 
 
 # -- schemas ----------------------------------------------------------------------------------------------------------
@@ -289,8 +291,13 @@ def error_reply(error: NmesError, command_type: str | None = None) -> dict[str, 
     return reply
 
 
-def parse(raw: bytes) -> Request:
-    """Reads one frame. Never raises."""
+def parse(raw: bytes, translate: Callable[[dict[str, Any]], dict[str, Any]] | None = None) -> Request:
+    """Reads one frame. Never raises.
+
+    Args:
+        raw: The frame.
+        translate: Makes a message of this protocol of one in another dialect; returns the same one where it need not.
+    """
     if len(raw) > _MOST_VALUES and raw.count(b",") > _MOST_VALUES:
         return Request(raw, None, RejectedMessage("invalid", f"a message holds at most {_MOST_VALUES:,} values"))
     try:
@@ -299,12 +306,16 @@ def parse(raw: bytes) -> Request:
         return Request(raw, None, rejection)
     if type(message) is not dict:
         return Request(raw, None, RejectedMessage("bad_frame", f"expected a JSON object, got {excerpt(message)}"))
+    said = None
+    if translate is not None and (translated := translate(message)) is not message:
+        said, message = message, translated
+        raw = encode(message)
     kind = message.get("type")
     error = _check(message)
     if error is None:
-        return Request(raw, message, None, kind, message.get("id", NO_ID))
+        return Request(raw, message, None, kind, message.get("id", NO_ID), said)
     known = kind if isinstance(kind, str) and len(kind) <= _TYPE_LENGTH else None
-    return Request(raw, None, error, known, message.get("id", NO_ID))
+    return Request(raw, None, error, known, message.get("id", NO_ID), said)
 
 
 def request_from(command: Mapping[str, Any]) -> Request:

@@ -7,11 +7,13 @@ Invariants: how bytes are cut into pieces changes nothing; a stream that can no 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any, Final, Literal
 
 from nmes.errors import NmesError, RejectedMessage
+from nmes.protocol import original
 from nmes.protocol.messages import (
     AUTH,
     COMMANDS,
@@ -22,6 +24,7 @@ from nmes.protocol.messages import (
     encode,
     error_reply,
     find_error,
+    parse,
 )
 from nmes.schemas.documents import parse_json
 
@@ -136,11 +139,19 @@ class Session:
 
     The first frame comes out as an `Auth`; then the session waits, whatever else is received, until the host has
     said `accept` or `refuse`. From then on frames come out, for `parse`. After a `violation` nothing does.
+
+    Attributes:
+        violation: Why the stream can no longer be trusted, once it cannot.
+        dialect: What the first frame was written in, once it has come.
+        parse: Reads a frame of this dialect as a Request in our own words; never raises, in any thread.
     """
+
+    parse: Callable[[bytes], Request]  # of the instance, so that a frame costs no call more than `messages.parse`
 
     def __init__(self, limits: Limits | None = None) -> None:
         self.violation: RejectedMessage | None = None
         self.dialect: Literal["json", "raw"] | None = None
+        self.parse = parse
         self._limits = limits or Limits()
         self._splitter = FrameSplitter(self._limits.auth_frame)
         self._state: Literal["new", "waiting", "open", "closed"] = "new"
@@ -177,6 +188,7 @@ class Session:
     def _read_auth(self, frame: bytes) -> Auth:
         if not frame.startswith(b"{"):
             self.dialect = "raw"
+            self.parse = partial(parse, translate=original.command)
             try:
                 return Auth("raw", frame.decode())
             except UnicodeDecodeError:

@@ -25,7 +25,7 @@ from time import monotonic
 from typing import TYPE_CHECKING, cast
 
 from nmes.errors import NmesError, RejectedMessage, WorldError
-from nmes.protocol import Auth, Request, Session, parse
+from nmes.protocol import Auth, Request, Session
 from nmes.server.door import address_of
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.outbox import Outbox
@@ -233,7 +233,7 @@ class Connection(asyncio.BufferedProtocol):
                 waits = True
                 break
             else:
-                request = parse(first)
+                request = session.parse(first)
                 if request.error is not None:
                     request = session.redacted(request)
                 backlog[0] = request
@@ -263,7 +263,7 @@ class Connection(asyncio.BufferedProtocol):
     def _read_in_thread(self, frame: bytes) -> None:
         """Reads the first frame of the backlog in a thread; what came behind it waits."""
         loop = asyncio.get_running_loop()
-        self._reading = reading = self._host.parse(frame)
+        self._reading = reading = self._host.parse(self._session, frame)
 
         def go_on() -> None:
             self._reading = None

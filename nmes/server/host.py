@@ -22,7 +22,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from nmes.errors import MachineError, NmesError, WorldError
-from nmes.protocol import Limits, Request, complete_config, parse
+from nmes.protocol import Limits, Request, Session, complete_config
 from nmes.recording import Recording
 from nmes.server.connection import LINGER, READ, Connection
 from nmes.server.door import Door
@@ -263,9 +263,9 @@ class Host:
         self._inside.discard(connection)
         self._door.forget(connection)
 
-    def parse(self, frame: bytes) -> Future[Request]:
-        """Reads a frame in a thread."""
-        return self._reader.submit(parse, frame)
+    def parse(self, session: Session, frame: bytes) -> Future[Request]:
+        """Reads a frame of a session in a thread."""
+        return self._reader.submit(session.parse, frame)
 
     async def listen(self, host: str, port: int, world: str | None = None) -> tuple[str, int]:
         """Listens on an address. The worlds' clocks start with the first port.
