@@ -13,9 +13,10 @@ import binascii
 import io
 import struct
 from collections.abc import Mapping
+from functools import lru_cache
 from hashlib import blake2b
 from itertools import pairwise, product
-from math import atan2, hypot
+from math import atan2, hypot, sqrt
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,7 @@ _MOST_GAPS = 64  # what is left of the ground between them is cut along the edge
 _OCTAVES = 8  # sizes of hills at most, each half the one before
 _LARGEST_IMAGE = 1025  # pixels a side
 _BIOMES = 5
+_RESOURCES, _TREES = 20, 10  # places on a planet of the original
 
 
 def needs(config: Mapping[str, Any]) -> dict[str, str]:
@@ -75,7 +77,7 @@ def scene_spec(config: Mapping[str, Any], seed: int) -> SceneSpec:
         ground=kind == "flat" and not gaps,
         boxes=(*boxes, *_ground_with_gaps([gap for _, gap in gaps])),
         heightfield=_landscape(scene["heightfield"], seed) if kind == "heightfield" else None,
-        planets=tuple(_planets(scene["planets"])) if kind == "planets" else (),
+        planets=tuple(planet for _, planet in _planets(scene["planets"])) if kind == "planets" else (),
         arena=None if arena is None else Arena(**{"seed": seed, **arena}),
         linear_damping=float(damping["linear"]),
         angular_damping=float(damping["angular"]),
@@ -245,8 +247,12 @@ def _read_image(text: str) -> Array:
 # -- planets ----------------------------------------------------------------------------------------------------------
 
 
-def _planets(config: JsonObject) -> list[Planet]:
-    """Returns the planets, the one under the origin first, then by distance from it."""
+def _planets(config: JsonObject) -> list[tuple[str, Planet]]:
+    """Returns the planets with their names, the first one at the origin or under it.
+
+    Raises:
+        WorldError: They would overlap.
+    """
     radius, spacing = float(config["radius"]), float(config["spacing"])
     if spacing < 2.0 * radius:
         message = f"planets of radius {radius:g} m need a spacing of twice that"
@@ -254,29 +260,62 @@ def _planets(config: JsonObject) -> list[Planet]:
     side = 1
     while side**3 < config["count"]:
         side += 1
+    if config.get("layout") == "corner":
+        cells = list(product(range(side), repeat=3))[: config["count"]]
+        return [
+            (str(cell), Planet((cell[0] * spacing, cell[1] * spacing, cell[2] * spacing), radius)) for cell in cells
+        ]
     line = [i - (side - 1) // 2 for i in range(side)]
     cells = sorted(product(line, repeat=3), key=lambda cell: (sum(i * i for i in cell), cell))
-    return [Planet((x * spacing, y * spacing - radius, z * spacing), radius) for x, y, z in cells[: config["count"]]]
+    return [
+        (f"Planet_{number}", Planet((x * spacing, y * spacing - radius, z * spacing), radius))
+        for number, (x, y, z) in enumerate(cells[: config["count"]])
+    ]
 
 
 def planet_list(config: Mapping[str, Any], seed: int) -> list[JsonObject]:
-    """Returns the planets of a complete config as `get_planets` tells them."""
+    """Returns the planets of a complete config as `get_planets` tells them, to be read only; `seed` is the world's."""
     scene = config["scene"]
-    if scene["type"] != "planets":
-        return []
-    seed = scene["planets"].get("seed", seed)
+    return _draw_planets(seed, tuple(scene["planets"].items())) if scene["type"] == "planets" else []
+
+
+@lru_cache(maxsize=16)
+def _draw_planets(seed: int, fields: tuple[tuple[str, Any], ...]) -> list[JsonObject]:
+    """Returns what is told of planets; in the layout `corner` they have seeds with a sign, resources and trees."""
+    config = dict(fields)
+    seed, original = config.get("seed", seed), config.get("layout") == "corner"
     planets = []
-    for number, planet in enumerate(_planets(scene["planets"])):
+    for number, (name, planet) in enumerate(_planets(config)):
         digest = blake2b(f"{seed} planet {number}".encode(), digest_size=8).digest()
-        x, y, z = planet.position
+        own = (
+            int.from_bytes(digest[:4], "little", signed=True) if original else int.from_bytes(digest[:4], "little") >> 1
+        )
+        places = _draw_places(int.from_bytes(digest, "little"), _RESOURCES + _TREES) if original else []
         planets.append(
             {
-                "Name": f"Planet_{number}",
-                "Position": {"x": x, "y": y, "z": z},
-                "Seed": int.from_bytes(digest[:4], "little") >> 1,
+                "Name": name,
+                "Position": _place(planet.position),
+                "Seed": own,
                 "BiomeType": digest[4] % _BIOMES,
-                "ResourceLocations": [],
-                "TreeLocations": [],
+                "ResourceLocations": places[:_RESOURCES],
+                "TreeLocations": places[_RESOURCES:],
             }
         )
     return planets
+
+
+def _draw_places(seed: int, count: int) -> list[JsonObject]:
+    """Returns places on a planet of diameter 1, from its centre, each direction as likely as any other."""
+    draw = np.random.RandomState(np.random.MT19937(np.random.SeedSequence(seed)))
+    places: list[JsonObject] = []
+    while len(places) < count:
+        for x, y, z in (2.0 * draw.random_sample((count, 3)) - 1.0).tolist():
+            distance = sqrt(x * x + y * y + z * z)
+            if 0.1 < distance <= 1.0:  # of the cube's points those in a ball
+                places.append(_place((x * 0.5 / distance, y * 0.5 / distance, z * 0.5 / distance)))
+    return places[:count]
+
+
+def _place(position: Vector) -> JsonObject:
+    x, y, z = position
+    return {"x": x, "y": y, "z": z}

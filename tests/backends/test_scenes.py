@@ -60,6 +60,7 @@ SCENES: dict[str, Reply] = {
         ]
     },
     "planets": {"type": "planets"},
+    "corner": {"type": "planets", "planets": {"layout": "corner", "count": 5}},
     **{name: {"type": "arena", "arena": {"name": name}} for name in ARENAS},
 }
 
@@ -485,6 +486,67 @@ def test_planets_are_listed() -> None:
     drive("reset", seed=5)
     assert drive("get_planets")["planets"] == Driver({"type": "planets"}, seed=5)("get_planets")["planets"] != planets
     assert Driver({})("get_planets") == {"type": "planets", "planets": []}
+
+
+CORNER = {"type": "planets", "planets": {"layout": "corner"}}
+
+
+def test_the_planets_of_the_original_are_a_grid_that_begins_at_the_origin() -> None:
+    drive = Driver(CORNER)
+    reply = drive("get_planets", id=3)
+    protocol.validate_reply(reply)
+    planets = reply["planets"]
+    grid = [(x, y, z) for x in range(3) for y in range(3) for z in range(3)]
+    assert [planet["Name"] for planet in planets] == [str(cell) for cell in grid]
+    assert planets[5]["Name"] == "(0, 1, 2)" and planets[5]["Position"] == {"x": 0, "y": 800, "z": 1600}
+    assert [tuple(planet["Position"].values()) for planet in planets] == [
+        (800 * x, 800 * y, 800 * z) for x, y, z in grid
+    ]
+    seeds = [planet["Seed"] for planet in planets]
+    assert len(set(seeds)) == 27 and min(seeds) < 0 < max(seeds)
+    assert all(-(2**31) <= seed < 2**31 for seed in seeds)
+    spec = spec_of(CORNER)
+    assert [planet.position for planet in spec.planets] == [(800.0 * x, 800.0 * y, 800.0 * z) for x, y, z in grid]
+
+
+def test_resources_and_trees_are_spread_over_their_planets() -> None:
+    planets = Driver(CORNER)("get_planets")["planets"]
+    places = []
+    for planet in planets:
+        assert (len(planet["ResourceLocations"]), len(planet["TreeLocations"])) == (20, 10)
+        places += [tuple(place.values()) for place in planet["ResourceLocations"] + planet["TreeLocations"]]
+    assert len(set(places)) == 27 * 30
+    assert np.linalg.norm(places, axis=1) == pytest.approx(np.full(len(places), 0.5), abs=1e-12)
+    # Even over a sphere of radius 1/2: means of 0, and of squares of 1/12; each within four standard deviations.
+    assert np.mean(places, axis=0) == pytest.approx(np.zeros(3), abs=4 * math.sqrt(1 / 12 / len(places)))
+    assert np.mean(np.square(places), axis=0) == pytest.approx(
+        np.full(3, 1 / 12), abs=4 * 0.0745 / math.sqrt(len(places))
+    )
+
+
+def test_planets_of_the_original_follow_from_the_seed() -> None:
+    def planets(number: int, **fields: Any) -> Reply:
+        scene = {"type": "planets", "planets": {"layout": "corner", **fields}}
+        return Driver(scene, seed=number)("get_planets")["planets"]  # type: ignore[no-any-return]
+
+    assert planets(1) == planets(1) != planets(2)
+    assert planets(1, seed=9) == planets(2, seed=9)
+    first = planets(1)[0]
+    tree = {"x": 0.4650483862997031, "y": 0.17927688345891976, "z": -0.0398722642610004}
+    assert (first["Seed"], first["BiomeType"], first["TreeLocations"][0]) == (901120952, 2, tree)  # for ever
+
+
+def test_cubes_fall_towards_the_nearest_planet_of_the_original() -> None:
+    drive = Driver(CORNER, gravity=[0, -9.8, 0])
+    starts = {"a": (0.0, 130.0, 0.0), "b": (660.0, 0.0, 0.0), "c": (60.0, -60.0, 100.0)}
+    for name, start in starts.items():
+        drive.drop(name, *start)
+    drive("step", ticks=30)
+    centres = {"a": (0.0, 0.0, 0.0), "b": (800.0, 0.0, 0.0), "c": (0.0, 0.0, 0.0)}
+    for name, start in starts.items():
+        down = np.subtract(centres[name], start)
+        fallen = np.subtract(drive.where(name), start)
+        assert fallen == pytest.approx(down / np.linalg.norm(down) * 9.8 * 0.5**2 / 2, abs=0.02)
 
 
 @pytest.mark.parametrize("count", [1, 2, 8, 9, 64, 65])
