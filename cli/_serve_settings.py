@@ -19,11 +19,24 @@ from nmes.errors import RejectedMessage
 from nmes.protocol import parse_json
 from nmes.recording import Recording
 
-__all__ = ["MADE_UP", "MOST_WORLDS", "Settings", "read_settings"]
+__all__ = ["DIALECTS", "MADE_UP", "MOST_WORLDS", "Settings", "read_settings"]
 
 MOST_WORLDS = 1000
 KEYFRAMES = 10.0  # s of a world's time
 MADE_UP = "generated"  # the source of a password that was not given
+DIALECTS: Mapping[str, Mapping[str, Any]] = {
+    "original": {
+        "backend": "mujoco",
+        "mode": "realtime",
+        "tick_rate": 60,
+        "gravity": [0, -9.8, 0],
+        "damping": {"linear": 0.1, "angular": 0.1},
+        "friction": 1,
+        "restitution": 0,
+        "scene": {"type": "planets", "planets": {"layout": "corner", "count": 27, "spacing": 800, "radius": 100}},
+    }
+}
+"""The configs of the worlds that programs of a dialect expect."""
 
 
 @dataclass(frozen=True)
@@ -89,14 +102,15 @@ def _world(options: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[Recording,
     fields = {key: options[key] for key in ("backend", "seed", "mode", "rate", "keyframes") if options[key] is not None}
     recording: Recording | None = options["resume"]
     if recording is not None:
-        others = [*fields, *(name for name in ("config", "worlds") if options[name] is not None)]
+        others = [*fields, *(name for name in ("dialect", "config", "worlds") if options[name] is not None)]
         if others:
             raise click.UsageError(f"--{others[0]} does not go with --resume: the recording says what its world is")
         return recording.config, (recording, options["frame"])
     if options["frame"] is not None:
         raise click.UsageError("--at needs --resume: it is a frame of that recording")
+    expected = {} if options["dialect"] is None else DIALECTS[options["dialect"]]
     file = {} if options["config"] is None else _read_config(options["config"])
-    return {"keyframes": KEYFRAMES, **file, **fields}, None
+    return {"keyframes": KEYFRAMES, **expected, **file, **fields}, None
 
 
 def _read_config(path: Path) -> dict[str, Any]:

@@ -18,7 +18,7 @@ import click
 from nmes.cli import _logs
 from nmes.cli._password import PASSWORD_VARIABLE, password_options
 from nmes.cli._serve_report import Running, ready_lines, ready_object, stopped_lines
-from nmes.cli._serve_settings import MOST_WORLDS, Settings, read_settings
+from nmes.cli._serve_settings import DIALECTS, MOST_WORLDS, Settings, read_settings
 from nmes.cli._viewer import viewer
 from nmes.cli.info import open_recording
 from nmes.errors import RejectedMessage, WorldError
@@ -67,6 +67,12 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
 )
 @click.option(
     "--port-step", type=click.IntRange(1, 65535), help="From the port of one world to that of the next.  [default: 1]"
+)
+@click.option(
+    "--dialect",
+    type=click.Choice(list(DIALECTS)),
+    help="Serve the world that programs for the original server expect: its planets, gravity, damping and frictions. "
+    "--config and the other options win over it, field by field.",
 )
 @click.option("--backend", help="Physics engine.  [default: mujoco]")
 @click.option(
@@ -141,6 +147,7 @@ def command(log_format: str, view: bool, as_json: bool, **options: Any) -> None:
 
     \b
         nmes serve --mode lockstep --seed 7 --password-file secret
+        nmes serve --dialect original --password-file secret
         nmes serve --worlds 20 --port 14000 --port-step 3
         nmes serve --resume recordings/main-20260101-120000.mcap --at 3600
     """
