@@ -563,6 +563,26 @@ def test_a_picture_of_a_transparent_cube_does_not_hide_it_from_rays(studio: Plac
         assert studio.info("eye", rays=[[0, 0, -1]])["ranges"] == pytest.approx([1.5])
 
 
+@pytest.mark.parametrize("frozen", [False, True])
+def test_touching_cubes_of_one_color_show_where_one_ends(studio: Place, frozen: bool) -> None:
+    def row() -> list[int]:
+        """Returns how green the pixels across the middle of a wall are."""
+        studio("step")
+        view = {"width": 90, "height": 60, "fov": 0.8, "rotation": [0, -math.pi / 2, 0]}
+        return [int(value) for value in pixels(studio("get_camera", cube_name="eye", **view))[30, 20:70, 1]]
+
+    green = [0, 1, 0]
+    studio("despawn_cube", cube_name="green")
+    for z in (-1, 0, 1):
+        studio.spawn(f"part{z}", [4, 5, z], color=green, is_base=frozen)
+    lines = [column for column, value in enumerate(row()) if value < 60]
+    assert len(lines) == 2 and lines[1] - lines[0] == pytest.approx(60 / 3.5 / (2 * math.tan(0.4)), abs=1.5)
+    for z in (-1, 0, 1):
+        studio("despawn_cube", cube_name=f"part{z}{'_BASE' * frozen}")
+    studio.spawn("whole", [4, 5, 0], size=[1, 1, 3], color=green, is_base=frozen)
+    assert min(row()) > 60
+
+
 def test_pictures_are_right_after_changes_of_structure_and_beside_other_worlds(studio: Place) -> None:
     other = Place()
     other.spawn("a", [0, 1, 0])
