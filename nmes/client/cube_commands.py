@@ -172,7 +172,7 @@ class CubeCommands:
             angular_velocity: Angular velocity in world axes, in rad/s, each number from -100,000 to 100,000.
 
         Returns:
-            CubeStateSet: The cube is where it was to be.
+            CubeStateSet: The cube is where it was to be, or on top of the ground there.
 
         Raises:
             CommandFailed: The server refused it: `cube_not_found`, `invalid`, `unsupported` or `world_faulted`.

@@ -29,6 +29,7 @@ class CubeList(TypedDict):
     type: Literal["cube_list"]
     spawned: NotRequired[str]
     cubes: NotRequired[Names]
+    moved_to: NotRequired[list[float]]
 
 
 class CubeDespawned(TypedDict):
@@ -66,6 +67,7 @@ class CreatureSpawned(TypedDict):
     joints: dict[str, str]
     motors: Names
     sensors: Names
+    moved_to: NotRequired[list[float]]
 
 
 class Driven(TypedDict):
@@ -124,6 +126,7 @@ class PhysicsApplied(TypedDict):
 class CubeStateSet(TypedDict):
     type: Literal["cube_state_set"]
     cube_name: str
+    moved_to: NotRequired[list[float]]
 
 
 class CubeFrozen(TypedDict):
@@ -226,8 +229,8 @@ class Planet(TypedDict):
     Position: Position
     Seed: int
     BiomeType: int
-    ResourceLocations: list[Any]
-    TreeLocations: list[Any]
+    ResourceLocations: list[Position]
+    TreeLocations: list[Position]
 
 
 class Planets(TypedDict):

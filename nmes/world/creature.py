@@ -17,8 +17,8 @@ import numpy as np
 import orjson
 
 from nmes import protocol
-from nmes.backend import Array, BodyState, Vector
-from nmes.backend.rotation import conjugate, rotate
+from nmes.backend import Array, BodyState, StaticBox, Vector
+from nmes.backend.rotation import conjugate, minus, plus, rotate
 from nmes.errors import WorldError
 from nmes.genome import Genome
 from nmes.genome.body import Body, BodyCube, BodyJoint, Motor, Sensor
@@ -302,6 +302,12 @@ class Creatures:
         self._creatures[name] = creature = Creature(entities, name, genome, cubes, joints, target)
         self._version = entities.version
         return creature
+
+    def place(self, body: Body, position: Vector) -> Vector:
+        """Returns where the origin of a body comes to be, m: there, or above, so that no part is in the ground."""
+        parts = [StaticBox(part.size, plus(part.position, position), part.quaternion) for part in body.cubes]
+        first = self._entities.terrain.outside(parts)[0]
+        return position if first == parts[0].position else plus(position, minus(first, parts[0].position))
 
     def snapshot(self) -> JsonObject:
         """Returns the creatures as plain JSON data; their cubes and joints are part of the entities' snapshot."""

@@ -11,13 +11,13 @@ that raises WorldError has changed nothing.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from hashlib import blake2b
 from itertools import pairwise
 from typing import Any
 
 from nmes import protocol
-from nmes.backend import Array, Backend, BodySpec, BodyState, JointSpec, Simulation, Vector
+from nmes.backend import Array, Backend, BodySpec, BodyState, JointSpec, Simulation, StaticBox, Vector
 from nmes.backend.rotation import cross, minus, plus, total
 from nmes.errors import WorldError
 from nmes.schemas.documents import JsonObject
@@ -25,6 +25,7 @@ from nmes.world import joint_params, scenery
 from nmes.world.energy import EnergyMeter
 from nmes.world.fields import FieldReader, unit_vector, vector
 from nmes.world.structure import StructureMotion, connected_cubes
+from nmes.world.terrain import Terrain
 
 __all__ = ["Cube", "Entities", "Joint", "cube_not_found", "identity"]
 
@@ -75,6 +76,7 @@ class Entities:
         cubes: The cubes by name, `joints` likewise, in order of creation. To be read only.
         body_names: The cubes' names by their numbers in the engine, in order of creation.
         simulation: The engine's scene.
+        terrain: Where the ground is.
         fields: Reads the geometric fields of commands.
         meter: The work of the joints' motors.
         tick_rate: Ticks per second.
@@ -98,6 +100,7 @@ class Entities:
         scene = scenery.scene_spec(config, seed)
         self._engine_step = scene.timestep
         self.simulation: Simulation = backend.create(scene)
+        self.terrain = Terrain(scene, backend.dims == 2)
         self.cubes: dict[str, Cube] = {}
         self.joints: dict[str, Joint] = {}
         self.body_names: dict[int, str] = {}
@@ -231,7 +234,7 @@ class Entities:
             raise WorldError("unsupported", f"the {self._backend.name} backend is planar and takes no {what}", path)
 
     def spawn(self, command: JsonObject) -> Cube:
-        """Makes the cube that a `spawn_cube` command describes.
+        """Makes the cube that a `spawn_cube` command describes; where that is in the ground, on top of it.
 
         Raises:
             WorldError: `limit_reached`, `cube_exists`, or `invalid` for a name or a rotation.
@@ -253,6 +256,9 @@ class Entities:
             frozen=frozen,
             origin=fields.position(command.get("position", default["position"])),
         )
+        quaternion = fields.rotation(command.get("rotation", default["rotation"]))
+        if not frozen:
+            cube.origin = self.terrain.outside([StaticBox(cube.size, cube.origin, quaternion)])[0]
         self.simulation.add_body(
             cube.body,
             BodySpec(
@@ -261,7 +267,7 @@ class Entities:
                 friction=cube.friction,
                 restitution=cube.restitution,
                 position=cube.origin,
-                quaternion=fields.rotation(command.get("rotation", default["rotation"])),
+                quaternion=quaternion,
                 linear_velocity=fields.position(command.get("linear_velocity", ZERO)),
                 angular_velocity=fields.turn(command.get("angular_velocity", ZERO)),
                 frozen=cube.frozen,
@@ -311,8 +317,11 @@ class Entities:
             spin = plus(spin, cross(arm, impulse))
         self.simulation.apply(cube.body, force, torque, impulse, spin)
 
-    def move(self, cube: Cube, command: JsonObject) -> None:
+    def move(self, cube: Cube, command: JsonObject) -> Vector | None:
         """Puts a cube, and with it all that joints connect to it, where a `set_cube_state` command says.
+
+        Where any of them would be in the ground, and none is frozen, all are put on top of it; returns where the cube
+        is then, else None.
 
         Raises:
             WorldError: `invalid`: the rotation is none.
@@ -327,11 +336,17 @@ class Entities:
         rigid = "linear_velocity" in command or "angular_velocity" in command
         # Joints hold, so the whole structure moves as one.
         motion = StructureMotion(old, new, turns="rotation" in command, rigid=rigid)
-        for other in connected_cubes(cube, self.joints)[1:]:
-            state = self.simulation.body_state(other.body)
-            self.simulation.set_body_state(other.body, motion.moved(state))
-        self.simulation.set_body_state(cube.body, new)
+        cubes = connected_cubes(cube, self.joints)
+        states = [new, *(motion.moved(self.simulation.body_state(other.body)) for other in cubes[1:])]
+        if ("position" in command or "rotation" in command) and not any(other.frozen for other in cubes):
+            boxes = [StaticBox(one.size, at.position, at.quaternion) for one, at in zip(cubes, states, strict=True)]
+            places = self.terrain.outside(boxes)
+            states = [replace(state, position=place) for state, place in zip(states, places, strict=True)]
+        placed = list(zip(cubes, states, strict=True))
+        for other, state in (*placed[1:], placed[0]):
+            self.simulation.set_body_state(other.body, state)
         self._reshaped += 1
+        return None if states[0].position == new.position else states[0].position
 
     def freeze(self, cube: Cube, frozen: bool) -> None:
         """Makes a cube immovable, or lets it go at rest."""

@@ -395,10 +395,12 @@ def test_the_section_of_a_box_is_what_lies_in_the_plane(size: Any, position: Any
         assert own.max() == pytest.approx(1, abs=1e-6)
 
 
-def test_cubes_dropped_into_a_thousand_steps_are_pushed_out_of_them() -> None:
+def test_cubes_let_go_in_a_thousand_steps_are_pushed_out_of_them() -> None:
     stairs = {"type": "stairs", "position": [-0.5, 0, 0], "length": 1, "width": 2, "height": 1, "steps": 1000}
     drive = Driver({"obstacles": [stairs]})
-    names = [drive.drop(f"c{i}", 0.3 * i, 0.5, 0) for i in range(3)]
+    names = [drive.drop(f"c{i}", 0.3 * i, 0.5, 0, is_base=True) + "_BASE" for i in range(3)]  # held where it is put
+    for name in names:
+        drive("freeze_cube", cube_name=name, freeze=False)
     drive("step", ticks=120)
     for name in names:
         x, y, z = drive.where(name)

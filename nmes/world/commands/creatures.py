@@ -30,8 +30,10 @@ def spawn_creature(world: World, client: Client, command: JsonObject) -> JsonObj
     target = command.get("target")
     if target is not None and not isinstance(target, str):
         target = (float(target[0]), float(target[1]), float(target[2]))
-    creature = world.all_creatures.spawn(genome, (float(x), float(y), float(z)), command.get("name"), target)
-    return {
+    asked = world.entities.fields.position((x, y, z))
+    position = world.all_creatures.place(genome.body, asked)
+    creature = world.all_creatures.spawn(genome, position, command.get("name"), target)
+    reply: JsonObject = {
         "type": "creature_spawned",
         "creature": creature.name,
         "cubes": creature.cubes,
@@ -39,6 +41,7 @@ def spawn_creature(world: World, client: Client, command: JsonObject) -> JsonObj
         "motors": [motor.id for motor in creature.motors],
         "sensors": [sensor.id for sensor in creature.sensors],
     }
+    return reply if position == asked else {**reply, "moved_to": position}
 
 
 def _bad_genome(error: DocumentError) -> WorldError:

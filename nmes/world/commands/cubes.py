@@ -39,6 +39,9 @@ def spawn_cube(world: World, client: Client, command: JsonObject) -> JsonObject:
     cube = world.entities.spawn(command)
     client.owned = cube.name
     reply: JsonObject = {"type": "cube_list", "spawned": cube.name}
+    asked = command.get("position", protocol.COMMANDS["spawn_cube"].defaults["position"])
+    if cube.origin != world.entities.fields.position(asked):
+        reply["moved_to"] = cube.origin
     if command.get("list", True):
         reply["cubes"] = world.cubes()
     return reply
@@ -60,8 +63,9 @@ def apply_physics(world: World, client: Client, command: JsonObject) -> JsonObje
 def set_cube_state(world: World, client: Client, command: JsonObject) -> JsonObject:
     """Puts a cube somewhere else, with all that is joined to it."""
     cube = world.entities.cube(command["cube_name"])
-    world.entities.move(cube, command)
-    return {"type": "cube_state_set", "cube_name": cube.name}
+    moved_to = world.entities.move(cube, command)
+    reply: JsonObject = {"type": "cube_state_set", "cube_name": cube.name}
+    return reply if moved_to is None else {**reply, "moved_to": moved_to}
 
 
 def freeze_cube(world: World, client: Client, command: JsonObject) -> JsonObject:
