@@ -276,7 +276,7 @@ class BallisticBackend(Backend):
     """The engine as `nmes serve --backend ballistic` finds it."""
 
     name = "ballistic"
-    capabilities = frozenset({"joint.fixed", "friction", "restitution", "contacts", "snapshot"})
+    capabilities = frozenset({"joint.fixed", "joint.several", "friction", "restitution", "contacts", "snapshot"})
 
     def version(self) -> str:
         """Returns the version of this engine."""

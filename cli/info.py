@@ -76,6 +76,8 @@ def _about(recording: Recording) -> dict[str, Any]:
         "commands": dict(summary.commands.most_common()),
         "refused": summary.refused,
         "errors": summary.errors,
+        "ignored": dict(summary.ignored.most_common()),
+        "without_effect": dict(summary.without_effect.most_common()),
         "first_frame": recording.start().frame,
         "parent": recording.metadata.get("nmes.parent"),
         "ticks": summary.ticks,
@@ -115,6 +117,10 @@ def _rows(about: dict[str, Any]) -> list[tuple[str, str]]:
         ("commands", f"{commands:,}, and {about['refused']:,} refused frames; {about['errors']:,} errors"),
     ]
     rows += [(f"  {name}", f"{count:,}") for name, count in about["commands"].items()]
+    for key, heading in (("ignored", "not understood"), ("without_effect", "without effect")):
+        if about[key]:
+            rows.append((heading, f"{sum(about[key].values()):,} fields"))
+            rows += [(f"  {name}", f"{count:,}") for name, count in about[key].items()]
     if parent is not None:
         rows.append(("parent", f"{parent['file']}, frame {parent['frame'][:_DIGITS]} ({parent['recording'][:16]})"))
     if about["faults"]:

@@ -3,10 +3,10 @@
 This module hides where the files lie (`importlib.resources`) and that they refer to each other: `load` returns
 schemas in which every `$ref` has been replaced by what it means, so that a schema can be handed on by itself.
 Keywords of our own: `x-unit` (of a number), `x-reply`, `x-required` (section 5 of the protocol) and `x-silent` (in
-the raw dialect) of a command, `x-bare` (in the raw dialect the reply has neither `type` nor `id`), `x-volatile` of a
-reply (its content may differ from machine to machine, so a replay does not compare it), `x-message` (any `command` or
-`reply`), `x-secret` (never repeated in an error), `x-parameter` (of a number of a brain: part of its vector), `x-when`
-(of a property of a document: it is there where `type` is one of these, and only there).
+the raw dialect) of a command, `x-volatile` of a reply or of a field of one (its content may differ from machine to
+machine, or from version to version, so a replay does not compare it), `x-message` (any `command` or `reply`),
+`x-secret` (never repeated in an error), `x-parameter` (of a number of a brain: part of its vector), `x-when` (of a
+property of a document: it is there where `type` is one of these, and only there).
 """
 
 from __future__ import annotations

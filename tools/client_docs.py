@@ -29,6 +29,8 @@ _MISSING = {
     "cube1": "cube_not_found",
     "cube2": "cube_not_found",
     "joint_name": "joint_not_found",
+    "chains": "cube_not_found",
+    "prefix": "cube_not_found",
     "creature": "creature_not_found",
 }
 # Errors that do not follow from the fields of a command.
@@ -38,13 +40,18 @@ _MORE = {
     "create_bone": ["joint_exists", "limit_reached", "self_joint"],
     "create_joint": ["joint_exists", "limit_reached", "self_joint", "unsupported"],
     "get_cube_info": ["unsupported"],
+    "link_body_cubes": ["limit_reached"],
+    "link_cube_chains": ["limit_reached", "self_joint"],
     "set_joint_param": ["unsupported"],
+    "set_joint_params": ["limit_reached"],
     "set_mode": ["wrong_mode"],
     "set_objective": ["bad_expression", "limit_reached", "nothing_owned"],
     "spawn_creature": ["creature_exists", "cube_exists", "limit_reached"],
     "spawn_cube": ["cube_exists", "limit_reached"],
     "step": ["wrong_mode"],
 }
+# Fields that name what is not there yet.
+_NEW = {("spawn_cube", "cube_name"), ("create_joint", "joint_name"), ("create_bone", "joint_name")}
 # Commands that a world answers after its engine has failed.
 _WHEN_FAULTED = {"get_world_info", "ping", "subscribe", "unsubscribe"}
 
@@ -60,10 +67,9 @@ def error_codes(kind: str) -> list[str]:
         codes.add("unsupported")
     if kind not in _WHEN_FAULTED:
         codes.add("world_faulted")
-    if kind != "spawn_cube":  # which names what is not there yet
-        codes |= {_MISSING[name] for name in fields if name in _MISSING}
-        if "cube_name" in fields and "cube_name" not in command.schema["required"]:
-            codes.add("nothing_owned")
+    codes |= {_MISSING[name] for name in fields if name in _MISSING and (kind, name) not in _NEW}
+    if "cube_name" in fields and "cube_name" not in command.schema["required"] and (kind, "cube_name") not in _NEW:
+        codes.add("nothing_owned")
     return sorted(codes)
 
 

@@ -33,6 +33,7 @@ class MujocoBackend(Backend):
             "joint.slide",
             "joint.pin",
             "joint.conetwist",
+            "joint.several",
             "motor",
             "servo",
             "limits",

@@ -28,8 +28,8 @@ class PymunkBackend(Backend):
     name = "pymunk"
     dims = 2
     capabilities = frozenset(
-        {"joint.fixed", "joint.hinge", "joint.slide", "joint.pin", "joint.conetwist", "motor", "servo", "limits"}
-        | {"spring", "friction", "restitution", "contacts", "collisions", "sleep"}
+        {"joint.fixed", "joint.hinge", "joint.slide", "joint.pin", "joint.conetwist", "joint.several", "motor", "servo"}
+        | {"limits", "spring", "friction", "restitution", "contacts", "collisions", "sleep"}
         | {"scene.obstacles", "scene.heightfield", "scene.damping"}
     )
 

@@ -21,6 +21,7 @@ Image = npt.NDArray[np.uint8]  # rows from the top, columns, red green blue
 
 CAPABILITIES = frozenset(
     {"joint.fixed", "joint.hinge", "joint.slide", "joint.pin", "joint.conetwist"}  # kinds of joints
+    | {"joint.several"}  # between one pair of bodies
     | {"motor", "servo", "spring", "limits"}  # what hinges and slides have; `limits` are also a conetwist's
     | {"collisions", "friction", "restitution", "contacts"}  # between bodies; on the ground; and whether it tells
     | {"scene.obstacles", "scene.heightfield", "scene.planets", "scene.arena"}  # what a SceneSpec may hold, as is

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from nmes.client.declaration import Array, Vector, command
 from nmes.client.replies import (
     CameraImage,
+    ColorSet,
     CubeDespawned,
     CubeFrozen,
     CubeInfo,
@@ -180,6 +181,24 @@ class CubeCommands:
             TimeoutError: No reply came in time.
         """
         return CubeStateSet
+
+    @command
+    def set_color(self, cube_name: str, color: Vector) -> type[ColorSet]:
+        """Gives a cube another colour, which has no effect on the physics.
+
+        Args:
+            cube_name: The cube.
+            color: Colour as red, green, blue and, if given, opacity, each from 0 to 1. It has no effect on the physics.
+
+        Returns:
+            ColorSet: A cube has another colour.
+
+        Raises:
+            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `unsupported` or `world_faulted`.
+            Disconnected: The connection was lost.
+            TimeoutError: No reply came in time.
+        """
+        return ColorSet
 
     @command
     def freeze_cube(self, cube_name: str, freeze: bool) -> type[CubeFrozen]:

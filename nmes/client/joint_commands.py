@@ -5,18 +5,26 @@ The docstrings of the methods are written by `make format` from the schemas (too
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 from nmes.client.declaration import Vector, command
 from nmes.client.replies import (
     BoneCreated,
+    CubesLinked,
     JointCreated,
     JointInfo,
     JointList,
     JointParamSet,
+    JointParamsSet,
     JointRemoved,
+    JointsForCube,
     JointType,
 )
 
 __all__ = ["JointCommands"]
+
+
+JointParams = Mapping[str, float | bool]
 
 
 class JointCommands:
@@ -42,6 +50,10 @@ class JointCommands:
         limit_lower: float | None = None,
         limit_upper: float | None = None,
         limit_enabled: bool | None = None,
+        joint_name: str | None = None,
+        number_if_taken: bool | None = None,
+        joint_params: JointParams | None = None,
+        notes: Mapping[str, float] | None = None,
     ) -> type[JointCreated]:
         """Joins two cubes as they stand; their relative pose becomes the joint's zero.
 
@@ -72,6 +84,12 @@ class JointCommands:
             limit_upper: Highest position that the joint may take, in rad (m for a slide), from -1,000,000 to 1,000,000.
                 Of a conetwist: the largest twist.
             limit_enabled: Whether the limits hold.
+            joint_name: What to call the joint: a name that no joint has. If left out, a name is drawn.
+            number_if_taken: Whether, where a joint has that name, a number is put behind it (hip_2, hip_3) instead of
+                refusing. Default: False.
+            joint_params: Parameters of the joint by their names: the same as the fields of create_joint, which they
+                override.
+            notes: Numbers by name to keep with the joint. They have no effect; get_joint_info tells them.
 
         Returns:
             JointCreated: The joint is there.
@@ -85,7 +103,17 @@ class JointCommands:
         return JointCreated
 
     @command
-    def create_bone(self, cube1: str, cube2: str, *, snake_id: str | None = None) -> type[BoneCreated]:
+    def create_bone(
+        self,
+        cube1: str,
+        cube2: str,
+        *,
+        snake_id: str | None = None,
+        joint_name: str | None = None,
+        number_if_taken: bool | None = None,
+        joint_params: JointParams | None = None,
+        notes: Mapping[str, float] | None = None,
+    ) -> type[BoneCreated]:
         """Joins two cubes by a conetwist joint that belongs to a named skeleton.
 
         Args:
@@ -93,6 +121,12 @@ class JointCommands:
             cube2: The second cube.
             snake_id: The skeleton: a name, or a whole number from 0 to 9,007,199,254,740,991; "skeleton" if left out.
                 Default: 'skeleton'.
+            joint_name: What to call the bone: a name that no joint has. If left out, a name is drawn.
+            number_if_taken: Whether, where a joint has that name, a number is put behind it (hip_2, hip_3) instead of
+                refusing. Default: False.
+            joint_params: Parameters of the joint by their names: the same as the fields of create_joint, which they
+                override.
+            notes: Numbers by name to keep with the joint. They have no effect; get_joint_info tells them.
 
         Returns:
             BoneCreated: The bone is there.
@@ -175,3 +209,112 @@ class JointCommands:
             TimeoutError: No reply came in time.
         """
         return JointInfo
+
+    @command
+    def set_joint_params(
+        self, joint_name: str, params: JointParams, *, notes: Mapping[str, float] | None = None
+    ) -> type[JointParamsSet]:
+        """Sets several parameters of a joint, all of them or none.
+
+        Args:
+            joint_name: The joint.
+            params: The parameters by their names, as create_joint has them. They act in the order in which create_joint
+                lists them.
+            notes: Numbers by name to keep with the joint, beside those that it has, at most 32 in all. They have no
+                effect; get_joint_info tells them.
+
+        Returns:
+            JointParamsSet: Parameters of a joint were set.
+
+        Raises:
+            CommandFailed: The server refused it: `invalid`, `joint_not_found`, `limit_reached`, `unsupported` or
+                `world_faulted`.
+            Disconnected: The connection was lost.
+            TimeoutError: No reply came in time.
+        """
+        return JointParamsSet
+
+    @command
+    def get_joints_for_cube(self, cube_name: str) -> type[JointsForCube]:
+        """Lists the joints of a cube.
+
+        Args:
+            cube_name: The cube.
+
+        Returns:
+            JointsForCube: The joints of a cube.
+
+        Raises:
+            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `unsupported` or `world_faulted`.
+            Disconnected: The connection was lost.
+            TimeoutError: No reply came in time.
+        """
+        return JointsForCube
+
+    @command
+    def link_cube_chains(
+        self,
+        chains: Sequence[Sequence[str]],
+        *,
+        joint_type: JointType | None = None,
+        joint_params: JointParams | None = None,
+        notes: Mapping[str, float] | None = None,
+    ) -> type[CubesLinked]:
+        """Joins neighbours in chains of cubes, as they stand: all of them or none, at most 1,000.
+
+        A joint is called `joint_<type>_<cube1>_<cube2>`, with a number behind it where that name is taken; where it is
+        over 120 characters long, its name is drawn.
+
+        Args:
+            chains: The chains: arrays of the names of 2 to 1,001 cubes.
+            joint_type: What the joints leave free, as at create_joint; nothing (fixed) if left out. One of 'fixed',
+                'hinge', 'slide', 'slider', 'pin', 'conetwist'. Default: 'fixed'.
+            joint_params: Parameters of the joint by their names: the same as the fields of create_joint, which they
+                override.
+            notes: Numbers by name to keep with the joint. They have no effect; get_joint_info tells them.
+
+        Returns:
+            CubesLinked: Cubes were joined.
+
+        Raises:
+            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `limit_reached`, `self_joint`,
+                `unsupported` or `world_faulted`.
+            Disconnected: The connection was lost.
+            TimeoutError: No reply came in time.
+        """
+        return CubesLinked
+
+    @command
+    def link_body_cubes(
+        self,
+        prefix: str,
+        *,
+        gap: float | None = None,
+        joint_type: JointType | None = None,
+        joint_params: JointParams | None = None,
+        notes: Mapping[str, float] | None = None,
+    ) -> type[CubesLinked]:
+        """Joins those of the cubes with some prefix that touch or nearly touch with a face.
+
+        Cubes that a joint joins already are left as they are. All of them are joined or none, with at most 1,000 joints
+        between 1,000 cubes. The joints are called as by link_cube_chains.
+
+        Args:
+            prefix: What the names of the cubes begin with.
+            gap: How far apart their faces may be, in m, from 0 to 1,000. Default: 0.15.
+            joint_type: What the joints leave free, as at create_joint; nothing (fixed) if left out. One of 'fixed',
+                'hinge', 'slide', 'slider', 'pin', 'conetwist'. Default: 'fixed'.
+            joint_params: Parameters of the joint by their names: the same as the fields of create_joint, which they
+                override.
+            notes: Numbers by name to keep with the joint. They have no effect; get_joint_info tells them.
+
+        Returns:
+            CubesLinked: Cubes were joined.
+
+        Raises:
+            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `limit_reached`, `unsupported` or
+                `world_faulted`.
+            Disconnected: The connection was lost.
+            TimeoutError: No reply came in time.
+        """
+        return CubesLinked

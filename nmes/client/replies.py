@@ -60,6 +60,23 @@ class JointParamSet(TypedDict):
     value: float | bool
 
 
+class JointParamsSet(TypedDict):
+    type: Literal["joint_params_set"]
+    joint_name: str
+    params: dict[str, float | bool]
+
+
+class JointsForCube(TypedDict):
+    type: Literal["joints_for_cube"]
+    cube_name: str
+    joints: Names
+
+
+class CubesLinked(TypedDict):
+    type: Literal["cubes_linked"]
+    joints: Names
+
+
 class CreatureSpawned(TypedDict):
     type: Literal["creature_spawned"]
     creature: str
@@ -116,6 +133,7 @@ class JointInfo(JointSummary):
     velocity: float
     effort: float
     params: dict[str, float | bool]
+    notes: NotRequired[dict[str, float]]
 
 
 class PhysicsApplied(TypedDict):
@@ -127,6 +145,12 @@ class CubeStateSet(TypedDict):
     type: Literal["cube_state_set"]
     cube_name: str
     moved_to: NotRequired[list[float]]
+
+
+class ColorSet(TypedDict):
+    type: Literal["color_set"]
+    cube_name: str
+    color: list[float]
 
 
 class CubeFrozen(TypedDict):

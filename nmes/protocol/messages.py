@@ -7,9 +7,10 @@ the delimiter.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from enum import Enum
+from itertools import islice
 from typing import Any, Final, Literal
 
 import jiter
@@ -58,6 +59,7 @@ __all__ = [
 PROTOCOL_VERSION: Final = 1
 DELIMITER: Final = b"<???DONE???---"
 _TYPE_LENGTH: Final = 128  # characters of an unknown type that an error repeats
+_MOST_IGNORED, _KEY_LENGTH = 20, 64  # unknown fields of a command that are told, and characters of their names
 
 
 class _NoId(Enum):
@@ -79,6 +81,7 @@ class Request:
         type: The command's type, where it could be read.
         id: The command's id, where there is one and it could be read, else `NO_ID`.
         said: The message as its client wrote it, where it was translated.
+        ignored: The paths of fields that a valid command has and nobody knows, at most 20.
     """
 
     raw: bytes
@@ -87,6 +90,7 @@ class Request:
     type: str | None = None
     id: Any = NO_ID
     said: dict[str, Any] | None = None
+    ignored: tuple[str, ...] = ()
 
 
 # -- schemas ----------------------------------------------------------------------------------------------------------
@@ -100,8 +104,9 @@ class CommandSchema(CompiledSchema):
         reply: Type of its reply.
         required: Whether every conforming server must have it (section 5).
         silent: Whether the raw dialect leaves it unanswered.
-        bare: Whether in the raw dialect its reply has neither `type` nor `id`.
         defaults: Default values by field.
+        plain: Its fields, but for those that hold fields of their own: `objects` and `batches`.
+        objects: Fields that hold an object, with the names that are known there.
         integers: Fields that hold a whole number.
         batches: Fields that hold an array of commands.
     """
@@ -109,8 +114,9 @@ class CommandSchema(CompiledSchema):
     reply: str
     required: bool
     silent: bool
-    bare: bool
     defaults: Mapping[str, Any]
+    plain: frozenset[str]
+    objects: Mapping[str, frozenset[str]]
     integers: tuple[str, ...]
     batches: tuple[str, ...]
 
@@ -118,6 +124,13 @@ class CommandSchema(CompiledSchema):
 def _command(compiled: CompiledSchema) -> CommandSchema:
     schema = compiled.schema
     fields = schema["properties"].items()
+    batches = tuple(name for name, part in fields if part.get("items", {}).get("x-message") == "command")
+    # Where no other fields may stand, the validator has looked already.
+    objects = {
+        name: frozenset(part["properties"])
+        for name, part in fields
+        if "properties" in part and part.get("additionalProperties") is not False
+    }
     return CommandSchema(
         compiled.type,
         schema,
@@ -125,10 +138,11 @@ def _command(compiled: CompiledSchema) -> CommandSchema:
         reply=schema["x-reply"],
         required=schema["x-required"],
         silent=schema["x-silent"],
-        bare=schema.get("x-bare", False),
         defaults={name: part["default"] for name, part in fields if "default" in part},
+        plain=frozenset(name for name, _ in fields).difference(objects, batches),
+        objects=objects,
         integers=tuple(name for name, part in fields if part.get("type") == "integer"),
-        batches=tuple(name for name, part in fields if part.get("items", {}).get("x-message") == "command"),
+        batches=batches,
     )
 
 
@@ -313,9 +327,28 @@ def parse(raw: bytes, translate: Callable[[dict[str, Any]], dict[str, Any]] | No
     kind = message.get("type")
     error = _check(message)
     if error is None:
-        return Request(raw, message, None, kind, message.get("id", NO_ID), said)
+        ignored = () if COMMANDS[kind].plain.issuperset(message) else tuple(islice(_unknown(message), _MOST_IGNORED))
+        return Request(raw, message, None, kind, message.get("id", NO_ID), said, ignored)
     known = kind if isinstance(kind, str) and len(kind) <= _TYPE_LENGTH else None
     return Request(raw, None, error, known, message.get("id", NO_ID), said)
+
+
+def _unknown(command: Mapping[str, Any], path: str = "") -> Iterator[str]:
+    """Yields the paths of the fields of a valid command that nobody knows."""
+    schema = COMMANDS[command["type"]]
+    for name, value in command.items():
+        if name in schema.objects:
+            yield from (f"{path}{name}/{_key(key)}" for key in value if key not in schema.objects[name])
+        elif name in schema.batches:
+            for index, inner in enumerate(value):
+                yield from _unknown(inner, f"{path}{name}/{index}/")
+        elif name not in schema.plain:
+            yield path + _key(name)
+
+
+def _key(name: str) -> str:
+    """Returns a key as a JSON Pointer has it, the beginning of a long one."""
+    return name[:_KEY_LENGTH].replace("~", "~0").replace("/", "~1")
 
 
 def request_from(command: Mapping[str, Any]) -> Request:

@@ -20,7 +20,6 @@ from nmes.protocol.messages import (
     DELIMITER,
     NO_ID,
     Request,
-    decode,
     encode,
     error_reply,
     find_error,
@@ -33,6 +32,7 @@ __all__ = ["REDACTED", "Auth", "FrameSplitter", "Limits", "Session"]
 REDACTED: Final = b"(a frame with a password, which is not kept)"
 """What is recorded of a refused frame with the password in it."""
 _WHITE: Final = b" \t\r\n"
+_MOST_TOLD: Final = 200  # things of a session's frames that do nothing
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +157,7 @@ class Session:
         self._state: Literal["new", "waiting", "open", "closed"] = "new"
         self._auth_id: Any = NO_ID
         self._secrets: tuple[bytes, ...] = ()  # the forms that the password takes in frames
+        self._told: set[str] = set()  # what `without_effect` has returned
 
     def receive(self, data: bytes) -> list[Auth | bytes]:
         """Takes bytes and returns the frames that they complete. Never raises; see `violation` afterwards.
@@ -249,14 +250,30 @@ class Session:
 
     def reply(self, request: Request, reply: bytes) -> bytes:
         """Returns the bytes to send for an encoded reply: none where the raw dialect is silent."""
-        command = COMMANDS.get(request.type) if self.dialect == "raw" and request.type is not None else None
-        if command is not None and command.silent:
-            return b""
-        if command is not None and command.bare:
-            message = decode(reply)
-            if message.get("type") == command.reply:
-                reply = encode({key: value for key, value in message.items() if key not in ("type", "id")})
+        if self.dialect == "raw":
+            command = COMMANDS.get(request.type) if request.type is not None else None
+            if command is not None and command.silent:
+                return b""
+            reply = original.answer(request, reply)
+        elif request.ignored:
+            reply = b'%s,"ignored":%s}' % (reply[:-1], encode(request.ignored))
         return reply + DELIMITER
+
+    def without_effect(self, request: Request) -> list[str]:
+        """Returns what of a frame does nothing here, in words, each thing once a session: for a log.
+
+        In the JSON dialect that is nothing: there the reply tells. Of the original's parameters, which are kept as
+        notes of a joint, the log does.
+        """
+        if self.dialect != "raw" or request.command is None:
+            return []
+        kind = (request.said or request.command)["type"]
+        found = [f"{kind}: {path} is not understood" for path in request.ignored]
+        notes = request.command.get("notes", ()) if request.said is not None else ()
+        found += [f"{kind}: {name} is kept and told back, and has no effect" for name in notes]
+        new = [text for text in found if text not in self._told] if len(self._told) < _MOST_TOLD else []
+        self._told.update(new)
+        return new
 
     def event(self, event: bytes) -> bytes:
         """Returns the bytes to send for an encoded event."""

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from nmes import protocol
+from nmes.protocol import Request
 from nmes.recording.records import Kind, Record
 
 __all__ = ["Summary", "summarize"]
 
+_MOST_NAMES, _OTHERS = 100, "others"  # a stranger may think of any number of fields
 _ERROR = b'{"type":"error",'  # how the world's encoder begins an error
 
 
@@ -23,6 +26,8 @@ class Summary:
         commands: How many of each type were executed, also those that the world answered with an error.
         refused: How many frames were no valid command.
         errors: How many replies were errors.
+        ignored: How often a field was not understood, by command and path.
+        without_effect: How often a joint was given a note, by command and name: the original's parameters are kept so.
         ticks: How many there were, over all resets.
         keyframes: How often the world was saved.
         faults: How often the world stopped.
@@ -34,6 +39,8 @@ class Summary:
     commands: Counter[str] = field(default_factory=Counter)
     refused: int = 0
     errors: int = 0
+    ignored: Counter[str] = field(default_factory=Counter)
+    without_effect: Counter[str] = field(default_factory=Counter)
     ticks: int = 0
     keyframes: int = 0
     faults: int = 0
@@ -49,7 +56,7 @@ def summarize(records: Iterable[Record]) -> Summary:
             case Kind.JOINED:
                 summary.clients += 1
             case Kind.COMMAND:
-                summary.commands[protocol.parse(record.data).type or "invalid"] += 1
+                _count_command(summary, protocol.parse(record.data))
             case Kind.REFUSED:
                 summary.refused += 1
             case Kind.REPLY:
@@ -63,3 +70,18 @@ def summarize(records: Iterable[Record]) -> Summary:
         summary.began = summary.began or record.wall
         summary.ended = record.wall
     return summary
+
+
+def _count_command(summary: Summary, request: Request) -> None:
+    kind = request.type or "invalid"
+    summary.commands[kind] += 1
+    for path in request.ignored:
+        # The places in batches and lists would make many fields of one.
+        _count(summary.ignored, f"{kind} {re.sub(r'/[0-9]+/', '/*/', path)}")
+    for command in (request.command or {}).get("commands", [request.command or {}]):
+        for name in command.get("notes", ()):
+            _count(summary.without_effect, f"{command['type']} {name}")
+
+
+def _count(counts: Counter[str], name: str) -> None:
+    counts[name if name in counts or len(counts) < _MOST_NAMES else _OTHERS] += 1

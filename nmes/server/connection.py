@@ -24,7 +24,7 @@ from math import ceil
 from time import monotonic
 from typing import TYPE_CHECKING, cast
 
-from nmes.errors import NmesError, RejectedMessage, WorldError
+from nmes.errors import NmesError, RejectedMessage, WorldError, visible
 from nmes.protocol import Auth, Request, Session
 from nmes.server.door import address_of
 from nmes.server.hosted_world import HostedWorld
@@ -236,6 +236,8 @@ class Connection(asyncio.BufferedProtocol):
                 request = session.parse(first)
                 if request.error is not None:
                     request = session.redacted(request)
+                elif request.ignored or request.said is not None:
+                    self._log_without_effect(request)
                 backlog[0] = request
             encoded = world.submit(self._client, request)
             waits = encoded is None
@@ -268,10 +270,16 @@ class Connection(asyncio.BufferedProtocol):
         def go_on() -> None:
             self._reading = None
             if self._backlog:  # else the connection was ended meanwhile
-                self._backlog[0] = self._session.redacted(reading.result())
+                self._backlog[0] = request = self._session.redacted(reading.result())
+                self._log_without_effect(request)
             self.resume()
 
         reading.add_done_callback(lambda _: loop.call_soon_threadsafe(go_on))
+
+    def _log_without_effect(self, request: Request) -> None:
+        """Logs what of a command does nothing here and no reply tells, once a connection."""
+        for thing in self._session.without_effect(request):
+            logger.info("%s says %s", self._peer, visible(thing))
 
     def _wait_or_leave(self, waits: bool) -> None:
         """Has the rest executed when others have had their turn, or after `resume`; leaves if none is left."""

@@ -125,7 +125,7 @@ class Creature:
         for joint, motor, field, target in zip(self._driven, self.motors, self._fields, targets.tolist(), strict=True):
             servo = joint.params["target_position"] is not None
             if not joint.params["motor_enabled"] or servo != (motor.mode == "position"):
-                self._entities.set_param(joint, field, target)
+                self._entities.set_params(joint, {field: target}, "value")
         self._params = [joint_params.engine_params(joint.params) for joint in self._driven]
         self._targets = [(joint.params, field) for joint, field in zip(self._driven, self._fields, strict=True)]
         self._tuned = self._entities.tuned
@@ -297,7 +297,7 @@ class Creatures:
         joints = {}
         for joint in body.joints:
             command = _joint_command(joint, name, position)
-            joints[joint.id] = entities.joint(entities.connect(command, joint.kind, "joint", name=f"{name}.{joint.id}"))
+            joints[joint.id] = entities.joint(entities.connect(command, joint.kind, "joint"))
         self._count = count
         self._creatures[name] = creature = Creature(entities, name, genome, cubes, joints, target)
         self._version = entities.version
@@ -382,6 +382,7 @@ def _spawn_command(part: BodyCube, name: str, position: Vector) -> JsonObject:
 def _joint_command(joint: BodyJoint, name: str, position: Vector) -> JsonObject:
     """Returns the `create_joint` command that makes a joint of a creature: a motor begins at rest, at position 0."""
     command: JsonObject = {
+        "joint_name": f"{name}.{joint.id}",
         "cube1": f"{name}.{joint.cube1}",
         "cube2": f"{name}.{joint.cube2}",
         "position": _shifted(joint.anchor, position),

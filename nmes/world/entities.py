@@ -10,7 +10,7 @@ that raises WorldError has changed nothing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from hashlib import blake2b
 from itertools import pairwise
@@ -24,13 +24,14 @@ from nmes.schemas.documents import JsonObject
 from nmes.world import joint_params, scenery
 from nmes.world.energy import EnergyMeter
 from nmes.world.fields import FieldReader, unit_vector, vector
-from nmes.world.structure import StructureMotion, connected_cubes
+from nmes.world.structure import StructureMotion, connected_cubes, most_connected
 from nmes.world.terrain import Terrain
 
 __all__ = ["Cube", "Entities", "Joint", "cube_not_found", "identity"]
 
 ZERO: Vector = (0.0, 0.0, 0.0)
 _NAME_LENGTH = 128
+_NOTES = 32  # of a joint
 
 
 @dataclass(slots=True)
@@ -61,6 +62,7 @@ class Joint:
     cube2: Cube
     params: JsonObject  # the wire's parameters, all of them
     skeleton: str | int | None = None
+    notes: dict[str, float] = field(default_factory=dict)  # what clients keep with it; without effect
 
 
 class Entities:
@@ -80,8 +82,8 @@ class Entities:
         fields: Reads the geometric fields of commands.
         meter: The work of the joints' motors.
         tick_rate: Ticks per second.
-        version: Increases with every change of cubes, joints or frozenness.
-        tuned: Increases with every `set_param`.
+        version: Increases with every change of cubes, joints, frozenness or colours.
+        tuned: Increases with every `set_params`.
 
     Raises:
         WorldError: The engine cannot make the config's scene, or does not know its settings.
@@ -90,7 +92,7 @@ class Entities:
     def __init__(self, backend: Backend, config: Mapping[str, Any], seed: int, version: int) -> None:
         self.version = version
         self.tuned = 0
-        self._reshaped = 0
+        self._reshaped = self._painted = 0
         self._backend = backend
         self._config = config
         self._seed = seed
@@ -104,7 +106,6 @@ class Entities:
         self.cubes: dict[str, Cube] = {}
         self.joints: dict[str, Joint] = {}
         self.body_names: dict[int, str] = {}
-        self._pairs: dict[tuple[int, int], str] = {}  # joints' names by their cubes' bodies, the lower number first
         self._spawned = 0
         self._joined = 0
         self.tick_rate: int = config["tick_rate"]
@@ -113,7 +114,7 @@ class Entities:
     @property
     def edits(self) -> int:
         """How often something was done that an engine may compile its model anew for."""
-        return self.version + self._reshaped
+        return self.version + self._reshaped - self._painted
 
     # -- snapshots -----------------------------------------------------------------------------------------------
 
@@ -124,7 +125,8 @@ class Entities:
         ]
         joints = [
             {
-                **{name: getattr(joint, name) for name in Joint.__slots__},
+                **{name: getattr(joint, name) for name in Joint.__slots__ if name != "notes"},
+                **({"notes": joint.notes} if joint.notes else {}),
                 "cube1": joint.cube1.name,
                 "cube2": joint.cube2.name,
                 "watts": self.meter.watts(joint.number),
@@ -183,7 +185,6 @@ class Entities:
 
     def _add_joint(self, joint: Joint) -> None:
         self.joints[joint.name] = joint
-        self._pairs[_pair(joint.cube1, joint.cube2)] = joint.name
         joint.cube1.joints[joint.name] = joint.cube2.joints[joint.name] = None
 
     # -- looking up ----------------------------------------------------------------------------------------------
@@ -348,6 +349,13 @@ class Entities:
         self._reshaped += 1
         return None if states[0].position == new.position else states[0].position
 
+    def paint(self, cube: Cube, color: Sequence[float]) -> None:
+        """Gives a cube another colour: red, green, blue and perhaps opacity, each from 0 to 1."""
+        red, green, blue, opacity = (*map(float, color), 1.0)[:4]
+        cube.color = (red, green, blue, opacity)
+        self._painted += 1
+        self.version += 1
+
     def freeze(self, cube: Cube, frozen: bool) -> None:
         """Makes a cube immovable, or lets it go at rest."""
         if cube.frozen != frozen:
@@ -357,62 +365,78 @@ class Entities:
 
     # -- joints --------------------------------------------------------------------------------------------------
 
-    def connect(
-        self, command: JsonObject, kind: str, prefix: str, skeleton: str | int | None = None, name: str | None = None
-    ) -> str:
+    def connect(self, command: JsonObject, kind: str, prefix: str, skeleton: str | int | None = None) -> str:
         """Makes the joint that a `create_joint` or `create_bone` command describes; returns its name.
 
         Args:
-            command: Its cubes, geometry and parameters.
+            command: Its cubes, name, geometry, parameters and notes.
             kind: The joint's type, as the wire has it.
             prefix: What a drawn name begins with.
             skeleton: What a bone belongs to.
-            name: The joint's name, which must be free; None: one is drawn.
 
         Raises:
             WorldError: `unsupported`, `cube_not_found`, `self_joint`, `joint_exists`, `limit_reached`, or `invalid` for
-                an axis or a parameter.
+                an axis, a parameter or a name.
         """
         kind = "slide" if kind == "slider" else kind
         self.require(f"joint.{kind}", f"joints of type {kind}")
         cube1, cube2 = self.cube(command["cube1"], "cube1"), self.cube(command["cube2"], "cube2")
         if cube1 is cube2:
             raise WorldError("self_joint", f"a joint needs two cubes; both are {cube1.name!r}", "cube2")
-        pair = _pair(cube1, cube2)
-        if pair in self._pairs:
-            raise WorldError("joint_exists", f"these cubes are joined by {self._pairs[pair]!r} already")
         self.require_room(joints=1)
-        self._require_joinable(cube1, cube2)
+        self.require_joinable([(cube1, cube2)], "cube2")
         anchor, axis = self._joint_geometry(command, kind, cube1, cube2)
-        params = self._first_params(command, kind)
-        name, count = self._new_joint_name(name, prefix)
+        params, notes = self._first_params(command, kind), _notes(command.get("notes", {}))
+        name, count = self._new_joint_name(command, prefix)
         spec = JointSpec(kind, cube1.body, cube2.body, anchor, axis, joint_params.engine_params(params))
         self.simulation.add_joint(count, spec)
         self._joined = count
-        self._add_joint(Joint(name, count, kind, cube1, cube2, params, skeleton))
+        self._add_joint(Joint(name, count, kind, cube1, cube2, params, skeleton, notes))
         if params["motor_enabled"]:
             self.meter.add(count)
         self.version += 1
         return name
 
-    def _require_joinable(self, cube1: Cube, cube2: Cube) -> None:
-        """Raises `limit_reached` where the engine takes no structure of as many cubes as a joint would connect."""
-        most = self._backend.most_joined
-        if most is None or len(self.joints) + 1 < most:  # so few joints connect no more
-            return
-        joined = connected_cubes(cube1, self.joints)
-        if cube2 not in joined and len(joined) + len(connected_cubes(cube2, self.joints)) > most:
-            message = f"joints may connect at most {most} cubes on the {self._backend.name} backend"
-            raise WorldError("limit_reached", f"{message}, and would be more here", "cube2")
+    def require_joinable(self, pairs: Sequence[tuple[Cube, Cube]], path: str) -> None:
+        """Raises unless the engine takes a joint between each of these pairs; `path` is the field to blame.
 
-    def _new_joint_name(self, name: str | None, prefix: str) -> tuple[str, int]:
+        Raises:
+            WorldError: `joint_exists`, where an engine has one joint a pair; `limit_reached`, where it takes no
+                structure of as many cubes as would be connected.
+        """
+        if "joint.several" not in self._backend.capabilities:
+            joined: set[frozenset[int]] = set()
+            for one, two in pairs:
+                pair = frozenset((one.body, two.body))
+                if pair in joined or not one.joints.keys().isdisjoint(two.joints):
+                    reason = f"{one.name!r} and {two.name!r} are joined already, and the {self._backend.name} backend"
+                    raise WorldError("joint_exists", f"{reason} has one joint a pair", path)
+                joined.add(pair)
+        most = self._backend.most_joined
+        if most is None or len(self.joints) + len(pairs) < most:  # so few joints connect no more
+            return
+        if most_connected(pairs, self.joints) > most:
+            message = f"joints may connect at most {most} cubes on the {self._backend.name} backend"
+            raise WorldError("limit_reached", f"{message}, and would be more here", path)
+
+    def _new_joint_name(self, command: JsonObject, prefix: str) -> tuple[str, int]:
         """Returns the name of the next joint, as wished or drawn, and its number in the engine."""
-        count = self._joined + 1
-        if name is not None:
-            return name, count
-        while (drawn := self.draw(prefix, count)) in self.joints:
-            count += 1
-        return drawn, count
+        count, name = self._joined + 1, command.get("joint_name")
+        if name is None:
+            while (drawn := self.draw(prefix, count)) in self.joints:
+                count += 1
+            return drawn, count
+        if name in self.joints:
+            if not command.get("number_if_taken"):
+                raise WorldError("joint_exists", f"there is a joint {name!r} already", "joint_name")
+            number = 2
+            while (numbered := f"{name}_{number}") in self.joints:
+                number += 1
+            name = numbered
+            if len(name) > _NAME_LENGTH:
+                message = f"joint_name: with a number appended it is longer than {_NAME_LENGTH}"
+                raise WorldError("invalid", message, "joint_name")
+        return name, count
 
     def _joint_geometry(self, command: JsonObject, kind: str, cube1: Cube, cube2: Cube) -> tuple[Vector, Vector]:
         """Returns the anchor and the axis of a new joint: the midpoint and the type's own axis where none is said."""
@@ -430,15 +454,13 @@ class Entities:
         return anchor, axis
 
     def _first_params(self, command: JsonObject, kind: str) -> JsonObject:
-        """Returns the parameters that a new joint begins with."""
+        """Returns the parameters that a new joint begins with: its fields, and over them `joint_params`."""
         changes = {name: command[name] for name in joint_params.CAPABILITY if name in command}
         if "limits" in command:
             changes["limit_lower"], changes["limit_upper"] = command["limits"]
             changes["limit_enabled"] = True
-        for parameter in changes:
-            self._require_param(kind, parameter, parameter)
-        default = joint_params.default_params(self._engine_step)
-        return joint_params.adjust(kind, default, changes, self._engine_step, path=None)
+        params = self._adjusted(kind, joint_params.default_params(self._engine_step), changes, "{}")
+        return self._adjusted(kind, params, command.get("joint_params", {}), "joint_params/{}")
 
     def cut(self, joint: Joint) -> None:
         """Removes a joint; its cubes keep their motion."""
@@ -446,14 +468,29 @@ class Entities:
         work = self.meter.remove(joint.number) / self.tick_rate
         joint.cube1.past_work += work
         joint.cube2.past_work += work
-        del self.joints[joint.name], self._pairs[_pair(joint.cube1, joint.cube2)]
+        del self.joints[joint.name]
         del joint.cube1.joints[joint.name], joint.cube2.joints[joint.name]
         self.version += 1
 
-    def set_param(self, joint: Joint, name: str, value: float | bool) -> None:
-        """Sets one parameter of a joint."""
-        self._require_param(joint.kind, name, "param_name")
-        params = joint_params.adjust(joint.kind, joint.params, {name: value}, self._engine_step, path="value")
+    def set_params(self, joint: Joint, changes: JsonObject, path: str, notes: JsonObject | None = None) -> None:
+        """Sets parameters of a joint, all of them or none.
+
+        Args:
+            joint: The joint.
+            changes: New values by name; what is no parameter is passed over.
+            path: The field to blame, with `{}` for the name.
+            notes: What to keep with the joint besides.
+
+        Raises:
+            WorldError: `unsupported`, `invalid`, or `limit_reached` for the notes.
+        """
+        params = self._adjusted(joint.kind, joint.params, changes, path)
+        kept = {**joint.notes, **_notes(notes or {})}
+        if len(kept) > _NOTES:
+            raise WorldError("limit_reached", f"a joint keeps at most {_NOTES} notes", "notes")
+        joint.notes = kept
+        if joint_params.CAPABILITY.keys().isdisjoint(changes):
+            return
         self.simulation.set_joint_params(joint.number, joint_params.engine_params(params))
         if params["motor_enabled"] != joint.params["motor_enabled"]:
             self._reshaped += 1
@@ -462,23 +499,15 @@ class Entities:
             self.meter.add(joint.number)
         self.tuned += 1
 
-    def _require_param(self, kind: str, name: str, path: str) -> None:
-        if kind not in ("hinge", "slide") and not (kind == "conetwist" and name.startswith("limit")):
-            raise WorldError("unsupported", f"a {kind} joint has no {name}", path)
-        self.require(joint_params.CAPABILITY[name], f"{name} for joints")
-
-    def joint_info(self, joint: Joint) -> JsonObject:
-        """Returns a joint's state and parameters, as `joint_info` has them."""
-        reading = self.simulation.joint_state(joint.number)
-        return {
-            **identity(joint),
-            "anchor": reading.anchor,
-            "axis": reading.axis,
-            "position": reading.position,
-            "velocity": reading.velocity,
-            "effort": reading.effort,
-            "params": joint.params,
-        }
+    def _adjusted(self, kind: str, params: JsonObject, changes: JsonObject, path: str) -> JsonObject:
+        """Returns parameters with changes made, in the order in which they act whatever theirs is."""
+        known = {name: changes[name] for name in joint_params.CAPABILITY if name in changes}
+        for name in known:
+            field = "param_name" if path == "value" else path.format(name)
+            if kind not in ("hinge", "slide") and not (kind == "conetwist" and name.startswith("limit")):
+                raise WorldError("unsupported", f"a {kind} joint has no {name}", field)
+            self.require(joint_params.CAPABILITY[name], f"{name} for joints", field)
+        return joint_params.adjust(kind, params, known, self._engine_step, path)
 
     def work(self, cube: Cube) -> float:
         """Returns the work that the motors of all joints that a cube has, or had, have done so far, J."""
@@ -491,8 +520,8 @@ class Entities:
         return f"{prefix}_{count}_{digits}"
 
 
-def _pair(cube1: Cube, cube2: Cube) -> tuple[int, int]:
-    return (cube1.body, cube2.body) if cube1.body < cube2.body else (cube2.body, cube1.body)
+def _notes(notes: JsonObject) -> dict[str, float]:
+    return {name: float(value) for name, value in notes.items()}
 
 
 def cube_not_found(name: str, path: str = "cube_name") -> WorldError:

@@ -60,7 +60,7 @@ def is_complete(params: Mapping[str, Any]) -> bool:
 
 
 def adjust(
-    kind: str, params: Mapping[str, Any], changes: Mapping[str, float | bool], engine_step: float, path: str | None
+    kind: str, params: Mapping[str, Any], changes: Mapping[str, float | bool], engine_step: float, path: str
 ) -> Params:
     """Returns the parameters with changes made, all of them or none.
 
@@ -69,7 +69,7 @@ def adjust(
         params: What the joint has now.
         changes: New values, in the order in which they act.
         engine_step: Length of one engine step, s.
-        path: The field to blame; None where each parameter is a field of its own name.
+        path: The field to blame, with `{}` for the parameter's name.
 
     Raises:
         WorldError: `invalid`: of the wrong type, negative, or the limits are the wrong way round. A `conetwist` has
@@ -77,7 +77,7 @@ def adjust(
     """
     result = dict(params)
     for name, value in changes.items():
-        field = path or name
+        field = path.format(name)
         if isinstance(value, bool) != (name in _SWITCHES):
             expected = "true or false" if name in _SWITCHES else "a number"
             raise WorldError("invalid", f"{field}: {name} must be {expected}, not {value}", field)
@@ -92,7 +92,8 @@ def adjust(
             result["motor_max_force"] = float(value) / engine_step
         elif name == "motor_max_force":
             result["motor_max_impulse"] = float(value) * engine_step
-    lower, upper, field = result["limit_lower"], result["limit_upper"], path or "limits"
+    lower, upper = result["limit_lower"], result["limit_upper"]
+    field = "limits" if path == "{}" else path.format("limit_lower")
     if result["limit_enabled"] and kind == "conetwist":
         if lower < 0.0 or upper < 0.0:
             raise WorldError(

@@ -15,6 +15,7 @@ from nmes.backend import Array, Backend, Contact, Simulation, Track, Vector
 from nmes.backend.rotation import total
 from nmes.objective.trajectory import Flags, touches
 from nmes.schemas.documents import JsonObject
+from nmes.world import readings
 from nmes.world.clients import Clients
 from nmes.world.costs import command_cost, rebuild_cost
 from nmes.world.creature import Creature, Creatures
@@ -165,7 +166,7 @@ class WorldQueries:
 
     def joint_infos(self) -> list[JsonObject]:
         """Returns every joint's state and parameters, as `get_joint_info` answers, in order of creation."""
-        return [self.entities.joint_info(joint) for joint in self.entities.joints.values()]
+        return [readings.joint_info(self.entities, joint) for joint in self.entities.joints.values()]
 
     def contacts(self) -> list[Contact]:
         """Returns the contacts of all cubes in the last step; two cubes that touch each other have one each."""

@@ -1,4 +1,4 @@
-"""Readings of cubes, as replies have them: states, contacts by face, inertial sensors, distances, pictures.
+"""Readings of cubes and joints, as replies have them: states, contacts by face, inertial sensors, distances, pictures.
 
 Hides how a face is told from a contact's normal, what frame a reading is in, and the PNG format.
 
@@ -19,11 +19,22 @@ from nmes.backend import CameraSpec, Contact, Image, Quaternion, Vector
 from nmes.backend.rotation import conjugate, euler_from_quaternion, multiply, normalize, plus, rotate
 from nmes.errors import WorldError
 from nmes.schemas.documents import JsonObject
-from nmes.world.entities import Cube, Entities
+from nmes.world.entities import Cube, Entities, Joint, identity
 from nmes.world.fields import unit_vector
 from nmes.world.subscription import moving_part
 
-__all__ = ["camera", "contact_list", "cube_info", "cube_state", "cube_states", "inertial", "own_axes", "png", "ranges"]
+__all__ = [
+    "camera",
+    "contact_list",
+    "cube_info",
+    "cube_state",
+    "cube_states",
+    "inertial",
+    "joint_info",
+    "own_axes",
+    "png",
+    "ranges",
+]
 
 
 def cube_state(entities: Entities, cube: Cube) -> JsonObject:
@@ -52,6 +63,23 @@ def cube_info(entities: Entities, cube: Cube) -> JsonObject:
     reply["sleeping"] = simulation.sleeping(cube.body)
     reply["joints"] = list(cube.joints)
     reply["contacts"] = contact_list(simulation.contacts(cube.body), reply["quaternion"], entities.body_names)
+    return reply
+
+
+def joint_info(entities: Entities, joint: Joint) -> JsonObject:
+    """Returns a joint's state and parameters, as `joint_info` has them."""
+    reading = entities.simulation.joint_state(joint.number)
+    reply: JsonObject = {
+        **identity(joint),
+        "anchor": reading.anchor,
+        "axis": reading.axis,
+        "position": reading.position,
+        "velocity": reading.velocity,
+        "effort": reading.effort,
+        "params": joint.params,
+    }
+    if joint.notes:
+        reply["notes"] = joint.notes
     return reply
 
 

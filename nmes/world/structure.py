@@ -5,7 +5,7 @@ Hides the rigid motion: the same turn and shift for all, and velocities that sui
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from nmes.backend import BodyState, Quaternion
@@ -14,7 +14,7 @@ from nmes.backend.rotation import conjugate, cross, minus, multiply, normalize, 
 if TYPE_CHECKING:
     from nmes.world.entities import Cube, Joint
 
-__all__ = ["StructureMotion", "connected_cubes"]
+__all__ = ["StructureMotion", "connected_cubes", "most_connected"]
 
 UNTURNED: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
@@ -30,6 +30,26 @@ def connected_cubes(cube: Cube, joints: Mapping[str, Joint]) -> list[Cube]:
                 numbers.add(other.body)
                 cubes.append(other)
     return cubes
+
+
+def most_connected(pairs: Sequence[tuple[Cube, Cube]], joints: Mapping[str, Joint]) -> int:
+    """Returns how many cubes the largest structure has that joints between these pairs would make."""
+    structures: dict[int, set[int]] = {}  # by body: the bodies of its structure
+
+    def structure(cube: Cube) -> set[int]:
+        if cube.body not in structures:
+            bodies = {other.body for other in connected_cubes(cube, joints)}
+            structures.update(dict.fromkeys(bodies, bodies))
+        return structures[cube.body]
+
+    most = 0
+    for one, two in pairs:
+        smaller, larger = sorted((structure(one), structure(two)), key=len)
+        if smaller is not larger:
+            larger |= smaller
+            structures.update(dict.fromkeys(smaller, larger))
+            most = max(most, len(larger))
+    return most
 
 
 class StructureMotion:

@@ -137,8 +137,13 @@ class World(WorldQueries):
         return encoded
 
     def execute(self, client: int, command: Mapping[str, Any]) -> JsonObject:
-        """Executes a command given as a dict and returns the reply as one; else the same as `handle`."""
-        return protocol.decode(self.handle(client, protocol.request_from(dict(command))))
+        """Executes a command given as a dict and returns the reply as one; else the same as `handle`.
+
+        Where the command has fields that are not known, the reply tells them as `ignored`, as over the wire.
+        """
+        request = protocol.request_from(dict(command))
+        reply = protocol.decode(self.handle(client, request))
+        return {**reply, "ignored": list(request.ignored)} if request.ignored else reply
 
     def answer(self, client: Client, request: Request) -> JsonObject:
         """Executes one request, or one command of a batch, and returns its reply.

@@ -121,14 +121,15 @@ def check_shape(typed: Any, schema: Any) -> None:
 # The commands that clients have a method for; a new one gets its own when somebody writes it.
 TYPED = """
 apply_force apply_physics batch compute_reward create_bone create_joint despawn_cube drive freeze_cube
-get_camera get_cube_info get_cube_list get_cube_state get_joint_info get_joint_list get_planets get_world_info
-get_world_state pause ping remove_joint reset resume sense set_cube_state set_joint_param set_mode
-set_objective spawn_creature spawn_cube step subscribe unsubscribe
+get_camera get_cube_info get_cube_list get_cube_state get_joint_info get_joint_list get_joints_for_cube get_planets
+get_world_info get_world_state link_body_cubes link_cube_chains pause ping remove_joint reset resume sense set_color
+set_cube_state set_joint_param set_joint_params set_mode set_objective spawn_creature spawn_cube step subscribe
+unsubscribe
 """.split()
 
 
 def test_no_command_has_lost_its_method() -> None:
-    assert len(TYPED) == 33 and set(TYPED) <= set(declared())
+    assert len(TYPED) == 38 and set(TYPED) <= set(declared())
 
 
 @pytest.mark.parametrize("name", sorted(declared()))
@@ -189,6 +190,15 @@ def test_every_command_works_once() -> None:
         assert checked.set_joint_param(joint, "motor_target_velocity", np.float64(1.5))["value"] == 1.5
         assert [j["joint_name"] for j in checked.get_joint_list()["joints"]] == [joint]
         assert checked.get_joint_info(joint)["params"]["limit_upper"] == 1
+        assert checked.set_joint_params(joint, {"limit_upper": 0.5}, notes={"bias": 0.3})["params"] == {
+            "limit_upper": 0.5
+        }
+        assert checked.get_joint_info(joint)["notes"] == {"bias": 0.3}
+        assert checked.get_joints_for_cube("b")["joints"] == [joint]
+        assert checked.link_cube_chains([["b", "a_BASE"]])["joints"] == ["joint_fixed_b_a_BASE"]
+        checked.remove_joint("joint_fixed_b_a_BASE")
+        assert checked.link_body_cubes("a_", gap=0)["joints"] == []
+        assert checked.set_color("b", [1, 1, 0])["color"] == [1, 1, 0, 1]
         assert checked.apply_physics("b", torque=[0, 0, 1])["cube_name"] == "b"
         assert checked.apply_force(force=[0, 0, 1])["cube_name"] == "b"
         assert checked.step(2)["frame"] == 2

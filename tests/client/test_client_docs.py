@@ -17,7 +17,7 @@ from nmes.protocol import COMMANDS
 from servers import served
 
 ROCKER = COMMANDS["spawn_creature"].schema["examples"][0]["genome"]  # two cubes and a joint
-CUBES = ("a", "b", "c", "taken.torso")
+CUBES = ("a", "b", "c", "taken.torso", "c2")
 OBJECTIVES = 16  # as many as a client may have
 
 # For each code, commands that a server refuses with it, in the world that `client` makes.
@@ -35,12 +35,17 @@ REFUSED: dict[str, list[dict[str, Any]]] = {
         {"type": "get_world_state", "cubes": ["x"]},
         {"type": "create_joint", "cube1": "a", "cube2": "x", "joint_type": "fixed"},
         {"type": "create_bone", "cube1": "a", "cube2": "x"},
+        {"type": "link_cube_chains", "chains": [["a", "b"], ["b", "x"]]},
+        {"type": "link_body_cubes", "prefix": "x"},
+        {"type": "set_color", "cube_name": "x", "color": [1, 0, 0]},
+        {"type": "get_joints_for_cube", "cube_name": "x"},
         {"type": "set_objective", "expression": "time", "cubes": ["x"]},
         {"type": "compute_reward", "metric": "height", "cube": "x"},
     ],
     "joint_not_found": [
         *({"type": kind, "joint_name": "x"} for kind in ("get_joint_info", "remove_joint")),
         {"type": "set_joint_param", "joint_name": "x", "param_name": "damping", "value": 1},
+        {"type": "set_joint_params", "joint_name": "x", "params": {}},
     ],
     "creature_not_found": [
         {"type": "drive", "creature": "x", "controls": []},
@@ -54,18 +59,22 @@ REFUSED: dict[str, list[dict[str, Any]]] = {
         {"type": "compute_reward", "metric": "height"},
     ],
     "joint_exists": [
-        {"type": "create_joint", "cube1": "a", "cube2": "b", "joint_type": "fixed"},
-        {"type": "create_bone", "cube1": "a", "cube2": "b"},
+        {"type": "create_joint", "cube1": "a", "cube2": "b", "joint_type": "fixed", "joint_name": "ab"},
+        {"type": "create_bone", "cube1": "a", "cube2": "b", "joint_name": "ab"},
     ],
     "self_joint": [
         {"type": "create_joint", "cube1": "a", "cube2": "a", "joint_type": "fixed"},
         {"type": "create_bone", "cube1": "a", "cube2": "a"},
+        {"type": "link_cube_chains", "chains": [["b", "a", "a"]]},
     ],
     "limit_reached": [
         {"type": "spawn_cube"},
         {"type": "spawn_creature", "genome": ROCKER},
         {"type": "create_joint", "cube1": "b", "cube2": "c", "joint_type": "fixed"},
         {"type": "create_bone", "cube1": "b", "cube2": "c"},
+        {"type": "link_cube_chains", "chains": [["b", "c"]]},
+        {"type": "link_body_cubes", "prefix": "c", "gap": 1000},
+        {"type": "set_joint_params", "joint_name": "ab", "params": {}, "notes": {"one_too_many": 1}},
         {"type": "set_objective", "expression": "time", "cubes": ["a"], "name": "one-too-many"},
     ],
     "bad_expression": [
@@ -89,7 +98,7 @@ def refusing(code: str) -> Iterator[Client]:
     with served(config) as server, server.client() as builder, server.client() as client:
         for number, name in enumerate(CUBES):
             builder.spawn_cube(name, position=[3 * number, 1, 0])
-        builder.create_joint("a", "b", "fixed")
+        builder.create_joint("a", "b", "fixed", joint_name="ab", notes={f"note_{n}": n for n in range(32)})
         builder.spawn_creature(ROCKER, name="r", position=[0, 5, 0])
         for name in ("endless", *map(str, range(1, OBJECTIVES))):
             client.set_objective("1.0 / (time - time)", name=name, cubes=["a"])

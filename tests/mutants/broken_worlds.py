@@ -347,25 +347,26 @@ def codes_of_its_own(patch: MonkeyPatch) -> None:
 
 
 @defect("7.7:other-order")
-def joined_twice(patch: MonkeyPatch) -> None:
-    """It joins a pair a second time when the other cube is named first."""
+def joined_once(patch: MonkeyPatch) -> None:
+    """It makes no second joint of a pair when the other cube is named first."""
 
-    def twice(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
-        reply = None
-        try:
-            return answer(world, client, command)
-        except WorldError as error:
-            if error.code != "joint_exists":
-                raise
-            for joint in world.entities.joints.values():
-                if (joint.cube1.name, joint.cube2.name) == (command["cube1"], command["cube2"]):
-                    raise
-                if (joint.cube2.name, joint.cube1.name) == (command["cube1"], command["cube2"]):
-                    reply = {"type": "joint_created", "joint_name": f"{joint.name}x"}
-        assert reply is not None
-        return reply
+    def once(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        for joint in world.entities.joints.values():
+            if (joint.cube2.name, joint.cube1.name) == (command["cube1"], command["cube2"]):
+                return {"type": "joint_created", "joint_name": joint.name}
+        return answer(world, client, command)
 
-    around(patch, "create_joint", twice)
+    around(patch, "create_joint", once)
+
+
+@defect("7.18")
+def joints_of_one_name(patch: MonkeyPatch) -> None:
+    """It puts a number behind the name of a joint without being asked to."""
+
+    def numbered(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        return answer(world, client, {**command, "number_if_taken": True})
+
+    around(patch, "create_joint", numbered)
 
 
 @defect("7.17", backend="mujoco")

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import math
 from collections.abc import Iterator
 from typing import Any
 
+import numpy as np
 import pytest
 
 from nmes.protocol import DELIMITER, Session
@@ -102,3 +105,236 @@ def test_what_is_recorded_is_the_command_in_our_words(raw: RawClient) -> None:
         {"type": "apply_physics", "cube_name": "a", "impulse": [1, 0, 0], "id": 7},
         {"type": "get_cube_list"},
     ]
+
+
+# -- joints -----------------------------------------------------------------------------------------------------------
+
+
+def pair(raw: RawClient) -> None:
+    """Spawns `a`, which stays where it is, and `b` beside it."""
+    raw.spawn("a", 0, 10, 0)
+    raw.spawn("b", 1.1, 10, 0)
+    raw.send("freeze_cube", cube_name="a", freeze=True)
+
+
+def params(raw: RawClient, joint: str) -> Message:
+    found: Message = raw.ask("get_joint_info", joint_name=joint)["params"]
+    return found
+
+
+@pytest.mark.parametrize("kind", ["pin", "hinge", "slider", "conetwist", "fixed"])
+def test_a_joint_without_a_name_is_called_after_its_type_and_cubes(raw: RawClient, kind: str) -> None:
+    pair(raw)
+    answers = [raw.ask("create_joint", cube1="a", cube2="b", joint_type=kind)["joint_name"] for _ in range(3)]
+    assert answers == [f"joint_{kind}_a_b", f"joint_{kind}_a_b_2", f"joint_{kind}_a_b_3"]
+    assert raw.ask("get_joints_for_cube", cube_name="a") == {
+        "type": "joints_for_cube",
+        "cube_name": "a",
+        "joints": answers,
+    }
+    raw.world.tick()
+    assert raw.world.fault is None
+
+
+def test_the_name_that_a_client_gives_is_the_joint_s_and_commands_find_it(raw: RawClient) -> None:
+    pair(raw)
+    mine = {"cube1": "a", "cube2": "b", "joint_type": "hinge", "joint_name": "hip"}
+    assert raw.ask("create_joint", **mine)["joint_name"] == "hip"
+    assert raw.ask("create_joint", **mine)["joint_name"] == "hip_2"
+    for name in ("hip", "hip_2"):  # what a client says of its name is about the first, which both cubes still have
+        answer = raw.ask("set_joint_param", joint_name=name, param_name="motor_target_velocity", value=1.5)
+        assert answer["type"] == "joint_param_set" and answer["joint_name"] == name
+    for _ in range(30):
+        raw.world.tick()
+    assert raw.ask("get_cube_state", cube_name="b")["rotation"][2] > 0.3
+
+
+def test_names_that_would_be_too_long_are_drawn(raw: RawClient) -> None:
+    one, two = "a" * 60, "b" * 60
+    raw.spawn(one, 0, 10, 0)
+    raw.spawn(two, 1.1, 10, 0)
+    name = raw.ask("create_joint", cube1=one, cube2=two, joint_type="hinge")["joint_name"]
+    assert name.startswith("joint_1_")
+
+
+def test_a_name_may_be_used_again_when_its_joint_is_gone(raw: RawClient) -> None:
+    pair(raw)
+    mine = {"cube1": "a", "cube2": "b", "joint_type": "hinge", "joint_name": "hip"}
+    raw.ask("create_joint", **mine)
+    raw.send("despawn_cube", cube_name="b")
+    raw.spawn("b", 1.1, 10, 0)
+    assert raw.ask("create_joint", **mine)["joint_name"] == "hip"
+
+
+def test_motors_given_at_creation_turn_their_hinge(raw: RawClient) -> None:
+    pair(raw)
+    motor = {"motor_enable": 1.0, "motor_target_velocity": 2.0, "motor_max_impulse": 100.0}
+    raw.ask("create_joint", cube1="a", cube2="b", joint_type="hinge", joint_params=motor)
+    for _ in range(30):
+        raw.world.tick()
+    assert raw.ask("get_joint_info", joint_name="joint_hinge_a_b")["velocity"] == pytest.approx(2.0, abs=0.01)
+    told = params(raw, "joint_hinge_a_b")
+    assert {name: told[name] for name in motor} == motor
+    raw.ask("set_joint_param", joint_name="joint_hinge_a_b", param_name="motor_enable", value=0.0)
+    assert params(raw, "joint_hinge_a_b")["motor_enable"] == 0.0
+
+
+def test_a_motor_that_is_switched_off_at_creation_does_not_turn(raw: RawClient) -> None:
+    pair(raw)
+    motor = {"motor_target_velocity": 2.0, "motor_max_impulse": 100.0, "motor_enable": 0.0}
+    raw.ask("create_joint", cube1="a", cube2="b", joint_type="hinge", joint_params=motor)
+    raw.world.tick()
+    assert raw.ask("get_joint_info", joint_name="joint_hinge_a_b")["velocity"] == 0.0
+
+
+def driven(raw: RawClient, joint: str) -> float:
+    """Where a joint is after its second cube was pushed and turned for a while."""
+    for _ in range(120):
+        raw.send("apply_physics", cube_name="b", force=[9, 0, 0], torque=[0, 0, 9])
+        raw.world.tick()
+    return float(raw.ask("get_joint_info", joint_name=joint)["position"])
+
+
+def test_a_hinge_has_the_original_s_limits_once_they_are_switched_on(raw: RawClient) -> None:
+    pair(raw)
+    raw.ask("create_joint", cube1="a", cube2="b", joint_type="hinge")
+    assert driven(raw, "joint_hinge_a_b") > 3.0
+    pair_of_limits = params(raw, "joint_hinge_a_b")
+    assert pair_of_limits["limit_lower"] == pytest.approx(-math.pi / 2)
+    assert pair_of_limits["limit_upper"] == pytest.approx(math.pi / 2)
+    raw.send("despawn_cube", cube_name="b")
+    raw.spawn("b", 1.1, 10, 0)
+    raw.ask("create_joint", cube1="a", cube2="b", joint_type="hinge", joint_params={"limit_enable": 1.0})
+    assert driven(raw, "joint_hinge_a_b") == pytest.approx(math.pi / 2, abs=0.05)
+
+
+def test_a_slider_has_limits_of_one_metre_unless_it_is_given_others(raw: RawClient) -> None:
+    pair(raw)
+    raw.ask("create_joint", cube1="a", cube2="b", joint_type="slider")
+    assert driven(raw, "joint_slider_a_b") == pytest.approx(1.0, abs=0.05)
+    for value in (2.0, 0.5):
+        command = {"joint_name": "joint_slider_a_b", "param_name": "linear_limit_upper", "value": value}
+        assert raw.ask("set_joint_param", **command) == {"type": "joint_param_set", **command}
+    assert driven(raw, "joint_slider_a_b") == pytest.approx(0.5, abs=0.05)
+    assert params(raw, "joint_slider_a_b")["linear_limit_upper"] == 0.5
+
+
+@pytest.mark.parametrize("given", [None, 0.3])
+@pytest.mark.parametrize("kind", ["create_joint", "create_bone"])
+def test_cones_and_bones_swing_no_further_than_their_span(raw: RawClient, kind: str, given: float | None) -> None:
+    pair(raw)
+    how = {"joint_type": "conetwist"} if kind == "create_joint" else {"snake_id": 1}
+    more = {} if given is None else {"joint_params": {"swing_span": given}}
+    answer = raw.ask(kind, cube1="a", cube2="b", **how, **more)
+    joint = answer["joint_name" if kind == "create_joint" else "bone_name"]
+    assert params(raw, joint) == {
+        "swing_span": pytest.approx(given or math.pi / 4),
+        "twist_span": pytest.approx(math.pi),
+    }
+    for _ in range(180):
+        raw.send("apply_physics", cube_name="b", torque=[0, 0, 5])
+        raw.world.tick()
+    assert raw.ask("get_cube_state", cube_name="b")["rotation"][2] == pytest.approx(given or math.pi / 4, abs=0.05)
+
+
+def test_what_has_no_effect_is_kept_and_told_back_and_logged_once(raw: RawClient) -> None:
+    pair(raw)
+    soft = {"bias": 0.3, "limit_softness": 0.9, "limit_upper": 1.0}
+    raw.ask("create_joint", cube1="a", cube2="b", joint_type="hinge", joint_params=soft)
+    command = {"joint_name": "joint_hinge_a_b", "param_name": "limit_relaxation", "value": 0.5}
+    assert raw.ask("set_joint_param", **command) == {"type": "joint_param_set", **command}
+    told = params(raw, "joint_hinge_a_b")
+    assert {**told, **soft, "limit_relaxation": 0.5} == told
+    snapshot = raw.world.snapshot()
+    again = World(raw.world.config)
+    again.restore(snapshot)
+    assert again.joint_infos() == raw.world.joint_infos()
+    raw.ask("create_joint", cube1="a", cube2="b", joint_type="pin", joint_params={"damping": 0.5, "impulse_clamp": 2})
+    assert params(raw, "joint_pin_a_b") == {"damping": 0.5, "impulse_clamp": 2.0}
+    again.close()
+
+
+def test_several_parameters_are_set_at_once_or_none(raw: RawClient) -> None:
+    pair(raw)
+    raw.ask("create_joint", cube1="a", cube2="b", joint_type="hinge", joint_name="hip")
+    given = {"limit_enable": 1, "limit_lower": -0.2, "limit_upper": 0.4, "softness": 0.1}
+    answer = raw.ask("set_joint_params", joint_name="hip", params=given)
+    assert answer == {"type": "joint_param_set", "joint_name": "hip", "params": given}
+    before = params(raw, "hip")
+    assert {**before, **given} == before
+    refused = raw.ask("set_joint_params", joint_name="hip", params={"limit_lower": 2.0, "bias": 9.0})
+    assert (refused["type"], refused["code"], refused["command"]) == ("error", "invalid", "set_joint_params")
+    assert params(raw, "hip") == before
+
+
+def test_a_joint_with_a_bad_parameter_is_not_made(raw: RawClient) -> None:
+    pair(raw)
+    bad = {"cube1": "a", "cube2": "b", "joint_type": "hinge", "joint_params": {"motor_max_impulse": -1.0}}
+    refused = raw.ask("create_joint", **bad)
+    assert (refused["code"], refused["field"]) == ("invalid", "joint_params/motor_max_impulse")
+    assert raw.ask("get_joint_list")["joints"] == []
+
+
+# -- many joints at once, colours -------------------------------------------------------------------------------------
+
+
+def test_a_chain_that_is_linked_moves_as_one(raw: RawClient) -> None:
+    names = [f"link_{n}" for n in range(5)]
+    for n, name in enumerate(names):
+        raw.spawn(name, 1.1 * n, 10, 0)
+    answer = raw.send("link_cube_chains", chains=[names[:3], names[2:]], joint_type="fixed", joint_params={})
+    assert answer.count(DELIMITER) == 1
+    assert raw.world.joints() == [f"joint_fixed_{one}_{two}" for one, two in itertools.pairwise(names)]
+    raw.send("apply_force", cube_name=names[0], force=[0, 5, 0])
+    for _ in range(60):
+        raw.world.tick()
+    places = raw.world.poses()[1][:, :3]
+    assert np.linalg.norm(np.diff(places, axis=0), axis=1) == pytest.approx(np.full(4, 1.1), abs=0.01)
+    assert places[:, 1].mean() > 10.5
+
+
+def test_links_have_the_original_s_defaults(raw: RawClient) -> None:
+    pair(raw)
+    raw.send("link_cube_chains", chains=[["a", "b"]], joint_type="slider", joint_params={"softness": 0.5})
+    assert params(raw, "joint_slider_a_b")["linear_limit_upper"] == 1.0
+    assert params(raw, "joint_slider_a_b")["softness"] == 0.5
+
+
+def test_the_cubes_of_a_body_that_touch_or_nearly_touch_are_linked_once(raw: RawClient) -> None:
+    for x in range(3):
+        for y in range(2):
+            raw.spawn(f"body_{x}{y}", 1.1 * x, 10 + y, 0)
+    raw.spawn("body_far", 3.6, 10, 0)
+    raw.spawn("other", 0, 9, 0)
+    for expected in (7, 0):
+        assert raw.send("link_body_cubes", prefix="body_", joint_type="fixed").count(DELIMITER) == 1
+        assert len(raw.world.joints()) == 7, expected
+    assert raw.ask("get_joints_for_cube", cube_name="body_00")["joints"] == [
+        "joint_fixed_body_00_body_01",
+        "joint_fixed_body_00_body_10",
+    ]
+    assert raw.ask("get_joints_for_cube", cube_name="body_far")["joints"] == []
+
+
+@pytest.mark.parametrize(
+    ("text", "color"),
+    [("#FFFF00", (1, 1, 0, 1)), ("00ff0080", (0, 1, 0, 128 / 255)), ("#0000fF", (0, 0, 1, 1))],
+)
+def test_a_colour_is_set_silently(raw: RawClient, text: str, color: tuple[float, ...]) -> None:
+    raw.spawn("a", 0, 10, 0)
+    assert raw.send("set_color", cube_name="a", hex=text) == b""
+    assert raw.ask("get_cube_info", cube_name="a")["color"] == pytest.approx(color)
+    assert raw.send("set_color", cube_name="a", hex="yellow") == b""
+    assert raw.ask("get_cube_info", cube_name="a")["color"] == pytest.approx(color)
+    assert raw.recorded[-2]["hex"] == "yellow"
+
+
+# -- planets, replays -------------------------------------------------------------------------------------------------
+
+
+def test_planets_are_told_by_name(raw: RawClient) -> None:
+    client = RawClient(scene={"type": "planets"})
+    ours = client.world.execute(client.number, {"type": "get_planets"})["planets"]
+    assert client.ask("get_planets") == {planet["Name"]: [planet] for planet in ours} != {}
+    assert raw.ask("get_planets") == {}
+    client.world.close()

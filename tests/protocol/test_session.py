@@ -21,7 +21,6 @@ from nmes.protocol import (
     Session,
     decode,
     encode,
-    parse,
 )
 
 PING = b'{"type":"ping"}'
@@ -33,7 +32,7 @@ SMALL = Limits(frame=64, auth_frame=48, pending=10_000)
 def read(session: Session, data: bytes) -> list[Auth | Request]:
     """What a host makes of the bytes that it receives."""
     received = session.receive(data)
-    return [session.redacted(parse(item)) if isinstance(item, bytes) else item for item in received]
+    return [session.redacted(session.parse(item)) if isinstance(item, bytes) else item for item in received]
 
 
 def opened(first: bytes = AUTH, limits: Limits | None = None) -> Session:
@@ -268,19 +267,20 @@ def test_the_raw_dialect_is_silent_after_these_commands_and_no_others() -> None:
             if not raw.reply(request, b"{}"):
                 silent.add(name)
             assert json_dialect.reply(request, b"{}") == b"{}" + DELIMITER
-    assert silent == {"spawn_cube", "despawn_cube", "apply_force", "apply_physics", "freeze_cube"}
+    assert silent == {"spawn_cube", "despawn_cube", "apply_force", "apply_physics", "freeze_cube", "set_color"}
     for frame in (b"{", b"\xff", b'{"type":"fly"}', b'{"type":["spawn_cube"]}'):
         (request,) = read(raw, frame + DELIMITER)
         assert isinstance(request, Request) and raw.reply(request, b"{}") == b"{}" + DELIMITER
 
 
-def test_planets_are_sent_without_an_envelope_in_the_raw_dialect() -> None:
-    reply = encode({"type": "planets", "planets": [{"Name": "Planet_0"}], "id": 4})
+def test_planets_have_a_key_each_in_the_raw_dialect() -> None:
+    planets = [{"Name": "(0, 0, 0)"}, {"Name": "(0, 0, 1)"}]
+    reply = encode({"type": "planets", "planets": planets, "id": 4})
     failed = encode({"type": "error", "code": "world_faulted", "message": "", "command": "get_planets"})
-    for session, bare in ((opened(b"open sesame"), True), (opened(), False)):
+    for session, raw in ((opened(b"open sesame"), True), (opened(), False)):
         (request,) = read(session, b'{"type":"get_planets","id":4}' + DELIMITER)
         assert isinstance(request, Request)
-        answer = b'{"planets":[{"Name":"Planet_0"}]}' if bare else reply
+        answer = encode({planet["Name"]: [planet] for planet in planets}) if raw else reply
         assert session.reply(request, reply) == answer + DELIMITER
         assert session.reply(request, failed) == failed + DELIMITER
 

@@ -217,12 +217,12 @@ def test_bones_belong_to_skeletons(drive: Driver) -> None:
 
 def test_impossible_commands_are_refused_and_change_nothing(drive: Driver) -> None:
     a, b, c = drive.spawn(cube_name="a"), drive.spawn(cube_name="b"), drive.spawn(cube_name="c")
-    drive.joint(a, b)
+    joint = drive.joint(a, b)
     drive.refused("cube_exists", "spawn_cube", cube_name="a")
     drive.refused("cube_not_found", "despawn_cube", cube_name="z")
     drive.refused("cube_not_found", "get_cube_info", cube_name="z")
     drive.refused("cube_not_found", "get_world_state", cubes=["a", "z"])
-    drive.refused("joint_exists", "create_joint", cube1=b, cube2=a, joint_type="fixed")
+    drive.refused("joint_exists", "create_joint", cube1=b, cube2=a, joint_type="fixed", joint_name=joint)
     drive.refused("self_joint", "create_joint", cube1=a, cube2=a, joint_type="hinge")
     assert drive.refused("cube_not_found", "create_joint", cube1=a, cube2="z", joint_type="hinge")["field"] == "cube2"
     drive.refused("joint_not_found", "remove_joint", joint_name="z")

@@ -144,6 +144,33 @@ class JointChecks(Checks):
         speed = sim.joint_state(0).velocity
         assert_close([speed], [math.exp(-rate)], 5e-3, f"speed of a {kind}, damping {linear:g} and {angular:g} 1/s")
 
+    def test_holds_several_joints_of_one_pair(self) -> None:
+        """A second joint between two bodies holds them too, of whatever kind, also when the first is cut."""
+        self.need("joint.several")
+        kinds = [kind for kind in KINDS if self.can(f"joint.{kind}")]
+        for first, second in [*((kind, kind) for kind in kinds), (kinds[-1], kinds[0])]:
+            sim = self.space()
+            sim.add_body(0, box((-0.5, 0.0, 0.0), mass=1.0))
+            sim.add_body(1, box((0.5, 0.0, 0.0), mass=2.0))
+            for number, kind in enumerate((first, second)):
+                limits = (-3.0, 3.0) if kind == "slide" and self.can("limits") else None
+                sim.add_joint(number, joint(kind, 0.0, limits))
+            sim.apply(0, ZERO, ZERO, (0.0, 1.0, 0.0), (0.0, 0.0, 0.2))
+            sim.apply(1, ZERO, ZERO, (0.5, -2.0, 0.0), ZERO)
+            for cut in (False, True):
+                if cut:
+                    sim.remove_joint(0)
+                run(sim, 1.0)
+                for kind in (second,) if cut else (first, second):
+                    gap = joint_gap(sim, kind)
+                    assert gap <= self.joint_error, f"{first} and {second}, cut {cut}: {gap} m apart as a {kind} joint"
+            sim.remove_joint(1)
+            apart = sim.states([1])[0, :3] - sim.states([0])[0, :3]
+            sim.apply(1, ZERO, ZERO, vector(20.0 * apart), ZERO)
+            run(sim, 0.5)
+            distance = float(np.linalg.norm(np.diff(sim.states([0, 1])[:, :3], axis=0)))
+            assert distance > 2.0, f"{first} and {second}: {distance} m from each other when both are cut"
+
     def test_lets_joined_bodies_overlap(self) -> None:
         """Jointed bodies do not collide with each other."""
         kind = self.a_joint("fixed", "hinge")

@@ -86,12 +86,17 @@ def a_joint_to_itself(t: Trial) -> None:
 
 @table(7, "4.error.joint_exists", [Row("same-order", False), Row("other-order", True)], needs=("joint.fixed",))
 def two_joints_of_a_pair(t: Trial, swap: bool) -> None:
-    """A second joint between two cubes gets joint_exists, whichever is named first."""
+    """A second joint between two cubes is made with joint.several, else gets joint_exists, whichever is named first."""
     wire = t.join()
     one, two = t.spawn(wire), t.spawn(wire, position=t.at(1.5))
-    t.join_cubes(wire, one, two)
+    joints = [t.join_cubes(wire, one, two)]
     one, two = (two, one) if swap else (one, two)
-    t.refused(wire, {"type": "create_joint", "cube1": one, "cube2": two, "joint_type": "fixed"}, "joint_exists")
+    command = {"type": "create_joint", "cube1": one, "cube2": two, "joint_type": "fixed"}
+    if t.probe.claims("joint.several"):
+        joints.append(t.ask(wire, command, "joint_created")["joint_name"])
+    else:
+        t.refused(wire, command, "joint_exists")
+    t.equal(t.info(wire, one)["joints"], joints, "joints of both")
 
 
 @case(8, "4.error.joint_not_found", needs=("joint.fixed", "remove_joint"))
@@ -225,3 +230,17 @@ def limits_the_wrong_way_round(t: Trial) -> None:
     t.refused(wire, wrong, "invalid")
     params = t.ask(wire, {"type": "get_joint_info", "joint_name": joint}, "joint_info")["params"]
     t.equal([params["limit_lower"], params["limit_upper"]], [-1, 1], "the limits after the refusal")
+
+
+@case(18, "4.error.joint_exists", needs=("joint.fixed", "joint.several", "set_joint_params"))
+def joint_names_that_are_taken(t: Trial) -> None:
+    """A joint has the name that it is given; a second one of that name gets joint_exists, or a number if it asks."""
+    wire = t.join()
+    one, two = t.spawn(wire), t.spawn(wire, position=t.at(1.5))
+    name = t.name()
+    t.equal(t.join_cubes(wire, one, two, joint_name=name), name, "joint_name")
+    command = {"type": "create_joint", "cube1": one, "cube2": two, "joint_type": "fixed", "joint_name": name}
+    t.refused(wire, command, "joint_exists", "joint_name")
+    numbered = t.ask(wire, {**command, "number_if_taken": True}, "joint_created")["joint_name"]
+    t.equal(numbered, f"{name}_2", "the name with a number")
+    t.equal(t.info(wire, one)["joints"], [name, numbered], "joints of the first")

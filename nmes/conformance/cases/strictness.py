@@ -173,10 +173,11 @@ def numbers_that_are_only_long(t: Trial) -> None:
 
 @case(9, "3.2.1")
 def unknown_fields_are_ignored(t: Trial) -> None:
-    """Fields that are not known are ignored, whatever is in them."""
+    """Fields that are not known are ignored, whatever is in them; a server that tells which tells them all."""
     wire = t.join()
     command = {"type": "spawn_cube", "cube_name": t.name(), "position": t.at(), "flavour": {"deep": [1]}, "": None}
-    t.ask(wire, command, "cube_list")
+    reply = t.ask(wire, command, "cube_list")
+    t.equal(reply.get("ignored", ["flavour", ""]), ["flavour", ""], "ignored")
 
 
 @table(

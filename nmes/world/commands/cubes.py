@@ -75,6 +75,13 @@ def freeze_cube(world: World, client: Client, command: JsonObject) -> JsonObject
     return {"type": "cube_frozen", "cube_name": cube.name, "freeze": cube.frozen}
 
 
+def set_color(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Gives a cube another colour."""
+    cube = world.entities.cube(command["cube_name"])
+    world.entities.paint(cube, command["color"])
+    return {"type": "color_set", "cube_name": cube.name, "color": cube.color}
+
+
 def get_cube_list(world: World, client: Client, command: JsonObject) -> JsonObject:
     """Lists the cubes' names in order of creation."""
     return {"type": "cube_list", "cubes": world.cubes()}
@@ -111,6 +118,7 @@ COMMANDS = {
     "despawn_cube": despawn_cube,
     "apply_physics": apply_physics,
     "apply_force": apply_physics,
+    "set_color": set_color,
     "set_cube_state": set_cube_state,
     "freeze_cube": freeze_cube,
     "get_cube_list": get_cube_list,

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from nmes import protocol
 from nmes.schemas.documents import JsonObject
+from nmes.world import linking, readings
 from nmes.world.clients import Client
 from nmes.world.entities import identity
 
@@ -36,8 +37,16 @@ def remove_joint(world: World, client: Client, command: JsonObject) -> JsonObjec
 def set_joint_param(world: World, client: Client, command: JsonObject) -> JsonObject:
     """Sets one parameter of a joint."""
     joint, name, value = world.entities.joint(command["joint_name"]), command["param_name"], command["value"]
-    world.entities.set_param(joint, name, value)
+    world.entities.set_params(joint, {name: value}, "value")
     return {"type": "joint_param_set", "joint_name": joint.name, "param_name": name, "value": value}
+
+
+def set_joint_params(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Sets several parameters of a joint at once, and what is to be kept with it."""
+    joint, params = world.entities.joint(command["joint_name"]), command["params"]
+    world.entities.set_params(joint, params, "params/{}", command.get("notes"))
+    known = {name: value for name, value in params.items() if name in joint.params}
+    return {"type": "joint_params_set", "joint_name": joint.name, "params": known}
 
 
 def get_joint_list(world: World, client: Client, command: JsonObject) -> JsonObject:
@@ -47,7 +56,23 @@ def get_joint_list(world: World, client: Client, command: JsonObject) -> JsonObj
 
 def get_joint_info(world: World, client: Client, command: JsonObject) -> JsonObject:
     """Reads all that is known of a joint."""
-    return {"type": "joint_info", **world.entities.joint_info(world.entities.joint(command["joint_name"]))}
+    return {"type": "joint_info", **readings.joint_info(world.entities, world.entities.joint(command["joint_name"]))}
+
+
+def get_joints_for_cube(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Lists the names of a cube's joints, in order of creation."""
+    cube = world.entities.cube(command["cube_name"])
+    return {"type": "joints_for_cube", "cube_name": cube.name, "joints": list(cube.joints)}
+
+
+def link_cube_chains(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Joins the neighbours in each of several chains of cubes."""
+    return {"type": "cubes_linked", "joints": linking.link_chains(world.entities, command)}
+
+
+def link_body_cubes(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Joins those of the cubes with some prefix that touch or nearly touch, and are not joined yet."""
+    return {"type": "cubes_linked", "joints": linking.link_neighbours(world.entities, command)}
 
 
 COMMANDS = {
@@ -55,6 +80,10 @@ COMMANDS = {
     "create_bone": create_bone,
     "remove_joint": remove_joint,
     "set_joint_param": set_joint_param,
+    "set_joint_params": set_joint_params,
     "get_joint_list": get_joint_list,
     "get_joint_info": get_joint_info,
+    "get_joints_for_cube": get_joints_for_cube,
+    "link_body_cubes": link_body_cubes,
+    "link_cube_chains": link_cube_chains,
 }
