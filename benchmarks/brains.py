@@ -106,8 +106,8 @@ def figures() -> Iterator[Figure]:
     )
     times = {"microseconds a step": summary(samples, 1e-6)}
     yield Figure(
-        "cpg, 7 motors: step / plain numpy", ratio(samples, "cpg", "bare cpg"), "x", at_most=1.5, details=times
+        "cpg, 7 motors: step / plain numpy", ratio(samples, "cpg", "bare cpg"), "x", at_most=1.3, details=times
     )
-    yield Figure("mlp 20-32-7: step / plain numpy", ratio(samples, "mlp", "bare mlp"), "x", at_most=5.0, details=times)
+    yield Figure("mlp 20-32-7: step / plain numpy", ratio(samples, "mlp", "bare mlp"), "x", at_most=1.3, details=times)
     name = "mlp 20-32-7: a brain's step in a batch of 64 / plain numpy"
-    yield Figure(name, ratio(samples, "mlp in a batch of 64", "bare mlp"), "x", at_most=2.5, details=times)
+    yield Figure(name, ratio(samples, "mlp in a batch of 64", "bare mlp"), "x", at_most=0.5, details=times)

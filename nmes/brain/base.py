@@ -12,12 +12,12 @@ document, the seed, dt, the inputs and the C library. Outputs are finite and fro
 from __future__ import annotations
 
 import copy
-import json
 from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
+import orjson
 from numpy.typing import NDArray
 
 from nmes.errors import DocumentError
@@ -187,6 +187,16 @@ class Kernel(ABC):
 
     open_loop = False
 
+    @property
+    @abstractmethod
+    def arrays(self) -> tuple[Array, ...]:
+        """All arrays that tell one brain from another, with `lead` in front, in one order for all of its form."""
+
+    def put(self, row: int, other: Kernel) -> None:
+        """Takes over what another kernel is, of one brain of the same form, in a row's place; after `reset`."""
+        for mine, its in zip(self.arrays, other.arrays, strict=True):
+            mine[row] = its
+
     @abstractmethod
     def reset(self, seeds: Sequence[int], dt: float) -> None:
         """Goes to the start; one seed a brain; `dt` is a control step, s."""
@@ -204,6 +214,11 @@ class OpenLoop(Kernel):
     """A kernel that looks at nothing and so computes many steps at once."""
 
     open_loop = True
+
+    @property
+    def arrays(self) -> tuple[Array, ...]:
+        """Not to be had: what is computed ahead is all rows'."""
+        raise ValueError("these brains look at no sensor: what they do is known beforehand, from `controls`")
 
     def reset(self, seeds: Sequence[int], dt: float) -> None:
         """Goes to the start."""
@@ -391,8 +406,8 @@ class Brain(ABC):
         """Returns everything about the brain but its parameters, as text: brains of the same form can be stacked."""
         bare = copy.deepcopy(self._document)
         for where, key, _, _ in self._parameters(bare):
-            where[key] = np.zeros(np.shape(where[key]))
-        return json.dumps([self.inputs, self.outputs, _plain(bare)])
+            where[key] = np.zeros(np.shape(where[key]))[()]
+        return orjson.dumps([self.inputs, self.outputs, bare], option=orjson.OPT_SERIALIZE_NUMPY).decode()
 
 
 class BrainBatch:
@@ -407,9 +422,9 @@ class BrainBatch:
         """See `stack`."""
         if not brains:
             raise ValueError("there are no brains to stack")
-        form = brains[0].form()
+        self._form = brains[0].form()
         for number, brain in enumerate(brains):
-            if brain.form() != form:
+            if brain.form() != self._form:
                 raise ValueError(f"brain {number} differs from brain 0 by more than its parameters")
         self.inputs = brains[0].inputs
         self.outputs = brains[0].outputs
@@ -429,7 +444,27 @@ class BrainBatch:
         """Goes to the start: a seed for each brain; `dt` is a control step, s."""
         if len(seeds) != self._count:
             raise ValueError(f"there are {self._count} brains and {len(seeds)} seeds")
+        self._dt = dt
         self._kernel.reset(seeds, dt)
+
+    def restart(self, row: int, brain: Brain, seed: int) -> None:
+        """Puts a brain in a row's place, at its own start; the others go on as if nothing had been; after `reset`.
+
+        Args:
+            row: Whose place it takes.
+            brain: Of the same form.
+            seed: Of whatever it draws; from 0.
+
+        Raises:
+            ValueError: It has another form, there is no such row, or the brains are `open_loop`.
+        """
+        if not 0 <= row < self._count:
+            raise ValueError(f"there is no row {row}: there are {self._count}")
+        if brain.form() != self._form:
+            raise ValueError("the brain differs from the others by more than its parameters")
+        kernel = brain._run(*brain._arrays())
+        kernel.reset((seed,), self._dt)
+        self._kernel.put(row, kernel)
 
     def step(self, inputs: Array) -> Array:
         """Goes one control step on: inputs (brains, sensors), outputs (brains, motors) in a buffer that is reused."""

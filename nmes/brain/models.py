@@ -192,13 +192,23 @@ class OnnxKernel(Kernel):
         self._names = [outs[0].name]
         self._sums = np.zeros((count, sensors + 1))
         self._sums[:, :sensors] = entries.spread(np.eye(count))
-        self._row = np.zeros((*lead, 1, sensors + 1))
+        self._row = np.zeros((*lead, sensors + 1))
         self._inputs = Inputs(self._row, sensors)
         self._seen = np.zeros((*lead, count))
         self._fed = np.zeros((len(self._sessions), *_sizes(ins[0], count)), _TYPES[ins[0].type])
         self._feeds = [{ins[0].name: fed} for fed in self._fed]
         self._raw = np.zeros((*lead, entries.counts["outputs"]))
         self._outputs = Outputs(entries.owners["outputs"], unbounded=True)
+
+    @property
+    def arrays(self) -> tuple[Array, ...]:
+        """Nothing: what a model is made of is in its session."""
+        return ()
+
+    def put(self, row: int, other: Kernel) -> None:
+        """Takes another model's session over."""
+        assert isinstance(other, OnnxKernel)
+        (self._sessions[row],) = other._sessions
 
     def reset(self, seeds: Sequence[int], dt: float) -> None:
         """Has nothing to forget."""

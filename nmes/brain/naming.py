@@ -19,10 +19,10 @@ class Inputs:
     """Where the inputs stand in a buffer, kept within the limit, with a 1 behind them."""
 
     def __init__(self, row: Array, count: int) -> None:
-        """Takes a buffer (*lead, 1, columns)."""
-        self._x = row[..., 0, :count]
+        """Takes a buffer (*lead, columns)."""
+        self._x = row[..., :count]
         self._low, self._high = np.full(count, -LIMIT), np.full(count, LIMIT)
-        row[..., 0, count] = 1.0
+        row[..., count] = 1.0
 
     def read(self, inputs: Array) -> None:
         """Takes what sensors read (*lead, sensors)."""

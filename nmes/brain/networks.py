@@ -18,7 +18,7 @@ from typing import Final
 
 import numpy as np
 
-from nmes.brain.arithmetic import each, weigh
+from nmes.brain.arithmetic import each, on_each, weigh
 from nmes.brain.base import LIMIT, Array, Brain, Findings, Indices, JsonObject, Kernel
 from nmes.brain.naming import Entries, Inputs, Outputs
 
@@ -27,52 +27,75 @@ __all__ = ["CtrnnBrain", "GraphBrain", "MlpBrain"]
 # -- activations ------------------------------------------------------------------------------------------------------
 
 
-def _tanh(sums: Array) -> None:
-    each(math.tanh, sums)
+# Each takes the sums, contiguous, and returns what writes their activations to the target, for arrays that stay where
+# they are. What is in the sums may be lost.
 
 
-def _sigmoid(sums: Array) -> None:
-    # exp(-s) would overflow; this is the same.
-    np.multiply(sums, 0.5, out=sums)
-    each(math.tanh, sums)
-    np.multiply(sums, 0.5, out=sums)
-    np.add(sums, 0.5, out=sums)
+def _tanh(sums: Array, target: Array) -> Callable[[], None]:
+    return on_each(math.tanh, sums, target)
 
 
-def _sin(sums: Array) -> None:
-    each(math.sin, sums)
+def _sigmoid(sums: Array, target: Array) -> Callable[[], None]:
+    tanh = on_each(math.tanh, sums, sums)
+
+    def apply() -> None:
+        # exp(-s) would overflow; this is the same.
+        np.multiply(sums, 0.5, out=sums)
+        tanh()
+        np.multiply(sums, 0.5, out=sums)
+        np.add(sums, 0.5, out=target)
+
+    return apply
 
 
-def _cos(sums: Array) -> None:
-    each(math.cos, sums)
+def _sin(sums: Array, target: Array) -> Callable[[], None]:
+    return on_each(math.sin, sums, target)
 
 
-def _gauss(sums: Array) -> None:
-    np.multiply(sums, sums, out=sums)
-    np.multiply(sums, -1.0, out=sums)  # numpy 2.4's negative is wrong in place where numbers stand 64 bytes apart
-    each(math.exp, sums)
+def _cos(sums: Array, target: Array) -> Callable[[], None]:
+    return on_each(math.cos, sums, target)
 
 
-def _step(sums: Array) -> None:
-    np.greater_equal(sums, 0.0, out=sums)
+def _gauss(sums: Array, target: Array) -> Callable[[], None]:
+    exp = on_each(math.exp, sums, target)
+
+    def apply() -> None:
+        np.multiply(sums, sums, out=sums)
+        np.multiply(sums, -1.0, out=sums)
+        exp()
+
+    return apply
 
 
-def _relu(sums: Array) -> None:
-    np.maximum(sums, 0.0, out=sums)
-    np.minimum(sums, LIMIT, out=sums)
+def _step(sums: Array, target: Array) -> Callable[[], None]:
+    return lambda: np.greater_equal(sums, 0.0, out=target)
 
 
-def _abs(sums: Array) -> None:
-    np.absolute(sums, out=sums)
-    np.minimum(sums, LIMIT, out=sums)
+def _relu(sums: Array, target: Array) -> Callable[[], None]:
+    return _between(0.0, LIMIT, sums, target)
 
 
-def _identity(sums: Array) -> None:
-    np.maximum(sums, -LIMIT, out=sums)
-    np.minimum(sums, LIMIT, out=sums)
+def _abs(sums: Array, target: Array) -> Callable[[], None]:
+    def apply() -> None:
+        np.absolute(sums, out=sums)
+        np.minimum(sums, LIMIT, out=target)
+
+    return apply
 
 
-_ACTIVATIONS: Final[Mapping[str, Callable[[Array], None]]] = {
+def _identity(sums: Array, target: Array) -> Callable[[], None]:
+    return _between(-LIMIT, LIMIT, sums, target)
+
+
+def _between(low: float, high: float, sums: Array, target: Array) -> Callable[[], None]:
+    def apply() -> None:
+        np.maximum(sums, low, out=sums)
+        np.minimum(sums, high, out=target)
+
+    return apply
+
+
+_ACTIVATIONS: Final[Mapping[str, Callable[[Array, Array], Callable[[], None]]]] = {
     "tanh": _tanh,
     "sigmoid": _sigmoid,
     "sin": _sin,
@@ -104,19 +127,24 @@ class MlpKernel(Kernel):
         self, activations: Sequence[str], owner: Sequence[int], inputs: int, matrices: Sequence[Array]
     ) -> None:
         """Takes for each layer a matrix (*lead, units, what is before + 1), whose last column are the biases."""
-        lead = matrices[0].shape[:-2]
-        source = np.zeros((*lead, 1, inputs + 1))
+        *lead, _, columns = matrices[0].shape
+        source = np.zeros((*lead, columns))
         self._inputs = Inputs(source, inputs)
+        self._matrices = tuple(matrices)
         self._layers = []
         for name, matrix in zip(activations, matrices, strict=True):
-            units = matrix.shape[-2]
-            row = np.zeros((*lead, 1, units + 1))
-            row[..., 0, units] = 1.0
-            target = row[..., 0, :units]
-            self._layers.append((matrix, source, target, _ACTIVATIONS[name]))
+            *lead, units, _ = matrix.shape
+            row = np.ones((*lead, units + 1))
+            sums, target = np.empty((*lead, units)), row[..., :units]
+            self._layers.append((matrix, source, sums, _ACTIVATIONS[name](sums, target)))
             source = row
         self._last = target
         self._outputs = Outputs(owner, activations[-1] in _UNBOUNDED)
+
+    @property
+    def arrays(self) -> tuple[Array, ...]:
+        """What it is made of: its matrices."""
+        return self._matrices
 
     def reset(self, seeds: Sequence[int], dt: float) -> None:
         """Has nothing to forget."""
@@ -124,9 +152,9 @@ class MlpKernel(Kernel):
     def step(self, inputs: Array) -> Array:
         """Goes one control step on."""
         self._inputs.read(inputs)
-        for weights, source, target, activate in self._layers:
-            weigh(weights, source, target)
-            activate(target)
+        for weights, source, sums, activate in self._layers:
+            weigh(weights, source, sums)
+            activate()
         return self._outputs.pick(self._last)
 
 
@@ -181,31 +209,37 @@ class CtrnnKernel(Kernel):
         self._drive[..., :m] = 0.5 * input_weights
         self._drive[..., m] = 0.5 * (biases + 0.5 * weights.sum(axis=-1))
         self._drive[..., m + 1 : m + 1 + n] = 0.25 * weights
-        self._row = np.zeros((*lead, 1, m + 1 + n))
+        self._row = np.zeros((*lead, m + 1 + n))
         self._inputs = Inputs(self._row, m)
-        self._u = self._row[..., 0, m + 1 : m + 1 + n]
-        self._v, self._pull = np.empty_like(biases), np.empty_like(biases)
+        self._u = self._row[..., m + 1 : m + 1 + n]
+        self._v, self._sums, self._keep, self._take = np.empty((4, *biases.shape))
+        self._fire = on_each(math.tanh, self._sums, self._u)
         self._outputs = Outputs(owner, unbounded=False)
+
+    @property
+    def arrays(self) -> tuple[Array, ...]:
+        """What it is made of: its matrix, its neurons, and how they follow."""
+        return self._taus, self._biases, self._drive, self._row, self._v, self._keep, self._take
 
     def reset(self, seeds: Sequence[int], dt: float) -> None:
         """Goes to the start, at which every y is 0."""
-        self._keep = -dt / self._taus
+        np.divide(-dt, self._taus, out=self._keep)
         each(math.exp, self._keep)
-        self._take = 1.0 - self._keep
-        self._v[...] = 0.5 * self._biases
-        self._u[...] = self._v
-        each(math.tanh, self._u)
+        np.subtract(1.0, self._keep, out=self._take)
+        np.multiply(0.5, self._biases, out=self._v)
+        self._sums[...] = self._v
+        self._fire()
 
     def step(self, inputs: Array) -> Array:
         """Goes one control step on."""
         self._inputs.read(inputs)
-        v, pull = self._v, self._pull
-        weigh(self._drive, self._row, pull)
-        np.multiply(pull, self._take, out=pull)
+        v, sums = self._v, self._sums
+        weigh(self._drive, self._row, sums)
+        np.multiply(sums, self._take, out=sums)
         np.multiply(v, self._keep, out=v)
-        np.add(v, pull, out=v)
-        self._u[...] = v
-        each(math.tanh, self._u)
+        np.add(v, sums, out=v)
+        sums[...] = v
+        self._fire()
         return self._outputs.pick(self._u)
 
 
@@ -250,16 +284,20 @@ class GraphKernel(Kernel):
     ) -> None:
         """Takes a matrix (*lead, nodes, columns) of [inputs, 1, the nodes now, the nodes a step before]."""
         *lead, n, columns = matrix.shape
-        self._row = np.zeros((*lead, 1, columns))
+        self._matrix, self._row = matrix, np.zeros((*lead, columns))
         self._inputs = Inputs(self._row, inputs)
-        self._now = self._row[..., 0, inputs + 1 : inputs + 1 + n]
-        self._before = self._row[..., 0, inputs + 1 + n : columns]
-        self._sums = [np.empty((*lead, which.stop - which.start)) for which, _ in groups]
-        self._groups = [
-            (matrix[..., which, :], sums, self._now[..., which], _ACTIVATIONS[name])
-            for (which, name), sums in zip(groups, self._sums, strict=True)
-        ]
+        self._now = self._row[..., inputs + 1 : inputs + 1 + n]
+        self._before = self._row[..., inputs + 1 + n : columns]
+        self._groups = []
+        for which, name in groups:
+            sums = np.empty((*lead, which.stop - which.start))
+            self._groups.append((matrix[..., which, :], sums, _ACTIVATIONS[name](sums, self._now[..., which])))
         self._outputs = Outputs(owner, unbounded)
+
+    @property
+    def arrays(self) -> tuple[Array, ...]:
+        """What it is made of: its matrix, and its nodes."""
+        return self._matrix, self._row
 
     def reset(self, seeds: Sequence[int], dt: float) -> None:
         """Goes to the start, at which every node is 0."""
@@ -269,10 +307,9 @@ class GraphKernel(Kernel):
         """Goes one control step on."""
         self._inputs.read(inputs)
         self._before[...] = self._now
-        for weights, sums, values, activate in self._groups:
+        for weights, sums, activate in self._groups:
             weigh(weights, self._row, sums)
-            activate(sums)
-            values[...] = sums
+            activate()
         return self._outputs.pick(self._now)
 
 

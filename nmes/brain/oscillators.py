@@ -14,10 +14,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 from math import exp, sin, tau
+from types import EllipsisType
 
 import numpy as np
 
-from nmes.brain.arithmetic import each, weigh
+from nmes.brain.arithmetic import each, on_each, weigh
 from nmes.brain.base import LIMIT, Array, Brain, Findings, Indices, JsonObject, Kernel, OpenLoop
 
 __all__ = ["CpgBrain", "SineBrain"]
@@ -96,7 +97,7 @@ class CpgKernel(Kernel):
 
     With s_e = sin(phase_from - phase_to - lag) for each edge e, the next phases are
     phase + dt (speed + sum weight s + sum rate x). Both sums are products of a matrix with what stands in one row,
-    [phases, 1, inputs, s], so that a step is three calls of numpy.
+    [phases, 1, inputs, s], so that a step is a few calls of numpy.
     """
 
     def __init__(
@@ -106,12 +107,11 @@ class CpgKernel(Kernel):
         self._source, self._target = edges
         self._convergence = convergence
         self._jitter = jitter
+        self._waves, self._ties, self._rates, self._shifts = waves, ties, rates, offsets
         self._speed: Array = waves[..., 0, :]
         self._amplitude: Array = waves[..., 1, :]
         self._phase: Array = waves[..., 2, :]
         self._offset: Array = waves[..., 3, :]
-        self._weight, self._lag = ties[..., 0, :], ties[..., 1, :]
-        self._rates = rates
         self._lead = self._speed.shape[:-1]
         self._n, self._edges, self._m = self._speed.shape[-1], edges.shape[1], rates.shape[-1]
         # Columns of the row.
@@ -119,7 +119,12 @@ class CpgKernel(Kernel):
         self._x = slice(self._n + 1, self._n + 1 + self._m)
         self._s = slice(self._n + 1 + self._m, self._n + 1 + self._m + self._edges)
         self._apart = self._differences()
-        self._shifts = offsets
+        self._onward = np.zeros((*self._lead, self._n, self._s.stop))
+        self._row = np.zeros((*self._lead, self._s.stop))
+        self._row[..., self._one] = 1.0
+        self._phases, self._before = self._row[..., : self._n], self._row[..., : self._n + 1]
+        self._after, self._pulls = np.empty((*self._lead, self._n)), np.empty((*self._lead, self._edges))
+        self._pull = on_each(sin, self._pulls, self._row[..., self._s])
 
     def _differences(self) -> Array:
         """Returns the matrix that gives phase_from - phase_to - lag for each edge."""
@@ -127,38 +132,38 @@ class CpgKernel(Kernel):
         each = np.arange(self._edges)
         apart[..., each, self._source] = 1.0
         apart[..., each, self._target] = -1.0
-        apart[..., each, self._one] = -self._lag
+        apart[..., each, self._one] = -self._ties[..., 1, :]
         return apart
 
     def reset(self, seeds: Sequence[int], dt: float) -> None:
         """Goes to the start."""
         self._dt = dt
         self._steps = 0
-        self._onward = np.zeros((*self._lead, self._n, self._s.stop))
         each = np.arange(self._n)
         self._onward[..., each, each] = 1.0
         self._onward[..., self._one] = dt * self._speed
         self._onward[..., self._x] = dt * self._rates
-        self._onward[..., self._target, np.arange(self._s.start, self._s.stop)] = dt * self._weight
-        self._state = self._phase.copy()
+        self._onward[..., self._target, np.arange(self._s.start, self._s.stop)] = dt * self._ties[..., 0, :]
+        self._phases[...] = self._phase
         if self._jitter > 0:
-            for row, seed in zip(self._state.reshape(-1, self._n), seeds, strict=True):
+            for row, seed in zip(self._phases.reshape(-1, self._n), seeds, strict=True):
                 # A generator whose numbers numpy promises to keep.
                 draw = np.random.RandomState(np.random.MT19937(np.random.SeedSequence(seed)))
                 row += self._jitter * (2.0 * draw.random_sample(self._n) - 1.0)
 
-    def _rows(self, count: int) -> Array:
-        """Returns as many rows of [phases, 1, inputs, s]: (count, *lead, 1, columns)."""
-        rows = np.zeros((count, *self._lead, 1, self._s.stop))
-        rows[..., self._one] = 1.0
-        return rows
+    def _advance(self) -> None:
+        """Goes from the row's phases and inputs to the next phases."""
+        weigh(self._apart, self._before, self._pulls)
+        self._pull()
+        weigh(self._onward, self._row, self._after)
+        self._phases[...] = self._after
 
-    def _grown(self, count: int) -> Array:
-        """Returns how far the amplitudes have grown in the next steps: 1 - (1 + z) exp(-z), z = convergence t / 2.
+    def _grown(self, times: Array) -> Array:
+        """Returns how far the amplitudes have grown at some times: 1 - (1 + z) exp(-z), z = convergence t / 2.
 
-        That solves r'' = a (a/4 (R - r) - r') from rest at r = 0, for R = 1. The shape is that of `_times`.
+        That solves r'' = a (a/4 (R - r) - r') from rest at r = 0, for R = 1.
         """
-        z = 0.5 * self._convergence * _times(self._steps, count, self._dt, self._speed)
+        z = 0.5 * self._convergence * times
         rest = -z
         each(exp, rest)
         grown: Array = 1.0 - (1.0 + z) * rest
@@ -174,30 +179,18 @@ class FreeCpgKernel(CpgKernel, OpenLoop):
         OpenLoop.reset(self, seeds, dt)
 
     def _more(self, count: int) -> Array:
-        phases = self._linked(count) if self._edges else self._unlinked(count)
-        waves = phases.copy()
+        times = _times(self._steps, count, self._dt, self._speed)
+        waves = self._linked(count) if self._edges else self._speed * times + self._phases
         each(sin, waves)
-        swing = self._grown(count) * self._amplitude * waves
         self._steps += count
-        return _kept(self._offset + swing)
-
-    def _unlinked(self, count: int) -> Array:
-        return self._speed * _times(self._steps, count, self._dt, self._speed) + self._state
+        return _kept(self._offset + self._grown(times) * self._amplitude * waves)
 
     def _linked(self, count: int) -> Array:
-        rows = self._rows(count + 1)
-        seen = self._apart.shape[-1]
-        phases: Array = rows[..., 0, : self._n]
-        phases[0] = self._state
-        apart, onward = self._apart, self._onward
-        # Iterating makes the views of all steps cheaply.
-        steps = zip(rows[..., :seen], rows[..., 0, self._s], rows, phases[1:], strict=False)
-        for differences, pulls, row, after in steps:
-            weigh(apart, differences, pulls)
-            each(sin, pulls)
-            weigh(onward, row, after)
-        self._state = phases[-1].copy()
-        return phases[:-1]
+        phases = np.empty((count, *self._phases.shape))
+        for now in phases:
+            now[...] = self._phases
+            self._advance()
+        return phases
 
 
 class ListeningCpgKernel(CpgKernel):
@@ -205,42 +198,54 @@ class ListeningCpgKernel(CpgKernel):
 
     _AHEAD = 64  # steps whose amplitudes are computed at once
 
+    @property
+    def arrays(self) -> tuple[Array, ...]:
+        """What it is made of: its parameters, matrices and phases, and the step at which it began."""
+        made = self._waves, self._ties, self._rates, self._shifts, self._apart, self._onward
+        return *made, self._row, self._began
+
+    def put(self, row: int, other: Kernel) -> None:
+        """Takes another's place in a row, whose time begins now."""
+        super().put(row, other)
+        self._began[row] = self._steps
+        self._grow(row)
+
     def reset(self, seeds: Sequence[int], dt: float) -> None:
         """Goes to the start."""
         super().reset(seeds, dt)
-        self._row = self._rows(1)[0]
-        self._heard = np.zeros((*self._lead, 1, self._m))
+        self._began = np.zeros((*self._lead, 1))
+        self._amplitudes = np.empty((self._AHEAD, *self._after.shape))
+        self._heard = self._row[..., self._x]
         self._low, self._high = np.full(self._m, -LIMIT), np.full(self._m, LIMIT)
-        self._shape = self._grown(0)
-        self._phases, self._pulls = self._row[..., 0, : self._n], self._row[..., 0, self._s]
-        self._differences_of = self._row[..., : self._apart.shape[-1]]
-        self._inputs, self._heard_x = self._row[..., 0, self._x], self._heard[..., 0, : self._m]
-        self._phases[...] = self._state
-        self._out: Array = np.empty_like(self._state)
-        self._shift: Array = np.empty_like(self._state)
+        self._out: Array = np.empty_like(self._after)
+        self._swing = on_each(sin, self._after, self._out)
         self._floor, self._ceiling = np.full(self._n, -1.0), np.full(self._n, 1.0)
+
+    def _grow(self, rows: int | EllipsisType = ...) -> None:
+        """Computes the amplitudes of this step and those around it."""
+        first, began = self._steps - self._steps % self._AHEAD, self._began[rows]
+        steps = np.arange(first, first + self._AHEAD, dtype=np.float64).reshape(-1, *(1,) * began.ndim)
+        # What began within this block has no amplitudes before.
+        grown = self._grown(np.maximum(steps - began, 0.0) * self._dt)
+        self._amplitudes[:, rows] = grown * self._amplitude[rows]
 
     def step(self, inputs: Array) -> Array:
         """Goes one control step on."""
         at = self._steps % self._AHEAD
         if at == 0:
-            self._shape = self._grown(self._AHEAD)
-        x, out, shift = self._heard_x, self._out, self._shift
-        np.maximum(inputs, self._low, out=x)
-        np.minimum(x, self._high, out=x)
-        self._inputs[...] = x
-        out[...] = self._phases
-        each(sin, out)
-        np.multiply(out, self._shape[at] * self._amplitude, out=out)
+            self._grow()
+        out, heard, shift = self._out, self._heard, self._after
+        np.maximum(inputs, self._low, out=heard)
+        np.minimum(heard, self._high, out=heard)
+        shift[...] = self._phases
+        self._swing()
+        np.multiply(out, self._amplitudes[at], out=out)
         np.add(out, self._offset, out=out)
-        weigh(self._shifts, self._heard, shift)
+        weigh(self._shifts, heard, shift)
         np.add(out, shift, out=out)
         np.maximum(out, self._floor, out=out)
         np.minimum(out, self._ceiling, out=out)
-        weigh(self._apart, self._differences_of, self._pulls)
-        each(sin, self._pulls)
-        weigh(self._onward, self._row, shift)
-        self._phases[...] = shift
+        self._advance()
         self._steps += 1
         return out
 
