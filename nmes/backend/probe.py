@@ -1,8 +1,9 @@
 """A digest of what this machine computes, by which machines are compared instead of by their processors' names.
 
 It is taken of a fixed set of computations that really reach worlds: the C library's functions as Python's `math` has
-them, numpy's sums, and short reference episodes of the engine, in which everything moves that its capabilities promise.
-Where two probes are equal, the same recordings are expected to come out the same; where they differ, nothing is.
+them, numpy's sums and sums of products, and short reference episodes of the engine, in which everything moves that its
+capabilities promise. Where two probes are equal, the same recordings are expected to come out the same; where they
+differ, nothing is.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
+from numpy._core.multiarray import c_einsum
 
 from nmes.backend.registry import Backend
 from nmes.backend.simulation import Simulation
@@ -74,7 +76,10 @@ def _arithmetic() -> bytes:
     values += [list(map(function, positive)) for function in _OF_POSITIVE]
     values += [list(map(function, parts, positive[::-1])) for function in _OF_TWO]
     table = np.array(values)
-    sums = [np.add.reduce(table[:, :width] * table[:, -width:], axis=-1) for width in (1, 7, 8, 30, 200)]
+    sums = []
+    for width in (1, 7, 8, 30, 200):
+        left, right = table[:, :width], table[:, -width:]
+        sums += [np.add.reduce(left * right, axis=-1), c_einsum("ij,ij->i", left, right)]
     return b"".join(array.tobytes() for array in (table, np.sqrt(np.abs(table)), *sums))
 
 
