@@ -22,7 +22,7 @@ import orjson
 
 from measure import Figure, in_turns, ratio, summary
 from nmes import protocol
-from nmes.evaluation import Episode, Job, Task, brain_of, evaluate, evaluate_all
+from nmes.evaluation import Episode, Job, Task, Workers, brain_of, evaluate, evaluate_all
 from nmes.evaluation.task import CREATURE
 from nmes.genome import Genome
 from nmes.world import World
@@ -152,9 +152,9 @@ def figures() -> Iterator[Figure]:
 
 def _many(task: Task) -> Iterator[Figure]:
     asked = orjson.dumps(task.document)
-    work = [Job(f"{i}", orjson.dumps(crawler({**CPG}).document), asked, (i,)) for i in range(CROWD)]
+    work = [Job(f"{i}", orjson.dumps(crawler({**CPG}).document), asked) for i in range(CROWD)]
     # Processes are started within what is timed, as they are for whoever calls.
-    one, two = (_timed(partial(lambda jobs: list(evaluate_all(work, jobs=jobs)), jobs)) for jobs in (1, 2))
+    one, two = (_timed(partial(_evaluate, work, jobs)) for jobs in (1, 2))
     steps = CROWD * CUBES * task.ticks * SUBSTEPS
     details = {"one process, s": one, "two processes, s": two}
     yield Figure(f"{CROWD} crawlers: two processes / one", one / two, "x", at_least=1.8, details=details)
@@ -168,6 +168,11 @@ def _many(task: Task) -> Iterator[Figure]:
         yield Figure("body-steps/s: Evolution Gym", 0.0, "(not installed: pip install evogym)")
     else:
         yield Figure("body-steps/s: Evolution Gym's Walker, 1 process", _voxels(), "")
+
+
+def _evaluate(work: list[Job], jobs: int) -> None:
+    with Workers(jobs) as workers:
+        list(evaluate_all(work, workers=workers))
 
 
 def _ants(processes: int) -> float:

@@ -18,7 +18,7 @@ import click
 import orjson
 
 from nmes.cli._progress import progress_bars
-from nmes.evaluation import Evaluation, Job, evaluate_all
+from nmes.evaluation import Evaluation, Job, Workers, evaluate_all
 
 __all__ = ["run_jobs"]
 
@@ -35,9 +35,9 @@ def run_jobs(work: list[Job], jobs: int, ray: str | None, resume: Path | None) -
         done = {} if resume is None else _results(work, resume)
         left = [i for i in range(len(work)) if i not in done]
         try:
-            with progress_bars(len(work) > 1) as progress, _interruptions() as interrupted:
+            with progress_bars(len(work) > 1) as progress, _interruptions() as interrupted, Workers(jobs) as workers:
                 progress("evaluating", len(done), len(work))
-                for place, evaluation in evaluate_all([work[i] for i in left], jobs=jobs, ray=ray):
+                for place, evaluation in evaluate_all([work[i] for i in left], workers=workers, ray=ray):
                     if file is not None:
                         file.write(_line(work[left[place]], evaluation))
                         file.flush()

@@ -22,7 +22,7 @@ from nmes.backend import Array
 from nmes.backends.mujoco3d.forest import Joint
 from nmes.backends.mujoco3d.model import CompiledModel
 
-__all__ = ["ActuatorBatch", "WorkLog", "compact"]
+__all__ = ["ActuatorBatch", "WorkLog", "braking", "compact", "mean_powers"]
 
 _IMPLICIT = (mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
 
@@ -185,8 +185,7 @@ class WorkLog:
         self._columns = [column for column, joint in enumerate(self._joints) if joint in actuator]
         self._motors = compact([actuator[self._joints[column]] for column in self._columns])
         self._dofs = compact([compiled.joint[self._joints[column]].v for column in self._columns])
-        self._braking = model.actuator_biasprm[self._motors, 2] * float(model.opt.integrator in _IMPLICIT)
-        self._bounds = model.actuator_forcerange[self._motors, 1].copy()
+        self._braking, self._bounds = braking(model, self._motors)
         rows, steps, motors = len(self._powers), len(batch.step_efforts), len(self._columns)
         self._efforts, self._speeds = np.empty((rows, steps, motors)), np.empty((rows, steps + 1, motors))
         self._batch, self._version = batch, batch.version
@@ -197,9 +196,29 @@ class WorkLog:
         self._known = end
         if begin < end and self._efforts.shape[1]:
             efforts, before, after = self._efforts[begin:end], self._speeds[begin:end, :-1], self._speeds[begin:end, 1:]
-            bounded = np.abs(efforts) >= self._bounds
-            efforts = efforts + np.where(bounded, 0.0, self._braking * (after - before))
-            powers = efforts * (before + after) / 2.0
-            steps = powers.shape[1]
-            for size, each in enumerate((powers, np.abs(powers))):
-                self._powers[begin:end, size, self._columns] = np.add.accumulate(each, axis=1)[:, -1] / steps
+            self._powers[begin:end, :, self._columns] = mean_powers(efforts, before, after, self._braking, self._bounds)
+
+
+def braking(model: mujoco.MjModel, motors: Indices) -> tuple[Array, Array]:
+    """Returns how the efforts of motors grow with the velocity in the integrator, and the bounds of the efforts."""
+    implicit = float(model.opt.integrator in _IMPLICIT)
+    return model.actuator_biasprm[motors, 2] * implicit, model.actuator_forcerange[motors, 1].copy()
+
+
+def mean_powers(efforts: Array, before: Array, after: Array, braking: Array, bounds: Array) -> Array:
+    """Returns the mean powers of motors over the engine steps of each tick, and their mean sizes, W.
+
+    Args:
+        efforts: What MuJoCo tells of each engine step, shape (..., steps, motors), N m or N.
+        before: Velocities before each, the same shape, rad/s or m/s.
+        after: Velocities after each.
+        braking: How the efforts grow with the velocity in the integrator, shape (..., motors).
+        bounds: The bounds of the efforts, shape (..., motors).
+
+    Returns:
+        Array (..., 2, motors).
+    """
+    efforts = efforts + np.where(np.abs(efforts) >= bounds, 0.0, braking * (after - before))
+    powers = efforts * (before + after) / 2.0
+    sums = [np.add.accumulate(each, axis=-2)[..., -1, :] for each in (powers, np.abs(powers))]
+    return np.asarray(np.stack(sums, axis=-2) / powers.shape[-2])

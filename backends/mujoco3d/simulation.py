@@ -36,6 +36,7 @@ from nmes.backends.mujoco3d.model import CompiledModel
 from nmes.backends.mujoco3d.motors import WorkLog
 from nmes.backends.mujoco3d.rebuild import apply_edits
 from nmes.backends.mujoco3d.rendering import Renderer
+from nmes.backends.mujoco3d.rows import MujocoRow
 from nmes.backends.mujoco3d.running import RunningModel, Wrenches
 from nmes.backends.mujoco3d.scenery import Scenery, set_options
 from nmes.backends.mujoco3d.snapshots import read_snapshot, write_snapshot
@@ -247,6 +248,16 @@ class MujocoSimulation(Simulation):
         self._renderer.close()
 
     # -- time ---------------------------------------------------------------------------------------------------
+
+    def hand_over(self) -> MujocoRow | None:
+        """Gives the scene away as a row, unless it has edits or wrenches to take up, or a body sleeps or attracts."""
+        structure, running = self.structure, self.running
+        if structure.edited or self._wrenches.forces or self._wrenches.impulses:
+            return None
+        strong = np.ones(running.model.nu, bool)
+        for joint, motor in running.compiled.actuator.items():
+            strong[motor] = structure.joints[joint].params.max_effort > 0.0
+        return MujocoRow.of(running, strong)
 
     def step(self, substeps: int) -> None:
         """Takes up all edits, then advances."""

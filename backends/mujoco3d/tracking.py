@@ -18,7 +18,7 @@ from nmes.backends.mujoco3d.motors import WorkLog, compact
 from nmes.backends.mujoco3d.running import RunningModel
 from nmes.backends.mujoco3d.structure import Structure
 
-__all__ = ["MujocoTrack"]
+__all__ = ["MujocoTrack", "states_of"]
 
 
 class MujocoTrack(Track):
@@ -113,18 +113,7 @@ class MujocoTrack(Track):
     def states(self, begin: int, end: int) -> Array:
         """Returns the states of rows, array (rows, n, 13)."""
         rows = slice(begin, end)
-        pose, motion = self._pose[rows], self._motion[rows]
-        out = np.empty((*pose.shape[:2], 13))
-        out[:, :, 0:3] = pose
-        out[:, :, 3:7] = self._turn[rows][:, :, (1, 2, 3, 0)]
-        x, y, z = np.moveaxis(pose - self._centre[rows], 2, 0)
-        wx, wy, wz = np.moveaxis(motion[:, :, :3], 2, 0)
-        out[:, :, 7:10] = motion[:, :, 3:]
-        out[:, :, 7] += wy * z - wz * y
-        out[:, :, 8] += wz * x - wx * z
-        out[:, :, 9] += wx * y - wy * x
-        out[:, :, 10:13] = motion[:, :, :3]
-        return out
+        return states_of(self._pose[rows], self._turn[rows], self._motion[rows], self._centre[rows])
 
     def positions(self, begin: int, end: int) -> Array:
         """Returns the joints' positions in rows, array (rows, m)."""
@@ -133,3 +122,25 @@ class MujocoTrack(Track):
     def powers(self, begin: int, end: int) -> Array:
         """Returns the powers of the motors in rows, array (rows, 2, m)."""
         return self._work.powers(begin, end)
+
+
+def states_of(pose: Array, turn: Array, motion: Array, centre: Array) -> Array:
+    """Returns states as `Simulation.states` has them, array (..., n, 13), from MuJoCo's arrays of bodies.
+
+    Args:
+        pose: `xpos`, shape (..., n, 3).
+        turn: `xquat`, shape (..., n, 4).
+        motion: `cvel`, the velocity at the centre of mass of the body's tree, shape (..., n, 6).
+        centre: That centre of mass, shape (..., n, 3).
+    """
+    out = np.empty((*pose.shape[:-1], 13))
+    out[..., 0:3] = pose
+    out[..., 3:7] = turn[..., (1, 2, 3, 0)]
+    x, y, z = np.moveaxis(pose - centre, -1, 0)
+    wx, wy, wz = np.moveaxis(motion[..., :3], -1, 0)
+    out[..., 7:10] = motion[..., 3:]
+    out[..., 7] += wy * z - wz * y
+    out[..., 8] += wz * x - wx * z
+    out[..., 9] += wx * y - wy * x
+    out[..., 10:13] = motion[..., :3]
+    return out

@@ -10,6 +10,7 @@ an engine to the test.
 from __future__ import annotations
 
 from nmes.backend.registry import ENTRY_POINT_GROUP, Backend, entry_points_by_name, load_backend
+from nmes.backend.rows import Places, Row, Rows, RowsTrack
 from nmes.backend.simulation import Simulation, Track
 from nmes.backend.specs import (
     CAPABILITIES,
@@ -46,8 +47,12 @@ __all__ = [
     "JointParams",
     "JointSpec",
     "JointState",
+    "Places",
     "Planet",
     "Quaternion",
+    "Row",
+    "Rows",
+    "RowsTrack",
     "SceneSpec",
     "Simulation",
     "StaticBox",

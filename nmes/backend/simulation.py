@@ -16,6 +16,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from nmes.backend.rows import Row
 from nmes.backend.specs import (
     Array,
     BodySpec,
@@ -243,6 +244,15 @@ class Simulation(ABC):
         return _PlainTrack(self, bodies, joints, motors, rows)
 
     # -- time ---------------------------------------------------------------------------------------------------
+
+    def hand_over(self) -> Row | None:
+        """Gives the scene away as it is now, to go on as a row (see `nmes.backend.rows`); this one is then closed.
+
+        Returns:
+            The row; None, with nothing changed, where the engine has no rows, or the scene is none that can be one now:
+            it may be one after the next step.
+        """
+        return None
 
     @abstractmethod
     def step(self, substeps: int) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from nmes.evaluation.episode import Episode, Result, brain_of
-from nmes.evaluation.evaluator import Evaluation, Job, evaluate, evaluate_all
+from nmes.evaluation.evaluator import Evaluation, Job, evaluate, evaluate_all, evaluate_population
+from nmes.evaluation.parallel import Workers
 from nmes.evaluation.proof import Proof, prove, scores_so_far
 from nmes.evaluation.task import Limits, Task
 
@@ -15,9 +16,11 @@ __all__ = [
     "Proof",
     "Result",
     "Task",
+    "Workers",
     "brain_of",
     "evaluate",
     "evaluate_all",
+    "evaluate_population",
     "prove",
     "scores_so_far",
 ]

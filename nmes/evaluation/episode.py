@@ -10,12 +10,12 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import Enum
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from nmes import protocol
-from nmes.backend import Array
+from nmes.backend import Array, Row
 from nmes.brain import Brain
 from nmes.errors import WorldError
 from nmes.evaluation.balance import Balance
@@ -26,7 +26,7 @@ from nmes.objective.trajectory import ObservedBodies, Trajectory
 from nmes.world import World
 from nmes.world.creature import Creature
 
-__all__ = ["ANY_CONTROLS", "METADATA", "Episode", "Result", "Step", "brain_of"]
+__all__ = ["ANY_CONTROLS", "METADATA", "Episode", "Handover", "Judge", "Result", "Step", "Watched", "brain_of"]
 
 METADATA: Final = "nmes.evaluation"
 """The metadata record of an episode's recording: its `task`, the `genome`'s hash and its `seed`."""
@@ -100,6 +100,19 @@ class Episode:
         self._restless: str | None = None
         self._start = 0  # the frame
         self._ended: str | None = None
+        self._leaves = False
+        self._sensed: list[Array] = []
+        self._handover: Handover | None = None
+
+    def begin(self) -> Result | Handover:
+        """Runs it until its scene can go on as a row of an engine: at its start, or once all is built; else all of it.
+
+        Raises:
+            WorldError: As by `run`.
+        """
+        self._leaves = True
+        result = self.run()
+        return result if self._handover is None else self._handover
 
     def run(self) -> Result:
         """Runs all of it.
@@ -131,14 +144,23 @@ class Episode:
             return
         note, sense, controls = observer.note, observer.creature.sense, None
         note()
+        if self._leaves and self._leave(0):
+            return
         ticks, block = self._task.ticks, self._task.tick_rate
         if brain is not None:
             brain.reset(self._seed, 1.0 / block)
             if brain.open_loop:
                 controls = brain.controls(ticks)
         for tick in range(ticks):
-            if brain is not None:
-                yield brain.step(sense()) if controls is None else controls[tick]
+            if self._leaves and tick and self._leave(tick):
+                return
+            if controls is not None:
+                yield controls[tick]
+            elif brain is not None:
+                sensed = sense()
+                if self._leaves:
+                    self._sensed.append(sensed)
+                yield brain.step(sensed)
             elif self._logged:
                 yield ANY_CONTROLS
             yield None
@@ -151,6 +173,20 @@ class Episode:
                 self._ended = observer.look()
                 if self._ended is not None:
                     return
+
+    def _leave(self, tick: int) -> bool:
+        """Hands the scene over as a row, if that can be now; returns whether this world is done with."""
+        observer = self._observer
+        assert observer is not None
+        row = self._world.simulation.hand_over()
+        if row is None:
+            return False
+        self._ended = observer.look()
+        if self._ended is None:
+            creature = observer.creature
+            now = creature, creature.sense(), observer.watched, observer.judge
+            self._handover = Handover(row, tick, *now, self._sensed)
+        return True
 
     def _set_scene(self) -> Iterator[Step]:
         """Yields the steps before the start; makes the observer, unless the creature does not come to rest."""
@@ -179,16 +215,7 @@ class Episode:
             fault = f"{world.fault.code}: {world.fault.message}"
         if self._observer is None:
             return Result(self._seed, None, 0.0, 0.0, 0, fault=fault or self._restless)
-        trajectory, score = self._observer.trajectory, None
-        measured = trajectory.values((_ENERGY, _DISTANCE))
-        fault = fault or self._observer.imbalance()
-        if fault is None:
-            try:
-                score = trajectory.value(self._task.objective)
-            except WorldError as error:
-                fault = f"{error.code}: {error.message}"
-        rest = measured[_ENERGY], measured[_DISTANCE], trajectory.rows - 1
-        return Result(self._seed, score, *rest, ended=self._ended, fault=fault)
+        return self._observer.judge.result(self._ended, fault)
 
     def scores_so_far(self) -> Array:
         """Returns the objective's value at the start and after each tick; where there is none, NaN.
@@ -198,8 +225,31 @@ class Episode:
         """
         if self._observer is None:
             return np.zeros((0, 2))
-        values = self._observer.trajectory.values_so_far(self._task.objective)
+        values = self._observer.judge.trajectory.values_so_far(self._task.objective)
         return np.stack([(self._start + np.arange(len(values))) / self._task.tick_rate, values], axis=1)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Handover:
+    """An episode that goes on as a row of an engine.
+
+    Attributes:
+        row: The scene.
+        tick: How many ticks of the episode are over.
+        creature: The creature.
+        senses: What it senses now.
+        watched: What the judge is told of.
+        judge: Who has seen what was so far; others go on from there (`Judge.again`).
+        sensed: What the brain was given at the ticks that are over, if it senses.
+    """
+
+    row: Row
+    tick: int
+    creature: Creature
+    senses: Array
+    watched: Watched
+    judge: Judge
+    sensed: list[Array]
 
 
 class _Rest:
@@ -240,7 +290,7 @@ class _Rest:
 
 
 class _Observer:
-    """Fills the trajectory of an episode."""
+    """Tells a judge what happens in a world."""
 
     def __init__(self, world: World, creature: Creature, task: Task, seed: int) -> None:
         body, props = creature.body, task.document["props"]
@@ -251,30 +301,85 @@ class _Observer:
         bodies = ObservedBodies(
             ids, len(body.cubes), np.array(shapes), np.array(masses, float), task.tick_rate, task.target(seed)
         )
-        self.creature = creature
-        self._task = task
-        touchy = any(quantity.name == "contacts" for quantity in task.needs)
-        self.trajectory = Trajectory(bodies, task.ticks, len(creature.motors), contacts=touchy)
-        motors = [creature.joints[joint.id] for joint in body.joints if joint.motor is not None]
+        motors = [joint for joint in body.joints if joint.motor is not None]
         sprung = [joint for joint in body.joints if joint.stiffness]
-        springs = [creature.joints[joint.id] for joint in sprung]
-        self._track = world.track(cubes, springs, motors, task.ticks + 1)
-        self._balance = Balance.of(bodies, world.config, [joint.stiffness for joint in sprung])
+        balance = Balance.of(bodies, world.config, [joint.stiffness for joint in sprung])
+        self.creature, self.judge = creature, Judge(task, seed, balance, len(motors))
+        self.watched = Watched(
+            [world.entities.cube(name).body for name in cubes],
+            [world.entities.joint(creature.joints[joint.id]).number for joint in sprung],
+            [world.entities.joint(creature.joints[joint.id]).number for joint in motors],
+        )
+        self._track = world.simulation.track(*self.watched, task.ticks + 1)
         self._world, self._cubes = world, cubes
-        self.note = self._note_with_touches if touchy else self._track.note
+        self.note = self._note_with_touches if self.judge.touchy else self._track.note
 
     def _note_with_touches(self) -> None:
-        trajectory = self.trajectory
-        trajectory.touches[self._track.rows] = self._world.touches(self._cubes, trajectory.bodies.body)
+        judge = self.judge
+        judge.touches[self._track.rows] = self._world.touches(self._cubes, judge.trajectory.bodies.body)
         self._track.note()
 
     def look(self) -> str | None:
-        """Takes the new rows up; returns the name of the condition that has ended the episode, if one has."""
-        trajectory, begin, end = self.trajectory, self.trajectory.rows, self._track.rows
+        """Has the new rows judged; returns the name of the condition that has ended the episode, if one has."""
+        track, begin, end = self._track, self.judge.trajectory.rows, self._track.rows
+        return self.judge.take(track.states(begin, end), track.powers(begin, end), track.positions(begin, end))
+
+
+class Watched(NamedTuple):
+    """The numbers, in the engine, of the bodies, the joints with springs and the joints with motors that are judged."""
+
+    bodies: list[int]
+    springs: list[int]
+    motors: list[int]
+
+
+class Judge:
+    """Decides how an episode comes out from what is told it of each tick, wherever the creature is run.
+
+    Args:
+        task: What is asked.
+        seed: The episode's.
+        balance: Of the energy of the creature and of the task's props.
+        motors: The number of the creature's motors.
+
+    Attributes:
+        touchy: Whether it must be told what touches what.
+        touches: Where to write that, row by row, before the row is taken: see `Trajectory.touches`.
+        trajectory: All that was taken.
+    """
+
+    def __init__(self, task: Task, seed: int, balance: Balance, motors: int) -> None:
+        self._task, self._seed, self._balance = task, seed, balance
+        self.touchy = any(quantity.name == "contacts" for quantity in task.needs)
+        self.trajectory = Trajectory(balance.bodies, task.ticks, motors, contacts=self.touchy)
+        self.touches = self.trajectory.touches
+        self._powers = np.zeros((task.ticks + 1, 2, motors))
+        self._positions = np.zeros((task.ticks + 1, len(balance.stiffnesses)))
+
+    def again(self) -> Judge:
+        """Returns a judge of the same scene, who has seen what this one has."""
+        judge = Judge(self._task, self._seed, self._balance, self._powers.shape[2])
+        rows = self.trajectory.rows
+        judge.touches[:rows] = self.touches[:rows]
+        judge.take(self.trajectory.states[:rows], self._powers[:rows], self._positions[:rows])
+        return judge
+
+    def take(self, states: Array, powers: Array, positions: Array) -> str | None:
+        """Takes the rows that come next; returns the name of the condition that has ended the episode, if one has.
+
+        How many rows are taken at a time changes nothing, but what comes after such an end is dropped.
+
+        Args:
+            states: Of the bodies, shape (k, n, 13), as `Simulation.states`.
+            powers: Of the motors in the ticks that led there, shape (k, 2, m), as `Simulation.powers`.
+            positions: Of the joints with springs, shape (k, s), rad or m.
+        """
+        trajectory, begin = self.trajectory, self.trajectory.rows
+        end = begin + len(states)
         if begin == end:
             return None
-        trajectory.states[begin:end] = self._track.states(begin, end)
-        trajectory.meter(begin, self._track.powers(begin, end)[:, 1])
+        trajectory.states[begin:end], self._powers[begin:end], self._positions[begin:end] = states, powers, positions
+        trajectory.meter(begin, powers[:, 1])
         trajectory.rows = end
         stop = self._task.ended(trajectory, max(begin, 1), end)
         if stop is None:
@@ -282,11 +387,28 @@ class _Observer:
         trajectory.rows, name = stop
         return name
 
-    def imbalance(self) -> str | None:
+    def result(self, ended: str | None, fault: str | None) -> Result:
+        """Returns how the episode came out.
+
+        Args:
+            ended: The condition that ended it early, if one did.
+            fault: Why the world could not go on, if it could not.
+        """
+        trajectory, score = self.trajectory, None
+        measured = trajectory.values((_ENERGY, _DISTANCE))
+        fault = fault or self._imbalance()
+        if fault is None:
+            try:
+                score = trajectory.value(self._task.objective)
+            except WorldError as error:
+                fault = f"{error.code}: {error.message}"
+        rest = measured[_ENERGY], measured[_DISTANCE], trajectory.rows - 1
+        return Result(self._seed, score, *rest, ended=ended, fault=fault)
+
+    def _imbalance(self) -> str | None:
         """Returns why the body's energy was not earned, over the rows that count; None where it was."""
         rows = self.trajectory.rows
-        powers, positions = self._track.powers(0, rows), self._track.positions(0, rows)
-        excess = self._balance.excess(self.trajectory.states[:rows], powers, positions)
+        excess = self._balance.excess(self.trajectory.states[:rows], self._powers[:rows], self._positions[:rows])
         if excess is None:
             return None
         return (

@@ -19,6 +19,7 @@ import statistics
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from hashlib import sha256
 from math import fsum
 from pathlib import Path
@@ -31,8 +32,10 @@ from nmes.backend import load_backend
 from nmes.backend.fingerprint import decisive, fingerprint
 from nmes.brain import Brain
 from nmes.errors import DocumentError, NmesError, RecordingError
-from nmes.evaluation.episode import METADATA, Episode, Result, brain_of
-from nmes.evaluation.parallel import Lost, in_processes, on_ray
+from nmes.evaluation.episode import METADATA, Episode, Result
+from nmes.evaluation.parallel import Lost, Workers, on_ray
+from nmes.evaluation.population import Outcome, admit, guarded, run_alone, run_population
+from nmes.evaluation.portions import cut
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
 from nmes.recording import Recorder
@@ -41,8 +44,9 @@ from nmes.world import World
 if TYPE_CHECKING:
     from nmes.evaluation.proof import Proof
 
-__all__ = ["Evaluation", "Job", "evaluate", "evaluate_all"]
+__all__ = ["Evaluation", "Job", "evaluate", "evaluate_all", "evaluate_population"]
 
+_CLUSTER: Final = 64  # cores of a Ray cluster, of which one must not know more to cut work for it
 _POSE_RATE: Final = 1.0  # Hz; pictures for viewers cost as much as all else that is recorded, and follow from it
 
 
@@ -85,6 +89,14 @@ class Evaluation:
             recordings=tuple(proof.path for proof in ordered),
             wall_seconds=wall_seconds,
         )
+
+    @classmethod
+    def of_outcome(cls, genome: Genome, task: Task, seeds: Sequence[int], outcome: Outcome) -> Evaluation:
+        """Returns the evaluation of a creature that was run with others."""
+        names = genome.name, genome.hash, task.name, task.hash
+        refusal = next((outcome.refusals[seed] for seed in seeds if seed in outcome.refusals), None)
+        results = () if refusal else tuple(outcome.results[seed] for seed in seeds)
+        return cls(*names, results, refusal, wall_seconds=outcome.seconds)
 
     @property
     def score(self) -> float | None:
@@ -188,24 +200,20 @@ def evaluate(
     results: list[Result] = []
     recordings: list[str] = []
     error: str | None = None
+
+    def recorded(brain: Brain | None, seed: int, path: Path) -> Result:
+        result = _recorded(genome, brain, task, seed, path)
+        recordings.append(str(path))
+        return result
+
     try:
-        brain = brain_of(genome)
-        reasons = task.check(genome.body)
-        error = "; ".join(reasons) or None
-        for seed in () if reasons else task.seeds if seeds is None else seeds:
-            place = f"{_plain(genome.name)}-{genome.hash[:16]}-{task.name}-{task.hash[:16]}"
-            path = None if record is None else Path(record, f"{place}-{seed}.mcap")
-            try:
-                result = _recorded(genome, brain, task, seed, path) if path else _episode(genome, brain, task, seed)
-            except NmesError:
-                raise
-            except Exception as failure:  # of an engine, an expression, a brain: this episode's, and no other's
-                fault = f"failed: {type(failure).__name__}: {failure}"
-                results.append(Result(seed, None, 0.0, 0.0, 0, fault=fault))
-                continue
-            results.append(result)
-            if path:
-                recordings.append(str(path))
+        brain = admit(genome, task)
+        for seed in task.seeds if seeds is None else seeds:
+            run = partial(run_alone, genome, brain, task, seed)
+            if record is not None:
+                place = f"{_plain(genome.name)}-{genome.hash[:16]}-{task.name}-{task.hash[:16]}-{seed}.mcap"
+                run = partial(recorded, brain, seed, Path(record, place))
+            results.append(guarded(run, seed))
     except RecordingError:
         raise
     except NmesError as refusal:
@@ -217,14 +225,6 @@ def evaluate(
 def _plain(name: str) -> str:
     """Returns a name as a part of a file's name."""
     return re.sub(r"[^A-Za-z0-9_]+", "-", name).strip("-").lower()[:40] or "genome"
-
-
-def _episode(genome: Genome, brain: Brain | None, task: Task, seed: int) -> Result:
-    world = World(task.world_config(seed))
-    try:
-        return Episode(world, genome, brain, task, seed).run()
-    finally:
-        world.close()
 
 
 def _recorded(genome: Genome, brain: Brain | None, task: Task, seed: int, path: Path) -> Result:
@@ -281,17 +281,25 @@ class Job:
         causes = [self.genome.hex(), task.hash, self.seeds, here]
         return sha256(orjson.dumps(causes, option=orjson.OPT_SORT_KEYS)).hexdigest()
 
-    def run(self) -> Evaluation | _Unrecorded:
-        """Evaluates the genome; where that cannot be recorded, returns why."""
-        task = Task(orjson.loads(self.task))
+    def parse(self) -> Genome | Evaluation:
+        """Reads the genome; where it is none, returns the evaluation that says so."""
         try:
-            genome = Genome.parse(self.genome)
-            return evaluate(genome, task, seeds=self.seeds, record=self.record)
-        except RecordingError as error:
-            return _Unrecorded(error.code, error.message)
+            return Genome.parse(self.genome)
         except DocumentError as error:
             return self.failed(error.message)
         except Exception as error:  # a mistake of ours, which this genome has found
+            return self.failed(f"{type(error).__name__}: {error}")
+
+    def run(self) -> Evaluation | _Unrecorded:
+        """Evaluates the genome on its own; where that cannot be recorded, returns why."""
+        task, genome = Task(orjson.loads(self.task)), self.parse()
+        if not isinstance(genome, Genome):
+            return genome
+        try:
+            return evaluate(genome, task, seeds=self.seeds, record=self.record)
+        except RecordingError as error:
+            return _Unrecorded(error.code, error.message)
+        except Exception as error:  # as above
             return self.failed(f"{type(error).__name__}: {error}")
 
     def failed(self, error: str) -> Evaluation:
@@ -300,12 +308,37 @@ class Job:
         return Evaluation(self.name, "", task.name, task.hash, error=error)
 
 
-def evaluate_all(work: Sequence[Job], *, jobs: int = 1, ray: str | None = None) -> Iterator[tuple[int, Evaluation]]:
+def evaluate_population(
+    genomes: Sequence[Genome], task: Task, *, seeds: Sequence[int] | None = None, workers: Workers | None = None
+) -> list[Evaluation]:
+    """Runs many creatures on a task: every figure is that which `evaluate` gives of the creature alone.
+
+    Bodies of one plan are stepped together, so that one body with many brains, or with many sizes, costs little more
+    than the engine's own work; see docs/populations.md.
+
+    Args:
+        genomes: The creatures.
+        task: What they are asked to do.
+        seeds: Instead of the task's.
+        workers: The processes to do it in; None: in this one.
+
+    Returns:
+        An evaluation of each, in their order. A process that dies over a creature is that one's `error`.
+    """
+    asked, given = orjson.dumps(task.document), None if seeds is None else tuple(seeds)
+    work = [Job(genome.name, orjson.dumps(genome.document), asked, given) for genome in genomes]
+    evaluations = dict(evaluate_all(work, workers=workers))
+    return [evaluations[index] for index in range(len(work))]
+
+
+def evaluate_all(
+    work: Sequence[Job], *, workers: Workers | None = None, ray: str | None = None
+) -> Iterator[tuple[int, Evaluation]]:
     """Evaluates many genomes; their scores do not depend on where, in which order and beside which others they ran.
 
     Args:
         work: What to do.
-        jobs: In how many processes.
+        workers: The processes to do it in; None: in this one.
         ray: The address of a Ray cluster to do it on instead. Recordings are then left in a directory of that name
             on whichever machine did the work.
 
@@ -315,8 +348,56 @@ def evaluate_all(work: Sequence[Job], *, jobs: int = 1, ray: str | None = None) 
     Raises:
         RecordingError: A recording cannot be written.
     """
-    results = in_processes(Job.run, work, jobs) if ray is None else on_ray(Job.run, work, ray)
-    for index, result in results:
-        if isinstance(result, _Unrecorded):
-            raise RecordingError(result.code, result.message)
-        yield index, work[index].failed(result.reason) if isinstance(result, Lost) else result
+    workers = Workers(1) if workers is None else workers
+    run = workers.run if ray is None else partial(on_ray, address=ray)
+    portions = _cut(work, workers.jobs if ray is None else _CLUSTER)
+    while portions:
+        lost: list[list[int]] = []
+        for number, results in run(_evaluate_portion, [[work[index] for index in portion] for portion in portions]):
+            portion = portions[number]
+            if isinstance(results, Lost) and len(portion) > 1:
+                lost += [[index] for index in portion]  # one of them did it; the others are done again without it
+                continue
+            for place, index in enumerate(portion):
+                result = work[index].failed(results.reason) if isinstance(results, Lost) else results[place]
+                if isinstance(result, _Unrecorded):
+                    raise RecordingError(result.code, result.message)
+                yield index, result
+        portions = lost
+
+
+def _cut(work: Sequence[Job], jobs: int) -> list[list[int]]:
+    """Cuts work into portions of jobs that can be run together; each that is to be recorded is one for itself."""
+    portions: list[list[int]] = []
+    kinds: dict[tuple[bytes, tuple[int, ...] | None], list[int]] = {}
+    for index, job in enumerate(work):
+        if job.record is None:
+            kinds.setdefault((job.task, job.seeds), []).append(index)
+        else:
+            portions.append([index])
+    for (document, seeds), indices in kinds.items():
+        count = len(Task(orjson.loads(document)).seeds if seeds is None else seeds)
+        for portion in cut([work[index].genome for index in indices], count, jobs):
+            portions.append([indices[place] for place in portion])
+    return portions
+
+
+def _evaluate_portion(portion: Sequence[Job]) -> list[Evaluation | _Unrecorded]:
+    """Evaluates a job that is to be recorded, or jobs of one task and seeds, together."""
+    if portion[0].record is not None:
+        return [job.run() for job in portion]
+    task = Task(orjson.loads(portion[0].task))
+    seeds = task.seeds if portion[0].seeds is None else portion[0].seeds
+    evaluations: dict[int, Evaluation | _Unrecorded] = {}
+    genomes: dict[int, Genome] = {}
+    for place, job in enumerate(portion):
+        genome = job.parse()
+        if isinstance(genome, Genome):
+            genomes[place] = genome
+        else:
+            evaluations[place] = genome
+    places = list(genomes)
+    for outcome in run_population(list(genomes.values()), task, seeds):
+        place = places[outcome.index]
+        evaluations[place] = Evaluation.of_outcome(genomes[place], task, seeds, outcome)
+    return [evaluations[place] for place in range(len(portion))]

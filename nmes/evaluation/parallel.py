@@ -5,8 +5,8 @@ of its item, so that whoever wants an order makes it.
 
 Invariants:
 
-- Where an item is worked on, and beside which others, is nothing the function can see: every worker is a fresh
-  interpreter, given one item at a time, with one thread for linear algebra, and without a screen.
+- Where an item is worked on, and beside which others, is nothing the function can see: every worker is an interpreter
+  of its own, given one item at a time, with one thread for linear algebra, and without a screen.
 - A worker that dies takes only its own item with it: that one's result is a `Lost`, and a new worker goes on.
 - Workers never see Ctrl-C. Whoever stops taking results ends them.
 - A function that raises is a mistake: its error comes out here, with the worker's traceback. What may go wrong with
@@ -22,6 +22,7 @@ import traceback
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
@@ -29,7 +30,7 @@ from typing import Any, TypeVar
 
 from nmes.errors import MachineError, MissingPackage
 
-__all__ = ["Lost", "in_processes", "on_ray"]
+__all__ = ["Lost", "Workers", "in_processes", "on_ray"]
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -48,82 +49,124 @@ class Lost:
     reason: str
 
 
+class Workers:
+    """Processes that stay, so that call after call of a function finds them started; leaving the context ends them.
+
+    They are started when the first call has work for them. Only one call runs at a time.
+
+    Args:
+        jobs: How many at most. With 1, or for a single item, functions are called in this process.
+    """
+
+    def __init__(self, jobs: int) -> None:
+        self.jobs = jobs
+        self._idle: list[_Worker] = []
+
+    def __enter__(self) -> Workers:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        while self._idle:
+            self._idle.pop().end()
+
+    def run(
+        self, function: Callable[[Item], Result], items: Sequence[Item]
+    ) -> Generator[tuple[int, Result | Lost], None, None]:
+        """Calls a function with every item, in the order of the items as processes are free.
+
+        Args:
+            function: A function of a module (workers import it), of which arguments and results can be pickled.
+            items: What to call it with.
+
+        Yields:
+            The index of an item and its result, as they are ready. Whoever takes no more ends what is being worked on.
+
+        Raises:
+            RuntimeError: The function raised; with the worker's traceback.
+        """
+        if min(self.jobs, len(items)) <= 1:
+            for index, item in enumerate(items):
+                yield index, function(item)
+            return
+        waiting = iter(enumerate(items))
+        busy: dict[Connection, _Worker] = {}
+        try:
+            for index, item in islice(waiting, self.jobs):
+                self._give(busy, index, function, item)
+            while busy:
+                for pipe in wait(list(busy)):
+                    assert isinstance(pipe, Connection)
+                    index, error, result = self._take(busy.pop(pipe))
+                    if error:
+                        raise RuntimeError(f"a worker failed:\n{error}")
+                    for following in islice(waiting, 1):
+                        self._give(busy, following[0], function, following[1])
+                    yield index, result
+        finally:
+            for worker in busy.values():
+                worker.end()
+
+    def _give(self, busy: dict[Connection, _Worker], index: int, function: Callable[[Any], Any], item: object) -> None:
+        """Has a worker begin with an item: one that is idle and has not died since, or a new one."""
+        worker = self._idle.pop() if self._idle else _Worker()
+        if not worker.alive:
+            worker.end()
+            worker = _Worker()
+        busy[worker.pipe] = worker
+        worker.give(index, function, item)
+
+    def _take(self, worker: _Worker) -> tuple[int, str, Any]:
+        answer = worker.take()
+        if isinstance(answer[2], Lost):
+            worker.end()
+        else:
+            self._idle.append(worker)
+        return answer
+
+
 def in_processes(
     function: Callable[[Item], Result], items: Sequence[Item], jobs: int
 ) -> Generator[tuple[int, Result | Lost], None, None]:
-    """Calls a function with every item, in so many processes at once.
-
-    Args:
-        function: A function of a module (workers import it), of which arguments and results can be pickled.
-        items: What to call it with.
-        jobs: How many processes. With 1, or with a single item, it is called in this one.
-
-    Yields:
-        The index of an item and its result, as they are ready.
-    """
-    if min(jobs, len(items)) <= 1:
-        for index, item in enumerate(items):
-            yield index, function(item)
-        return
-    pool: dict[Connection, _Worker] = {}
-    waiting = iter(enumerate(items))
-    try:
-        for _ in range(min(jobs, len(items))):
-            worker = _Worker(function)
-            pool[worker.pipe] = worker
-            worker.give(*next(waiting))
-        while pool:
-            for pipe in wait(list(pool)):
-                assert isinstance(pipe, Connection)
-                worker = pool.pop(pipe)
-                index, result = worker.take()
-                following = next(waiting, None)
-                if isinstance(result, Lost) and following is not None:
-                    worker = _Worker(function)
-                if following is None:
-                    worker.end()
-                else:
-                    pool[worker.pipe] = worker
-                    worker.give(*following)
-                yield index, result
-    finally:
-        for worker in pool.values():
-            worker.end()
+    """Calls a function with every item, in so many processes at once, for whoever does so but once: see `Workers`."""
+    with Workers(jobs) as workers:
+        yield from workers.run(function, items)
 
 
 class _Worker:
     """A process that works on one item after the other."""
 
-    def __init__(self, function: Callable[[Any], Any]) -> None:
+    def __init__(self) -> None:
         context = get_context("spawn")
         self.pipe, other = context.Pipe()
-        self._process: BaseProcess = context.Process(target=_work, args=(function, other), daemon=True)
+        self._process: BaseProcess = context.Process(target=_work, args=(other,), daemon=True)
         self._index = -1
         with _quiet():
             self._process.start()
         other.close()  # so that the pipe ends when the process does
 
-    def give(self, index: int, item: object) -> None:
-        """Sends an item."""
+    @property
+    def alive(self) -> bool:
+        """Whether the process is still there."""
+        return self._process.is_alive()
+
+    def give(self, index: int, function: Callable[[Any], Any], item: object) -> None:
+        """Sends an item, and what to do with it."""
         self._index = index
         try:
-            self.pipe.send(item)
+            self.pipe.send((function, item))
         except BrokenPipeError:
             pass  # it died; `take` says so
 
-    def take(self) -> tuple[int, Any]:
-        """Receives the result of the item at hand."""
+    def take(self) -> tuple[int, str, Any]:
+        """Receives the index of the item at hand, the traceback of the error that it raised if it did, its result."""
         try:
             error, result = self.pipe.recv()
         except (EOFError, ConnectionError):
             self._process.join()
             code = self._process.exitcode or 0
             how = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with status {code}"
-            self.end()
-            return self._index, Lost(f"the process that worked on it {how}")
-        if error:
-            raise RuntimeError(f"a worker failed:\n{error}")
-        return self._index, result
+            return self._index, "", Lost(f"the process that worked on it {how}")
+        return self._index, error, result
 
     def end(self) -> None:
         """Ends the process, whatever it is doing."""
@@ -132,10 +175,10 @@ class _Worker:
         self._process.join()
 
 
-def _work(function: Callable[[Any], Any], pipe: Connection) -> None:
+def _work(pipe: Connection) -> None:
     while True:
         try:
-            item = pipe.recv()
+            function, item = pipe.recv()
         except EOFError:
             return
         try:

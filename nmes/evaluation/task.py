@@ -147,6 +147,12 @@ class Task:
         return rate
 
     @property
+    def substeps(self) -> int:
+        """Engine steps in a tick."""
+        substeps: int = self._config["substeps"]
+        return substeps
+
+    @property
     def ticks(self) -> int:
         """Ticks of an episode that is not ended early."""
         return max(1, round(self.duration * self.tick_rate))

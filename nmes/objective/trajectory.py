@@ -14,12 +14,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from nmes.backend import Array, Simulation
+from nmes.backend import Array, Contact
 from nmes.errors import WorldError
 from nmes.objective.expression import Condition, Objective, Quantity
 
@@ -282,7 +282,14 @@ class RunningQuantities:
         self._folds = dict(zip(self._folds, map(float, folds), strict=True))
 
 
-def touches(simulation: Simulation, bodies: Sequence[int], body: int) -> Flags:
+class HasContacts(Protocol):
+    """A scene that tells what a body touches: a `Simulation`, or one of many rows."""
+
+    def contacts(self, body: int) -> list[Contact]:
+        """Returns the contacts of a body, as `Simulation.contacts`."""
+
+
+def touches(simulation: HasContacts, bodies: Sequence[int], body: int) -> Flags:
     """Returns a row of `Trajectory.touches`, array (n, 2).
 
     Args:

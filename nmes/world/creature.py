@@ -10,6 +10,7 @@ would, in order; `sense` changes nothing; creatures are in order of creation.
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from math import sqrt
 from typing import Any
 
@@ -17,7 +18,7 @@ import numpy as np
 import orjson
 
 from nmes import protocol
-from nmes.backend import Array, BodyState, StaticBox, Vector
+from nmes.backend import Array, BodyState, Places, Quaternion, Rows, StaticBox, Vector
 from nmes.backend.rotation import conjugate, minus, plus, rotate
 from nmes.errors import WorldError
 from nmes.genome import Genome
@@ -28,10 +29,12 @@ from nmes.schemas.documents import JsonObject
 from nmes.world import joint_params
 from nmes.world.entities import Cube, Entities, Joint
 
-__all__ = ["Creature", "Creatures"]
+__all__ = ["Creature", "CreatureRows", "Creatures"]
 
 _NAME_LENGTH = 128
 _HERE = 1e-9  # m; nearer than this a target is in no direction
+_STILL: Vector = (0.0, 0.0, 0.0)
+_UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
 class Creature:
@@ -77,6 +80,13 @@ class Creature:
         self._drive_head = protocol.encode({"type": "drive", "creature": name, "controls": []}).removesuffix(b"[]}")
         self._driven_reply = protocol.encode({"type": "driven", "creature": name})
         self._plan_senses()
+
+    @property
+    def plan(self) -> Hashable:
+        """What creatures must have in common to be run as rows of one `CreatureRows`."""
+        body = self.body
+        parts = tuple(cube.id for cube in body.cubes), tuple((joint.id, joint.kind) for joint in body.joints)
+        return (*parts, tuple(motor.id for motor in self.motors), self.sensors)
 
     @property
     def whole(self) -> bool:
@@ -196,7 +206,7 @@ class Creature:
     def _sense_target(self, out: Array) -> None:
         target, simulation = self.target, self._simulation
         place: Vector | None = None
-        motion: Vector = (0.0, 0.0, 0.0)
+        motion = _STILL
         if isinstance(target, str):
             cube = self._entities.cubes.get(target)
             if cube is not None:
@@ -231,6 +241,78 @@ def _rows(rows: list[int]) -> slice | list[int]:
     """Returns a slice where rows follow one another: it is written to faster."""
     first, last = rows[0], rows[0] + len(rows)
     return slice(first, last) if rows == list(range(first, last)) else rows
+
+
+class CreatureRows:
+    """Creatures of one plan that are driven and sensed together, each in its place of an engine's rows.
+
+    Args:
+        rows: The places.
+        plan: Any of the creatures.
+    """
+
+    def __init__(self, rows: Rows, plan: Creature) -> None:
+        self._rows, self._plan = rows, plan
+        shape = rows.count, len(plan.motors)
+        self._low, self._half = np.zeros(shape), np.zeros(shape)
+        self._scale = np.zeros((rows.count, len(plan._scale)))
+        self._targets: list[BodyState | int | None] = [None] * rows.count
+
+    def put(self, place: int, creature: Creature) -> None:
+        """Takes a creature whose scene was put into a place of the rows."""
+        self._low[place], self._half[place], self._scale[place] = creature._low, creature._half, creature._scale
+        target = creature.target
+        if isinstance(target, str):
+            cube = creature._entities.cubes.get(target)
+            self._targets[place] = None if cube is None else cube.body
+        else:
+            self._targets[place] = None if target is None else BodyState(target, _UPRIGHT, _STILL, _STILL)
+
+    def drive(self, places: Places, controls: Array) -> None:
+        """Sets the targets of the motors in some places, as `Creature.drive`.
+
+        Args:
+            places: Which.
+            controls: Shape (places, m), each from -1 to 1.
+        """
+        targets: Array = controls + 1.0
+        targets *= self._half[places]
+        targets += self._low[places]
+        self._rows.set_motor_targets(places, self._plan._numbers, targets)
+
+    def sense(self) -> Array:
+        """Returns what `Creature.sense` would in each place: a new array, shape (places, s)."""
+        plan, rows = self._plan, self._rows
+        out = np.empty((rows.count, len(plan.sensors)))
+        if plan._read:
+            readings = rows.joint_readings(plan._read).reshape(rows.count, -1)
+            out[:, plan._joint_rows] = readings[:, plan._picked] * self._scale
+        for read, body, columns, picked in plan._felt:
+            felt = read(rows.body_state(body))
+            out[:, columns] = np.stack(felt if picked is None else [felt[i] for i in picked], axis=1)
+        if plan._touch_bodies:
+            out[:, plan._touch_rows] = rows.touching(plan._touch_bodies)
+        if plan._aimed:
+            self._sense_targets(out)
+        return out
+
+    def _sense_targets(self, out: Array) -> None:
+        cubes = {target: self._states(target) for target in self._targets if isinstance(target, int)}
+        for body, columns, picked in self._plan._aimed:
+            for place, (state, target) in enumerate(zip(self._states(body), self._targets, strict=True)):
+                if target is None:
+                    out[place, columns] = 0.0
+                else:
+                    cube = cubes[target][place] if isinstance(target, int) else target
+                    seen = _aim(state, cube.position, cube.linear_velocity)
+                    out[place, columns] = [seen[i] for i in picked]
+
+    def _states(self, body: int) -> list[BodyState]:
+        """Returns the state of a body in each place."""
+        state = self._rows.body_state(body)
+        parts = (state.position, state.quaternion, state.linear_velocity, state.angular_velocity)
+        columns = [list(zip(*np.array(part).tolist(), strict=True)) for part in parts]
+        return [BodyState(*each) for each in zip(*columns, strict=True)]
 
 
 class Creatures:
