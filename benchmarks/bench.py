@@ -26,6 +26,7 @@ import evaluation
 import filming
 import hostile
 import hosting
+import population
 import recorded
 import roundtrip
 import survival
@@ -42,6 +43,7 @@ SUITES = {
     "filming": filming.figures,
     "hosting": hosting.figures,
     "hostile": hostile.figures,
+    "population": population.figures,
     "survival": survival.figures,
     "recorded": recorded.figures,
     "viewing": viewing.figures,

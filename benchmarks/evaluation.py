@@ -160,10 +160,6 @@ def _many(task: Task) -> Iterator[Figure]:
     yield Figure(f"{CROWD} crawlers: two processes / one", one / two, "x", at_least=1.8, details=details)
     yield Figure(f"{CROWD} crawlers, two processes", two, "s", at_most=6.0, details=details)
     yield Figure("body-steps/s: nmes, 2 processes", steps / two, "")
-    if find_spec("gymnasium") is None:
-        yield Figure("body-steps/s: Gymnasium's Ant", 0.0, "(not installed: pip install gymnasium)")
-    else:
-        yield Figure("body-steps/s: Gymnasium's Ant, 2 processes", _ants(2), "")
     if find_spec("evogym") is None:
         yield Figure("body-steps/s: Evolution Gym", 0.0, "(not installed: pip install evogym)")
     else:
@@ -173,23 +169,6 @@ def _many(task: Task) -> Iterator[Figure]:
 def _evaluate(work: list[Job], jobs: int) -> None:
     with Workers(jobs) as workers:
         list(evaluate_all(work, workers=workers))
-
-
-def _ants(processes: int) -> float:
-    """Returns the body-steps a second of Gymnasium's vectorised Ant."""
-    gymnasium = import_module("gymnasium")
-    envs = gymnasium.make_vec("Ant-v5", num_envs=processes, vectorization_mode="async")
-    try:
-        envs.reset(seed=0)
-        envs.action_space.seed(0)
-        actions = [envs.action_space.sample() for _ in range(1000)]
-        took = _timed(lambda: [envs.step(action) for action in actions])
-    finally:
-        envs.close()
-    one = gymnasium.make("Ant-v5").unwrapped
-    bodies, substeps = one.model.nbody - 1, one.frame_skip
-    one.close()
-    return float(processes * len(actions) * bodies * substeps / took)
 
 
 def _voxels() -> float:
