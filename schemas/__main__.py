@@ -16,7 +16,8 @@ Generated from the JSON Schemas in `schemas/` by `python -m nmes.schemas > docs/
 travel, and the conventions that all of them keep, stand in [protocol.md](protocol.md).
 
 Every message is a JSON object whose `type` is the heading under which it stands here. A command may have an `id`, any
-JSON value, which its reply carries back. Fields that are not listed are ignored in commands and may occur in answers.
+JSON value, which its reply carries back. Fields that are not listed are ignored in commands, and told in `ignored`, an
+array of their paths that any reply may have; others may occur in answers.
 """
 
 

@@ -106,7 +106,7 @@ class CubeCommands:
     ) -> type[PhysicsApplied]:
         """Adds to what acts on a cube during the next tick, and then no more.
 
-        A frozen cube ignores it.
+        It takes at least one of force, torque, impulse and angular_impulse. A frozen cube ignores it.
 
         Args:
             cube_name: The cube; the one that this connection spawned last if left out.

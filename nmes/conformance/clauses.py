@@ -38,8 +38,8 @@ _PROSE: Final[Mapping[str, str]] = {
     "2.2.2": "refused | `error` `auth_failed`, closed | the bare text `auth_failed`, closed",
     "2.2.3": "every command gets exactly one reply, in order, with its `id` if it had one",
     "2.2.4": "silent, on success **and** on failure, after `spawn_cube`, `despawn_cube`, `apply_force`, "
-    "`apply_physics` and `freeze_cube`; everything else replies as in the json dialect, except that "
-    "the reply to `get_planets` holds `planets` and nothing else",
+    "`apply_physics`, `freeze_cube` and `set_color`; everything else replies as in the json dialect, but in the "
+    "words of the original, see below",
     "2.2.5": "frames not asked for | only after `subscribe` | only after `subscribe`",
     "2.3.1": 'An `auth` with `"list": true` enters no world: it is answered by '
     "[`world_list`](messages.md#world_list), and the connection is closed.",

@@ -100,6 +100,8 @@ def _params(given: Message) -> tuple[Message, Message]:
         ours = _PARAMS.get(name, name)
         if name in _WITHOUT_EFFECT:
             notes[name] = value
+        elif name == "motor_max_impulse" and type(value) in (int, float):
+            params[ours] = value * _RATE
         elif ours in _SWITCHES and type(value) in (int, float):
             params[ours] = value != 0
         else:
@@ -115,16 +117,19 @@ def _text(value: Any) -> str:
 
 _NAME_LENGTH: Final = 128
 _SOLVER: Final = ("softness", "restitution", "damping")
-_SLIDER: Final = {"limit_lower": -1.0, "limit_upper": 1.0, "limit_enabled": True}
+_MOTOR_FORCE: Final = {"motor_max_force": 60.0}  # of an impulse of 1
+_SLIDER: Final = {"limit_lower": -1.0, "limit_upper": 1.0, "limit_enabled": True, **_MOTOR_FORCE}
 _PARAMS: Final = {
     "limit_enable": "limit_enabled",
     "motor_enable": "motor_enabled",
+    "motor_max_impulse": "motor_max_force",
     "linear_limit_lower": "limit_lower",
     "linear_limit_upper": "limit_upper",
     "swing_span": "limit_lower",
     "twist_span": "limit_upper",
 }
 """The original's parameters that have another name here."""
+_RATE: Final = 60.0  # engine steps a second there, of which each gave a motor's largest impulse
 _SWITCHES: Final = frozenset({"limit_enabled", "motor_enabled"})
 _ALWAYS_IN_FORCE: Final = frozenset({"linear_limit_lower", "linear_limit_upper", "swing_span", "twist_span"})
 _WITHOUT_EFFECT: Final = frozenset(
@@ -136,7 +141,7 @@ _WITHOUT_EFFECT: Final = frozenset(
 )
 """The original's parameters of its engine's solver. Each is kept with the joint as a note, and told back."""
 _DEFAULTS: Final[dict[str, Message]] = {
-    "hinge": {"limit_lower": -pi / 2.0, "limit_upper": pi / 2.0},
+    "hinge": {"limit_lower": -pi / 2.0, "limit_upper": pi / 2.0, **_MOTOR_FORCE},
     "slider": _SLIDER,
     "slide": _SLIDER,
     "conetwist": {"limit_lower": pi / 4.0, "limit_upper": pi, "limit_enabled": True},
@@ -191,10 +196,22 @@ def answer(request: Request, reply: bytes) -> bytes:
 
 def _answer(said: Message, reply: Message) -> Message:
     kind = reply.get("type")
-    if kind == "error" and "command" in reply:
-        return {**reply, "command": said.get("type")}
+    if kind == "error":
+        return _error(said, reply)
     translate = _ANSWERS.get(kind) if type(kind) is str else None
     return reply if translate is None else translate(said, reply)
+
+
+def _error(said: Message, reply: Message) -> Message:
+    """Tells an error about the client's own command, and the parameter to blame by the client's own name."""
+    told = {**reply, "command": said.get("type")}
+    head, _, name = reply.get("field", "").rpartition("/")
+    if head == "params" and "param_name" in said:
+        told["field"] = "value"
+    elif isinstance(said.get(head), dict) and name not in said[head]:
+        theirs = next((given for given in said[head] if _PARAMS.get(given) == name), name)
+        told |= {"field": f"{head}/{theirs}", "message": reply["message"].replace(name, theirs)}
+    return told
 
 
 def _planets(said: Message, reply: Message) -> Message:
@@ -213,6 +230,8 @@ def _joint_info(said: Message, reply: Message) -> Message:
     """Translates a reading: the parameters have their names there, and are numbers all."""
     names = _ORIGINAL_PARAMS.get(reply["joint_type"], {})
     params = {name: float(reply["params"][ours]) for name, ours in names.items()}
+    if "motor_max_impulse" in params:
+        params["motor_max_impulse"] /= _RATE
     about = {name: value for name, value in reply.items() if name != "notes"}
     return {**about, "params": {**params, **reply.get("notes", {})}}
 
@@ -225,7 +244,7 @@ def _batch_result(said: Message, reply: Message) -> Message:
 _MOTOR: Final = {
     "motor_enable": "motor_enabled",
     "motor_target_velocity": "motor_target_velocity",
-    "motor_max_impulse": "motor_max_impulse",
+    "motor_max_impulse": "motor_max_force",
 }
 _ORIGINAL_PARAMS: Final[dict[str, dict[str, str]]] = {
     "hinge": {

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
 from nmes import protocol
+from nmes.world.linking import MOST_CUBES, MOST_LINKS
 
 if TYPE_CHECKING:
     from nmes.world.entities import Entities
@@ -18,6 +19,7 @@ __all__ = ["command_cost", "rebuild_cost"]
 _COMMAND: Final = 2e-5  # s: a command of a batch, whatever it is
 _STATE, _SENSED, _NAME = 5e-6, 3e-5, 1e-7  # s a cube: its state, with its sensors, and its name in a list
 _MOVED = 2e-5  # s a cube of a structure that is put elsewhere
+_LINK, _COMPARED, _PAIR, _FACES = 5e-5, 2e-4, 1e-7, 3  # s a joint, a cube, and a pair of cubes; joints a cube
 _GROWTH = 0.05  # s: a genome that is read, grown, judged and made
 _EXPRESSION = 2e-3  # s: an expression of the greatest length that is read, over as many cubes as there may be
 _SCENE = 0.02  # s: a scene that is made anew
@@ -40,6 +42,20 @@ def _cube_info(entities: Entities, command: Mapping[str, Any]) -> float:
     return len(entities.cubes) * _SENSED if command.get("sensors") or "rays" in command else 0.0
 
 
+def _chains(entities: Entities, command: Mapping[str, Any]) -> float:
+    return sum(len(chain) for chain in command["chains"]) * _link(entities)
+
+
+def _neighbours(entities: Entities, command: Mapping[str, Any]) -> float:
+    cubes = min(len(entities.cubes), MOST_CUBES)
+    return len(entities.cubes) * _NAME + cubes * (_COMPARED + cubes * _PAIR + _FACES * _link(entities))
+
+
+def _link(entities: Entities) -> float:
+    """Returns what one more joint takes: where there are many, the structure that it makes is counted."""
+    return _LINK + min(len(entities.joints), MOST_LINKS) * _NAME * 10.0
+
+
 def _names(entities: Entities, command: Mapping[str, Any]) -> float:
     return len(entities.cubes) * _NAME if command.get("list", True) else 0.0
 
@@ -56,8 +72,11 @@ _COSTS: Final[Mapping[str, Callable[[Entities, Mapping[str, Any]], float]]] = {
     "get_cube_info": _cube_info,
     "get_cube_list": _names,
     "get_joint_list": lambda entities, command: len(entities.joints) * _STATE,
+    "get_joints_for_cube": lambda entities, command: len(entities.joints) * _NAME,
     "get_world_info": lambda entities, command: len(entities.joints) * _NAME,
     "get_world_state": _world_state,
+    "link_body_cubes": _neighbours,
+    "link_cube_chains": _chains,
     "reset": lambda entities, command: _SCENE,
     "set_cube_state": lambda entities, command: min(len(entities.cubes), len(entities.joints) + 1) * _MOVED,
     "set_objective": lambda entities, command: _EXPRESSION,

@@ -374,7 +374,7 @@ def test_a_long_frame_is_read_away_from_the_event_loop(monkeypatch: pytest.Monke
             assert leave.wait(PATIENCE)
         return parse(frame)
 
-    monkeypatch.setattr("nmes.server.host.parse", slow)
+    monkeypatch.setattr("nmes.protocol.session.parse", slow)
     with served() as server, server.peer() as long, server.peer() as other:
         names = [f"cube {n}" for n in range(20_000)]
         long.say(

@@ -6,7 +6,6 @@ import asyncio
 import json
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from typing import Any, cast
 
 import orjson
@@ -15,7 +14,19 @@ from pytest import MonkeyPatch
 from defects import defect
 from nmes import protocol
 from nmes.errors import NmesError, RejectedMessage
-from nmes.protocol import DELIMITER, NO_ID, Auth, FrameSplitter, Limits, Request, Session, messages, parse, session
+from nmes.protocol import (
+    DELIMITER,
+    NO_ID,
+    Auth,
+    FrameSplitter,
+    Limits,
+    Request,
+    Session,
+    messages,
+    original,
+    parse,
+    session,
+)
 from nmes.schemas import documents
 from nmes.schemas.documents import parse_json
 from nmes.server import Host
@@ -296,8 +307,7 @@ def raw_means_silent(patch: MonkeyPatch) -> None:
 @defect("3.14")
 def planets_with_a_type(patch: MonkeyPatch) -> None:
     """It answers get_planets in the raw dialect with a type, as in the other."""
-    kind = "get_planets"
-    patch.setitem(cast(dict[str, Any], protocol.COMMANDS), kind, replace(protocol.COMMANDS[kind], bare=False))
+    patch.setitem(original._ANSWERS, "planets", lambda said, reply: reply)
 
 
 @defect("3.1")

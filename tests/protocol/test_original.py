@@ -271,7 +271,11 @@ def test_a_joint_with_a_bad_parameter_is_not_made(raw: RawClient) -> None:
     pair(raw)
     bad = {"cube1": "a", "cube2": "b", "joint_type": "hinge", "joint_params": {"motor_max_impulse": -1.0}}
     refused = raw.ask("create_joint", **bad)
-    assert (refused["code"], refused["field"]) == ("invalid", "joint_params/motor_max_impulse")
+    assert (refused["code"], refused["field"], refused["command"]) == (
+        "invalid",
+        "joint_params/motor_max_impulse",
+        "create_joint",
+    )
     assert raw.ask("get_joint_list")["joints"] == []
 
 
@@ -338,3 +342,39 @@ def test_planets_are_told_by_name(raw: RawClient) -> None:
     assert client.ask("get_planets") == {planet["Name"]: [planet] for planet in ours} != {}
     assert raw.ask("get_planets") == {}
     client.world.close()
+
+
+# -- what is not understood -------------------------------------------------------------------------------------------
+
+
+def test_what_does_nothing_is_logged_once_a_session(raw: RawClient) -> None:
+    def said(kind: str, **fields: Any) -> list[str]:
+        request = raw.session.parse(json.dumps({"type": kind, **fields}).encode())
+        return raw.session.without_effect(request)
+
+    joint = {"cube1": "a", "cube2": "b", "joint_type": "hinge", "colour": 1, "joint_params": {"bias": 0.3, "speed": 2}}
+    assert said("create_joint", **joint) == [
+        "create_joint: colour is not understood",
+        "create_joint: joint_params/speed is not understood",
+        "create_joint: bias is kept and told back, and has no effect",
+    ]
+    assert said("create_joint", **joint) == []
+    assert said("apply_force", force=[0, 1, 0], strength=2) == ["apply_force: strength is not understood"]
+    assert said("apply_force", force=[0, 1, 0]) == []
+    assert sum(len(said("ping", **{f"field_{n}": n})) for n in range(1000)) < 300
+
+
+def test_a_reply_of_the_raw_dialect_tells_of_no_field(raw: RawClient) -> None:
+    raw.spawn("a", 0, 10, 0, colour="red")
+    assert raw.ask("get_cube_list", order="name") == {"type": "cube_list", "cubes": ["a"]}
+
+
+def test_a_push_that_names_nothing_that_acts_is_recorded_as_an_error(raw: RawClient) -> None:
+    raw.spawn("a", 0, 10, 0)
+    for kind, fields in (("apply_physics", {"forze": [0, 1, 0]}), ("apply_force", {}), ("apply_force", {"power": 3})):
+        (frame,) = raw.session.receive(json.dumps({"type": kind, **fields}).encode() + DELIMITER)
+        assert isinstance(frame, bytes)
+        reply = json.loads(raw.world.handle(raw.number, raw.session.parse(frame)))
+        assert (reply["type"], reply["code"]) == ("error", "invalid"), kind
+        assert "impulse" in reply["message"]
+    assert raw.send("apply_force") == b""

@@ -266,7 +266,7 @@ def test_the_raw_dialect_is_silent_after_these_commands_and_no_others() -> None:
             assert isinstance(request, Request)
             if not raw.reply(request, b"{}"):
                 silent.add(name)
-            assert json_dialect.reply(request, b"{}") == b"{}" + DELIMITER
+            assert json_dialect.reply(request, b'{"type":"x"}').startswith(b'{"type":"x"')
     assert silent == {"spawn_cube", "despawn_cube", "apply_force", "apply_physics", "freeze_cube", "set_color"}
     for frame in (b"{", b"\xff", b'{"type":"fly"}', b'{"type":["spawn_cube"]}'):
         (request,) = read(raw, frame + DELIMITER)

@@ -26,6 +26,7 @@ def silent_command(t: Trial, kind: str, cube: str) -> dict[str, Any]:
         "apply_force": {"type": kind, "cube_name": cube, "force": [0, 1, 0]},
         "apply_physics": {"type": kind, "cube_name": cube, "force": [0, 1, 0]},
         "freeze_cube": {"type": kind, "cube_name": cube, "freeze": True},
+        "set_color": {"type": kind, "cube_name": cube, "color": [1, 1, 0]},
     }
     return commands[kind]
 
@@ -181,12 +182,13 @@ def what_is_no_object_is_answered(t: Trial, frame: bytes) -> None:
 
 
 @case(14, "2.2.4", needs=("get_planets",))
-def planets_without_a_type(t: Trial) -> None:
-    """In the raw dialect the reply to get_planets holds planets and nothing else."""
+def planets_by_name(t: Trial) -> None:
+    """In the raw dialect the reply to get_planets has one key a planet, its name, and a list of that planet alone."""
+    planets = t.ask(t.join(), {"type": "get_planets"}, "planets")["planets"]
     wire = t.raw()
     wire.say({"type": "get_planets", "id": 4})
     reply = read_json(wire.frame(what="planets"))
-    t.equal(list(reply), ["planets"], "the fields of the reply")
+    t.equal(reply, {planet["Name"]: [planet] for planet in planets}, "the reply")
 
 
 @case(15, "2.2.4")

@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 
 __all__ = ["COMMANDS", "named_or_own_cube"]
 
+_ACTING = frozenset({"force", "torque", "impulse", "angular_impulse"})
+
 
 def named_or_own_cube(world: World, client: Client, name: str | None) -> Cube:
     """Returns the cube of that name, or, where a command names none, the one that its client spawned last.
@@ -56,6 +58,8 @@ def despawn_cube(world: World, client: Client, command: JsonObject) -> JsonObjec
 def apply_physics(world: World, client: Client, command: JsonObject) -> JsonObject:
     """Pushes and turns a cube during the next tick."""
     cube = named_or_own_cube(world, client, command.get("cube_name"))
+    if _ACTING.isdisjoint(command):
+        raise WorldError("invalid", "nothing acts: give a force, torque, impulse or angular_impulse")
     world.entities.apply(cube, command)
     return {"type": "physics_applied", "cube_name": cube.name}
 
