@@ -384,13 +384,12 @@ def test_a_wrong_password_is_told_in_bare_text(server: Served) -> None:
 def test_planets_are_parsed_in_two_ways(scene: str) -> None:
     with served({**WORLD, "scene": {"type": scene}}) as server, Program(server.port) as client:
         answer = client.ask(type="get_planets")
-        assert list(answer) == ["planets"]  # the one program asks for the key
-        for planets in answer.values():  # the other takes every value for a list of planets
-            assert isinstance(planets, list)
-            for planet in planets:
-                assert {axis: float(planet["Position"][axis]) for axis in "xyz"}
-                assert type(planet["Seed"]) is int
-        assert bool(answer["planets"]) == (scene == "planets")
+        for name, planets in answer.items():  # the one program asks by name, the other takes every value for a list
+            (planet,) = planets
+            assert planet["Name"] == name
+            assert {axis: float(planet["Position"][axis]) for axis in "xyz"}
+            assert type(planet["Seed"]) is int
+        assert bool(answer) == (scene == "planets")
         assert client.names() == []
 
 

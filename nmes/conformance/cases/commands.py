@@ -26,7 +26,6 @@ MOVING = ("position", "rotation", "quaternion", "linear_velocity", "angular_velo
     [
         Row(name, fields)
         for name, fields in {
-            "nothing": {},
             "force": {"force": [1, 2, 3]},
             "torque": {"torque": [0, 0, 1]},
             "impulse": {"impulse": [0.1, 0, 0]},
@@ -248,7 +247,10 @@ def ownership_in_batches(t: Trial) -> None:
     """What a batch spawns is owned by the next of its commands."""
     wire = t.join()
     name = t.name()
-    commands = [{"type": "spawn_cube", "cube_name": name, "position": t.at()}, {"type": "apply_physics"}]
+    commands = [
+        {"type": "spawn_cube", "cube_name": name, "position": t.at()},
+        {"type": "apply_physics", "force": [0, 0, 0]},
+    ]
     results = t.ask(wire, {"type": "batch", "commands": commands}, "batch_result")["results"]
     t.equal(results[1].get("cube_name"), name, "the cube that the force acted on")
 

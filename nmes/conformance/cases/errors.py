@@ -193,7 +193,11 @@ def a_failed_spawn_is_not_owned(t: Trial) -> None:
     t.refused(wire, {"type": "apply_physics", "force": [0, 1, 0]}, "nothing_owned")
     mine = t.spawn(wire)
     t.refused(wire, {"type": "spawn_cube", "cube_name": mine}, "cube_exists", "cube_name")
-    t.equal(t.ask(wire, {"type": "apply_physics"}, "physics_applied")["cube_name"], mine, "the cube that is owned")
+    t.equal(
+        t.ask(wire, {"type": "apply_physics", "force": [0, 0, 0]}, "physics_applied")["cube_name"],
+        mine,
+        "the cube that is owned",
+    )
 
 
 @case(15, "4.error.invalid", needs=("joint.fixed",))

@@ -91,7 +91,11 @@ def the_last_cube_is_owned(t: Trial) -> None:
     wire = t.join()
     for n in range(3):
         name = t.spawn(wire, position=t.at(n * 1.5))
-        t.equal(t.ask(wire, {"type": "apply_physics"}, "physics_applied")["cube_name"], name, "the cube that is owned")
+        t.equal(
+            t.ask(wire, {"type": "apply_physics", "force": [0, 0, 0]}, "physics_applied")["cube_name"],
+            name,
+            "the cube that is owned",
+        )
 
 
 @case(8, "3.6.3")
@@ -99,8 +103,16 @@ def others_own_others(t: Trial) -> None:
     """Each connection owns its own cube, whoever spawned last."""
     one, two = t.join(), t.join()
     first, second = t.spawn(one), t.spawn(two, position=t.at(2))
-    t.equal(t.ask(one, {"type": "apply_physics"}, "physics_applied")["cube_name"], first, "the first's cube")
-    t.equal(t.ask(two, {"type": "apply_physics"}, "physics_applied")["cube_name"], second, "the second's cube")
+    t.equal(
+        t.ask(one, {"type": "apply_physics", "force": [0, 0, 0]}, "physics_applied")["cube_name"],
+        first,
+        "the first's cube",
+    )
+    t.equal(
+        t.ask(two, {"type": "apply_physics", "force": [0, 0, 0]}, "physics_applied")["cube_name"],
+        second,
+        "the second's cube",
+    )
 
 
 @case(9, "3.6.3")
@@ -127,8 +139,16 @@ def naming_another_does_not_change_ownership(t: Trial) -> None:
     """A command that names another's cube acts on that one, and changes no ownership."""
     one, two = t.join(), t.join()
     first, second = t.spawn(one), t.spawn(two, position=t.at(2))
-    t.equal(t.ask(one, {"type": "apply_physics", "cube_name": second}, "physics_applied")["cube_name"], second, "cube")
-    t.equal(t.ask(one, {"type": "apply_physics"}, "physics_applied")["cube_name"], first, "the cube that is owned")
+    t.equal(
+        t.ask(one, {"type": "apply_physics", "cube_name": second, "force": [0, 0, 0]}, "physics_applied")["cube_name"],
+        second,
+        "cube",
+    )
+    t.equal(
+        t.ask(one, {"type": "apply_physics", "force": [0, 0, 0]}, "physics_applied")["cube_name"],
+        first,
+        "the cube that is owned",
+    )
 
 
 @case(12, "3.6.4")

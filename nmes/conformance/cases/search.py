@@ -131,7 +131,7 @@ class Conversation(RuleBasedStateMachine):
     def push(self, client: int, cube: str | None, more: dict[str, Any]) -> None:
         """Applies forces, torques and impulses."""
         more.pop("at", None)
-        self.say(client, {"type": "apply_physics", **({"cube_name": cube} if cube else {}), **more})
+        self.say(client, {"type": "apply_physics", "force": [0, 0, 0], **({"cube_name": cube} if cube else {}), **more})
 
     @precondition(lambda self: self.trial.probe.claims("freeze_cube"))
     @rule(client=CLIENT, cube=CUBE, freeze=st.booleans())
