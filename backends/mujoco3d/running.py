@@ -82,6 +82,7 @@ class RunningModel:
         senses: The sensors of this model.
         motors: The motors and joints of this model.
         depenetration: The bodies that are let apart.
+        one_by_one: Whether something is to be done before each engine step: bodies are damped, or planets attract.
         qpos: `data.qpos`; likewise `qvel`, `efforts` (`actuator_force`) and `asleep` (`tree_asleep`).
     """
 
@@ -89,7 +90,7 @@ class RunningModel:
         self.scenery, self._timestep = scenery, scene.timestep
         self.depenetration = Depenetration()
         self._damping = Damping(scene)
-        self._one_by_one = scenery.attracts or self._damping.acts  # something is to be done before each engine step
+        self.one_by_one = scenery.attracts or self._damping.acts
 
     def install(
         self, compiled: CompiledModel, joints: Mapping[int, Joint], shared_data: mujoco.MjData | None = None
@@ -119,8 +120,20 @@ class RunningModel:
         self.motors = ActuatorBatch(compiled, data, joints)
         self._driven = model.nu > 0
         self._damping.install(model)
+        if self.scenery.attracts:
+            self._install_weights()
         for joint in compiled.joint_index:
             self.drive(joints[joint])
+
+    def _install_weights(self) -> None:
+        """Finds where weights act: at the coordinates of free bodies at once, on all others through their joints."""
+        compiled, model = self.compiled, self.model
+        self._sleeps = bool(model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP)
+        self._roots = np.array([compiled.body_index[body] for body in compiled.free], np.intp)
+        self._root_dofs = np.array([slot.v for slot in compiled.free.values()], np.intp)[:, None] + np.arange(3)
+        others = model.body_treeid >= 0
+        others[self._roots] = others[compiled.spares] = False
+        self._branches = np.flatnonzero(others)
 
     def state(self) -> Array:
         """Returns MuJoCo's integration state, in an array that the next call overwrites."""
@@ -280,7 +293,7 @@ class RunningModel:
             impulses.clear()
 
     def _advance(self, steps: int) -> None:
-        if self._one_by_one:
+        if self.one_by_one:
             self._advance_one_by_one(steps)
             return
         while self.depenetration.bodies and steps:
@@ -305,16 +318,30 @@ class RunningModel:
         applied = self._xfrc.copy()
         for _ in range(steps):
             self._xfrc[:] = applied
-            if self.scenery.attracts:
+            pulled = self.scenery.attracts and (self.depenetration.bodies or not self._sleeps)
+            if pulled:
                 self.scenery.pull(self.model, self.data)
             if self._damping.acts:
                 self._damping.act(self.model, self.data)
             if self.depenetration.bodies:
                 self.depenetration.step(self.compiled, self.data)
+            elif self.scenery.attracts and not pulled:
+                self._step_attracted()
             else:
                 mujoco.mj_step(self.model, self.data)
             self._keep()
         self._xfrc[:] = applied
+
+    def _step_attracted(self) -> None:
+        """Takes an engine step in which planets pull by passive forces: applied ones would let nothing sleep."""
+        model, data = self.model, self.data
+        mujoco.mj_step1(model, data)
+        weights, awake = self.scenery.weights(model, data), data.body_awake > 0
+        roots = awake[self._roots]
+        data.qfrc_passive[self._root_dofs[roots]] += weights[self._roots[roots]]
+        for body in self._branches[awake[self._branches]].tolist():
+            mujoco.mj_applyFT(model, data, weights[body], _ZERO, data.xipos[body], body, data.qfrc_passive)
+        mujoco.mj_step2(model, data)
 
     def _go_back(self) -> None:
         """Shows the state before the step that failed."""

@@ -117,13 +117,17 @@ class Scenery:
         Kinematics are computed first: after a step, or after a query, they belong to different moments.
         """
         mujoco.mj_kinematics(model, data)
+        data.xfrc_applied[:, :3] += self.weights(model, data)
+
+    def weights(self, model: Any, data: Any) -> Array:
+        """Returns the forces (n, 3), N, that pull each body towards the planet nearest to it, from present poses."""
         away = data.xipos[:, None, :] - self._centres[None, :, :]
         distance = np.sqrt((away * away).sum(axis=2))
         bodies = np.arange(len(away))
         nearest = distance.argmin(axis=1)
         mass = np.where(model.body_treeid >= 0, model.body_mass, 0.0)
         weight = -self._strength * mass / np.maximum(distance[bodies, nearest], 1e-9)
-        data.xfrc_applied[:, :3] += weight[:, None] * away[bodies, nearest]
+        return np.asarray(weight[:, None] * away[bodies, nearest])
 
 
 def _ground(scene: SceneSpec) -> list[Part]:

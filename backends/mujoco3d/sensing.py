@@ -188,6 +188,9 @@ class Senses:
         mujoco.mj_comPos(model, scratch)
         scratch.tree_asleep[:] = [AWAKE if tree in awake else tree for tree in range(model.ntree)]
         count_awake(model, scratch)
+        if self._scenery.attracts:
+            self._scenery.pull(model, scratch)
+            scratch.xfrc_applied[[tree not in awake for tree in self._trees]] = 0.0  # a force would wake the others
         mujoco.mj_forward(model, scratch)
         computed = _Contacts(self._owners, scratch, self._edges)
         for island in islands:

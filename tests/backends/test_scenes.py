@@ -19,6 +19,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
+import creatures
 import programs
 import recordings
 from layout import ROOT, SUPPORT
@@ -464,6 +465,37 @@ def test_a_push_acts_beside_a_planet_s_pull() -> None:
     assert drive("get_cube_state", cube_name="a")["linear_velocity"][1] == pytest.approx(-G / 60)
 
 
+def test_a_cube_sleeps_on_a_planet_and_wakes_when_it_is_pushed() -> None:
+    drive = Driver({"type": "planets"})
+    drive.drop("a", 0, 0.6, 0)
+    drive("step", ticks=120)
+    assert drive("get_cube_info", cube_name="a")["sleeping"]
+    before = drive.where("a")
+    drive("step", ticks=30)
+    info = drive("get_cube_info", cube_name="a")
+    assert info["sleeping"] and info["position"] == before
+    assert sum(contact["force"] for contact in info["contacts"]) == pytest.approx(G, abs=0.01)
+    drive("apply_physics", cube_name="a", impulse=[1, 0, 0])
+    drive("step", ticks=6)
+    assert not drive("get_cube_info", cube_name="a")["sleeping"] and drive.where("a")[0] > before[0] + 0.02
+
+
+def test_planets_pull_alike_at_bodies_that_may_sleep_and_that_may_not() -> None:
+    places = []
+    for sleep in (True, False):
+        drive = Driver({"type": "planets"}, engine={"sleep": sleep})
+        genome = creatures.snake(brain=None, segments=5)
+        drive("spawn_creature", genome=genome, position=[3, 5, 2], name="s")
+        base = drive("spawn_cube", cube_name="base", position=[-4, 6, 0], is_base=True)["spawned"]
+        drive.drop("arm", -3, 6, 0.2)
+        drive("create_joint", cube1=base, cube2="arm", joint_type="hinge")
+        drive("step", ticks=24)
+        assert drive.where("arm")[1] < 5.9  # it swings
+        drive("step", ticks=36)
+        places.append([cube["position"] for cube in drive("get_world_state")["cubes"]])
+    assert np.allclose(places[0], places[1], rtol=0, atol=1e-6)
+
+
 def test_a_snapshot_does_not_change_contact_forces_on_a_planet() -> None:
     drive = Driver({"type": "planets"})
     drive.drop("a", 0, -200.5, 0)
@@ -527,7 +559,7 @@ def test_resources_and_trees_are_spread_over_their_planets() -> None:
 
 
 def test_planets_of_the_original_follow_from_the_seed() -> None:
-    def planets(number: int, **fields: Any) -> Reply:
+    def planets(number: int, **fields: Any) -> list[Reply]:
         scene = {"type": "planets", "planets": {"layout": "corner", **fields}}
         return Driver(scene, seed=number)("get_planets")["planets"]  # type: ignore[no-any-return]
 
