@@ -125,6 +125,6 @@ def _spares(running: RunningModel, structure: Structure) -> int:
     """Returns the number of parked bodies of a new model: some where free bodies come into a big world."""
     count = len(structure.bodies)
     sleeps = running.model.opt.enableflags & int(mujoco.mjtEnableBit.mjENBL_SLEEP)
-    if not structure.arrived or count < PARKING_FROM or not sleeps or running.scenery.attracts:
+    if not structure.arrived or count < PARKING_FROM or not sleeps:
         return 0
     return max(16, count // 8)

@@ -127,12 +127,13 @@ class RunningModel:
 
     def _install_weights(self) -> None:
         """Finds where weights act: at the coordinates of free bodies at once, on all others through their joints."""
-        compiled, model = self.compiled, self.model
+        model = self.model
         self._sleeps = bool(model.opt.enableflags & mujoco.mjtEnableBit.mjENBL_SLEEP)
-        self._roots = np.array([compiled.body_index[body] for body in compiled.free], np.intp)
-        self._root_dofs = np.array([slot.v for slot in compiled.free.values()], np.intp)[:, None] + np.arange(3)
+        free = model.jnt_type == mujoco.mjtJoint.mjJNT_FREE  # parked bodies, too, which sleep until they are in use
+        self._roots = model.jnt_bodyid[free]
+        self._root_dofs = model.jnt_dofadr[free][:, None] + np.arange(3)
         others = model.body_treeid >= 0
-        others[self._roots] = others[compiled.spares] = False
+        others[self._roots] = False
         self._branches = np.flatnonzero(others)
 
     def state(self) -> Array:
@@ -321,6 +322,8 @@ class RunningModel:
             pulled = self.scenery.attracts and (self.depenetration.bodies or not self._sleeps)
             if pulled:
                 self.scenery.pull(self.model, self.data)
+                sleeping = self.data.body_awake == 0  # parked ones, too: a force would wake them
+                self._xfrc[sleeping] = applied[sleeping]
             if self._damping.acts:
                 self._damping.act(self.model, self.data)
             if self.depenetration.bodies:

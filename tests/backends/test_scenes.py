@@ -26,7 +26,7 @@ from layout import ROOT, SUPPORT
 from nmes import World, protocol, schemas
 from nmes.backend import Arena, Array, Heightfield, SceneSpec, StaticBox
 from nmes.backend.rotation import quaternion_from_euler
-from nmes.backends.mujoco3d import MujocoBackend, MujocoSimulation
+from nmes.backends.mujoco3d import MujocoBackend, MujocoSimulation, rebuild
 from nmes.backends.mujoco3d.arenas import parts
 from nmes.errors import RejectedMessage, WorldError
 from nmes.playback import replay
@@ -35,6 +35,7 @@ from nmes.world import scenery
 Reply = dict[str, Any]
 G = 9.81
 DOCUMENT = (ROOT / "docs" / "scenes.md").read_text()
+DAMPING = {"linear": 0.4, "angular": 0.1}
 ARENAS = ["bowl", "corridor", "gaps", "walls", "maze"]
 
 
@@ -496,6 +497,34 @@ def test_planets_pull_alike_at_bodies_that_may_sleep_and_that_may_not() -> None:
     assert np.allclose(places[0], places[1], rtol=0, atol=1e-6)
 
 
+def test_planets_pull_at_cubes_that_come_without_a_model_being_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
+    places = []
+    for parking_from in (2, 1000):
+        monkeypatch.setattr(rebuild, "PARKING_FROM", parking_from)
+        drive = Driver({"type": "planets"}, damping={"linear": 0.3, "angular": 0.1})
+        drive.drop("resting", 9, 0.01, 0)
+        for number in range(20):
+            drive.drop(f"c{number}", 3.0 * number, 10, 5)
+            drive("step", ticks=2)
+        places.append([cube["position"] for cube in drive("get_world_state")["cubes"]])
+    assert np.allclose(places[0], places[1], rtol=0, atol=1e-9)
+    assert places[0][1][1] < 9
+
+
+@pytest.mark.parametrize("number", range(100, 106))
+def test_parked_bodies_do_not_affect_a_world_of_planets(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rebuild, "PARKING_FROM", 2)
+    program = programs.draw(number, 80)
+    config = {"mode": "lockstep", "seed": number, "scene": {"type": "planets"}, "damping": DAMPING}
+    first, second = World(config), World(config)
+    played = programs.play(first, program[:40])
+    assert programs.play(second, program[:40]) == played
+    snapshot = first.simulation.snapshot()
+    second.simulation.snapshot()
+    second.simulation.restore(snapshot)
+    assert programs.play(first, program[40:]) == programs.play(second, program[40:])
+
+
 def test_a_snapshot_does_not_change_contact_forces_on_a_planet() -> None:
     drive = Driver({"type": "planets"})
     drive.drop("a", 0, -200.5, 0)
@@ -658,8 +687,6 @@ def test_making_an_arena_leaves_numpy_s_generator_alone() -> None:
 
 
 # -- damping ---------------------------------------------------------------------------------------------------------
-
-DAMPING = {"linear": 0.4, "angular": 0.1}
 
 
 @pytest.mark.parametrize("backend", ["mujoco", "pymunk"])
