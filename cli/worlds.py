@@ -22,7 +22,7 @@ def command(
     as_json: bool,
     **connection: Any,
 ) -> None:
-    """List the worlds of a host: name, port, engine, mode, frame, clients.
+    """List the worlds of a host: name, port, engine, mode, frame, clients, and which of them fall behind the clock.
 
     Looking creates none of them: a world that nobody has used yet has no frame.
 
@@ -56,4 +56,7 @@ def _row(world: Any) -> tuple[str, str, str, str, str, str]:
         frame = "not used yet"
     else:
         frame = str(world["frame"]) + (f", {world['fault']}" if world["fault"] else "")
-    return (world["world"], str(world["port"]), world["backend"], world["mode"], frame, str(world["clients"]))
+    mode, ratio = world["mode"], world.get("ratio")  # older servers do not tell
+    if ratio is not None:
+        mode += f", lags: {ratio:.2f} of its pace"
+    return (world["world"], str(world["port"]), world["backend"], mode, frame, str(world["clients"]))

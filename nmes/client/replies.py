@@ -106,6 +106,7 @@ class WorldSummary(TypedDict):
     frame: int | None
     clients: int
     fault: str | None
+    ratio: NotRequired[float | None]
 
 
 class WorldList(TypedDict):
@@ -354,10 +355,18 @@ class BarrierTimeout(TypedDict):
     clients: list[int]
 
 
+class Lagging(TypedDict):
+    type: Literal["lagging"]
+    frame: int
+    ratio: float
+    behind: float
+    over: bool
+
+
 class WorldClosed(TypedDict):
     type: Literal["world_closed"]
 
 
-Event = Tick | State | WorldFault | BarrierTimeout | WorldClosed
+Event = Tick | State | WorldFault | BarrierTimeout | Lagging | WorldClosed
 JointType = Literal["fixed", "hinge", "slide", "slider", "pin", "conetwist"]
 Mode = Literal["realtime", "lockstep", "fast"]

@@ -69,6 +69,11 @@ _PROSE: Final[Mapping[str, str]] = {
     "`fast` (as fast as it can).",
     "3.4.4": "Commands act in the order in which the host received them, before the next tick; a force acts "
     "during the next tick only.",
+    "3.4.5": "A `realtime` world whose ticks take longer than they should makes up for a quarter of a second, and lets "
+    "go what it is behind beyond that.",
+    "3.4.6": "Where that was more than half a second, it lags: those who subscribed, to whatever events, are told by "
+    "[`lagging`](messages.md#lagging) once a second how fast it runs and how much it let go, and once more, with "
+    "`over`, when it keeps up again or no longer ticks by the clock.",
     "3.5.1": "After `set_mode` with `lockstep` and `barrier`, a `step` waits: the world ticks when every "
     "connection that controls it has said `step`, and then all get their answers, with the same "
     "`frame`.",
@@ -111,7 +116,10 @@ CLAUSES: Final[Mapping[str, str]] = {
 UNTESTED: Final[Mapping[str, str]] = {
     "1.1.1": "cases speak plain TCP",
     "2.4.1": "what a server records is not on the wire",
+    "3.4.5": "a server is not slowed down from outside",
+    "3.4.6": "a server is not slowed down from outside",
     "4.barrier_timeout": "see 3.5.3",
+    "4.lagging": "see 3.4.6",
     "4.world_closed": "a server is not closed from outside",
     "4.world_fault": "an engine is not made to fail from outside",
     "4.error.auth_failed": "see 2.2.2",

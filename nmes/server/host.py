@@ -225,6 +225,7 @@ class Host:
                     "frame": status.frame if status is not None else None,
                     "clients": hosted.clients if hosted is not None else 0,
                     "fault": status.fault.code if status is not None and status.fault is not None else None,
+                    "ratio": round(status.lag.ratio, 3) if status is not None and status.lag is not None else None,
                 }
             )
         return {"type": "world_list", "worlds": listed}

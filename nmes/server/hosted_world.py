@@ -24,13 +24,14 @@ from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import Future
 from functools import partial
 from pathlib import Path
+from time import monotonic
 from typing import Any, NamedTuple
 
 from nmes.errors import RecordingError
 from nmes.playback import restore_into
 from nmes.protocol import Request
 from nmes.server.barrier import StepBarrier
-from nmes.server.clock import Clock
+from nmes.server.clock import Clock, Lag
 from nmes.server.metrics import Metrics, WorldFigures
 from nmes.server.outbox import Outbox
 from nmes.server.peers import Peer, Peers
@@ -42,6 +43,7 @@ __all__ = ["HostedWorld", "Status"]
 
 logger = logging.getLogger(__name__)
 
+LAG_LOGGED = 60.0  # s: the log tells of a world that lags once in so long
 PATIENCE = 2.0  # s: how long a host that closes waits for the tick that a world is at
 
 # The commands that may start, stop or re-pace the clock.
@@ -54,6 +56,7 @@ class Status(NamedTuple):
     mode: str
     frame: int
     fault: Fault | None
+    lag: Lag | None
 
 
 class HostedWorld:
@@ -90,7 +93,8 @@ class HostedWorld:
         self.abandoned = False  # closed while it is in a thread still, in the middle of a tick
         self.lost: str | None = None  # why its recording is not whole, once it is closed
         self._fault: Fault | None = None  # the one that was logged
-        self._clock = Clock(self.world, self._turn)
+        self._lag_logged = -LAG_LOGGED  # when the log last told that the world lags
+        self._clock = Clock(self.world, self._turn, self._tell_lag)
         self._worker = Worker(self.world, pool, self)
         self._barrier = StepBarrier(
             self.world, self._worker.advance, self._peers.resume, self._settle_soon, self._pass_over_late
@@ -122,13 +126,14 @@ class HostedWorld:
         """How the world is doing; while it is in a thread, how it was when it went."""
         if self._worker.away:
             return self._status
-        return Status(self.world.mode, self.world.frame, self.world.fault)
+        return Status(self.world.mode, self.world.frame, self.world.fault, self._clock.lag)
 
     @property
     def figures(self) -> WorldFigures:
         """The metrics of this world."""
-        lag = None if self._recorder is None else self._recorder.lag
-        return WorldFigures(self.name, self.clients, self.status.fault is not None, lag)
+        unwritten = None if self._recorder is None else self._recorder.lag
+        ratio = 1.0 if self._clock.lag is None else self._clock.lag.ratio
+        return WorldFigures(self.name, self.clients, self.status.fault is not None, unwritten, ratio, self._clock.lost)
 
     # -- requests --------------------------------------------------------------------------------------------------
 
@@ -246,6 +251,18 @@ class HostedWorld:
         due = self._clock.due()
         self._worker.advance(due, partial(self._clock.ticked, due))
         self._settle()
+
+    def _tell_lag(self, lag: Lag, over: bool) -> None:
+        """Tells subscribers, and now and then the log, that the world falls behind the clock, or does no longer."""
+        ratio, behind = round(lag.ratio, 3), round(lag.behind, 3)
+        event = {"type": "lagging", "frame": self.world.frame, "ratio": ratio, "behind": behind, "over": over}
+        self.world.announce(event)
+        self._settle_soon()
+        if not over and (now := monotonic()) >= self._lag_logged + LAG_LOGGED:
+            self._lag_logged = now
+            logger.warning(
+                "world %r falls behind: it runs at %.2f of its pace, and is %.1f s behind", self.name, ratio, behind
+            )
 
     def _pass_over_late(self) -> None:
         """Ticks without those who are late at the barrier."""

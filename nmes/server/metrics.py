@@ -28,12 +28,23 @@ _ERROR = b'{"type":"error"'  # how the world's encoder begins an error
 
 
 class WorldFigures(NamedTuple):
-    """The state of a world; `lag` is how old (s) the oldest record may be that is not written yet."""
+    """The state of a world.
+
+    Attributes:
+        name: Its name.
+        clients: The number of connections in it.
+        faulted: Whether a fault has stopped it.
+        unwritten: How old (s) the oldest record may be that is not written yet; None: it is not recorded.
+        ratio: How fast it runs, as a part of the pace that was asked for; 1 where it keeps up.
+        lost: The wall's time (s) that it has let go, since it could not keep up.
+    """
 
     name: str
     clients: int
     faulted: bool
-    lag: float | None
+    unwritten: float | None
+    ratio: float
+    lost: float
 
 
 class Figures(NamedTuple):
@@ -118,9 +129,17 @@ class _Reading(Collector):
         lag = GaugeMetricFamily(
             "nmes_recording_lag_seconds", "Age of the oldest record that may not be written yet", labels=["world"]
         )
+        ratio = GaugeMetricFamily(
+            "nmes_pace_ratio", "How fast a world runs of the pace asked for; 1: it keeps up", labels=["world"]
+        )
+        lost = CounterMetricFamily(
+            "nmes_lost_seconds", "Time of the clock that a world let go, since it could not keep up", labels=["world"]
+        )
         for world in figures.worlds:
+            ratio.add_metric([world.name], world.ratio)
+            lost.add_metric([world.name], world.lost)
             clients.add_metric([world.name], world.clients)
             faulted.add_metric([world.name], float(world.faulted))
-            if world.lag is not None:
-                lag.add_metric([world.name], world.lag)
-        yield from (clients, faulted, lag)
+            if world.unwritten is not None:
+                lag.add_metric([world.name], world.unwritten)
+        yield from (clients, faulted, lag, ratio, lost)

@@ -130,6 +130,7 @@ def test_listing_worlds_creates_and_joins_none(server: Served, tmp_path: Path) -
         "frame": None,
         "clients": 0,
         "fault": None,
+        "ratio": None,
     }
     asker = server.client()
     assert asker.worlds() == [{"world": name, **unused} for name in ("red", "green", "blue")]
