@@ -1,0 +1,3 @@
+module deployed
+
+go 1.21
