@@ -8,6 +8,7 @@ Go is not installed, these tests are skipped and say so.
 from __future__ import annotations
 
 import json
+import math
 import os
 import random
 import shutil
@@ -148,13 +149,14 @@ def test_a_controller_gets_to_its_target_and_the_saved_run_goes_as_it_went(progr
 
 
 def test_bodies_hold_together_and_move_as_they_are_made_to(program: Path, tmp_path: Path) -> None:
-    programs = ["pole", "slider_snake", "chain", "body"]
+    programs = ["pole", "slider_snake", "chain", "body", "bones"]
     with _original(len(programs), tmp_path, "--mode", "lockstep") as first:
-        pole, snake, chain, body = _run(program, first, *(f"-lockstep {name}" for name in programs))
+        pole, snake, chain, body, bones = _run(program, first, *(f"-lockstep {name}" for name in programs))
     assert pole["sunk"] < 0.1
     assert 1.6 < snake["longest"] < 2.2
     assert chain["longest"] < 1.2 and chain["moved"] > 3
     assert body["longest"] < 1.12 and body["moved"] > 3
+    assert bones["swung"] == pytest.approx(math.pi / 4, abs=0.05)
     _check_recordings(tmp_path, len(programs))
 
 
@@ -168,7 +170,7 @@ def test_a_heap_of_600_cubes_is_answered(program: Path, tmp_path: Path) -> None:
 
 @pytest.mark.long
 def test_programs_do_what_they_are_for_by_the_clock(program: Path, tmp_path: Path) -> None:
-    programs = ["blind_builder", "joint_maker", "controller", "pole", "slider_snake", "chain", "body"]
+    programs = ["blind_builder", "joint_maker", "controller", "pole", "slider_snake", "chain", "body", "bones"]
     with _original(len(programs), tmp_path) as first:
         _run(program, first, *programs)
     _check_recordings(tmp_path, len(programs))

@@ -50,6 +50,19 @@ func sliderSnake() Message {
 	return Message{"longest": longest, "moved": moved}
 }
 
+// bones hangs a cube on a frozen one, from its side, by a bone of which it says nothing: it swings down by 45 degrees.
+func bones() Message {
+	c := dial(*port)
+	defer c.close()
+	c.tell(Message{"type": "spawn_cube", "cube_name": "hip", "position": Vector{0, 120, 0}, "is_base": true})
+	c.tell(Message{"type": "spawn_cube", "cube_name": "leg", "position": Vector{gap, 120, 0}})
+	c.ask(Message{"type": "create_bone", "cube1": "hip_BASE", "cube2": "leg", "snake_id": 7}, "bone_created", nil)
+	c.wait(3)
+	swung := math.Asin((120 - c.state("leg").Position[1]) / (gap / 2))
+	expect(math.Abs(swung-math.Pi/4) < 0.1, "the bone swung by %.2f rad", swung)
+	return Message{"swung": swung}
+}
+
 // chain joins a row of cubes by one command, reads no answer to it, and pulls its head.
 func chain() Message {
 	c, link := dial(*port), dial(*port)

@@ -30,6 +30,7 @@ var programs = map[string]func() Message{
 	"trajectory":      trajectory,
 	"pole":            pole,
 	"slider_snake":    sliderSnake,
+	"bones":           bones,
 	"chain":           chain,
 	"body":            body,
 	"heap":            heap,
