@@ -221,9 +221,10 @@ def _planets(said: Message, reply: Message) -> Message:
 
 def _param_set(said: Message, reply: Message) -> Message:
     """Translates that parameters were set: there the answer repeats the command."""
-    told = {name: said[name] for name in ("param_name", "value", "params") if name in said}
-    about = {name: reply[name] for name in ("joint_name", "id") if name in reply}
-    return {"type": "joint_param_set", **about, **told}
+    told: Message = {"type": "joint_param_set"}
+    told.update((name, reply[name]) for name in ("joint_name", "id") if name in reply)
+    told.update((name, said[name]) for name in ("param_name", "value", "params") if name in said)
+    return told
 
 
 def _joint_info(said: Message, reply: Message) -> Message:

@@ -82,10 +82,10 @@ def _link(entities: Entities, pairs: _Pairs, command: JsonObject, path: str) -> 
     about = {name: command[name] for name in ("joint_params", "notes") if name in command}
     names = []
     for one, two in pairs:
-        joint = {"cube1": one.name, "cube2": two.name, **about}
+        joint: JsonObject = {"cube1": one.name, "cube2": two.name, **about}
         name = f"joint_{kind}_{one.name}_{two.name}"
         if len(name) <= _LONGEST_NAME:
-            joint |= {"joint_name": name, "number_if_taken": True}
+            joint.update(joint_name=name, number_if_taken=True)
         names.append(entities.connect(joint, kind, "joint"))
     return names
 
