@@ -79,7 +79,7 @@ def _link(entities: Entities, pairs: _Pairs, command: JsonObject, path: str) -> 
     entities.require_room(joints=len(pairs))
     entities.require_joinable(pairs, path)
     kind = command.get("joint_type", protocol.COMMANDS[command["type"]].defaults["joint_type"])
-    about = {name: command[name] for name in ("joint_params", "notes") if name in command}
+    about: JsonObject = {name: command[name] for name in ("joint_params", "notes") if name in command}
     names = []
     for one, two in pairs:
         joint: JsonObject = {"cube1": one.name, "cube2": two.name, **about}

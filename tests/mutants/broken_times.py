@@ -560,13 +560,13 @@ def motors_that_never_stop(patch: MonkeyPatch) -> None:
 @defect("13.40", backend="mujoco")
 def joints_read_backwards(patch: MonkeyPatch) -> None:
     """It tells a joint's position with the wrong sign."""
-    info = Entities.joint_info
+    info = readings.joint_info
 
     def mirror(entities: Entities, joint: Joint) -> JsonObject:
         reading = info(entities, joint)
         return {**reading, "position": -reading["position"]}
 
-    patch.setattr(Entities, "joint_info", mirror)
+    patch.setattr(readings, "joint_info", mirror)
 
 
 @defect("13.24", "13.25", "13.28", backend="mujoco")

@@ -157,7 +157,7 @@ def motors_stay_off(patch: MonkeyPatch) -> None:
     """It does not switch a motor on that gets a velocity."""
     adjust = joint_params.adjust
 
-    def off(kind: str, params: Any, changes: Any, engine_step: float, path: str | None) -> joint_params.Params:
+    def off(kind: str, params: Any, changes: Any, engine_step: float, path: str) -> joint_params.Params:
         adjusted = adjust(kind, params, changes, engine_step, path)
         if "motor_enabled" not in changes:
             adjusted["motor_enabled"] = params["motor_enabled"]
@@ -374,7 +374,7 @@ def limits_upside_down(patch: MonkeyPatch) -> None:
     """It takes limits of which the lower is above the upper."""
     adjust = joint_params.adjust
 
-    def sort(kind: str, params: Any, changes: Any, engine_step: float, path: str | None) -> joint_params.Params:
+    def sort(kind: str, params: Any, changes: Any, engine_step: float, path: str) -> joint_params.Params:
         if changes.get("limit_lower", 0) > changes.get("limit_upper", float("inf")):
             changes = {**changes, "limit_lower": changes["limit_upper"], "limit_upper": changes["limit_lower"]}
         return adjust(kind, params, changes, engine_step, path)
