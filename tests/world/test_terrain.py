@@ -191,10 +191,21 @@ def test_a_cube_in_an_obstacle_is_set_down_on_what_is_on_top_of_it(backend: str)
     assert drive.moved_to(3, 0.5, 0) is None
 
 
+def test_a_cube_that_is_pressed_into_a_side_or_an_underside_is_left_to_the_engine() -> None:
+    step, slab = (
+        {"type": "box", "position": [x, y, 0], "size": [2, h, 2]} for x, y, h in ((0, 0.15, 0.3), (9, 3.5, 1))
+    )
+    drive = Driver({"obstacles": [step, slab]})
+    assert drive.moved_to(1.496, 0.5, 0) is None  # beside the step, and hardly in it
+    assert drive.moved_to(1.4, 0.5, 0) == pytest.approx([1.4, 0.8, 0])
+    assert drive.moved_to(9, 2.6, 0) is None  # under the slab
+    assert drive.moved_to(9, 3.1, 0) == pytest.approx([9, 4.5, 0])
+
+
 def test_a_planar_world_knows_only_the_slice_of_an_obstacle() -> None:
-    behind = {"obstacles": [{"type": "box", "position": [0, 1, 1], "size": [4, 2, 1]}]}
-    assert Driver(behind, "pymunk").moved_to(0, 1, 0) is None
-    assert Driver(behind, "mujoco").moved_to(0, 2.1, 0.3) == [0, 2.5, 0.3]
+    behind = {"obstacles": [{"type": "box", "position": [0, 1, 0.7], "size": [4, 2, 1]}]}
+    assert Driver(behind, "pymunk").moved_to(0, 2.1, 0) is None
+    assert Driver(behind, "mujoco").moved_to(0, 2.1, 0) == [0, 2.5, 0]
 
 
 def test_a_cube_in_the_ground_beside_a_trench_is_set_down_and_one_in_the_trench_is_not() -> None:
