@@ -4,9 +4,10 @@ import (
 	"encoding/json"
 	"fmt"
 	"math"
-	"net"
 	"strings"
 )
+
+const high = 300.0 // m; so that nothing lands while a program looks at it, however slow the machine is
 
 // blindBuilder spawns ten cubes without names and takes the last ten of the list for them, in that order. A force
 // without a name is for the last of them. A cube that is a base hangs in the air until it is let go by its longer name.
@@ -14,7 +15,7 @@ func blindBuilder() Message {
 	c := dial(*port)
 	defer c.close()
 	for n := 0; n < 10; n++ {
-		c.tell(Message{"type": "spawn_cube", "position": Vector{float64(3 * n), 110, 0}})
+		c.tell(Message{"type": "spawn_cube", "position": Vector{float64(3 * n), high, 0}})
 	}
 	names := c.names()
 	expect(len(names) >= 10, "of ten cubes the list has %v", names)
@@ -51,7 +52,7 @@ func waitingBuilder() Message {
 	defer c.close()
 	silences := 0
 	for _, command := range []Message{
-		{"type": "spawn_cube", "cube_name": "walker", "position": Vector{0, 110, 0}},
+		{"type": "spawn_cube", "cube_name": "walker", "position": Vector{0, high, 0}},
 		{"type": "freeze_cube", "cube_name": "walker", "freeze": true},
 		{"type": "freeze_cube", "cube_name": "walker", "freeze": false},
 		{"type": "apply_force", "cube_name": "walker", "force": Vector{3, 0, 0}},
@@ -99,14 +100,14 @@ func caller() Message {
 	}
 	names := []string{"leg_0", "leg_1", "leg_2"}
 	for n, name := range names {
-		at := Vector{1.1 * float64(n), 110, 0}
+		at := Vector{1.1 * float64(n), high, 0}
 		call(func(c *Client) { c.tell(Message{"type": "spawn_cube", "cube_name": name, "position": at}) })
 		call(func(c *Client) { c.until(name+" is there", func() bool { return c.has(name) }) })
 	}
 	for n := 1; n < len(names); n++ {
 		joint := Message{
 			"type": "create_joint", "joint_type": "hinge", "cube1": names[n-1], "cube2": names[n],
-			"position": Vector{1.1*float64(n) - 0.55, 110, 0},
+			"position": Vector{1.1*float64(n) - 0.55, high, 0},
 		}
 		call(func(c *Client) { c.ask(joint, "joint_created", nil) })
 	}
@@ -166,7 +167,7 @@ func muteMotors() Message {
 	return Message{"turned": turned}
 }
 
-// scanner looks at ports that are 3 apart for worlds, and at one more, where there must be none.
+// scanner looks for worlds on ports that are 3 apart, and at the cubes in each.
 func scanner() Message {
 	worlds := 0
 	for n := 0; n < *count; n++ {
@@ -175,10 +176,5 @@ func scanner() Message {
 		c.close()
 		worlds++
 	}
-	connection, err := net.Dial("tcp", fmt.Sprintf("127.0.0.1:%d", *port+1))
-	if err == nil {
-		connection.Close()
-	}
-	expect(err != nil, "something listens between the first two worlds")
 	return Message{"worlds": worlds}
 }
