@@ -17,11 +17,9 @@ func pole() Message {
 	for n := 1; n < 5; n++ {
 		name, height := fmt.Sprintf("pole_%d", n), 101+gap*float64(n)
 		c.tell(Message{"type": "spawn_cube", "cube_name": name, "position": Vector{0, height, 0}})
-		c.ask(Message{
-			"type": "create_joint", "joint_type": "hinge", "cube1": below, "cube2": name,
-			"position": Vector{0, height - gap/2, 0}, "joint_name": fmt.Sprintf("pole_joint_%d", n),
+		c.join("hinge", below, name, Vector{0, height - gap/2, 0}, Message{
 			"joint_params": Message{"motor_enable": 1.0, "motor_target_velocity": 0.0, "motor_max_impulse": 100.0},
-		}, "joint_created", nil)
+		})
 		below = name
 	}
 	c.tell(Message{"type": "apply_force", "cube_name": below, "force": Vector{0.05, 0, 0}})
@@ -39,10 +37,7 @@ func sliderSnake() Message {
 	defer c.close()
 	names := row(c, "snake", 6)
 	for n := 1; n < len(names); n++ {
-		c.ask(Message{
-			"type": "create_joint", "joint_type": "slider", "cube1": names[n-1], "cube2": names[n],
-			"position": Vector{gap * (float64(n) - 0.5), 130, 0},
-		}, "joint_created", nil)
+		c.join("slider", names[n-1], names[n], Vector{gap * (float64(n) - 0.5), 130, 0}, nil)
 	}
 	longest, moved := pull(c, names)
 	expect(longest < gap+1.1, "two neighbours in the snake were %.2f m apart", longest)

@@ -105,11 +105,8 @@ func caller() Message {
 		call(func(c *Client) { c.until(name+" is there", func() bool { return c.has(name) }) })
 	}
 	for n := 1; n < len(names); n++ {
-		joint := Message{
-			"type": "create_joint", "joint_type": "hinge", "cube1": names[n-1], "cube2": names[n],
-			"position": Vector{1.1*float64(n) - 0.55, high, 0},
-		}
-		call(func(c *Client) { c.ask(joint, "joint_created", nil) })
+		at := Vector{1.1*float64(n) - 0.55, high, 0}
+		call(func(c *Client) { c.join("hinge", names[n-1], names[n], at, nil) })
 	}
 	for _, name := range names {
 		call(func(c *Client) {
@@ -142,14 +139,8 @@ func muteMotors() Message {
 	for n := 1; n <= 5; n++ {
 		name, height := fmt.Sprintf("arm_%d", n), 120+1.1*float64(n)
 		c.tell(Message{"type": "spawn_cube", "cube_name": name, "position": Vector{0, height, 0}})
-		var joint struct {
-			Name string `json:"joint_name"`
-		}
-		c.ask(Message{
-			"type": "create_joint", "joint_type": "hinge", "cube1": below, "cube2": name,
-			"position": Vector{0, height - 0.55, 0},
-		}, "joint_created", &joint)
-		below, joints = name, append(joints, joint.Name)
+		joints = append(joints, c.join("hinge", below, name, Vector{0, height - 0.55, 0}, nil))
+		below = name
 	}
 	for _, joint := range joints {
 		for _, set := range []struct {

@@ -2,6 +2,7 @@ package main
 
 import (
 	"encoding/json"
+	"math"
 	"sort"
 )
 
@@ -12,28 +13,17 @@ func repeater() Message {
 	for n, name := range []string{"upper", "lower"} {
 		c.tell(Message{"type": "spawn_cube", "cube_name": name, "position": Vector{0, 121 - 1.1*float64(n), 0}})
 	}
-	names := map[string]bool{}
-	var first string
-	for n := 0; n < 2; n++ {
-		var joint struct {
-			Name string `json:"joint_name"`
-		}
-		c.ask(Message{
-			"type": "create_joint", "joint_type": "hinge", "cube1": "upper", "cube2": "lower",
-			"position": Vector{0, 120.45, 0},
-		}, "joint_created", &joint)
-		if n == 0 {
-			first = joint.Name
-		}
-		names[joint.Name] = true
-	}
+	first := c.join("hinge", "upper", "lower", Vector{0, 120.45, 0}, nil)
+	second := c.join("hinge", "upper", "lower", Vector{0, 120.45, 0}, nil)
 	expect(first == "joint_hinge_upper_lower", "the first joint is called %s", first)
+	expect(second != first, "both joints are called %s", first)
 	joints := c.joints("lower")
 	expect(len(joints) == 2, "the cube has the joints %v", joints)
+	c.tell(Message{"type": "apply_force", "cube_name": "upper", "force": Vector{3, 3, 0}})
 	c.wait(0.5)
 	apart := c.state("upper").Position.distance(c.state("lower").Position)
 	expect(apart < 1.2, "the two cubes are %g m apart", apart)
-	return Message{"names": len(names), "joints": len(joints)}
+	return Message{"joints": joints, "apart": apart}
 }
 
 // joints asks for the names of a cube's joints, sorted.
@@ -74,23 +64,24 @@ func jointMaker() Message {
 		at := Vector{5 * float64(n), 120, 0}
 		c.tell(Message{"type": "spawn_cube", "cube_name": kind.kind, "position": at, "is_base": true})
 		c.tell(Message{"type": "spawn_cube", "cube_name": cube, "position": at.plus(Vector{1.1, 0, 0})})
-		var joint struct {
-			Name string `json:"joint_name"`
-		}
-		c.ask(Message{
-			"type": "create_joint", "joint_type": kind.kind, "cube1": base, "cube2": cube,
-			"position": at.plus(Vector{0.55, 0, 0}), "joint_name": "my_" + kind.kind, "joint_params": kind.params,
-		}, "joint_created", &joint)
-		expect(joint.Name == "my_"+kind.kind, "the joint my_%s is called %s", kind.kind, joint.Name)
+		name := c.join(kind.kind, base, cube, at.plus(Vector{0.55, 0, 0}), Message{
+			"joint_name": "my_" + kind.kind, "joint_params": kind.params,
+		})
+		expect(name == "my_"+kind.kind, "the joint my_%s is called %s", kind.kind, name)
 		joints := c.joints(cube)
 		expect(len(joints) == 1 && joints[0] == "my_"+kind.kind, "cube %s has the joints %v", cube, joints)
 	}
 	c.until("the hinge's motor turns it up to its limit", func() bool {
 		return c.state("hinge_2").Rotation[2] > 0.45
 	})
-	c.wait(1)
-	limit := c.state("hinge_2").Rotation[2]
-	expect(limit < 0.6, "the hinge turned by %g rad over its limit of 0.5", limit)
+	c.wait(3)
+	turned := c.state("hinge_2").Rotation[2]
+	expect(turned < 0.6, "the hinge turned by %g rad over its limit of 0.5", turned)
+	// The planet's centre is not straight below these two: the slider slides towards it, and the cone falls.
+	slid := 5 + 1.1 - c.state("slider_2").Position[0]
+	expect(math.Abs(slid-0.5) < 0.1, "the slider with a limit of 0.5 m slid by %g m", slid)
+	swung := math.Asin((120 - c.state("conetwist_2").Position[1]) / 0.55)
+	expect(math.Abs(swung-0.5) < 0.1, "the cone with a span of 0.5 rad swung by %g rad", swung)
 
 	c.tell(Message{
 		"type": "set_joint_params", "joint_name": "my_hinge",
@@ -104,5 +95,5 @@ func jointMaker() Message {
 		"type": "set_joint_param", "joint_name": "my_hinge", "param_name": "motor_target_velocity", "value": 0.0,
 	}, "joint_param_set", nil)
 	c.tell(Message{"type": "set_color", "cube_name": "hinge_2", "hex": "#FFFF00"})
-	return Message{"joints": len(kinds), "limit": limit}
+	return Message{"turned": turned, "slid": slid, "swung": swung}
 }

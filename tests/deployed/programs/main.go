@@ -51,9 +51,13 @@ func main() {
 		os.Exit(2)
 	}
 	defer func() {
-		if why, failed := recover().(failure); failed {
+		switch why := recover().(type) {
+		case nil:
+		case failure:
 			report(Message{"failed": string(why)})
 			os.Exit(1)
+		default:
+			panic(why)
 		}
 	}()
 	report(program())

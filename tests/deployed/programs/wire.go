@@ -5,6 +5,7 @@ import (
 	"encoding/json"
 	"errors"
 	"fmt"
+	"maps"
 	"math"
 	"net"
 	"os"
@@ -123,6 +124,17 @@ func (c *Client) has(name string) bool {
 		}
 	}
 	return false
+}
+
+// join joins two cubes where they stand, and returns the joint's name; `more` may say more of it.
+func (c *Client) join(kind, cube1, cube2 string, at Vector, more Message) string {
+	command := Message{"type": "create_joint", "joint_type": kind, "cube1": cube1, "cube2": cube2, "position": at}
+	maps.Copy(command, more)
+	var joint struct {
+		Name string `json:"joint_name"`
+	}
+	c.ask(command, "joint_created", &joint)
+	return joint.Name
 }
 
 // State is how a cube moves.
