@@ -15,7 +15,10 @@ from collections.abc import Callable
 from struct import Struct
 
 import numpy as np
-from numpy._core.multiarray import c_einsum  # what np.einsum calls in the end: that takes twice as long for small rows
+
+# A private name: what `np.einsum` calls in the end. By way of that a sum takes 2.3 us in place of 1.3, and two of them
+# in a tick are 1.5 % of the episode of a small network.
+from numpy._core.multiarray import c_einsum
 from numpy.typing import NDArray
 
 __all__ = ["each", "on_each", "weigh"]
@@ -43,7 +46,7 @@ def on_each(function: Callable[[float], float], source: Array, target: Array) ->
         target: Of the same shape; may be the source.
     """
     flat, there = source.reshape(-1), bool(target.flags.c_contiguous)
-    place = memoryview(target if there else source)
+    place = (target if there else source).data
     write = Struct(f"{source.size}d").pack_into  # of all ways from floats to an array the fastest
 
     def apply() -> None:

@@ -68,7 +68,10 @@ def _gauss(sums: Array, target: Array) -> Callable[[], None]:
 
 
 def _step(sums: Array, target: Array) -> Callable[[], None]:
-    return lambda: np.greater_equal(sums, 0.0, out=target)
+    def apply() -> None:
+        np.greater_equal(sums, 0.0, out=target)
+
+    return apply
 
 
 def _relu(sums: Array, target: Array) -> Callable[[], None]:
