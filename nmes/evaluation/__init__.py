@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from nmes.evaluation.environments import Environments
 from nmes.evaluation.episode import Episode, Result, brain_of
 from nmes.evaluation.evaluator import Evaluation, Job, evaluate, evaluate_all, evaluate_population
 from nmes.evaluation.parallel import Workers
@@ -9,6 +10,7 @@ from nmes.evaluation.proof import Proof, prove, scores_so_far
 from nmes.evaluation.task import Limits, Task
 
 __all__ = [
+    "Environments",
     "Episode",
     "Evaluation",
     "Job",

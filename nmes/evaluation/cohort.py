@@ -20,7 +20,7 @@ from nmes.evaluation.task import Task
 from nmes.objective.trajectory import touches
 from nmes.world.creature import CreatureRows
 
-__all__ = ["Entry", "run_cohort"]
+__all__ = ["Entry", "PlaceOfRows", "run_cohort"]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -146,7 +146,7 @@ class _Cohort:
             bodies = self._first.watched.bodies
             for place in self._places.tolist():
                 judge = self._judges[place]
-                scene = _Scene(self._rows, place)
+                scene = PlaceOfRows(self._rows, place)
                 judge.touches[tick + 1] = touches(scene, bodies, judge.trajectory.bodies.body)
 
     def _look(self, *, last: bool) -> None:
@@ -164,11 +164,12 @@ class _Cohort:
 
 
 @dataclass(frozen=True, slots=True)
-class _Scene:
+class PlaceOfRows:
     """One place of the rows, as `touches` asks a simulation."""
 
     rows: Rows
     place: int
 
     def contacts(self, body: int) -> list[Contact]:
+        """Returns the contacts of a body there."""
         return self.rows.contacts(self.place, body)

@@ -188,6 +188,17 @@ class Episode:
             self._handover = Handover(row, tick, *now, self._sensed)
         return True
 
+    def start(self) -> tuple[Creature, Watched, Judge] | None:
+        """Returns what whoever drives it in another way needs at its first tick; None where it never came to rest.
+
+        Returns:
+            The creature, what its judge is told of, and the judge, who has seen the start.
+        """
+        if self._observer is None:
+            return None
+        self._observer.look()
+        return self._observer.creature, self._observer.watched, self._observer.judge
+
     def _set_scene(self) -> Iterator[Step]:
         """Yields the steps before the start; makes the observer, unless the creature does not come to rest."""
         world, task, genome, seed = self._world, self._task, self._genome, self._seed

@@ -167,6 +167,12 @@ class Task:
         """Ticks before the start, at the most."""
         return round(float(self.document["settle_limit"]) * self.tick_rate)
 
+    @property
+    def bounds(self) -> dict[str, float]:
+        """The limits of what a creature does, as `first_beyond` takes them: what is not limited is infinite."""
+        limits = {"energy": self.limits.energy, "speed": self.limits.speed, "spin": self.limits.spin}
+        return {name: math.inf if limit is None else limit for name, limit in limits.items()}
+
     def ended(self, trajectory: Trajectory, begin: int, end: int) -> tuple[int, str] | None:
         """Returns how many rows count where an episode is ended early, and the name of what ended it; None if nothing.
 
@@ -177,9 +183,7 @@ class Task:
             begin: The first row to look at.
             end: The row after the last.
         """
-        limits = (self.limits.energy, self.limits.speed, self.limits.spin)
-        energy, speed, spin = (math.inf if limit is None else limit for limit in limits)
-        beyond = trajectory.first_beyond(begin, end, energy=energy, speed=speed, spin=spin)
+        beyond = trajectory.first_beyond(begin, end, **self.bounds)
         stops = [] if beyond is None else [beyond]
         for name, condition in self.ends:
             row = trajectory.first(condition, begin, end)

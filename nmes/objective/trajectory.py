@@ -23,7 +23,16 @@ from nmes.backend import Array, Contact
 from nmes.errors import WorldError
 from nmes.objective.expression import Condition, Objective, Quantity
 
-__all__ = ["UPRIGHT", "Flags", "ObservedBodies", "RunningQuantities", "Trajectory", "touches"]
+__all__ = [
+    "UPRIGHT",
+    "Flags",
+    "ObservedBodies",
+    "QuantityRows",
+    "RunningQuantities",
+    "Trajectory",
+    "beyond",
+    "touches",
+]
 
 Flags = npt.NDArray[np.bool_]
 
@@ -118,7 +127,8 @@ class Trajectory:
             upright = self.series(Quantity("uprightness"), 1, end) >= UPRIGHT
             return np.concatenate([[0.0], np.cumsum(upright) / self.bodies.tick_rate])[begin:end]
         work = _in_order(self.work[begin:end])
-        block = _Block(self.bodies, self.states[0], begin, self.states[begin:end], work, self.touches[begin:end])
+        rows = self.states[begin:end], work, self.touches[begin:end]
+        block = _Block(self.bodies, self.states[:1], self.bodies.target, begin, *rows)
         return block.series(quantity)
 
     def values(self, quantities: Iterable[Quantity]) -> dict[Quantity, float]:
@@ -179,12 +189,10 @@ class Trajectory:
             speed: Of the centre of each of its cubes, m/s.
             spin: Of each of its cubes, rad/s.
         """
-        body = self.bodies.columns(None)
-        beyond: dict[str, Flags] = {"energy": np.asarray(_in_order(self.work[begin:end]) > energy)}
-        for name, limit, first in (("speed", speed, 7), ("spin", spin, 10)):
-            # What is no number is beyond every limit.
-            beyond[name] = np.asarray(~(_length(self.states[begin:end, body, first : first + 3]) <= limit).all(axis=1))
-        rows = [(begin + int(flags.argmax()), name) for name, flags in beyond.items() if flags.any()]
+        flagged = beyond(
+            self.bodies, self.states[begin:end], self.work[begin:end], energy=energy, speed=speed, spin=spin
+        )
+        rows = [(begin + int(flags.argmax()), name) for name, flags in flagged.items() if flags.any()]
         return min(rows, key=lambda row: row[0], default=None)
 
     def _so_far(self, quantity: Quantity, begin: int, end: int) -> Array:
@@ -257,7 +265,7 @@ class RunningQuantities:
 
     def _row(self, states: Array, work: Array, touches: Flags) -> _Block:
         rows = states[np.newaxis], _in_order(work[np.newaxis]), touches[np.newaxis]
-        return _Block(self.bodies, self._start, self.ticks, *rows)
+        return _Block(self.bodies, self._start[np.newaxis], self.bodies.target, self.ticks, *rows)
 
     def _now(self, quantity: Quantity, row: _Block) -> float:
         if quantity.name == "time_upright":
@@ -282,6 +290,71 @@ class RunningQuantities:
         self._folds = dict(zip(self._folds, map(float, folds), strict=True))
 
 
+class QuantityRows:
+    """The quantities of many episodes of the same bodies that go on in step, each from a start of its own.
+
+    Args:
+        bodies: The cubes that they are about; the target is each episode's own.
+        quantities: What will be asked.
+        count: The number of places for episodes.
+    """
+
+    def __init__(self, bodies: ObservedBodies, quantities: Iterable[Quantity], count: int) -> None:
+        self.bodies, self._quantities = bodies, tuple(quantities)
+        n = len(bodies.cubes)
+        self._starts: Array = np.zeros((count, n, 13))
+        self._targets: Array | str | None = np.zeros((count, 3)) if isinstance(bodies.target, tuple) else bodies.target
+        self._ticks, self._upright = np.zeros(count), np.zeros(count)
+        self._folds = {quantity: np.zeros(count) for quantity in self._quantities if quantity.fold != "final"}
+
+    def begin(self, place: int, states: Array, touches: Flags, target: tuple[float, float, float] | str | None) -> None:
+        """Begins an episode in a place, whatever was there.
+
+        Args:
+            place: Which.
+            states: At the start, array (n, 13).
+            touches: At the start, array (n, 2), or without rows; as in `Trajectory`.
+            target: As in `ObservedBodies`.
+        """
+        self._starts[place], self._ticks[place], self._upright[place] = states, 0.0, 0.0
+        if isinstance(self._targets, np.ndarray):
+            self._targets[place] = target
+        rows = states[np.newaxis], np.zeros(1), touches[np.newaxis]
+        block = _Block(self.bodies, self._starts[place : place + 1], target, 0, *rows)
+        for quantity, fold in self._folds.items():
+            fold[place] = 0.0 if quantity.name == "time_upright" else block.series(quantity)[0]
+
+    def add(self, states: Array, work: Array, touches: Flags) -> dict[Quantity, Array]:
+        """Takes the rows of the next tick, and returns the values of the quantities, each an array (count,).
+
+        Args:
+            states: Array (count, n, 13).
+            work: Of each of the bodies' motors since the start, array (count, m), J.
+            touches: Array (count, n, 2), or (count, 0, 2); as in `Trajectory`.
+        """
+        self._ticks += 1.0
+        block = _Block(self.bodies, self._starts, self._targets, self._ticks, states, _in_order(work), touches)
+        if any(quantity.name == "time_upright" for quantity in self._quantities):
+            self._upright += block.series(Quantity("uprightness")) >= UPRIGHT
+        values = {}
+        for quantity in self._quantities:
+            upright = quantity.name == "time_upright"
+            now = self._upright / self.bodies.tick_rate if upright else block.series(quantity)
+            values[quantity] = now if quantity.fold == "final" else self._folded(quantity, now)
+        return values
+
+    def _folded(self, quantity: Quantity, now: Array) -> Array:
+        fold = self._folds[quantity]
+        if quantity.fold == "mean":
+            fold += now
+            return fold / (self._ticks + 1.0)
+        if quantity.fold == "min":
+            np.minimum(fold, now, out=fold)
+        elif quantity.fold == "max":
+            np.maximum(fold, now, out=fold)
+        return fold
+
+
 class HasContacts(Protocol):
     """A scene that tells what a body touches: a `Simulation`, or one of many rows."""
 
@@ -302,6 +375,27 @@ def touches(simulation: HasContacts, bodies: Sequence[int], body: int) -> Flags:
     return np.array([(bool(others), any(other not in own for other in others)) for others in partners]).reshape(-1, 2)
 
 
+def beyond(
+    bodies: ObservedBodies, states: Array, work: Array, *, energy: float, speed: float, spin: float
+) -> dict[str, Flags]:
+    """Returns in which rows a body is beyond each limit, arrays (k,), energy before speed before spin.
+
+    Args:
+        bodies: What the rows are about.
+        states: Array (k, n, 13).
+        work: Array (k, m), as `Trajectory.work`.
+        energy: Work of its motors, J.
+        speed: Of the centre of each of its cubes, m/s.
+        spin: Of each of its cubes, rad/s.
+    """
+    body = bodies.columns(None)
+    flags: dict[str, Flags] = {"energy": np.asarray(_in_order(work) > energy)}
+    for name, limit, first in (("speed", speed, 7), ("spin", spin, 10)):
+        # What is no number is beyond every limit.
+        flags[name] = np.asarray(~(_length(states[:, body, first : first + 3]) <= limit).all(axis=1))
+    return flags
+
+
 # -- formulas ---------------------------------------------------------------------------------------------------------
 
 
@@ -320,11 +414,16 @@ def _length(vectors: Array) -> Array:
 
 @dataclass(eq=False, slots=True)
 class _Block:
-    """Some rows in a row: `states` (k, n, 13), `work` (k,), `touches` (k, n, 2), the first being number `begin`."""
+    """Some rows: `states` (k, n, 13), `work` (k,), `touches` (k, n, 2).
+
+    Of one episode in a row, `start` being (1, n, 13) and `number` that of the first; or each of another, with a start
+    and a number of its own, (k, n, 13) and (k,), and a target too if it is a point, (k, 3).
+    """
 
     bodies: ObservedBodies
     start: Array
-    begin: int
+    target: Array | tuple[float, float, float] | str | None
+    number: Array | int
     states: Array
     work: Array
     touches: Flags
@@ -336,7 +435,9 @@ class _Block:
         columns = self.bodies.columns(quantity.cube)
         match name:
             case "time":
-                return np.arange(self.begin, self.begin + len(self.states)) / self.bodies.tick_rate
+                first = self.number
+                numbers = np.arange(first, first + len(self.states)) if isinstance(first, int) else first
+                return numbers / self.bodies.tick_rate
             case "energy":
                 return self.work
             case "cubes" | "mass":
@@ -359,9 +460,9 @@ class _Block:
                 vectors, axis = self._centre(quantity.cube), axis or "y"
             case "displacement" | "distance":
                 vectors = self._centre(quantity.cube)
-                aim = self.bodies.target if name == "distance" else None
+                aim = self.target if name == "distance" else None
                 if aim is None:
-                    vectors = vectors - self._mean(self.start[np.newaxis], columns, 0)
+                    vectors = vectors - self._mean(self.start, columns, 0)
                 else:
                     vectors = vectors - (self._centre(aim) if isinstance(aim, str) else np.array(aim))
             case _:
