@@ -6,6 +6,7 @@ import os
 import sys
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import click
@@ -51,6 +52,7 @@ def _seeds(_: click.Context, parameter: click.Parameter, value: str | None) -> t
 )
 @click.option("--seeds", metavar="LIST", callback=_seeds, help="Such as 1,2,3 or 0-9.  [default: the task's]")
 @click.option("--record", type=click.Path(file_okay=False, path_type=Path), help="Leave a recording of each here.")
+@click.option("--record-best", metavar="K", type=click.IntRange(1), help="Record but the K best, alone, afterwards.")
 @click.option(
     "--from-recording",
     "recordings",
@@ -76,6 +78,7 @@ def command(
     task: str,
     seeds: tuple[int, ...] | None,
     record: Path | None,
+    record_best: int | None,
     recordings: tuple[Path, ...],
     jobs: int | None,
     ray: str | None,
@@ -103,6 +106,7 @@ def command(
         nmes eval walker 'evolved/*.json' --task walk --seeds 1-5 --record proofs
         nmes eval --from-recording proofs/walker-*.mcap --json
         nmes eval walker --seeds 1-3 --record proofs --plot walker.svg
+        nmes eval 'generation/*.json' --record proofs --record-best 3
     """
     _check_usage(context)
     if recordings:
@@ -113,10 +117,13 @@ def command(
     else:
         files = find_genomes(genomes)
         check_output(plot_to, task, *files, *filter(None, [resume]))
-        work = _jobs(files, task, seeds, record)
+        work = _jobs(files, task, seeds, record if record_best is None else None)
         if record is not None:
             record.mkdir(parents=True, exist_ok=True)
-        evaluations, whole = run_jobs(work, jobs or os.cpu_count() or 1, ray, resume)
+        jobs = jobs or os.cpu_count() or 1
+        evaluations, whole = run_jobs(work, jobs, ray, resume)
+        if record_best is not None and whole:
+            evaluations, whole = _record_best(work, evaluations, record_best, str(record), jobs, ray)
     (print_results if as_json else print_csv if as_csv else print_table)(evaluations)
     if plot_to is not None:
         _plot(evaluations, plot_to)
@@ -135,6 +142,10 @@ def _check_usage(context: click.Context) -> None:
         ),
         (not recordings and not options["genomes"], "name a genome to score, or a recording with --from-recording"),
         (options["as_json"] and options["as_csv"], "either --json or --csv"),
+        (
+            options["record_best"] is not None and options["record"] is None,
+            "--record-best says how many are recorded: say where with --record",
+        ),
         (
             options["plot_to"] is not None and not recordings and options["record"] is None,
             "--plot is drawn from recordings: give --record, or --from-recording",
@@ -157,6 +168,30 @@ def _jobs(files: Sequence[str], task: str, seeds: tuple[int, ...] | None, record
     document = orjson.dumps(asked.document)
     folder = None if record is None else str(record)
     return [Job(Path(name).stem, _read_genome(name), document, seeds, folder) for name in files]
+
+
+def _record_best(
+    work: Sequence[Job], evaluations: Sequence[Evaluation], count: int, folder: str, jobs: int, ray: str | None
+) -> tuple[list[Evaluation], bool]:
+    """Runs the best creatures again, each alone, and records them.
+
+    Returns:
+        All evaluations, and whether none is missing.
+
+    Raises:
+        ClickException: One of them came out otherwise than beside the others.
+    """
+    scores = {index: each.score for index, each in enumerate(evaluations) if each.score is not None}
+    best = sorted(scores, key=lambda index: (-scores[index], index))[:count]
+    recorded, whole = run_jobs([replace(work[index], record=folder) for index in best], jobs, ray, None)
+    found = list(evaluations)
+    for index, again in zip(best, recorded, strict=False):  # fewer after Ctrl-C
+        if again != evaluations[index]:
+            scores_then = f"{evaluations[index].score!r}, then {again.score!r}"
+            what = f"{again.genome} came out otherwise alone than beside others (score {scores_then})"
+            raise click.ClickException(visible(f"{what}: please report this as a mistake in NMES"))
+        found[index] = again
+    return found, whole
 
 
 def _read_genome(name: str) -> bytes:

@@ -377,7 +377,7 @@ def _cut(work: Sequence[Job], jobs: int) -> list[list[int]]:
             portions.append([index])
     for (document, seeds), indices in kinds.items():
         count = len(Task(orjson.loads(document)).seeds if seeds is None else seeds)
-        for portion in cut([work[index].genome for index in indices], count, jobs):
+        for portion in cut([work[index].genome for index in indices], max(1, count), jobs):
             portions.append([indices[place] for place in portion])
     return portions
 

@@ -6,8 +6,8 @@ what comes out: a genome is looked at as it lies there, good or not.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Final
+from collections.abc import Hashable, Sequence
+from typing import Any
 
 import orjson
 
@@ -15,43 +15,47 @@ from nmes.evaluation.population import ROWS
 
 __all__ = ["cut"]
 
-_LEAST = 4  # genomes; in smaller portions the costs of a tick would be paid for too few
-_RESERVE: Final = 2  # portions a process that are still to come when one is handed out
+_LEAST = 4  # genomes; in smaller portions what a tick costs at all would be paid for too few
+_RESERVE = 2  # portions a process that are still to come when one is handed out
 
 
 def cut(genomes: Sequence[bytes], seeds: int, jobs: int) -> list[list[int]]:
     """Cuts a population into portions, to be handed out in this order to whichever process is free.
 
-    What takes longest comes first, like beside like; portions become smaller towards the end.
+    Each is of one kind. What takes longest comes first, and portions become smaller towards the end.
 
     Args:
         genomes: Their documents.
-        seeds: How many episodes each is run for.
+        seeds: How many episodes each is run for, 1 or more.
         jobs: How many processes there are.
 
     Returns:
         The indices of the genomes in each portion.
     """
-    looks = [_look(genome) for genome in genomes]
-    order = sorted(range(len(genomes)), key=lambda index: (-looks[index][0], looks[index][1], index))
-    most = max(1, ROWS // seeds)
-    portions, begin = [], 0
-    while begin < len(order):
-        left = len(order) - begin
-        count = most if jobs == 1 else min(most, max(_LEAST, left // (_RESERVE * jobs)))
-        portions.append(order[begin : begin + count])
-        begin += count
+    kinds: dict[tuple[int, Hashable], list[int]] = {}
+    for index, genome in enumerate(genomes):
+        kinds.setdefault(_look(genome), []).append(index)
+    most, least = max(1, ROWS // seeds), min(_LEAST, -(-len(genomes) // jobs))
+    portions, left = [], len(genomes)
+    for _, kind in sorted(kinds.items(), key=lambda item: (-item[0][0], item[1])):
+        begin = 0
+        while begin < len(kind):
+            count = most if jobs == 1 else min(most, max(least, left // (_RESERVE * jobs)))
+            portions.append(kind[begin : begin + count])
+            begin += count
+            left -= len(portions[-1])
     return portions
 
 
-def _look(genome: bytes) -> tuple[int, bytes]:
-    """Returns the number of cubes that a document names, and all of its body but the numbers."""
+def _look(genome: bytes) -> tuple[int, Hashable]:
+    """Returns the number of cubes or parts that a document names, and all of its body but the numbers."""
     try:
         document = orjson.loads(genome)
-        parts = [document.get(name) for name in ("body", "sensors")]
-        return len(parts[0]["cubes"]), orjson.dumps(_shape(parts))
+        body = document["body"]
+        parts = body["cubes"] if "cubes" in body else body["graph"]["parts"]
+        return len(parts), orjson.dumps(_shape([body, document.get("sensors")]))
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError):
-        return 0, b""  # a graph, of which nobody knows the cubes before it has grown; or no genome
+        return 0, None  # no genome, which takes no time
 
 
 def _shape(value: Any) -> Any:

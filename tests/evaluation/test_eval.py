@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,9 @@ from test_evaluation import DASH
 
 from creatures import cpg, exploding, mlp, snake
 from nmes.cli import main
+from nmes.evaluation import Result as EpisodeResult
 from nmes.evaluation import scores_so_far
+from nmes.evaluation.episode import Judge
 from nmes.genome import Genome
 from nmes.recording import Recording
 from nmes.world import World
@@ -256,3 +259,38 @@ def test_nmes_info_plots_any_recording(tmp_path: Path) -> None:
     assert len([bar for bar in picture.iter(f"{SVG}rect") if bar.get("x") is not None]) == 2, (
         "before the hop, and after"
     )
+
+
+def test_the_best_of_many_are_run_again_alone_and_recorded(folder: Path) -> None:
+    options = ("--task", folder / "dash.json", "--jobs", 1, "--json")
+    plain = json.loads(run(folder / "zoo", *options).stdout)
+    result = run(folder / "zoo", *options, "--record", folder / "best", "--record-best", 2)
+    evaluations = json.loads(result.stdout)
+    assert result.exit_code == 1 and timeless(evaluations) == timeless(plain)  # one of them is ill
+    scores = sorted((each["score"] for each in plain if each["score"] is not None), reverse=True)
+    recorded = [each for each in evaluations if each["recordings"]]
+    assert sorted((each["score"] for each in recorded), reverse=True) == scores[:2]
+    paths = [path for each in recorded for path in each["recordings"]]
+    assert sorted(paths) == sorted(map(str, (folder / "best").iterdir())) and len(paths) == 4
+    proved = json.loads(run("--from-recording", *paths, "--json").stdout)
+    assert {each["score"] for each in proved} == set(scores[:2])
+
+
+def test_a_creature_that_scores_otherwise_alone_is_an_error(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kept = Judge.result
+
+    def spoiled(self: Judge, ended: str | None, fault: str | None) -> EpisodeResult:
+        return replace(kept(self, ended, fault), energy=0.0)
+
+    lines = folder / "lines"
+    options = ("--task", folder / "dash.json", "--jobs", 1, "--record", folder / "best", "--record-best", 1)
+    monkeypatch.setattr(Judge, "result", spoiled)
+    assert run(folder / "zoo" / "a-wave.json", *options[:4], "--resume", lines).exit_code == 0
+    monkeypatch.setattr(Judge, "result", kept)
+    result = run(folder / "zoo" / "a-wave.json", *options, "--resume", lines)
+    assert result.exit_code == 1 and "wave came out otherwise alone" in result.output
+
+
+def test_how_many_are_recorded_needs_a_place(folder: Path) -> None:
+    result = run(folder / "zoo", "--record-best", 2)
+    assert result.exit_code == 2 and "--record" in result.output

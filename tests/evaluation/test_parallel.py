@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import os
 import signal
+from collections.abc import Iterable, Sequence
 
+import orjson
 import pytest
 
+from creatures import snake
+from nmes.evaluation import Evaluation, Job, Task, Workers, evaluate_all, evaluator
 from nmes.evaluation.parallel import Lost, in_processes
 
 
@@ -67,3 +71,45 @@ def test_workers_end_when_their_results_are_no_longer_taken() -> None:
     assert not isinstance(first, Lost)
     with pytest.raises(ProcessLookupError):
         os.kill(first[1], 0)
+
+
+def pids(outcomes: Iterable[tuple[int, tuple[int, int, str | None] | Lost]]) -> set[int]:
+    return {result[1] for _, result in outcomes if not isinstance(result, Lost)}
+
+
+def test_workers_stay_from_call_to_call_and_those_that_died_are_replaced() -> None:
+    with Workers(2) as workers:
+        first = pids(workers.run(square, range(6)))
+        assert pids(workers.run(square, range(6))) == first and len(first) == 2 and os.getpid() not in first
+        with pytest.raises(RuntimeError, match="ZeroDivisionError"):
+            list(workers.run(raise_over_one, range(3)))
+        killed = min(first)
+        os.kill(killed, signal.SIGKILL)
+        # Nobody looks whether it has died already: either it is replaced, or found dead over an item.
+        outcomes = dict(workers.run(square, range(6)))
+        results = workers.run(square, range(100))
+        next(results)
+        results.close()  # whoever takes no more results may go on with other work
+        last = pids(workers.run(square, range(6)))
+        assert len(outcomes) == 6 and killed not in last
+    for pid in first | last:
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
+
+
+def deadly(portion: Sequence[Job]) -> list[Evaluation]:
+    if any(job.name == "killer" for job in portion):
+        os.kill(os.getpid(), signal.SIGKILL)
+    return [job.failed("alive") for job in portion]
+
+
+def test_of_creatures_that_run_together_only_the_one_that_kills_its_process_is_lost(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(evaluator, "_evaluate_portion", deadly)
+    document, task = orjson.dumps(snake()), orjson.dumps(Task.load("walk").document)
+    work = [Job("killer" if i == 5 else f"g{i}", document, task) for i in range(12)]
+    with Workers(2) as workers:
+        found = dict(evaluate_all(work, workers=workers))
+    assert "SIGKILL" in str(found.pop(5).error)
+    assert len(found) == 11 and {each.error for each in found.values()} == {"alive"}

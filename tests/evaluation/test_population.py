@@ -1,0 +1,148 @@
+"""Creatures that are run together: every figure is that of the creature alone."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import pytest
+
+from creatures import cpg, exploding, mlp, snake
+from nmes.evaluation import Evaluation, Task, Workers, evaluate, evaluate_population, population
+from nmes.genome import Genome
+from populations import draw_population
+
+LOOSE = {"cubes": 8}
+TASKS: dict[str, dict[str, Any]] = {
+    "run": {"objective": "displacement.x - 0.01 * energy", "vary": {"yaw": [-1, 1], "drop": [0.0, 0.1]}},
+    "ends": {
+        "objective": "mean.speed + contacts",
+        "ends": [{"name": "gone", "when": "displacement.horizontal > 0.05"}, {"name": "up", "when": "contacts < 1"}],
+        "limits": {**LOOSE, "speed": 8, "energy": 20},
+    },
+    "cargo": {
+        "objective": 'time + cube("cargo").height',
+        "props": [{"id": "cargo", "size": [0.1, 0.1, 0.1], "mass": 0.2, "target": True}],
+        "ends": [{"name": "dropped", "when": 'cube("cargo").lowest < 0.02'}],
+    },
+    "pole": {
+        "objective": "time",
+        "props": [{"id": "pole", "size": [0.05, 0.5, 0.05], "mass": 0.2, "hinge": True, "lean": [-0.3, 0.3]}],
+    },
+    "reach": {"objective": "0 - distance", "target": {"distance": [1, 2], "bearing": [-1, 1], "height": 0.2}},
+    "planet": {
+        "objective": "displacement.x",
+        "world": {"scene": {"type": "planets", "planets": {"count": 1}}},
+    },
+    "hills": {
+        "objective": "displacement.x",
+        "world": {
+            "scene": {"type": "heightfield", "heightfield": {"height": 0.2, "size": [20, 20]}},
+            "substeps": 3,
+            "tick_rate": 50,
+        },
+    },
+    "awake": {"objective": "displacement.x", "world": {"engine": {"sleep": False, "integrator": "euler"}}},
+}
+
+
+def task(name: str, **changes: Any) -> Task:
+    head = {"format": "nmes-task/1", "name": name, "description": "A test.", "duration": 1.3, "seeds": [3, 4]}
+    return Task({**head, "settle_limit": 2, "limits": LOOSE, **TASKS[name], **changes})
+
+
+def assert_alike(genomes: Sequence[Genome], asked: Task, found: Sequence[Evaluation]) -> None:
+    for genome, together in zip(genomes, found, strict=True):
+        alone = evaluate(genome, asked)
+        assert together == alone, f"{genome!r} on {asked.name}"
+
+
+def draw_and_compare(seed: int, name: str, size: int, **changes: Any) -> Counter[str]:
+    """Compares a drawn population with each of it alone; returns how its episodes came out."""
+    genomes, asked = draw_population(seed, size), task(name, **changes)
+    found = evaluate_population(genomes, asked)
+    assert_alike(genomes, asked, found)
+    results = [result for each in found for result in each.results]
+    return Counter((result.fault or result.ended or "whole").split(":")[0] for result in results)
+
+
+@pytest.mark.parametrize("name", ["run", "ends", "cargo", "reach"])
+def test_a_population_scores_what_each_scores_alone(name: str) -> None:
+    assert draw_and_compare(7, name, 12, duration=0.6, settle_limit=0.6).total()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", TASKS)
+@pytest.mark.parametrize("seed", range(100, 130))
+def test_many_populations_score_what_each_scores_alone(seed: int, name: str) -> None:
+    draw_and_compare(seed, name, 16)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", Task.names())
+def test_populations_on_the_shipped_tasks_score_what_each_scores_alone(name: str) -> None:
+    asked = Task({**Task.load(name).document, "duration": 3, "seeds": [1, 5]})
+    genomes = [*draw_population(2, 12), *map(Genome.load, Genome.names())]
+    assert_alike(genomes, asked, evaluate_population(genomes, asked))
+
+
+def test_one_body_with_many_brains_and_many_sizes_of_it_run_as_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any) -> None:
+        raise AssertionError("an episode was run alone")
+
+    many = [Genome(snake(mlp(4, seed=i), name=f"m{i}")) for i in range(3)]
+    many += [Genome(snake(cpg(4), name=f"c{i}")) for i in range(2)]
+    sized = snake(cpg(4), name="sized")
+    for cube in sized["body"]["cubes"]:
+        cube["mass"] = 0.9
+    asked = task("run", duration=0.5)
+    genomes = [*many, Genome(sized)]
+    with monkeypatch.context() as patch:
+        patch.setattr(population, "run_alone", refuse)
+        found = evaluate_population(genomes, asked)
+    assert len({each.score for each in found}) == 5  # the two of equal brains score alike
+    assert_alike(genomes, asked, found)
+
+
+def test_a_row_that_faults_or_ends_early_leaves_the_others_as_they_were() -> None:
+    bang = exploding()
+    calm = [snake(cpg(4), name=f"calm{i}") for i in range(3)]
+    for document in calm:  # the plan of what explodes, so that all are rows of one batch
+        for joint in document["body"]["joints"]:
+            joint["motor"]["mode"] = "velocity"
+    genomes = [Genome({**bang, "name": f"bang{i}"}) if i % 2 else Genome(calm[i // 2]) for i in range(6)]
+    asked = task("run", duration=0.5)
+    found = evaluate_population(genomes, asked)
+    assert [each.faults for each in found] == [0, 2, 0, 2, 0, 2]
+    assert_alike(genomes, asked, found)
+
+
+def test_processes_and_order_change_nothing() -> None:
+    genomes, asked = draw_population(5, 8), task("run", duration=0.3, seeds=[3], settle_limit=0.6)
+    here = evaluate_population(genomes, asked)
+    with Workers(2) as workers:
+        for order in (range(8), [7, 3, 0, 5, 1, 2, 4, 6]):
+            found = evaluate_population([genomes[i] for i in order], asked, workers=workers)
+            assert found == [here[i] for i in order]
+
+
+def test_seeds_are_those_that_are_asked_for_in_their_order() -> None:
+    genomes, asked = [Genome(snake(mlp(4, seed=i))) for i in range(2)], task("run", duration=0.5)
+    found = evaluate_population(genomes, asked, seeds=[9, 3, 9])
+    assert [[result.seed for result in each.results] for each in found] == [[9, 3, 9]] * 2
+    assert found == [evaluate(genome, asked, seeds=[9, 3, 9]) for genome in genomes]
+    assert evaluate_population([], asked) == []
+
+
+def test_an_engine_without_rows_gives_the_same_figures() -> None:
+    asked = task("run", world={"backend": "pymunk"}, duration=0.5, vary={}, seeds=[1])
+    documents = [snake(cpg(4), name=f"p{i}") for i in range(4)]
+    for i, document in enumerate(documents):
+        for joint in document["body"]["joints"]:
+            joint["axis"] = [0, 0, 1]
+        document["body"]["cubes"][0]["mass"] = 0.5 + 0.1 * i
+    genomes = [Genome(document) for document in documents]
+    found = evaluate_population(genomes, asked)
+    assert all(each.score is not None for each in found), found[0]
+    assert_alike(genomes, asked, found)
