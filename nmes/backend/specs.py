@@ -24,8 +24,8 @@ CAPABILITIES = frozenset(
     | {"joint.several"}  # between one pair of bodies
     | {"motor", "servo", "spring", "limits"}  # what hinges and slides have; `limits` are also a conetwist's
     | {"collisions", "friction", "restitution", "contacts"}  # between bodies; on the ground; and whether it tells
-    | {"scene.obstacles", "scene.heightfield", "scene.planets", "scene.arena"}  # what a SceneSpec may hold, as is
-    | {"scene.damping"}
+    | {"scene.obstacles", "scene.heightfield", "scene.planets", "scene.arena"}  # what a SceneSpec may hold
+    | {"scene.damping"}  # and how the velocities of its bodies may decay
     | {"sensors.inertial", "sensors.range", "camera"}  # what else than contacts a body can feel and see
     | {"sleep", "snapshot"}
 )

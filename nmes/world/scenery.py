@@ -287,15 +287,13 @@ def _draw_planets(seed: int, fields: tuple[tuple[str, Any], ...]) -> list[JsonOb
     planets = []
     for number, (name, planet) in enumerate(_planets(config)):
         digest = blake2b(f"{seed} planet {number}".encode(), digest_size=8).digest()
-        own = (
-            int.from_bytes(digest[:4], "little", signed=True) if original else int.from_bytes(digest[:4], "little") >> 1
-        )
+        drawn = int.from_bytes(digest[:4], "little", signed=original)
         places = _draw_places(int.from_bytes(digest, "little"), _RESOURCES + _TREES) if original else []
         planets.append(
             {
                 "Name": name,
                 "Position": _place(planet.position),
-                "Seed": own,
+                "Seed": drawn if original else drawn >> 1,
                 "BiomeType": digest[4] % _BIOMES,
                 "ResourceLocations": places[:_RESOURCES],
                 "TreeLocations": places[_RESOURCES:],
