@@ -84,7 +84,7 @@ def test_every_golden_has_its_files() -> None:
     assert {golden.config["backend"] for golden in CORPUS} == {"mujoco", "pymunk"}
     files = {path for golden in CORPUS for path in (golden.recording, golden.description)} | {REPLAYS / "README.md"}
     assert set(REPLAYS.iterdir()) == files
-    assert all(golden.recording.stat().st_size < 128 << 10 for golden in CORPUS)
+    assert all(golden.recording.stat().st_size < 160 << 10 for golden in CORPUS)
 
 
 def test_a_golden_can_be_recorded_anew(
