@@ -121,6 +121,8 @@ class Connection(asyncio.BufferedProtocol):
     def connection_lost(self, error: Exception | None) -> None:
         """Leaves the world when the rest of the requests are done."""
         self._lost = self._closing = True
+        # That of TLS keeps a protocol for good, and a buffer of 256 KiB: it and this one would keep each other.
+        self._transport.set_protocol(asyncio.BufferedProtocol())
         self._full = False
         self._cancel_timer()
         self._host.forget(self)

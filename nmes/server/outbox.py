@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable
 from typing import TYPE_CHECKING
+from weakref import WeakMethod
 
 if TYPE_CHECKING:
     from nmes.server.host import Host
@@ -35,7 +36,7 @@ class Outbox:
         self.size = self.written = 0
         self.waits = False
         self._host = host
-        self._resume = resume
+        self._resume = WeakMethod(resume)  # else the two would keep each other when all is over
         self._transport = transport
         self.queue: list[bytes] = []
         self._uncommitted = b""
@@ -70,7 +71,9 @@ class Outbox:
         if data and not self._transport.is_closing():
             self._transport.write(data)
         self.flush()
-        self._resume()
+        resume = self._resume()
+        if resume is not None:
+            resume()
 
     def discard(self) -> None:
         """Drops what was not yet handed to the socket."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import logging
 import os
@@ -11,6 +12,7 @@ import signal
 import socket
 import ssl
 import threading
+from asyncio.sslproto import SSLProtocol
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from importlib.resources import files
@@ -25,6 +27,7 @@ from nmes.cli import _logs, main
 from nmes.playback import replay
 from nmes.protocol import DELIMITER, Limits, Request, parse
 from nmes.recording import Kind, Recorder, Recording
+from nmes.server.connection import Connection
 from nmes.server.door import Guesses, address_of
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.world_recorder import WorldRecorder
@@ -193,6 +196,32 @@ def test_a_server_that_is_to_outlive_its_terminal_goes_on() -> None:
                 assert peer.ask({"type": "ping"})["type"] == "pong"
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.parametrize("secure", [False, True], ids=["plain", "TLS"])
+def test_nothing_is_left_of_connections_that_are_gone(secure: bool) -> None:
+    """Each has buffers, with TLS of 256 KiB: thousands of them may come and go before garbage is collected."""
+    authority, identity, trust = trustme.CA(), ssl.create_default_context(ssl.Purpose.CLIENT_AUTH), None
+    if secure:
+        authority.issue_cert("127.0.0.1").configure_cert(identity)
+        authority.configure_trust(trust := ssl.create_default_context())
+
+    def left() -> list[object]:
+        return [each for each in gc.get_objects() if isinstance(each, Connection | SSLProtocol)]
+
+    gc.collect()
+    gc.disable()
+    try:
+        with served(tls=identity if secure else None) as server:
+            for _ in range(3):
+                with server.client(tls=trust) as client:
+                    client.ping()
+            until(lambda: server.host.connections == 0)
+            for _ in range(5):
+                server.call(lambda: None)  # a turn of the loop
+            assert left() == []
+    finally:
+        gc.enable()
 
 
 def test_the_log_stays_small_whatever_is_done_again_and_again() -> None:
