@@ -1,0 +1,104 @@
+"""Episodes that were recorded soundly, by a world that did all they say, but are not what an evaluation does."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from boards import DASH
+from creatures import snake
+from nmes.errors import ProofError
+from nmes.evaluation import Episode, Task, prove
+from nmes.evaluation.episode import METADATA, brain_of
+from nmes.genome import Genome
+from nmes.protocol import parse
+from nmes.recording import Recorder
+from nmes.world import World
+
+Change = Callable[[dict[str, Any]], dict[str, Any]]
+
+
+def record(
+    path: Path, config: dict[str, Any], *, extra: dict[int, dict[str, Any]], other: bool = False, change: Change = dict
+) -> Path:
+    """Records an episode, of which every reply and every digest is true.
+
+    Args:
+        path: The file.
+        config: What its world has otherwise than the task's.
+        extra: Commands by the number of the step before which they come.
+        other: Whether another client says them.
+        change: What becomes of each command of the episode's own.
+    """
+    task, genome = Task(DASH), Genome(snake())
+    world = World({**task.world_config(3), **config})
+    about = {METADATA: {"task": json.dumps(task.document), "genome": genome.hash, "seed": "3"}}
+    recorder = world.journal = Recorder(path, world, about=about)
+    episode, client = Episode(world, genome, brain_of(genome), task, 3), world.join()
+    stranger = None
+    for number, step in enumerate(episode.steps()):
+        if number in extra:
+            stranger = world.join() if other else client
+            world.execute(stranger, extra[number])
+        if step is None:
+            world.tick()
+        elif isinstance(step, np.ndarray):
+            world.drive(client, "creature", step)
+        else:
+            assert isinstance(step, bytes)
+            command = change(json.loads(step))
+            world.handle(client, parse(step if command == json.loads(step) else json.dumps(command).encode()))
+    world.leave(client)
+    recorder.close()
+    world.close()
+    return path
+
+
+def test_an_episode_that_is_recorded_by_hand_proves_its_score(tmp_path: Path) -> None:
+    assert prove(record(tmp_path / "x.mcap", {}, extra={}), brain=True).result.score is not None
+
+
+@pytest.mark.parametrize(
+    "config", [{"gravity": [0, -1, 0]}, {"substeps": 1}, {"friction": 3}, {"keyframes": 0}], ids=str
+)
+def test_an_episode_in_another_world_is_none_of_the_task(tmp_path: Path, config: dict[str, Any]) -> None:
+    with pytest.raises(ProofError, match="the world is not the task's"):
+        prove(record(tmp_path / "x.mcap", config, extra={}))
+
+
+COMMANDS: list[dict[str, Any]] = [
+    {"type": "set_cube_state", "cube_name": "creature.c0", "linear_velocity": [9, 0, 0]},
+    {"type": "apply_physics", "cube_name": "creature.c0", "impulse": [9, 0, 0]},
+    {"type": "freeze_cube", "cube_name": "creature.c0", "freeze": True},
+    {"type": "drive", "creature": "creature", "controls": [1, 1, 1]},
+    {"type": "set_joint_param", "joint_name": "creature.j0", "param_name": "motor_max_force", "value": 1000},
+    {"type": "spawn_cube"},
+    {"type": "step"},
+    {"type": "batch", "commands": [{"type": "step"}]},
+    {"type": "ping"},
+    {"type": "nonsense"},
+]
+
+
+@pytest.mark.parametrize("other", [False, True], ids=["its client", "another client"])
+@pytest.mark.parametrize("command", COMMANDS, ids=lambda command: str(command["type"]))
+def test_a_command_that_no_evaluation_gives_is_found(tmp_path: Path, command: dict[str, Any], other: bool) -> None:
+    for number in (1, 3, 40):
+        path = record(tmp_path / f"{number}.mcap", {}, extra={number: command}, other=other)
+        with pytest.raises(ProofError, match=r"where there should be|after the end|is no recording of"):
+            prove(path, brain=True)
+
+
+@pytest.mark.parametrize("change", [{"position": [0, 5, 0]}, {"target": [1, 0, 0]}, {"rotation": [0, 0, 0.5]}], ids=str)
+def test_a_scene_that_is_set_otherwise_is_found(tmp_path: Path, change: dict[str, Any]) -> None:
+    def changed(command: dict[str, Any]) -> dict[str, Any]:
+        name = "set_cube_state" if "rotation" in change else "spawn_creature"
+        return {**command, **change} if command["type"] == name else command
+
+    with pytest.raises(ProofError, match="where there should be another"):
+        prove(record(tmp_path / "x.mcap", {}, extra={}, change=changed))
