@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import errno
 import gc
 import json
 import logging
@@ -28,7 +30,7 @@ from nmes.playback import replay
 from nmes.protocol import DELIMITER, Limits, Request, parse
 from nmes.recording import Kind, Recorder, Recording
 from nmes.server.connection import Connection
-from nmes.server.door import Guesses, address_of
+from nmes.server.door import Door, Guesses, address_of
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.world_recorder import WorldRecorder
 from nmes.world import World
@@ -222,6 +224,25 @@ def test_nothing_is_left_of_connections_that_are_gone(secure: bool) -> None:
             assert left() == []
     finally:
         gc.enable()
+
+
+async def test_a_door_without_descriptors_does_not_ask_again_and_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    attempts, create = 0, socket.create_server
+
+    class Full(socket.socket):
+        def accept(self) -> Any:
+            nonlocal attempts
+            attempts += 1
+            raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr(socket, "create_server", lambda *given, **named: Full(fileno=create(*given, **named).detach()))
+    door = Door(4, None, 5.0, 2.0)
+    _, port = await door.listen("127.0.0.1", 0, asyncio.Protocol)
+    with socket.create_connection(("127.0.0.1", port)):
+        for _ in range(1000):
+            await asyncio.sleep(0)
+    await door.close()
+    assert 1 <= attempts < 100
 
 
 def test_the_log_stays_small_whatever_is_done_again_and_again() -> None:

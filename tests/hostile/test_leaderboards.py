@@ -73,6 +73,15 @@ def test_an_entry_with_its_best_seed_twice_is_broken(board: Path) -> None:
     assert status == 1 and "one recording for each of the seeds 3, 4" in found["wave"][1]
 
 
+def test_an_entry_takes_one_recording_for_each_seed(tmp_path: Path, dash: Path, proofs: list[str]) -> None:
+    board = tmp_path / "board.sqlite"
+    run("tasks", board, "--allow", dash)
+    for given in (proofs[:1], [proofs[0], proofs[0]], [*proofs[:2], proofs[0]], [proofs[0], proofs[2]]):
+        refused = run("add", board, *given)
+        assert refused.exit_code == 1 and "one recording for each of the seeds 3, 4" in refused.stderr
+        assert Leaderboard(board).entries() == []
+
+
 @pytest.mark.parametrize("column", COLUMNS)
 def test_every_column_is_compared_with_what_the_recordings_prove(board: Path, column: str) -> None:
     new = {
