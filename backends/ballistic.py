@@ -327,7 +327,8 @@ def _sound(b: _Body) -> bool:
     spec = b.spec
     wrench = (*b.force, *b.torque, *b.impulse, *b.angular_impulse, b.ground_force)
     state = (*b.position, *b.quaternion, *b.linear, *b.angular, *wrench, spec.friction, spec.restitution)
-    turn = total(x * x for x in b.quaternion)
+    qx, qy, qz, qw = b.quaternion
+    turn = qx * qx + qy * qy + qz * qz + qw * qw
     solid = all(0.0 < x < TOO_FAR for x in (*spec.size, spec.mass))
     return solid and all(abs(x) < TOO_FAR for x in state) and abs(turn - 1.0) < 1e-6
 
