@@ -22,7 +22,9 @@ from nmes.backend import Array
 from nmes.backends.mujoco3d.forest import Joint
 from nmes.backends.mujoco3d.model import CompiledModel
 
-__all__ = ["ActuatorBatch", "WorkLog", "braking", "compact", "mean_powers"]
+__all__ = ["ActuatorBatch", "StepLog", "WorkLog", "braking", "compact", "mean_powers"]
+
+_ROOM, _ROWS = 1 << 15, 256  # numbers, and steps, that are kept before their powers are computed
 
 _IMPLICIT = (mujoco.mjtIntegrator.mjINT_IMPLICIT, mujoco.mjtIntegrator.mjINT_IMPLICITFAST)
 
@@ -58,26 +60,26 @@ class ActuatorBatch:
     """Motors and joints of one model; `joints` are all joints by number.
 
     Attributes:
-        step_efforts: What motors gave in each engine step of the last step, array (steps, motors), N m or N.
-        step_speeds: `qvel` before the first and after each of them, array (steps + 1, dofs).
-        version: Another number whenever these became other arrays, or parameters of a motor changed.
+        sources: The efforts of motors, N m or N, and what of `qvel` may be of their joints.
+        last: Where the last step is kept: a log and a row of it; None before the first step of this model.
     """
 
     def __init__(self, compiled: CompiledModel, data: mujoco.MjData, joints: Mapping[int, Joint]) -> None:
         self.compiled, self._joints = compiled, joints
         self._qpos, self._qvel, self._ctrl, self._efforts = data.qpos, data.qvel, data.ctrl, data.actuator_force
-        self._asleep = data.tree_asleep
+        self._asleep = memoryview(data.tree_asleep)
         self._motors: dict[Joints, _Motors | None] = {}  # None where there is no fast way
         self._coordinates: dict[Joints, _Coordinates | None] = {}
-        self.step_efforts, self.step_speeds = np.zeros((0, len(data.ctrl))), np.zeros((1, len(data.qvel)))
-        self._slots: list[tuple[Array, Array]] = []
-        self.version = 0
+        self._span = _span(compiled)
+        self.sources = memoryview(self._efforts), memoryview(self._qvel[self._span])
+        self._log: StepLog | None = None
+        self.last: tuple[StepLog, int] | None = None
         self._unsynced: dict[Joints, None] = {}  # those whose controls are newer than their parameters
 
     def forget(self) -> None:
         """Looks motors up again, since more than the target of a joint has changed."""
         self._motors.clear()
-        self.version += 1
+        self._log = None
 
     def set_targets(self, joints: Joints, targets: Array) -> list[int] | None:
         """Sets the targets of motors; returns the bodies of the model that this wakes, None where it has to be slow."""
@@ -138,65 +140,74 @@ class ActuatorBatch:
 
     # -- work -----------------------------------------------------------------------------------------------------
 
-    def begin(self, steps: int) -> Iterator[tuple[Array, Array]]:
-        """Begins a step: yields where efforts and `qvel` belong as each of its engine steps ends."""
-        if len(self.step_efforts) != steps:
-            self.step_efforts = np.zeros((steps, self.step_efforts.shape[1]))
-            self.step_speeds = np.zeros((steps + 1, len(self._qvel)))
-            self._slots = list(zip(self.step_efforts, self.step_speeds[1:], strict=True))
-            self.version += 1
-        self.step_speeds[0] = self._qvel
-        return iter(self._slots)
+    def begin(self, steps: int) -> Iterator[tuple[memoryview, memoryview]]:
+        """Begins a step: yields where the `sources` belong as each of its engine steps ends."""
+        log = self._log
+        if log is None or log.steps != steps or log.full:
+            log = self._log = StepLog(self.compiled, steps, self._span)
+        log.before[:] = self.sources[1]
+        return iter(log.slots)
+
+    def end(self) -> None:
+        """Keeps the step that began last."""
+        assert self._log is not None
+        self.last = self._log, self._log.keep()
 
 
-class WorkLog:
-    """The power of some joints' motors, tick by tick: kept as the engine has it, computed many ticks at a time.
+def _span(compiled: CompiledModel) -> slice:
+    """Returns the part of `qvel` from the first to the last joint with a motor."""
+    dofs = [compiled.joint[joint].v for joint in compiled.actuator]
+    return slice(min(dofs, default=0), max(dofs, default=-1) + 1)
 
-    Args:
-        joints: The joints, with motors or without.
-        rows: The number of ticks that there is room for.
+
+class StepLog:
+    """What the motors of a model gave in some steps: kept as the engine has it, computed many steps at a time.
+
+    Parameters of motors stay the same meanwhile.
+
+    Attributes:
+        compiled: The model.
+        steps: Engine steps in a step.
+        before: Where the speeds before a step belong.
+        slots: Where efforts and speeds belong as each engine step ends.
+        full: Whether there is no room for another step.
     """
 
-    def __init__(self, joints: Sequence[int], rows: int) -> None:
-        self._joints = joints
-        self._powers = np.zeros((rows, 2, len(joints)))
+    def __init__(self, compiled: CompiledModel, steps: int, span: slice) -> None:
+        """Makes room; `span` is what of `qvel` is kept."""
+        model, motors, dofs = compiled.model, compiled.model.nu, span.stop - span.start
+        self.compiled, self.steps, self.full = compiled, steps, False
+        efforts, speeds = np.empty((steps, motors)), np.empty((steps + 1, dofs))
+        self.before, *after = [memoryview(row) for row in speeds]
+        self.slots = list(zip([memoryview(row) for row in efforts], after, strict=True))
+        room = min(max(_ROOM // (efforts.size + speeds.size), 1), _ROWS)
+        self._last = efforts, speeds
+        self._efforts, self._speeds = np.empty((room, *efforts.shape)), np.empty((room, *speeds.shape))
+        self._powers = np.empty((room, 2, motors))
         self._known = self._rows = 0  # rows of which the powers are computed, and rows in all
-        self._batch: ActuatorBatch | None = None
-        self._version = 0
+        owner = {motor: compiled.joint[joint].v - span.start for joint, motor in compiled.actuator.items()}
+        self._dofs = compact([owner.get(motor, 0) for motor in range(motors)])  # nobody asks for an arena's own
+        self._braking, self._bounds = braking(model, slice(None))
 
-    def note(self, batch: ActuatorBatch) -> None:
-        """Keeps what the motors of the model that runs gave in its last step."""
-        if batch is not self._batch or batch.version != self._version:
-            self._settle()
-            self._locate(batch)
+    def keep(self) -> int:
+        """Keeps what is in the slots; returns its row."""
         row = self._rows
-        self._efforts[row], self._speeds[row] = batch.step_efforts[:, self._motors], batch.step_speeds[:, self._dofs]
+        self._efforts[row], self._speeds[row] = self._last
         self._rows = row + 1
+        if self._rows == len(self._efforts):
+            self.powers()
+            self.full, self._efforts, self._speeds = True, self._efforts[:0], self._speeds[:0]
+        return row
 
-    def powers(self, begin: int, end: int) -> Array:
-        """Returns the mean powers of the motors in rows, and their mean sizes, array (rows, 2, joints), W."""
-        self._settle()
-        return self._powers[begin:end]
-
-    def _locate(self, batch: ActuatorBatch) -> None:
-        """Looks up where the joints' motors are, and how they brake; makes room for rows of them."""
-        compiled = batch.compiled
-        model, actuator = compiled.model, compiled.actuator
-        self._columns = [column for column, joint in enumerate(self._joints) if joint in actuator]
-        self._motors = compact([actuator[self._joints[column]] for column in self._columns])
-        self._dofs = compact([compiled.joint[self._joints[column]].v for column in self._columns])
-        self._braking, self._bounds = braking(model, self._motors)
-        rows, steps, motors = len(self._powers), len(batch.step_efforts), len(self._columns)
-        self._efforts, self._speeds = np.empty((rows, steps, motors)), np.empty((rows, steps + 1, motors))
-        self._batch, self._version = batch, batch.version
-
-    def _settle(self) -> None:
-        """Computes the powers of the rows that are new."""
+    def powers(self) -> Array:
+        """Returns the mean powers of the motors in rows, and their mean sizes, array (rows, 2, motors), W."""
         begin, end = self._known, self._rows
-        self._known = end
-        if begin < end and self._efforts.shape[1]:
-            efforts, before, after = self._efforts[begin:end], self._speeds[begin:end, :-1], self._speeds[begin:end, 1:]
-            self._powers[begin:end, :, self._columns] = mean_powers(efforts, before, after, self._braking, self._bounds)
+        if begin < end:
+            speeds = self._speeds[begin:end, :, self._dofs]
+            efforts, before, after = self._efforts[begin:end], speeds[:, :-1], speeds[:, 1:]
+            self._powers[begin:end] = mean_powers(efforts, before, after, self._braking, self._bounds)
+            self._known = end
+        return self._powers[:end]
 
 
 def braking(model: mujoco.MjModel, motors: Indices) -> tuple[Array, Array]:
@@ -220,5 +231,54 @@ def mean_powers(efforts: Array, before: Array, after: Array, braking: Array, bou
     """
     efforts = efforts + np.where(np.abs(efforts) >= bounds, 0.0, braking * (after - before))
     powers = efforts * (before + after) / 2.0
-    sums = [np.add.accumulate(each, axis=-2)[..., -1, :] for each in (powers, np.abs(powers))]
-    return np.asarray(np.stack(sums, axis=-2) / powers.shape[-2])
+    out = np.empty((*powers.shape[:-2], 2, powers.shape[-1]))
+    for size, each in enumerate((powers, np.abs(powers))):
+        total = each[..., 0, :].copy()
+        for step in range(1, each.shape[-2]):  # one after the other
+            total += each[..., step, :]
+        np.divide(total, each.shape[-2], out=out[..., size, :])
+    return out
+
+
+class WorkLog:
+    """The power of some joints' motors, tick by tick.
+
+    Args:
+        joints: The joints, with motors or without.
+        rows: The number of ticks that there is room for.
+    """
+
+    def __init__(self, joints: Sequence[int], rows: int) -> None:
+        self._joints = joints
+        self._powers = np.empty((rows, 2, len(joints)))
+        self._known = 0  # rows of which the powers are here
+        self._log: StepLog | None = None
+        self._noted: list[int] = []  # the rows of the log that come next
+        self._compiled: CompiledModel | None = None
+
+    def note(self, batch: ActuatorBatch) -> None:
+        """Takes what the motors of the model that runs gave in its last step."""
+        log, row = batch.last or (None, 0)
+        if log is not self._log:
+            self._settle()
+            self._log = log
+        self._noted.append(row)
+
+    def powers(self, begin: int, end: int) -> Array:
+        """Returns the mean powers of the motors in rows, and their mean sizes, array (rows, 2, joints), W."""
+        self._settle()
+        return self._powers[begin:end]
+
+    def _settle(self) -> None:
+        """Takes the powers of the rows that are new."""
+        rows = self._powers[self._known : self._known + len(self._noted)]
+        rows[:] = 0.0
+        if self._log is not None and self._noted:
+            compiled = self._log.compiled
+            if compiled is not self._compiled:
+                self._compiled, motors = compiled, compiled.actuator
+                self._columns = compact([column for column, joint in enumerate(self._joints) if joint in motors])
+                self._motors = compact([motors[joint] for joint in self._joints if joint in motors])
+            rows[:, :, self._columns] = self._log.powers()[compact(self._noted)][:, :, self._motors]
+        self._known += len(rows)
+        self._noted.clear()

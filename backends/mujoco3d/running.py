@@ -108,9 +108,11 @@ class RunningModel:
         self._shared = shared_data is not None
         self._current = False  # whether xpos, xquat, cvel belong to qpos, qvel
         self._state = np.empty(mujoco.mj_stateSize(model, STATE))
-        self._before = np.empty_like(self._state)  # the state that a step began with
+        # What a step changes of that state, besides the time, and room for how it was before.
+        changing = [data.qpos, data.qvel, data.qacc_warmstart, *([data.act] if model.na else [])]
+        self._before = [(memoryview(values.copy()), memoryview(values)) for values in changing if len(values)]
         # Attribute access on MjData makes a new view each time; these are what a tick and a query need.
-        self._warnings = data.warning.number
+        self._warnings = memoryview(data.warning.number)
         self._no_warnings = self._warnings.tobytes()
         self._xfrc, self.asleep = data.xfrc_applied, data.tree_asleep
         self._xpos, self._xquat, self._cvel = data.xpos, data.xquat, data.cvel
@@ -118,7 +120,7 @@ class RunningModel:
         self.qpos, self.qvel, self.efforts = data.qpos, data.qvel, data.actuator_force
         self.senses = Senses(compiled, data, self.scenery)
         self.motors = ActuatorBatch(compiled, data, joints)
-        self._driven = model.nu > 0
+        self._driven = bool(compiled.actuator)
         self._damping.install(model)
         if self.scenery.attracts:
             self._install_weights()
@@ -251,7 +253,9 @@ class RunningModel:
         Raises:
             SimulationFault: The engine cannot go on; the state is the one before the call.
         """
-        mujoco.mj_getState(self.model, self.data, self._before, STATE)
+        for kept, values in self._before:
+            kept[:] = values
+        self._began = self.data.time
         self._slots = self.motors.begin(substeps) if self._driven else iter(())
         try:
             if wrenches.forces or wrenches.impulses:
@@ -269,6 +273,8 @@ class RunningModel:
                 self._fail()
             finally:
                 self._go_back()
+        if self._driven:
+            self.motors.end()
 
     def _advance_pushed(self, substeps: int, wrenches: Wrenches) -> None:
         xfrc, index = self._xfrc, self.compiled.body_index
@@ -302,17 +308,18 @@ class RunningModel:
             self._keep()
             steps -= 1
         if self._driven:
-            step, model, data, efforts, qvel = mujoco.mj_step, self.model, self.data, self.efforts, self.qvel
+            step, model, data, efforts, speeds = mujoco.mj_step, self.model, self.data, *self.motors.sources
             for effort, speed in islice(self._slots, steps):
                 step(model, data)
-                effort[:], speed[:] = efforts, qvel
+                effort[:], speed[:] = efforts, speeds
         elif steps:
             mujoco.mj_step(self.model, self.data, steps)
 
     def _keep(self) -> None:
         """Keeps what motors gave in an engine step, if there are any."""
+        efforts, speeds = self.motors.sources
         for effort, speed in islice(self._slots, 1):
-            effort[:], speed[:] = self.efforts, self.qvel
+            effort[:], speed[:] = efforts, speeds
 
     def _advance_one_by_one(self, steps: int) -> None:
         """Takes engine steps in which bodies are damped, or gravity is another at every place: a force on each body."""
@@ -348,7 +355,11 @@ class RunningModel:
 
     def _go_back(self) -> None:
         """Shows the state before the step that failed."""
-        mujoco.mj_setState(self.model, self.data, self._before, STATE)
+        for kept, values in self._before:
+            values[:] = kept
+        self.data.time = self._began
+        self._xfrc[:] = 0.0
+        mujoco.mj_setState(self.model, self.data, self.state(), STATE)  # which wakes all
         self._current = False
 
     def _fail(self) -> None:

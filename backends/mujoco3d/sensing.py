@@ -63,8 +63,9 @@ class Senses:
         self._numbers, self._model, self._data, self._scenery = compiled.body_number, compiled.model, data, scenery
         self._owners: list[int] = compiled.model.geom_bodyid.tolist()
         self._trees: list[int] = compiled.model.body_treeid.tolist()
-        self._now_asleep = data.tree_asleep
-        self._asleep = self._now_asleep.copy()  # as of the last step: an edit may wake a tree before the next one
+        self._now_asleep = memoryview(data.tree_asleep)
+        self._asleep = data.tree_asleep.copy()  # as of the last step: an edit may wake a tree before the next one
+        self._kept_asleep = memoryview(self._asleep)
         # The normal force is the first of an elliptic cone's constraint forces, and the sum of a pyramid's four edges'.
         self._edges = 1 if compiled.model.opt.cone == mujoco.mjtCone.mjCONE_ELLIPTIC else 4
         self._step_contacts: _Contacts | None = None
@@ -75,7 +76,7 @@ class Senses:
 
     def forget(self) -> None:
         """Forgets the readings, since the engine stepped or a state was installed."""
-        self._asleep[:] = self._now_asleep
+        self._kept_asleep[:] = self._now_asleep
         self._step_contacts = None
         self._accelerated = False
         self._checked.clear()

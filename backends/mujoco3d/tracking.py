@@ -46,6 +46,7 @@ class MujocoTrack(Track):
     ) -> None:
         super().__init__(simulation, bodies, joints, motors)
         n, m = len(bodies), len(joints)
+        self._placed = n > 0 or m > 0  # whether more than powers are kept
         self._running, self._structure = running, structure
         self._data: mujoco.MjData | None = None  # that of which the views are
         self._pose, self._turn = np.empty((rows, n, 3)), np.empty((rows, n, 4))
@@ -57,21 +58,23 @@ class MujocoTrack(Track):
 
     def note(self) -> None:
         """Keeps the present states and readings as the next row."""
-        row = self.rows
-        if self._structure.edited:
-            self._note_slowly(row)
-        else:
-            if self._bodies:
-                self._running.refresh()
-            if self._running.data is not self._data:
-                self._locate()
-            for rows, view in self._views:
-                rows[row] = view
-            for rows, array, index in self._gathered:
-                rows[row] = array[index]
-            if not self._modelled:
-                self._read_positions(row)
-        self._work.note(self._running.motors)
+        row, running = self.rows, self._running
+        if self._placed:
+            if self._structure.edited:
+                self._note_slowly(row)
+            else:
+                if self._bodies:
+                    running.refresh()
+                if running.data is not self._data:
+                    self._locate()
+                for rows, view in self._views:
+                    rows[row] = view
+                for rows, array, index in self._gathered:
+                    rows[row] = array[index]
+                if not self._modelled:
+                    self._read_positions(row)
+        if self._motors:
+            self._work.note(running.motors)
         self.rows = row + 1
 
     def _locate(self) -> None:
@@ -135,9 +138,10 @@ def states_of(pose: Array, turn: Array, motion: Array, centre: Array) -> Array:
     """
     out = np.empty((*pose.shape[:-1], 13))
     out[..., 0:3] = pose
-    out[..., 3:7] = turn[..., (1, 2, 3, 0)]
-    x, y, z = np.moveaxis(pose - centre, -1, 0)
-    wx, wy, wz = np.moveaxis(motion[..., :3], -1, 0)
+    out[..., 3:6], out[..., 6] = turn[..., 1:], turn[..., 0]
+    arm = pose - centre
+    x, y, z = arm[..., 0], arm[..., 1], arm[..., 2]
+    wx, wy, wz = motion[..., 0], motion[..., 1], motion[..., 2]
     out[..., 7:10] = motion[..., 3:]
     out[..., 7] += wy * z - wz * y
     out[..., 8] += wz * x - wx * z

@@ -15,8 +15,7 @@ from nmes.backend import Array, Simulation
 
 __all__ = ["EnergyMeter"]
 
-
-_ROWS = 64  # ticks of which the powers are kept before they are summed
+_ROWS = 256  # ticks of which the powers are kept before they are summed
 
 
 class EnergyMeter:

@@ -269,6 +269,50 @@ def test_a_motor_reaches_its_velocity_and_never_exceeds_its_effort(kind: str) ->
     assert velocity == pytest.approx(3.0, abs=1e-6)
 
 
+SERVO = JointParams("position", max_effort=5.0)
+
+
+def driven_chain() -> MujocoSimulation:
+    """Makes four cubes in the air, a servo between any two."""
+    simulation = scene(0.0)
+    for number in range(4):
+        simulation.add_body(number, box((1.5 * number, 1.0, 0.0)))
+    for number in range(3):
+        anchor = (1.5 * number + 0.75, 1.0, 0.0)
+        simulation.add_joint(number, JointSpec("hinge", number, number + 1, anchor, (0.0, 0.0, 1.0), SERVO))
+    return simulation
+
+
+def test_powers_of_many_ticks_are_those_of_each_engine_step() -> None:
+    kept, stepped, joints, rows, late = driven_chain(), driven_chain(), (0, 1, 2), 700, 300
+    tracks = [kept.track([], [], joints, rows), kept.track([1], [2], [2, 0], rows - late)]
+    powers = np.zeros((rows, 2, 3))
+    for row in range(rows):
+        steps = 6 if 520 <= row < 560 else 4
+        for simulation in (kept, stepped):
+            if row % 50 == 0:
+                simulation.set_motor_targets((0, 2), [SERVO] * 2, np.array([0.5, 0.2]) * (-1.0) ** (row // 50))
+            if row == 270:
+                simulation.set_joint_params(1, JointParams("position", target_position=0.1, max_effort=1.0))
+            if row == 410:
+                simulation.add_body(9, box((0.0, 9.0, 0.0)))
+        kept.step(steps)
+        for track in tracks[: 1 if row < late else 2]:
+            track.note()
+        for _ in range(steps):
+            before = stepped.joint_readings(joints)[:, 1]
+            stepped.step(1)
+            model, (_, after, effort) = stepped.running.model, stepped.joint_readings(joints).T
+            bounded = np.abs(effort) >= model.actuator_forcerange[:, 1]
+            effort = effort + np.where(bounded, 0.0, model.actuator_biasprm[:, 2] * (after - before))
+            power = effort * (before + after) / 2.0
+            powers[row] += power, np.abs(power)
+        powers[row] /= steps
+    assert np.array_equal(tracks[0].powers(0, rows), powers)
+    assert np.array_equal(tracks[1].powers(0, rows - late), powers[late:, :, [2, 0]])
+    assert (powers[:, 1].max(axis=1) > 1e-9).mean() > 0.5
+
+
 def test_a_servo_goes_to_its_target_and_holds_a_load_there() -> None:
     simulation = scene()
     simulation.add_body(1, box((0.0, 5.0, 0.0), frozen=True))
