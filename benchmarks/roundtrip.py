@@ -2,8 +2,9 @@
 
 Three servers run as processes of their own: a bare asyncio echo, `nmes serve` that records, and one that does not. One
 client, asyncio streams too, talks to all of them: it writes three messages at once and reads three. What the echo is
-sent and sends back is as long as what the world is sent and answers. The same is measured with a blocking socket, which
-takes the client's part out of both sides of the ratio and leaves the server's.
+sent and sends back is as long as what the world is sent and answers. The engine's own step is that of a bare loop of
+`mj_step` with the same cube. The same is measured with a blocking socket, which takes the client's part out of both
+sides of the ratio and leaves the server's.
 """
 
 from __future__ import annotations
@@ -24,7 +25,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
+import mujoco
+
 from measure import Figure, in_turns, ratio, summary
+from nmes import World
 from nmes.protocol import DELIMITER
 
 PASSWORD = "benchmark"
@@ -140,6 +144,7 @@ def commands(*messages: dict[str, Any]) -> bytes:
     return b"".join(json.dumps(message, separators=(",", ":")).encode() + DELIMITER for message in messages)
 
 
+SPAWN: dict[str, Any] = {"type": "spawn_cube", "cube_name": "cube", "position": [0, 0.5, 0]}
 ACT: dict[str, Any] = {"type": "apply_physics", "cube_name": "cube", "force": [1.5, 0, -0.5]}
 STEP: dict[str, Any] = {"type": "step"}
 OBSERVE: dict[str, Any] = {"type": "get_cube_info", "cube_name": "cube"}
@@ -161,7 +166,7 @@ def served(*options: str) -> Iterator[int]:
         assert server.stdout is not None
         port = int(json.loads(server.stdout.readline())["port"])
         with closing(authenticated(Socket, port)) as client:
-            client.ask(commands({"type": "spawn_cube", "cube_name": "cube", "position": [0, 0.5, 0]}), 1)
+            client.ask(commands(SPAWN), 1)
         yield port
     finally:
         server.send_signal(signal.SIGTERM)
@@ -190,6 +195,30 @@ def echoed(request: bytes, reply: bytes) -> Iterator[int]:
         server.wait(30)
 
 
+class Engine:
+    """The engine alone, pushing the very cube that the servers have and stepping it."""
+
+    def __init__(self) -> None:
+        """Takes the model from a world."""
+        world = World({"mode": "lockstep"})
+        client = world.join()
+        world.execute(client, SPAWN)
+        world.execute(client, STEP)
+        running = world.simulation.running  # type: ignore[attr-defined]
+        self._model, self._data, self._substeps = running.model, running.data, world.config["substeps"]
+        self._world = world  # whose engine it is: it lives as long
+
+    def steps(self) -> float:
+        """Returns the time of one step of the world, s, as the mean of many."""
+        step, model, data = mujoco.mj_step, self._model, self._data
+        pushed = data.xfrc_applied[-1, :3]
+        began = time.perf_counter()
+        for _ in range(TRIPS):
+            pushed[:] = ACT["force"]
+            step(model, data, self._substeps)
+        return (time.perf_counter() - began) / TRIPS
+
+
 def figures() -> Iterator[Figure]:
     """Measures."""
     with ExitStack() as stack:
@@ -209,8 +238,12 @@ def figures() -> Iterator[Figure]:
         }
         sockets["echo"] = stack.enter_context(closing(Socket(echo)))
 
-        samples = in_turns({name: partial(client.trips, TRIP, 3) for name, client in streams.items()}, ROUNDS)
+        trials = {name: partial(client.trips, TRIP, 3) for name, client in streams.items()}
+        samples = in_turns({**trials, "engine": Engine().steps}, ROUNDS)
         times = {"microseconds": summary(samples, 1e-6), "bytes sent": len(TRIP), "bytes received": len(reply)}
+        samples["least"] = [echo + step for echo, step in zip(samples["echo"], samples["engine"], strict=True)]
+        name = "act + step + observe / (bare echo + the engine's own step)"
+        yield Figure(name, ratio(samples, "recorded", "least"), "x", at_most=1.8, details=times)
         name = "act + step + observe / bare echo"
         yield Figure(name, ratio(samples, "recorded", "echo"), "x", at_most=2.0, details=times)
         share = 100 * (ratio(samples, "recorded", "unrecorded") - 1)
