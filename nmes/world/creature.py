@@ -69,6 +69,7 @@ class Creature:
         self.joints: dict[str, str] = {part: joint.name for part, joint in joints.items()}
         self._low = np.array([motor.low for motor in self.motors])
         self._half = np.array([(motor.high - motor.low) / 2.0 for motor in self.motors])
+        self._ones, self._wanted = np.ones(self._shape), np.empty(self._shape)
         self._driven = tuple(joints[motor.id] for motor in self.motors)
         self._numbers = tuple(joint.number for joint in self._driven)
         self._fields = tuple(
@@ -121,9 +122,10 @@ class Creature:
         Args:
             controls: Shape (m,), each from -1 to 1, in the order of `motors`; -1 is a motor's `low`, 1 its `high`.
         """
-        targets: Array = controls + 1.0
-        targets *= self._half
-        targets += self._low
+        targets = self._wanted
+        np.add(controls, self._ones, out=targets)  # of arrays alone: a float would be made one each time
+        np.multiply(targets, self._half, out=targets)
+        np.add(targets, self._low, out=targets)
         if self._tuned != self._entities.tuned:
             self._prepare_motors(targets)
         self._simulation.set_motor_targets(self._numbers, self._params, targets)
