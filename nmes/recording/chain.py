@@ -132,7 +132,8 @@ class Chain:
             skim = self._in_place(block)
             count, done = len(skim.sequences), 0
             for before, channel in skim.definitions:
-                self._check_shapes(content, skim, done, before)
+                if done < before:
+                    self._check_shapes(content, skim, done, before)
                 self.define(channel)
                 done = before
             self._check_shapes(content, skim, done, count)
@@ -201,6 +202,8 @@ class Chain:
         """
         if self._topics.setdefault(channel.id, channel.topic) != channel.topic:
             raise ValueError(f"channel {channel.id} is defined in two ways")
+        if channel.id in self._kinds:  # most chunks with keyframes define all channels again
+            return
         if match := _CLIENT_TOPIC.fullmatch(channel.topic):
             self._kinds[channel.id] = _CLIENT_KINDS[match[2]], int(match[1])
         elif channel.topic.startswith(BOXES):

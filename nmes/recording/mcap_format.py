@@ -204,7 +204,8 @@ def skim_chunk(content: bytes) -> Skim:
         raise ValueError("a record does not fit into its chunk")
     definitions: list[tuple[int, Channel]] = []
     schemas: list[Schema] = []
-    if [record[0] for record in records].count(OPCODE_MESSAGE) < len(records):
+    columns = list(zip(*records, strict=True))
+    if columns and columns[0].count(OPCODE_MESSAGE) < len(records):
         messages: list[tuple[tuple[int, int, int, int, int, int], int]] = []
         for record, stop in zip(records, ends, strict=True):
             opcode, body = record[0], content[stop - record[1] : stop]
@@ -216,10 +217,10 @@ def skim_chunk(content: bytes) -> Skim:
                 schemas.append(parse_record(Schema, body, stop - record[1] - prefix))
             else:
                 raise ValueError(f"a record of type {opcode} does not belong into a chunk")
-        records, ends = [record for record, _ in messages], [stop for _, stop in messages]
-    if not records:
+        columns, ends = list(zip(*[record for record, _ in messages], strict=True)), [stop for _, stop in messages]
+    if not columns:
         raise ValueError("it has no messages")
-    _, lengths, channels, sequences, times, walls = zip(*records, strict=True)
+    _, lengths, channels, sequences, times, walls = columns
     if min(lengths) < MESSAGE_FIELDS:
         raise ValueError("a message does not fit into its chunk")
     return Skim(channels, sequences, times, walls, lengths, ends, definitions, schemas)

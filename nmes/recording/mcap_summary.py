@@ -39,10 +39,12 @@ class Contents:
             ValueError: It was another when it was said before.
         """
         known: dict[int, Any] = self._schemas if isinstance(record, Schema) else self._channels
-        if known.setdefault(record.id, record) != record:
+        first = known.setdefault(record.id, record)
+        if first is record:  # what is read twice is the same record
+            if known is self._channels:
+                self._counts.setdefault(record.id, 0)
+        elif first != record:
             raise ValueError(f"{type(record).__name__.lower()} {record.id} is defined in two ways")
-        if isinstance(record, Channel):
-            self._counts.setdefault(record.id, 0)
 
     def add_metadata(self, name: str, offset: int, size: int) -> None:
         """Adds a metadata record: its name, where it begins and how many bytes it takes up."""
