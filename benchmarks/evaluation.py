@@ -1,8 +1,8 @@
 """What evaluating creatures costs: a crawler of eight cubes and seven servos for ten seconds, beside bare `mj_step`.
 
-The bare loop steps the very model that the world compiled, from the state in which the episode began, with the very
-controls that the brain gave; the evaluation makes the world and the creature in it too, senses, thinks, keeps every
-state and scores. Body-steps are moving bodies times engine steps.
+The bare loop steps the very model that the world compiled, from where the episode's first tick left it, with the very
+controls that it had at each tick, while it settled too; the evaluation makes the world and the creature in it as well,
+senses, thinks, keeps every state and scores. Body-steps are moving bodies times engine steps.
 """
 
 from __future__ import annotations
@@ -80,6 +80,8 @@ class Bare:
         self.start: mujoco.MjData | None = None
         for step in Episode(world, genome, brain_of(genome), task, 1).steps():
             if step is None:
+                if self.start is not None:
+                    controls.append(simulation.running.data.ctrl.copy())  # type: ignore[attr-defined]
                 world.tick()
                 # The model is compiled in the first tick, in which the servos hold still.
                 if self.start is None:
@@ -91,8 +93,6 @@ class Bare:
             else:
                 assert isinstance(step, np.ndarray)
                 world.drive(client, CREATURE, step)
-                if self.start is not None:
-                    controls.append(simulation.running.data.ctrl.copy())  # type: ignore[attr-defined]
         self.controls = np.array(controls)
         self.data = mujoco.MjData(self.model)
 

@@ -34,7 +34,8 @@ class _Contacts:
     def __init__(self, owners: Sequence[int], data: mujoco.MjData, edges: int) -> None:
         # One list each is faster than an array's element for each contact.
         contact = data.contact
-        self._points, self._frames = contact.pos.tolist(), contact.frame.tolist()
+        # The first axis of a contact's frame points from the first geom to the second.
+        self._points, self._axes = contact.pos.tolist(), contact.frame[:, :3].tolist()
         self._force, self._edges = data.efc_force.tolist(), edges
         self._rows: dict[int, list[tuple[int, int, int, bool]]] = {}
         for i, ((one, other), at) in enumerate(zip(contact.geom.tolist(), contact.efc_address.tolist(), strict=True)):
@@ -49,7 +50,7 @@ class _Contacts:
         result, edges = [], self._edges
         for i, other, at, second in self._rows.get(index, ()):
             if others is None or other in others:
-                x, y, z = self._frames[i][:3]  # the frame's first axis points from the first geom to the second
+                x, y, z = self._axes[i]
                 normal = (x, y, z) if second else (-x, -y, -z)
                 force = self._force[at] if edges == 1 else total(self._force[at : at + edges])
                 result.append(Contact(numbers.get(other), tuple(self._points[i]), normal, force))

@@ -198,10 +198,12 @@ class HostedWorld:
         if world.barrier is not None and request.type == "step":
             waits = self._barrier.arrive(client, command.get("ticks", 1))
             return None if waits else world.handle(client, request)
-        execute = partial(self._worker.execute, client, request)
-        if self._worker.takes_long(command) and self._worker.run(execute, partial(self._executed, client)):
-            return None
-        return execute()
+        worker = self._worker
+        if worker.takes_long(command):
+            execute = partial(worker.execute, client, request)
+            if worker.run(execute, partial(self._executed, client)):
+                return None
+        return worker.execute(client, request)
 
     def _executed(self, client: int, reply: Future[bytes]) -> None:
         """Keeps a reply from a thread until the client submits its request again."""

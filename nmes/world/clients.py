@@ -67,18 +67,8 @@ class Clients(dict[int, Client]):
             if client.objectives:
                 client.objectives.tick(entities)
 
-    def tick(
-        self, emit: Emit | None, frame: int, time: float, version: int, poses: Callable[[], tuple[list[str], Array]]
-    ) -> None:
-        """Sends subscribers the events of a frame whose turn it is.
-
-        Args:
-            emit: Where they go; None: nowhere, but they count as sent.
-            frame: The frame.
-            time: The same in s.
-            version: The structure version.
-            poses: Returns names and states of the cubes; asked only when somebody is to be told of them.
-        """
+    def tick(self, emit: Emit | None, frame: int, entities: Entities) -> None:
+        """Sends subscribers the events of a frame whose turn it is; with no `emit` they only count as sent."""
         tick = b""
         names: list[str] = []
         states: Array | None = None
@@ -86,14 +76,15 @@ class Clients(dict[int, Client]):
             subscription = client.subscription
             if subscription is None or frame % subscription.every:
                 continue
+            time = frame / entities.tick_rate
             if "tick" in subscription.events and emit is not None:
                 tick = tick or protocol.encode({"type": "tick", "t": time, "frame": frame})
                 emit(client.number, tick)
             if "state" in subscription.events:
                 if states is None:
-                    names, states = poses()
+                    names, states = list(entities.cubes), entities.states()
                 try:
-                    cubes, removed = subscription.changes(version, names, states)
+                    cubes, removed = subscription.changes(entities.version, names, states)
                 except Exception as error:  # a mistake of ours in what one client is told: no other need know
                     logger.error("the subscription of client %d failed, and ends", client.number, exc_info=error)
                     client.subscription = None

@@ -242,7 +242,7 @@ class World(WorldQueries):
                 self.stop_recording(error)
                 return
         if self._clients:
-            self._clients.tick(self.emit, self.frame, self.time, self.structure_version, self.poses)
+            self._clients.tick(self.emit, self.frame, self.entities)
         if self._past + self.frame >= self._keyframes.due and not self._stepping:
             self._keep_keyframe()
 
