@@ -130,7 +130,8 @@ def _secret_forms(password: str) -> tuple[bytes, ...]:
     """Returns a password as it stands in frames: as it is, and as JSON writes it, with and without other letters."""
     if not password:
         return ()
-    forms = (password, *(json.dumps(password, ensure_ascii=ascii)[1:-1] for ascii in (True, False)))
+    forms = [password, *(json.dumps(password, ensure_ascii=ascii)[1:-1] for ascii in (True, False))]
+    forms += [form.replace("<", "\\u003c") for form in forms]  # as `encode` writes what was translated
     return tuple(dict.fromkeys(form.encode("utf-8", "surrogatepass") for form in forms))
 
 

@@ -6,7 +6,8 @@ made, and what the file's end says. A `Recorder` is the journal of a live world;
 Invariants:
 
 - What was flushed is never changed; whatever keeps the file from being written is raised, and from then on.
-- What a client sent is kept byte for byte. Passwords never get here: a client joins after it was authenticated.
+- What a client sent is kept byte for byte; of the raw dialect, its translation. Passwords never get here: a client
+  joins after it was authenticated.
 - `flush` may be called by another thread than the one in which the world is, at any time: what was noted is written.
 - Recording does not change what a world does: it only asks for poses and, of a world with a past, for one
   snapshot first. Keyframes are the world's own.
@@ -141,7 +142,7 @@ class Recorder:
     # What happens for each command of each client is written for speed, and only notes.
 
     def received(self, client: int, request: Request) -> None:
-        """Records a frame as it came; of a refused one no more than `REFUSED_LIMIT` bytes and a note."""
+        """Records a frame as its session read it; of a refused one no more than `REFUSED_LIMIT` bytes and a note."""
         key = 4 * client + (COMMAND if request.error is None else REFUSED)
         self._notes.append((key, self._world.frame, time_ns(), request.raw))
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nmes.protocol import DELIMITER, Session
+from nmes.protocol import DELIMITER, REDACTED, Session
 from nmes.world import World
 
 Message = dict[str, Any]
@@ -378,3 +378,15 @@ def test_a_push_that_names_nothing_that_acts_is_recorded_as_an_error(raw: RawCli
         assert (reply["type"], reply["code"]) == ("error", "invalid"), kind
         assert "impulse" in reply["message"]
     assert raw.send("apply_force") == b""
+
+
+@pytest.mark.parametrize("password", ["pa<ss", "pässword", 'qu"ote', "tab\tbed"])
+def test_a_password_in_a_frame_that_is_translated_and_refused_is_not_kept(password: str) -> None:
+    session = Session()
+    session.receive(password.encode() + DELIMITER)
+    session.accept({})
+    for ascii_only in (True, False):
+        frame = json.dumps({"type": "apply_force", "force": password}, ensure_ascii=ascii_only).encode()
+        request = session.redacted(session.parse(frame))
+        assert request.raw == REDACTED
+        assert request.error is not None and password not in request.error.message
