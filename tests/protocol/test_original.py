@@ -179,6 +179,17 @@ def test_motors_given_at_creation_turn_their_hinge(raw: RawClient) -> None:
     assert params(raw, "joint_hinge_a_b")["motor_enable"] == 0.0
 
 
+def test_a_motor_gives_its_largest_impulse_in_each_sixtieth_of_a_second(raw: RawClient) -> None:
+    pair(raw)
+    for kind in ("hinge", "slider"):
+        raw.ask("create_joint", cube1="a", cube2="b", joint_type=kind)
+        assert params(raw, f"joint_{kind}_a_b")["motor_max_impulse"] == 1.0
+    command = {"joint_name": "joint_slider_a_b", "param_name": "motor_max_impulse", "value": 0.25}
+    assert raw.ask("set_joint_param", **command) == {"type": "joint_param_set", **command}
+    assert params(raw, "joint_slider_a_b")["motor_max_impulse"] == 0.25
+    assert [joint["params"]["motor_max_force"] for joint in raw.world.joint_infos()] == [60.0, 15.0]  # N m and N
+
+
 def test_a_motor_that_is_switched_off_at_creation_does_not_turn(raw: RawClient) -> None:
     pair(raw)
     motor = {"motor_target_velocity": 2.0, "motor_max_impulse": 100.0, "motor_enable": 0.0}
