@@ -320,17 +320,18 @@ def parse(raw: bytes, translate: Callable[[dict[str, Any]], dict[str, Any]] | No
         return Request(raw, None, rejection)
     if type(message) is not dict:
         return Request(raw, None, RejectedMessage("bad_frame", f"expected a JSON object, got {excerpt(message)}"))
-    said = None
     if translate is not None and (translated := translate(message)) is not message:
-        said, message = message, translated
-        raw = encode(message)
+        request = parse(encode(translated))  # read anew, within all limits, as a replay of what is recorded reads it
+        request.said = message
+        return request
     kind = message.get("type")
     error = _check(message)
     if error is None:
-        ignored = () if COMMANDS[kind].plain.issuperset(message) else tuple(islice(_unknown(message), _MOST_IGNORED))
-        return Request(raw, message, None, kind, message.get("id", NO_ID), said, ignored)
+        plain = COMMANDS[message["type"]].plain
+        ignored = () if plain.issuperset(message) else tuple(islice(_unknown(message), _MOST_IGNORED))
+        return Request(raw, message, None, kind, message.get("id", NO_ID), None, ignored)
     known = kind if isinstance(kind, str) and len(kind) <= _TYPE_LENGTH else None
-    return Request(raw, None, error, known, message.get("id", NO_ID), said)
+    return Request(raw, None, error, known, message.get("id", NO_ID))
 
 
 def _unknown(command: Mapping[str, Any], path: str = "") -> Iterator[str]:

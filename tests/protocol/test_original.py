@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from nmes.protocol import DELIMITER, REDACTED, Session
+from nmes.protocol import DELIMITER, REDACTED, Session, parse
 from nmes.world import World
 
 Message = dict[str, Any]
@@ -401,3 +401,21 @@ def test_a_password_in_a_frame_that_is_translated_and_refused_is_not_kept(passwo
         request = session.redacted(session.parse(frame))
         assert request.raw == REDACTED
         assert request.error is not None and password not in request.error.message
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        {"type": "create_joint", "cube1": "a", "cube2": "b", "joint_type": "hinge", "id": list(range(99_995))},
+        {"type": "set_joint_param", "joint_name": "j", "param_name": "bias", "value": "DEEP"},
+        {"type": "apply_force", "force": "<"},
+        {"type": "create_bone", "cube1": "a", "cube2": 10**30, "joint_params": {"bias": []}},
+    ],
+)
+def test_what_is_recorded_of_a_translated_frame_is_read_alike_by_a_replay(raw: RawClient, said: Message) -> None:
+    frame = json.dumps(said).encode().replace(b'"DEEP"', b"[" * 199 + b"]" * 199)
+    request = raw.session.parse(frame)
+    again = parse(request.raw)
+    assert (again.command, again.type, again.id) == (request.command, request.type, request.id)
+    for one, other in ((request.error, again.error), (again.error, request.error)):
+        assert one is None or (other is not None and (one.code, one.message) == (other.code, other.message))
