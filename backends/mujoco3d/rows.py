@@ -58,7 +58,7 @@ class MujocoRow(Row):
     @classmethod
     def of(cls, running: RunningModel, strong: npt.NDArray[np.bool_]) -> MujocoRow | None:
         """Returns the row that a scene without edits becomes; None where something in it is a simulation's alone."""
-        if running.scenery.attracts or running.depenetration.bodies or (running.asleep != AWAKE).any():
+        if running.one_by_one or running.depenetration.bodies or (running.asleep != AWAKE).any():
             return None
         return cls(running, strong)
 

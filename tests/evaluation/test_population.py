@@ -35,6 +35,7 @@ TASKS: dict[str, dict[str, Any]] = {
         "objective": "displacement.x",
         "world": {"scene": {"type": "planets", "planets": {"count": 1}}},
     },
+    "damped": {"objective": "displacement.x", "world": {"damping": {"linear": 0.5, "angular": 0.5}}},
     "hills": {
         "objective": "displacement.x",
         "world": {
@@ -67,7 +68,7 @@ def draw_and_compare(seed: int, name: str, size: int, **changes: Any) -> Counter
     return Counter((result.fault or result.ended or "whole").split(":")[0] for result in results)
 
 
-@pytest.mark.parametrize("name", ["run", "ends", "cargo", "reach"])
+@pytest.mark.parametrize("name", ["run", "ends", "cargo", "reach", "damped"])
 def test_a_population_scores_what_each_scores_alone(name: str) -> None:
     assert draw_and_compare(7, name, 12, duration=0.6, settle_limit=0.6).total()
 
