@@ -86,6 +86,7 @@ class MujocoRows(Rows):
         self.compiled: CompiledModel = first.compiled
         self._batch = batch = Batch(first.model, count, threads, contacts or first.sleeps)
         self._rows: list[MujocoRow] = [first] * count
+        self.puts = 0  # how often rows were put: what follows from their models is then to be looked up again
         self._senses = _ContactSenses(first, count) if contacts else None
         self.qpos, self.qvel, self._ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
         self.efforts = batch.bind("actuator_force")
@@ -104,6 +105,7 @@ class MujocoRows(Rows):
             self._batch.state[place], self._strong[place] = row.state, row.strong
             self._batch.warning[place] = 0
         self._batch.set_models([row.model for row in self._rows])
+        self.puts += 1
 
     def braking(self, motors: Indices) -> tuple[Array, Array]:
         """Returns how motors brake and their bounds, in each place: arrays (places, motors)."""
@@ -230,6 +232,7 @@ class MujocoRowsTrack(RowsTrack):
         self._columns = [column for column, joint in enumerate(motors) if joint in compiled.actuator]
         driven = [motors[column] for column in self._columns]
         self._motors = compact([compiled.actuator[joint] for joint in driven])
+        self._puts, self._braking = rows.puts, rows.braking(self._motors)
         self._powers = np.zeros((count, room, 2, len(motors)))
         # What is copied, the places of it that are wanted, and where it goes to.
         self._pose, self._turn = np.empty((count, room, n, 3)), np.empty((count, room, n, 4))
@@ -272,8 +275,9 @@ class MujocoRowsTrack(RowsTrack):
         """Returns the powers of the motors, array (places, rows, 2, m)."""
         rows, out = self.rows, self._powers[:, : self.rows]
         if self._columns:
-            speeds, (slopes, bounds) = self._speeds[:, :rows], self._source.braking(self._motors)
-            slopes, bounds = slopes[:, None, None], bounds[:, None, None]
+            if self._puts != self._source.puts:
+                self._puts, self._braking = self._source.puts, self._source.braking(self._motors)
+            speeds, slopes, bounds = self._speeds[:, :rows], *(each[:, None, None] for each in self._braking)
             efforts, before, after = self._efforts[:, :rows], speeds[:, :, :-1], speeds[:, :, 1:]
             out[..., self._columns] = mean_powers(efforts, before, after, slopes, bounds)
         return out
