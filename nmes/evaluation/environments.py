@@ -118,7 +118,8 @@ class Environments:
             `observations`, `rewards`, `terminated` and `truncated`, which the next step overwrites.
 
         Raises:
-            ValueError: The actions have another shape, or are beyond -1 or 1; nothing has moved.
+            ValueError: The actions have another shape, or are beyond -1 or 1, or no `reset` came before; nothing has
+                moved.
         """
         self._check(actions)
         self._actions[self._ticks, self._all] = actions
@@ -132,11 +133,14 @@ class Environments:
         return self.observations, self.rewards, self.terminated, self.truncated
 
     def close(self) -> None:
-        """Ends the worlds of episodes that have one."""
+        """Ends all episodes, and the worlds of those that have one; `reset` begins others."""
         for episode in self._episodes:
             episode.leave()
+            episode.number = 0
 
     def _check(self, actions: Array) -> None:
+        if not self._episodes[0].number:
+            raise ValueError("no episodes have begun: reset comes first")
         shape = len(self._episodes), len(self.motors)
         if actions.shape != shape:
             raise ValueError(f"actions have the shape {shape}, for each row and motor, not {actions.shape}")

@@ -218,6 +218,17 @@ def test_actions_that_motors_do_not_take_move_nothing(actions: Array, message: s
     assert environments.truncated.all()
 
 
+@pytest.mark.parametrize("backend", ["mujoco", "pymunk"])
+def test_a_step_comes_after_a_reset(backend: str) -> None:
+    environments = Environments(Genome(snake()), task(duration=0.1, world={"backend": backend}), 2)
+    for _ in range(2):
+        with pytest.raises(ValueError, match="reset comes first"):
+            environments.step(np.zeros((2, 3)))
+        environments.reset(0)
+        environments.step(np.zeros((2, 3)))
+        environments.close()
+
+
 def test_who_cannot_begin_is_refused() -> None:
     with pytest.raises(WorldError, match="4 cubes, at most 3"):
         Environments(Genome(snake()), task(limits={"cubes": 3}), 1)
