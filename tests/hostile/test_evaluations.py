@@ -11,21 +11,13 @@ from typing import Any
 import pytest
 from click.testing import CliRunner, Result
 
+from boards import DASH
 from creatures import SINE, cpg, snake
 from nmes.cli import main
 from nmes.errors import RecordingError
 from nmes.evaluation import Episode, Job, Task, Workers, evaluate, evaluate_all, evaluator, prove
 from nmes.genome import Genome
 from nmes.recording import Recorder
-
-DASH: dict[str, Any] = {
-    "format": "nmes-task/1",
-    "name": "dash",
-    "description": "Get away from the start.",
-    "duration": 0.5,
-    "seeds": [3, 4],
-    "objective": "displacement.horizontal",
-}
 
 
 def run(*arguments: str | Path) -> Result:
