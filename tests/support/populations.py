@@ -59,6 +59,9 @@ def _other_numbers(draw: np.random.Generator, name: str) -> dict[str, Any]:
         cube["size"] = [0.26, 0.14, float(draw.uniform(0.1, 0.5))]
     for joint in genome["body"]["joints"]:
         joint["motor"]["max_effort"] = float(draw.choice([0.0, 2.0, 6.0, 20.0], p=[0.1, 0.3, 0.3, 0.3]))
+        wide = float(draw.uniform(0.2, 1.0))
+        joint["motor"]["range"] = [-wide / 2.0, wide]
+        joint["motor"]["mode"] = str(draw.choice(["position", "velocity"]))
         if draw.random() < 0.2:
             joint["stiffness"] = float(draw.choice([0.0, 5.0]))
     return genome
