@@ -79,7 +79,7 @@ def _fill_places(running: RunningModel, structure: Structure, scene: SceneSpec) 
     if structure.arrived or structure.departed:
         set_mean_inertia(compiled)
     count_awake(model, data)
-    running.depenetration.bodies.update(structure.touched)
+    running.depenetration.watch(structure.touched)
     running.forget_kinematics()
     running.replace_senses()
 
@@ -95,7 +95,7 @@ def _rebuild(running: RunningModel, structure: Structure, scene: SceneSpec, stat
     sleep = {} if structure.wake_all else surviving_sleep(old, running.asleep, states, structure.bodies)
     running.install(compiled, joints)
     transfer_state(old, old_data, compiled, running.data, joints, states, balls)
-    running.depenetration.bodies.update(body for body in states if body in touched)
+    running.depenetration.watch([body for body in states if body in touched])
     asleep = restored_sleep(compiled, sleep)
     if (asleep >= 0).any():
         running.settle(asleep)

@@ -23,7 +23,7 @@ from nmes.backends.mujoco3d.model import CompiledModel, write_params
 from nmes.backends.mujoco3d.motors import ActuatorBatch
 from nmes.backends.mujoco3d.scenery import Scenery
 from nmes.backends.mujoco3d.sensing import STATE, Senses
-from nmes.backends.mujoco3d.sleep import AWAKE, count_awake
+from nmes.backends.mujoco3d.sleep import AWAKE, count_awake, wake_islands
 from nmes.errors import SimulationFault
 
 __all__ = ["HUGE", "RunningModel", "Wrenches"]
@@ -32,6 +32,12 @@ HUGE = 1e10
 """MuJoCo's mjMAXVAL: beyond this it calls a state bad."""
 
 logger = logging.getLogger(__name__)
+
+# A heap: so many trees hold each other. Newton's method with round friction cones takes three times as long for it as
+# with pyramids, and one of hundreds of cubes always trembles by a few mm/s, so that by the usual tolerance none slept.
+_HEAP = 64
+_HEAP_SETTINGS = mujoco.mjtCone.mjCONE_PYRAMIDAL, 0.02  # the cone, and at which speed (m/s) it falls asleep
+_USUAL_SETTINGS = mujoco.mjtCone.mjCONE_ELLIPTIC, mujoco.MjOption().sleep_tolerance
 
 _ZERO: Vector = (0.0, 0.0, 0.0)
 _WARNINGS = mujoco.mjtWarning
@@ -82,13 +88,16 @@ class RunningModel:
         senses: The sensors of this model.
         motors: The motors and joints of this model.
         depenetration: The bodies that are let apart.
+        heaped: Whether more than `_HEAP` trees hold each other, or did before they fell asleep.
         one_by_one: Whether something is to be done before each engine step: bodies are damped, or planets attract.
         qpos: `data.qpos`; likewise `qvel`, `efforts` (`actuator_force`) and `asleep` (`tree_asleep`).
     """
 
     def __init__(self, scenery: Scenery, scene: SceneSpec) -> None:
         self.scenery, self._timestep = scenery, scene.timestep
+        self._heaps = "cone" not in scene.options  # whether heaps may have friction of their own
         self.depenetration = Depenetration()
+        self.heaped = False
         self._damping = Damping(scene)
         self.one_by_one = scenery.attracts or self._damping.acts
 
@@ -122,6 +131,8 @@ class RunningModel:
         self.motors = ActuatorBatch(compiled, data, joints)
         self._driven = bool(compiled.actuator)
         self._damping.install(model)
+        self._may_heap = self._heaps and model.ntree > _HEAP
+        self._set_heaped(self.heaped and self._may_heap)
         if self.scenery.attracts:
             self._install_weights()
         for joint in compiled.joint_index:
@@ -225,7 +236,7 @@ class RunningModel:
         if self.scenery.attracts:
             data.xfrc_applied[:] = 0.0
             self.scenery.pull(model, data)  # the state has no forces in it: these go again
-        with self.depenetration.crowds(self.compiled, data):
+        with self.depenetration.crowds.apart(self.compiled, data, self.depenetration.bodies):
             mujoco.mj_forward(model, data)
         mujoco.mj_setState(model, data, state, STATE)
         self.asleep[:] = asleep
@@ -235,13 +246,8 @@ class RunningModel:
 
     def wake(self, *indices: int) -> None:
         """Wakes the islands of these bodies (indices in the model)."""
-        woken = False
-        for index in indices:
-            tree = int(self.model.body_treeid[index])
-            while tree >= 0 and (following := int(self.asleep[tree])) >= 0:
-                self.asleep[tree] = AWAKE
-                tree, woken = following, True
-        if woken:
+        trees = self.model.body_treeid
+        if wake_islands(self.asleep, [int(trees[index]) for index in indices]):
             count_awake(self.model, self.data)
             self._current = False  # what was read of a static root left its sleeping branches out
 
@@ -268,6 +274,8 @@ class RunningModel:
             raise SimulationFault(code, f"MuJoCo: {error}") from error
         self._current = False
         self.senses.forget()
+        if self._may_heap:
+            self._look_for_heap()
         if self._warnings.tobytes() != self._no_warnings:
             try:
                 self._fail()
@@ -352,6 +360,20 @@ class RunningModel:
         for body in self._branches[awake[self._branches]].tolist():
             mujoco.mj_applyFT(model, data, weights[body], _ZERO, data.xipos[body], body, data.qfrc_passive)
         mujoco.mj_step2(model, data)
+
+    def _look_for_heap(self) -> None:
+        """Sees after a tick whether there is a heap; one that fell asleep will be one when it wakes."""
+        islands, sleepers = self.data.island_ntree, 0
+        if self.heaped:
+            sleepers = np.count_nonzero(self.asleep >= 0) - len(self.compiled.spares)
+        heaped = sleepers > _HEAP or (len(islands) > 0 and int(islands.max()) > _HEAP)
+        if heaped != self.heaped:
+            self._set_heaped(heaped)
+
+    def _set_heaped(self, heaped: bool) -> None:
+        self.heaped, option = heaped, self.model.opt
+        if self._may_heap:
+            option.cone, option.sleep_tolerance = _HEAP_SETTINGS if heaped else _USUAL_SETTINGS
 
     def _go_back(self) -> None:
         """Shows the state before the step that failed."""

@@ -78,7 +78,7 @@ class MujocoSimulation(Simulation):
         """Removes a body; what slept on a frozen one wakes."""
         self.structure.remove_body(body, self.running.compiled)
         self._wrenches.forget(body)
-        self.running.depenetration.bodies.discard(body)
+        self.running.depenetration.forget(body)
 
     def add_joint(self, joint: int, spec: JointSpec) -> None:
         """Joins two bodies in their present poses, which are the joint's zero."""
@@ -280,6 +280,10 @@ class MujocoSimulation(Simulation):
             digest.update(repr([(p.target_velocity, p.target_position) for p in params]).encode())
         if running.depenetration.bodies:
             digest.update(repr(sorted(running.depenetration.bodies)).encode())
+            if running.depenetration.crowds.gliding:
+                digest.update(repr(sorted(running.depenetration.crowds.gliding)).encode())
+        if running.heaped:
+            digest.update(b"heaped")
         return digest.digest()
 
     def snapshot(self) -> bytes:

@@ -6,7 +6,7 @@ in a ring. MuJoCo keeps lists of what is awake beside it, which must agree.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Container, Mapping
+from collections.abc import Collection, Container, Iterable, Mapping
 
 import mujoco
 import numpy as np
@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from nmes.backends.mujoco3d.model import CompiledModel
 
-__all__ = ["AWAKE", "count_awake", "restored_sleep", "surviving_sleep"]
+__all__ = ["AWAKE", "count_awake", "restored_sleep", "surviving_sleep", "wake_islands"]
 
 AWAKE = -(1 + mujoco.mjMINAWAKE)
 """`tree_asleep` of a tree that has just woken."""
@@ -35,6 +35,16 @@ def count_awake(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     data.dof_awake_ind[: len(dofs)] = dofs
     data.ntree_awake, data.nbody_awake = int(tree.sum()), len(awake)
     data.nparent_awake, data.nv_awake = len(parents), len(dofs)
+
+
+def wake_islands(asleep: npt.NDArray[np.int32], trees: Iterable[int]) -> bool:
+    """Wakes the islands of trees in `tree_asleep`; returns whether any slept, so that `count_awake` is due."""
+    woken = False
+    for tree in trees:
+        while tree >= 0 and (following := int(asleep[tree])) >= 0:
+            asleep[tree] = AWAKE
+            tree, woken = following, True
+    return woken
 
 
 def surviving_sleep(

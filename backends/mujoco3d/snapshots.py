@@ -24,6 +24,7 @@ from nmes.errors import WorldError
 __all__ = ["read_snapshot", "write_snapshot"]
 
 _FIELDS = frozenset("bodies joints frozen_at force impulse parting state asleep roots".split())
+_LATER: dict[str, Any] = {"gliding": [], "heaped": False}  # not in older snapshots: left out where they are so
 _KINDS = frozenset({"fixed", "hinge", "slide", "pin", "conetwist"})
 
 
@@ -40,6 +41,7 @@ def write_snapshot(running: RunningModel, structure: Structure, wrenches: Wrench
         if body.frozen:
             state = running.body_state(running.compiled.body_index[body.number], frozen=True)
             frozen_at[str(body.number)] = [*state.position, *state.quaternion]
+    later = {"gliding": sorted(running.depenetration.crowds.gliding), "heaped": running.heaped}
     return orjson.dumps(
         {
             "bodies": list(structure.bodies.values()),  # orjson writes dataclasses by their fields
@@ -51,6 +53,7 @@ def write_snapshot(running: RunningModel, structure: Structure, wrenches: Wrench
             "state": base64.b64encode(running.state().tobytes()).decode(),
             "asleep": running.asleep.tolist(),
             "roots": running.compiled.roots,
+            **{name: value for name, value in later.items() if value != _LATER[name]},
         }
     )
 
@@ -72,7 +75,8 @@ def read_snapshot(
 def _take_up(
     fields: dict[str, Any], scene: SceneSpec, running: RunningModel, structure: Structure, wrenches: Wrenches
 ) -> None:
-    _require(fields.keys() == _FIELDS, "these fields alone: " + ", ".join(sorted(_FIELDS)))
+    _require(fields.keys() - _LATER.keys() == _FIELDS, "these fields alone: " + ", ".join(sorted(_FIELDS | {*_LATER})))
+    fields = {**_LATER, **fields}
     structure.replace([*map(Body.from_json, fields["bodies"])], [*map(Joint.from_json, fields["joints"])])
     bodies, joints = structure.bodies, structure.joints
     _check_structure(fields, bodies, joints)
@@ -83,13 +87,16 @@ def _take_up(
         wrench.clear()
         wrench.update((number, [*_numbers(values, 6)]) for number, values in fields[name])
         _require(wrench.keys() <= bodies.keys(), "forces on bodies alone")  # one may be frozen after it was pushed
-    running.depenetration.bodies = set(fields["parting"])
-    _require(running.depenetration.bodies <= movable, "only movable bodies are let apart")
+    parting, gliding = set(fields["parting"]), set(fields["gliding"])
+    _require(gliding <= parting <= movable, "only movable bodies are let apart")
+    running.depenetration.bodies, running.depenetration.crowds.gliding = parting, gliding
     forest, roots = spanning_forest(bodies, joints.values()), fields["roots"]
     used = [root for root in roots if root != SPARE]
     _require(len(used) == len(forest.trees) and set(used) == forest.trees.keys(), "the root of each tree")
     _require(len(roots) <= 2 * scene.max_bodies, "no more parked bodies than there may be")
     poses = {number: ((x, y, z), (a, b, c, w)) for number, (x, y, z, a, b, c, w) in frozen_at.items()}
+    _require(type(fields["heaped"]) is bool, "whether there is a heap")
+    running.heaped = fields["heaped"]
     compiled = compile_model(scene, running.scenery, bodies, joints, forest, poses, roots)
     running.install(compiled, joints)
     state = np.frombuffer(base64.b64decode(fields["state"], validate=True))

@@ -671,6 +671,7 @@ def test_cubes_spawned_at_one_point_come_apart_at_bounded_speed(count: int) -> N
 )
 def test_an_engine_out_of_memory_faults_its_world(room: int, code: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiler, "arena_bytes", lambda bodies: room << 10)
+    monkeypatch.setattr("nmes.backends.mujoco3d.crowds._CROWD", 99)  # nobody glides away
     crowded, quiet = World({"mode": "lockstep"}), World({"mode": "lockstep"})
     client, other = crowded.join(), quiet.join()
     quiet.execute(other, {"type": "spawn_cube", "position": [0, 3, 0]})
