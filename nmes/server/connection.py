@@ -239,7 +239,7 @@ class Connection(asyncio.BufferedProtocol):
                 if request.error is not None:
                     request = session.redacted(request)
                 elif request.ignored or request.said is not None:
-                    self._log_without_effect(request)
+                    _log_without_effect(session, request, self._peer)
                 backlog[0] = request
             encoded = world.submit(self._client, request)
             waits = encoded is None
@@ -273,15 +273,10 @@ class Connection(asyncio.BufferedProtocol):
             self._reading = None
             if self._backlog:  # else the connection was ended meanwhile
                 self._backlog[0] = request = self._session.redacted(reading.result())
-                self._log_without_effect(request)
+                _log_without_effect(self._session, request, self._peer)
             self.resume()
 
         reading.add_done_callback(lambda _: loop.call_soon_threadsafe(go_on))
-
-    def _log_without_effect(self, request: Request) -> None:
-        """Logs what of a command does nothing here and no reply tells, once a connection."""
-        for thing in self._session.without_effect(request):
-            logger.info("%s says %s", self._peer, visible(thing))
 
     def _wait_or_leave(self, waits: bool) -> None:
         """Has the rest executed when others have had their turn, or after `resume`; leaves if none is left."""
@@ -400,3 +395,9 @@ class Connection(asyncio.BufferedProtocol):
     def _peer(self) -> str:
         address = self._transport.get_extra_info("peername")
         return f"{address[0]}:{address[1]}" if address else "a client"
+
+
+def _log_without_effect(session: Session, request: Request, peer: str) -> None:
+    """Logs what of a command does nothing here and no reply tells, once a connection."""
+    for thing in session.without_effect(request):
+        logger.info("%s says %s", peer, visible(thing))

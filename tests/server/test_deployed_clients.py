@@ -392,6 +392,18 @@ def test_each_planet_stands_alone_in_a_list_under_its_name(scene: str) -> None:
         assert client.names() == []
 
 
+def test_a_field_that_is_not_understood_is_logged_once_a_connection(
+    server: Served, caplog: pytest.LogCaptureFixture
+) -> None:
+    with caplog.at_level("INFO", "nmes.server.connection"):
+        for _ in range(2):
+            with Program(server.port) as client:
+                for padding in ("", "x" * 9000, ""):  # a long frame is read in a thread
+                    assert client.ask(type="get_cube_list", order="name" + padding)["cubes"] == []
+    told = [record.getMessage() for record in caplog.records if "not understood" in record.getMessage()]
+    assert [line.partition(" says ")[2] for line in told] == ["get_cube_list: order is not understood"] * 2
+
+
 # -- many ports -------------------------------------------------------------------------------------------------------
 
 
