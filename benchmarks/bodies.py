@@ -7,6 +7,7 @@ model for an edit of the structure.
 from __future__ import annotations
 
 import gc
+import random
 import resource
 import statistics
 import time
@@ -152,6 +153,38 @@ def arrivals() -> Iterator[Figure]:
     yield Figure("a cube a tick into 500: ticks late of 150", len(late), "", at_most=2)
 
 
+def heap(count: int = 600) -> Iterator[Figure]:
+    """Cubes spawned within a metre, until 19 of 20 sleep; and a tick of the heap beside four bare steps."""
+    world, draw = World({"mode": "lockstep"}), random.Random(1)
+    client, simulation = world.join(), world.simulation
+    assert isinstance(simulation, MujocoSimulation)
+    for _ in range(count):
+        position = [draw.random(), 0.5 + draw.random(), draw.random()]
+        world.execute(client, {"type": "spawn_cube", "position": position, "list": False})
+    ticks, awake, spent, own, bare = 0, count, 0.0, 0.0, 0.0
+    while awake > count / 20 and ticks < 3600:
+        compared = ticks % 60 == 59 and not simulation.running.depenetration.bodies
+        if compared:
+            twin = mujoco.MjData(simulation.running.model)
+            mujoco.mj_copyData(twin, simulation.running.model, simulation.running.data)
+            began = time.process_time()
+            mujoco.mj_step(simulation.running.model, twin, 4)
+            bare += time.process_time() - began
+        began = time.process_time()
+        world.tick()
+        took = time.process_time() - began
+        spent, own = spent + took, own + took * compared
+        ticks, awake = ticks + 1, simulation.running.data.ntree_awake
+    details = {"seconds of the world": ticks / 60, "awake": awake}
+    name = f"a heap of {count} cubes"
+    yield Figure(f"{name}, until it sleeps: world / CPU time", ticks / 60 / spent, "x", at_least=0.5, details=details)
+    yield Figure(f"{name}: tick / bare", own / bare, "x", at_most=1.2)
+    began = time.process_time()
+    for _ in range(60):
+        world.tick()
+    yield Figure(f"{name}, asleep: world / CPU time", 1.0 / (time.process_time() - began), "x", at_least=1.0)
+
+
 def memory(worlds: int = 1000) -> Iterator[Figure]:
     """Resident memory of a world of ten cubes at rest, over many."""
 
@@ -180,5 +213,6 @@ def figures() -> Iterator[Figure]:
     for count in (10, 100, 500):
         yield from edits(count)
     yield from arrivals()
+    yield from heap()
     if Path("/proc/self/statm").exists():
         yield from memory()
