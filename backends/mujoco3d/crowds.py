@@ -110,7 +110,8 @@ class _Free:
         self.radii: Array = model.geom_size[model.body_geomadr[self._index]].min(axis=1)  # of balls within them
 
     def places(self, data: mujoco.MjData) -> Array:
-        return data.qpos[self.q[:, None] + np.arange(3)]
+        places: Array = data.qpos[self.q[:, None] + np.arange(3)]
+        return places
 
     def arrived(self, data: mujoco.MjData) -> npt.NDArray[np.bool_]:
         """Says of each whether it is where there is room, also for those before it."""
@@ -135,7 +136,8 @@ def _cells(places: Array, edge: Array | float) -> npt.NDArray[np.int64]:
     """Returns the cells (n, 3) of a grid that places (n, 3) are in."""
     with np.errstate(all="ignore"):  # in a world that is diverging, which the engine's own step tells of
         cells = np.nan_to_num(np.floor(places / np.reshape(edge, (-1, 1))))
-    return np.clip(cells, -_FARTHEST, _FARTHEST).astype(np.int64)
+    whole: npt.NDArray[np.int64] = np.clip(cells, -_FARTHEST, _FARTHEST).astype(np.int64)
+    return whole
 
 
 def _hashes(cells: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:

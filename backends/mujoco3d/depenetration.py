@@ -75,7 +75,8 @@ class Depenetration:
         dofs = np.array([compiled.free[body].v for body in bodies], np.intp)
         speeds = np.abs(data.qvel[dofs[:, None] + np.arange(3)]).max(axis=1)
         radii = model.geom_size[model.body_geomadr[index]].min(axis=1)  # of balls within the boxes
-        return model.body_treeid[index[speeds * model.opt.timestep > radii]]
+        trees: Trees = model.body_treeid[index[speeds * model.opt.timestep > radii]]
+        return trees
 
 
 def _deep(model: mujoco.MjModel, data: mujoco.MjData, watched: Trees) -> Trees:

@@ -365,7 +365,7 @@ class RunningModel:
         """Sees after a tick whether there is a heap; one that fell asleep will be one when it wakes."""
         islands, sleepers = self.data.island_ntree, 0
         if self.heaped:
-            sleepers = np.count_nonzero(self.asleep >= 0) - len(self.compiled.spares)
+            sleepers = int(np.count_nonzero(self.asleep >= 0)) - len(self.compiled.spares)
         heaped = sleepers > _HEAP or (len(islands) > 0 and int(islands.max()) > _HEAP)
         if heaped != self.heaped:
             self._set_heaped(heaped)
