@@ -14,6 +14,8 @@ from typing import TypeVar
 import numpy as np
 import orjson
 
+from nmes.backend.rotation import total
+
 __all__ = ["Draw"]
 
 T = TypeVar("T")
@@ -55,7 +57,7 @@ class Draw:
         """Returns one of some values: all alike, or by weights that need not sum to 1."""
         if weights is None:
             return values[self.count(0, len(values) - 1)]
-        place = self.uniform(0.0, sum(weights))
+        place = self.uniform(0.0, total(weights))
         for value, weight in zip(values, weights, strict=True):
             place -= weight
             if place < 0.0:
@@ -69,6 +71,6 @@ class Draw:
             return [1.0 if i == axis else 0.0 for i in range(3)]
         while True:
             vector = [self.uniform(-1.0, 1.0) for _ in range(3)]
-            square = sum(part * part for part in vector)
+            square = total(part * part for part in vector)
             if 0.01 < square <= 1.0:
                 return [round(part / square**0.5, 6) for part in vector]

@@ -104,7 +104,8 @@ def _neighbours(entities: Entities, cubes: Sequence[Cube], gap: float) -> _Pairs
         gaps, deep = np.empty((2, 3, len(cubes) - i - 1))
         for axis in range(3):
             along = np.abs(_along(places[i + 1 :] - places[i], axes[i, axis]))
-            reach = sum(halves[i + 1 :, k] * np.abs(_along(axes[i + 1 :, k], axes[i, axis])) for k in range(3))
+            a, b, c = (halves[i + 1 :, k] * np.abs(_along(axes[i + 1 :, k], axes[i, axis])) for k in range(3))
+            reach = a + b + c
             gaps[axis] = along - halves[i, axis] - reach
             deep[axis] = gaps[axis] < -2.0 * _OVERLAP * np.minimum(halves[i, axis], reach)
         facing = (deep.sum(axis=0) >= 2.0) & (gaps.max(axis=0) <= gap)

@@ -17,7 +17,7 @@ from math import inf, sqrt
 import numpy as np
 
 from nmes.backend import Array, Heightfield, Planet, Quaternion, SceneSpec, StaticBox, Vector
-from nmes.backend.rotation import conjugate, cross, dot, minus, plus, rotate
+from nmes.backend.rotation import conjugate, cross, dot, minus, plus, rotate, total
 
 __all__ = ["Terrain"]
 
@@ -87,7 +87,7 @@ class Terrain:
 
 def _direction(planet: Planet, boxes: Sequence[StaticBox]) -> Vector:
     """Returns the way that is up for boxes on a planet: away from its centre, through the middle of theirs."""
-    x, y, z = (sum(box.position[i] for box in boxes) / len(boxes) - planet.position[i] for i in range(3))
+    x, y, z = (total(box.position[i] for box in boxes) / len(boxes) - planet.position[i] for i in range(3))
     length = sqrt(x * x + y * y + z * z)
     return (x / length, y / length, z / length) if length > 1e-9 else _UP
 
@@ -151,7 +151,7 @@ def _depth_in_planet(box: StaticBox, planet: Planet, up: Vector) -> float:
         parts = (
             max(0.0, abs(at + lift * step) - edge / 2.0) for at, step, edge in zip(start, rise, box.size, strict=True)
         )
-        return sqrt(sum(part * part for part in parts))
+        return sqrt(total(part * part for part in parts))
 
     if gap(0.0) >= planet.radius:
         return 0.0
