@@ -2,37 +2,56 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from collections.abc import Callable
 from itertools import count, islice
 
 import pytest
 
-from nmes.evaluation import Task, evaluate
+from nmes.evaluation import Evaluation, Task, Workers, evaluate_population
 from nmes.genome import Genome
 from random_bodies import INERT, still, valid_genomes
 
+CHUNK = 250
+"""Bodies that are drawn before any is evaluated."""
+CORES = os.cpu_count() or 1
+
 
 @pytest.mark.parametrize("name", Task.names())
-@pytest.mark.parametrize("bodies", [10, pytest.param(10_000, marks=[pytest.mark.long, pytest.mark.timeout(20_000)])])
+@pytest.mark.parametrize(
+    ("bodies", "jobs"), [(10, 1), pytest.param(1000, CORES, marks=[pytest.mark.long, pytest.mark.timeout(20_000)])]
+)
 def test_a_creature_that_does_nothing_scores_nothing(
-    name: str, bodies: int, record_property: Callable[[str, object], None]
+    name: str, bodies: int, jobs: int, record_property: Callable[[str, object], None]
 ) -> None:
     task = Task.load(name)
     outcomes: Counter[str] = Counter()
     drawn = valid_genomes(count(Task.names().index(name) * 1_000_000), Counter(), planar=name.startswith("planar"))
-    for place, (seed, document) in enumerate(islice(drawn, bodies)):
-        way = INERT[place % len(INERT)]
-        evaluation = evaluate(Genome(still(document, way)), task, seeds=[task.seeds[seed % len(task.seeds)]])
-        (result,) = evaluation.results or [None]
-        if result is None:
-            assert evaluation.error
-            outcomes["refused"] += 1
-        elif result.score is None:
-            assert result.fault
-            outcomes[result.fault.partition(":")[0]] += 1
-        else:
-            assert result.score == 0.0, f"body {seed}, {way}: {result}"
-            outcomes["ran"] += 1
+    inert = ((seed, still(document, INERT[place % len(INERT)])) for place, (seed, document) in enumerate(drawn))
+    with Workers(jobs) as workers:
+        for done in range(0, bodies, CHUNK):
+            by_seed: dict[int, list[tuple[int, Genome]]] = {}
+            for seed, document in islice(inert, min(CHUNK, bodies - done)):
+                by_seed.setdefault(task.seeds[seed % len(task.seeds)], []).append((seed, Genome(document)))
+            for task_seed, chunk in by_seed.items():
+                genomes = [genome for _, genome in chunk]
+                evaluations = evaluate_population(genomes, task, seeds=[task_seed], workers=workers)
+                for (seed, _), evaluation in zip(chunk, evaluations, strict=True):
+                    outcomes[judged(evaluation, f"body {seed}")] += 1
     record_property(f"{name}: inert bodies", dict(outcomes))
+    assert sum(outcomes.values()) == bodies
     assert outcomes["ran"] >= bodies // 3, f"too few ran for this to say much: {outcomes}"
+
+
+def judged(evaluation: Evaluation, which: str) -> str:
+    """Fails where an inert body has scored; returns how it fared."""
+    (result,) = evaluation.results or [None]
+    if result is None:
+        assert evaluation.error
+        return "refused"
+    if result.score is None:
+        assert result.fault
+        return result.fault.partition(":")[0]
+    assert result.score == 0.0, f"{which}: {result}"
+    return "ran"
