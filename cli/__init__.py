@@ -12,9 +12,12 @@ import sys
 from contextlib import suppress
 from typing import Any, cast
 
-import click
+try:
+    import click
 
-from nmes.errors import NmesError, visible
+    from nmes.errors import NmesError, visible
+except KeyboardInterrupt:  # later ones are click's to tell, in the same words
+    sys.exit("Aborted!")
 
 __all__ = ["main"]
 
@@ -40,6 +43,7 @@ SUBCOMMANDS = {
 }
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # standard output leads to a disk that is full
+_NO_DESCRIPTORS = (errno.EMFILE, errno.ENFILE)
 
 
 class _NotComparable(click.ClickException):
@@ -73,6 +77,8 @@ class _Group(click.Group):
                 with suppress(OSError):
                     sys.stdout.close()  # what it still holds would be tried again at the end
                 raise click.ClickException(f"cannot write: {error.strerror}") from error
+            if error.errno in _NO_DESCRIPTORS:  # of whichever file that was
+                raise click.ClickException("too many open files: allow more, as with `ulimit -n 1024`") from error
             if error.filename is None:  # about no file that somebody has named
                 raise
             raise click.ClickException(visible(f"{error.filename}: {error.strerror}")) from error

@@ -30,6 +30,7 @@ from nmes.world import World
 SWITCH = 0.0005  # s: for how long a world's thread keeps Python's lock from the event loop; 0.005 would be usual
 # A full collection of garbage holds that lock for some 15 us a cube of a world: it is done less often than usual.
 COLLECTIONS = (10_000, 20, 20)
+FILES = 32  # that a host has open with a client or two: sockets, a recording, what asyncio and the engine need
 
 
 class _Worlds(click.ParamType["int | list[str]"]):
@@ -231,12 +232,18 @@ def _add_worlds(host: Host, settings: Settings) -> World:
 
 
 def _raise_open_files_limit() -> None:
-    """Makes room for as many sockets as the system allows: a usual soft limit of 1,024 is too few for 1,024 clients."""
+    """Makes room for as many sockets as the system allows: a usual soft limit of 1,024 is too few for 1,024 clients.
+
+    Raises:
+        ClickException: It allows too few to begin with; asyncio would end with tracebacks.
+    """
     try:
         import resource
     except ImportError:  # Windows has no such limit
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = 4096 if hard == resource.RLIM_INFINITY else min(4096, hard)
+    if wanted < FILES:
+        raise click.ClickException(f"a host needs {FILES} open files, {hard} are allowed: see `ulimit -n`")
     if soft != resource.RLIM_INFINITY and soft < wanted:
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))

@@ -22,7 +22,7 @@ from nmes.cli import SUBCOMMANDS, main
 from nmes.errors import RecordingError
 from nmes.evaluation.leaderboard import Leaderboard
 from nmes.recording import Kind, Recording
-from processes import process, ready
+from processes import NMES, process, ready
 from recordings import busy, record
 from servers import PATIENCE
 
@@ -184,6 +184,29 @@ def test_a_file_that_cannot_be_written_is_an_error(arguments: tuple[str, ...], t
     result = run(*(str(words.get(word, word)) for word in arguments))
     assert isinstance(result.exception, SystemExit) and result.exit_code in (1, 2), result.output
     assert "nowhere" in result.output
+
+
+@pytest.mark.parametrize(
+    ("limit", "arguments", "words"),
+    [
+        (5, ("serve", "--port", "0", "--no-record", "--backend", "ballistic"), "a host needs 32 open files, 5 are"),
+        (6, ("eval", "walker", "roller", "--jobs", "2"), "too many open files: allow more"),
+    ],
+)
+def test_few_descriptors_are_told_in_words(limit: int, arguments: tuple[str, ...], words: str) -> None:
+    # Python itself cannot start with fewer than 5: three are its standard streams, two are for importing.
+    command = ["sh", "-c", f'ulimit -n {limit}; exec "$0" "$@"', NMES, *arguments]
+    ended = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
+    assert ended.returncode == 1 and words in ended.stdout + ended.stderr
+    assert "Traceback" not in ended.stderr and "never awaited" not in ended.stderr
+
+
+@pytest.mark.parametrize("imported", ["click", "jsonschema_rs"])
+def test_ctrl_c_during_an_import_is_told_in_a_word(imported: str, tmp_path: Path) -> None:
+    (tmp_path / f"{imported}.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGINT)\n")
+    with process("eval", "walker", PYTHONPATH=str(tmp_path)) as running:
+        _, told = running.communicate(timeout=PATIENCE)
+    assert running.returncode == 1 and told.strip() == "Aborted!"
 
 
 # -- nmes serve -------------------------------------------------------------------------------------------------------
