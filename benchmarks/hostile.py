@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import json
 import socket
-import subprocess
-import sys
+import ssl
+import struct
 import tempfile
 import threading
 import time
@@ -19,7 +19,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from hosting import PASSWORD, served
+import trustme
+
+from hosting import PASSWORD, bystander, served
 from measure import Figure
 from nmes import Client
 from nmes.protocol import DELIMITER
@@ -27,27 +29,14 @@ from nmes.protocol import DELIMITER
 SECONDS = 4.0  # of each attack
 AUTH = json.dumps({"type": "auth", "password": PASSWORD, "world": "victim"}).encode() + DELIMITER
 
-# Run as a process: pings until a line comes in, then tells the percentiles, in ms.
-BYSTANDER = """
-import json, select, statistics, sys, time
-from nmes import Client
-with Client(port=int(sys.argv[1]), password=sys.argv[2], world="other", timeout=120) as client:
-    times = []
-    print("ready", flush=True)
-    while not select.select([sys.stdin], [], [], 0.002)[0] or len(times) < 50:
-        began = time.perf_counter()
-        client.ping()
-        times.append(1000 * (time.perf_counter() - began))
-    cuts = statistics.quantiles(times, n=100)
-    print(json.dumps({"p50": cuts[49], "p99": cuts[98], "max": max(times), "pings": len(times)}))
-"""
-
 
 class Attack:
     """Sockets of one attacker."""
 
-    def __init__(self, port: int) -> None:
+    def __init__(self, port: int, authority: trustme.CA) -> None:
         self.port = port
+        self._trust = ssl.create_default_context()
+        authority.configure_trust(self._trust)
         self._stop = threading.Event()
 
     @property
@@ -62,6 +51,14 @@ class Attack:
     def victim(self) -> Client:
         """Returns a client of the attacked world."""
         return Client(port=self.port, password=PASSWORD, world="victim", timeout=120).connect()
+
+    def socket(self) -> socket.socket:
+        """Returns a socket that has said nothing."""
+        return socket.create_connection(("127.0.0.1", self.port), timeout=2.0)
+
+    def tls(self) -> Tls:
+        """Returns the client's side of a TLS connection that has not begun."""
+        return Tls(self._trust)
 
     def again(self, *frames: bytes) -> None:
         """Sends frames to the attacked world, one after another, and each time waits for the answer."""
@@ -79,6 +76,38 @@ class Attack:
         while self.going and DELIMITER not in heard[-200:]:
             with suppress(TimeoutError):
                 heard = heard[-200:] + (peer.recv(1 << 18) or DELIMITER)
+
+
+class Tls:
+    """The client's side of a TLS connection, without a socket: it says which bytes to send."""
+
+    def __init__(self, trust: ssl.SSLContext) -> None:
+        self._incoming, self._outgoing = ssl.MemoryBIO(), ssl.MemoryBIO()
+        self._session = trust.wrap_bio(self._incoming, self._outgoing, server_hostname="127.0.0.1")
+
+    def hello(self) -> bytes:
+        """Returns what a handshake begins with."""
+        with suppress(ssl.SSLWantReadError):
+            self._session.do_handshake()
+        return self._outgoing.read()
+
+    def shake(self, peer: socket.socket) -> None:
+        """Does the whole handshake over a socket."""
+        peer.sendall(self.hello())
+        while True:
+            self._incoming.write(peer.recv(1 << 16))
+            try:
+                self._session.do_handshake()
+                break
+            except ssl.SSLWantReadError:
+                continue
+        peer.sendall(self._outgoing.read())
+
+    def records(self, data: bytes, size: int = 1) -> bytes:
+        """Returns data as records of so many bytes of it each."""
+        for start in range(0, len(data), size):
+            self._session.write(data[start : start + size])
+        return self._outgoing.read()
 
 
 def say(**command: Any) -> bytes:
@@ -176,6 +205,69 @@ def short_lives(attack: Attack) -> None:
             peer.recv(1 << 16)
 
 
+def half_handshakes(attack: Attack) -> None:
+    """Sockets that say half of a TLS hello, 500 at once, renewed as they are put out."""
+    while attack.going:
+        with ExitStack() as stack, suppress(OSError):
+            for _ in range(500):
+                hello = attack.tls().hello()
+                stack.enter_context(attack.socket()).sendall(hello[: len(hello) // 2])
+
+
+def whole_handshakes(attack: Attack) -> None:
+    """Handshakes that the host has to answer with its certificate and signature, and that nobody goes on with."""
+    while attack.going:
+        with suppress(OSError), attack.socket() as peer:
+            peer.sendall(attack.tls().hello())
+            peer.recv(1 << 16)
+
+
+def small_records(attack: Attack) -> None:
+    """A client whose every byte is a TLS record of its own."""
+    with attack.socket() as peer:
+        tls = attack.tls()
+        tls.shake(peer)
+        peer.sendall(tls.records(AUTH))
+        ping = say(type="ping") + DELIMITER
+        while attack.going:
+            peer.sendall(tls.records(ping * 300))
+            with suppress(BlockingIOError):
+                while peer.recv(1 << 18, socket.MSG_DONTWAIT):
+                    pass
+
+
+def cut_off(attack: Attack) -> None:
+    """Connections that end with a reset: at once, in the middle of a handshake, and behind it."""
+    at_once = struct.pack("ii", 1, 0)
+    while attack.going:
+        for stage in range(3):
+            with suppress(OSError), attack.socket() as peer:
+                peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, at_once)
+                if stage == 1:
+                    peer.sendall(attack.tls().hello())
+                if stage == 2:
+                    attack.tls().shake(peer)
+
+
+def drips(attack: Attack) -> None:
+    """500 sockets that say a byte a second: every other one of a TLS hello, the rest, behind a handshake, of auth."""
+    with ExitStack() as stack:
+        drops: list[tuple[socket.socket, Iterator[bytes]]] = []
+        for n in range(500):
+            with suppress(OSError):
+                peer, tls = stack.enter_context(attack.socket()), attack.tls()
+                if n % 2:
+                    drops.append((peer, iter([bytes([byte]) for byte in tls.hello()])))
+                else:
+                    tls.shake(peer)
+                    drops.append((peer, iter([tls.records(bytes([byte])) for byte in AUTH])))
+        while attack.going:
+            for peer, drop in drops:
+                with suppress(OSError):
+                    peer.sendall(next(drop, b""))
+            time.sleep(1.0)
+
+
 ATTACKS: dict[str, Callable[[Attack], None]] = {
     "nothing": lambda attack: None,
     "200,000 empty cubes": empty_genome,
@@ -190,6 +282,15 @@ ATTACKS: dict[str, Callable[[Attack], None]] = {
     "guesses over 400 connections": guesses,
     "silent sockets": silence,
     "short connections": short_lives,
+}
+
+TLS_ATTACKS: dict[str, Callable[[Attack], None]] = {
+    "nothing, over TLS": lambda attack: None,
+    "half handshakes": half_handshakes,
+    "handshakes without end": whole_handshakes,
+    "records of one byte": small_records,
+    "resets of TLS connections": cut_off,
+    "a byte a second": drips,
 }
 
 
@@ -213,21 +314,20 @@ def under(attack: Attack, act: Callable[[Attack], None]) -> Iterator[None]:
 def figures() -> Iterator[Figure]:
     """Measures."""
     for name, act in ATTACKS.items():
-        with ExitStack() as stack:
-            folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-            port = stack.enter_context(served(folder, {"limits": {"cubes": 10_000}}, "victim", "other"))
-            command = [sys.executable, "-c", BYSTANDER, str(port), PASSWORD]
-            good = stack.enter_context(subprocess.Popen(command, stdin=-1, stdout=-1, text=True))
-            stack.callback(good.kill)
-            assert good.stdin is not None and good.stdout is not None
-            good.stdout.readline()
-            with under(Attack(port), act):
-                time.sleep(SECONDS)
-                good.stdin.write("\n")
-                good.stdin.flush()
-                line = good.stdout.readline()
-            if line:
-                times = json.loads(line)
-                yield Figure(f"ping beside {name}: p99", times["p99"], "ms", at_most=50.0, details=times)
-            else:  # it was shut out
-                yield Figure(f"ping beside {name}: p99", float("nan"), "ms", at_most=50.0)
+        yield _beside(name, act, secure=False)
+    for name, act in TLS_ATTACKS.items():
+        yield _beside(name, act, secure=True)
+
+
+def _beside(name: str, act: Callable[[Attack], None], *, secure: bool) -> Figure:
+    authority = trustme.CA()
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
+        config, trust = {"limits": {"cubes": 10_000}}, folder / "authority.pem"
+        authority.cert_pem.write_to_path(trust)
+        port = stack.enter_context(served(folder, config, "victim", "other", authority=authority if secure else None))
+        good = stack.enter_context(bystander(port, "other", str(trust) if secure else ""))
+        with under(Attack(port, authority), act):
+            time.sleep(SECONDS)
+            times = good.percentiles()
+        return Figure(f"ping beside {name}: p99", times["p99"], "ms", at_most=50.0, details=times)

@@ -15,9 +15,12 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from math import nan
 from pathlib import Path
 from typing import Any
+
+import trustme
 
 from measure import Figure, in_turns, ratio, summary
 from nmes import Client
@@ -28,13 +31,42 @@ SECONDS = 0.5  # a trial
 ROUNDS = 12
 PINGS = 400
 
+# Run as a process: pings, and tells the percentiles in ms since the last time at every line that comes in.
+_BYSTANDER = """
+import json, select, ssl, statistics, sys, time
+from nmes import Client
+port, password, world, authority = sys.argv[1:]
+tls = ssl.create_default_context(cafile=authority) if authority else None
+with Client(port=int(port), password=password, world=world, timeout=120, tls=tls) as client:
+    times = []
+    while True:
+        began = time.perf_counter()
+        client.ping()
+        times.append(1000 * (time.perf_counter() - began))
+        if select.select([sys.stdin], [], [], 0.001)[0] and len(times) >= 50:
+            if not sys.stdin.readline():
+                break
+            cuts = statistics.quantiles(times, n=100)
+            told = {"p50": cuts[49], "p99": cuts[98], "max": max(times), "pings": len(times)}
+            print(json.dumps(told), flush=True)
+            times = []
+"""
+
 
 @contextmanager
-def served(folder: Path, config: Mapping[str, Any], *worlds: str) -> Iterator[int]:
-    """Runs `nmes serve` with worlds in lockstep that it records; yields the port."""
+def served(folder: Path, config: Mapping[str, Any], *worlds: str, authority: trustme.CA | None = None) -> Iterator[int]:
+    """Runs `nmes serve` with worlds in lockstep that it records; yields the port.
+
+    With an authority, it takes connections over TLS alone, with a certificate that this authority has issued.
+    """
     file = folder / "config.json"
     file.write_text(json.dumps({"mode": "lockstep", **config}))
     options = ["--worlds", ",".join(worlds), "--config", str(file), "--record", str(folder)]
+    if authority is not None:
+        issued = authority.issue_cert("127.0.0.1")
+        issued.private_key_pem.write_to_path(folder / "key.pem")
+        issued.cert_chain_pems[0].write_to_path(folder / "certificate.pem")
+        options += ["--tls-cert", str(folder / "certificate.pem"), "--tls-key", str(folder / "key.pem")]
     server = subprocess.Popen(
         [str(Path(sys.executable).parent / "nmes"), "serve", "--json", "--port", "0", *options],
         env={**os.environ, "NMES_PASSWORD": PASSWORD},
@@ -47,6 +79,41 @@ def served(folder: Path, config: Mapping[str, Any], *worlds: str) -> Iterator[in
     finally:
         server.send_signal(signal.SIGTERM)
         server.wait(30)
+
+
+class Bystander:
+    """A well-behaved client, in a process of its own, that pings a world as long as it is let."""
+
+    def __init__(self, process: subprocess.Popen[str]) -> None:
+        self._process = process
+
+    def percentiles(self) -> dict[str, float]:
+        """Returns what its pings since the last call took, in ms: `p50`, `p99`, `max`, and how many `pings` they were.
+
+        Without pings, all others are no number: it was shut out.
+        """
+        assert self._process.stdin is not None and self._process.stdout is not None
+        with suppress(BrokenPipeError):
+            self._process.stdin.write("\n")
+            self._process.stdin.flush()
+        line = self._process.stdout.readline()
+        nothing = {"p50": nan, "p99": nan, "max": nan, "pings": 0}
+        told: dict[str, float] = json.loads(line) if line else nothing
+        return told
+
+
+@contextmanager
+def bystander(port: int, world: str, authority: str = "") -> Iterator[Bystander]:
+    """Runs a client that pings a world, and has done so; over TLS where the file of an authority is named."""
+    command = [sys.executable, "-c", _BYSTANDER, str(port), PASSWORD, world, authority]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    try:
+        client = Bystander(process)
+        client.percentiles()
+        yield client
+    finally:
+        process.kill()
+        process.communicate()
 
 
 def busy(port: int, world: str) -> Client:

@@ -10,41 +10,21 @@ import json
 import random
 import resource
 import socket
-import subprocess
-import sys
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from hosting import PASSWORD, served
+from hosting import PASSWORD, bystander, served
 from measure import Figure
 from nmes import Client
 from nmes.protocol import COMMANDS, DELIMITER
 
 SECONDS = 2.0  # of each trial, before and meanwhile
 AUTH = json.dumps({"type": "auth", "password": PASSWORD, "world": "main"}).encode() + DELIMITER
-
-# Run as a process: pings until a line comes in, then tells the percentiles since the last one, in ms.
-BYSTANDER = """
-import json, select, statistics, sys, time
-from nmes import Client
-with Client(port=int(sys.argv[1]), password=sys.argv[2], world="main", timeout=60) as client:
-    times = []
-    while True:
-        began = time.perf_counter()
-        client.ping()
-        times.append(1000 * (time.perf_counter() - began))
-        if select.select([sys.stdin], [], [], 0.001)[0] and len(times) > 1:
-            if not sys.stdin.readline():
-                break
-            cuts = statistics.quantiles(times, n=100)
-            print(json.dumps({"p50": cuts[49], "p99": cuts[98], "pings": len(times)}), flush=True)
-            times = []
-"""
 
 
 def connect(port: int, first: bytes = AUTH) -> socket.socket:
@@ -98,7 +78,8 @@ def stallers(port: int) -> Iterator[None]:
 
         def drip() -> None:
             for peer in peers[::2]:
-                peer.send(b" ")
+                with suppress(OSError):  # it was put out for others
+                    peer.send(b" ")
             time.sleep(1)
 
         with going_on(drip):
@@ -171,26 +152,15 @@ def figures() -> Iterator[Figure]:
         with ExitStack() as stack:
             folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
             port = stack.enter_context(served(folder, {"limits": {"cubes": 200}}, "main", "other"))
-            command = [sys.executable, "-c", BYSTANDER, str(port), PASSWORD]
-            good = stack.enter_context(subprocess.Popen(command, stdin=-1, stdout=-1, text=True))
-            stack.callback(good.kill)
-            assert good.stdin is not None and good.stdout is not None
-
-            def percentiles(client: subprocess.Popen[str] = good) -> dict[str, float]:
-                assert client.stdin is not None and client.stdout is not None
-                client.stdin.write("\n")
-                client.stdin.flush()
-                reply: dict[str, float] = json.loads(client.stdout.readline())
-                return reply
-
+            good = stack.enter_context(bystander(port, "main"))
             time.sleep(1.0)
-            percentiles()
+            good.percentiles()
             time.sleep(SECONDS)
-            before = percentiles()
+            before = good.percentiles()
             with scene(port):
-                percentiles()
+                good.percentiles()
                 time.sleep(SECONDS)
-                meanwhile = percentiles()
+                meanwhile = good.percentiles()
             details = {"before, ms": before, "meanwhile, ms": meanwhile}
             yield Figure(f"ping beside {name}: p99", meanwhile["p99"], "ms", details=details)
             yield Figure(f"ping beside {name}: p99 / before", meanwhile["p99"] / before["p99"], "x", details=details)
