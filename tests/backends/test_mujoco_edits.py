@@ -1,0 +1,404 @@
+"""Structures of the MuJoCo engine while they change; and programs run twice, with and without looking, and restored."""
+
+from __future__ import annotations
+
+import random
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from test_mujoco import NONE, STEP, box, grid, kinetic_energy, momentum, scene, vector
+
+import programs
+from layout import SUPPORT
+from nmes import World
+from nmes.backend import Array, JointParams, JointSpec, SceneSpec, Vector
+from nmes.backends.mujoco3d import MujocoSimulation, compiler, rebuild
+from nmes.backends.mujoco3d.compiler import compile_lone_body, compile_model
+from nmes.backends.mujoco3d.forest import Body, spanning_forest
+from nmes.backends.mujoco3d.model import SPARE, CompiledModel, occupy, set_mean_inertia
+from nmes.backends.mujoco3d.scenery import Scenery
+from nmes.errors import SimulationFault
+from nmes.playback import replay
+from nmes.recording import Recorder
+from nmes.world.journal import Journal
+
+# -- structural change -----------------------------------------------------------------------------------------------
+
+
+def test_cutting_a_structure_conserves_momentum_and_motion() -> None:
+    simulation = scene(gravity=0)
+    grid(simulation, height=20.0)
+    masses = dict.fromkeys(range(1, 10), 1.0)
+    simulation.apply(1, NONE, NONE, (0.5, 1.0, 0.0), (0.1, 0.2, 0.3))
+    simulation.apply(6, NONE, NONE, (0.5, -1.0, 1.0), NONE)
+    for _ in range(120):
+        simulation.step(4)
+    before = momentum(simulation, masses)
+    poses = simulation.states(range(1, 10))
+    for joint in (1, 4, 7):
+        simulation.remove_joint(joint)
+    simulation.snapshot()  # takes up the edits without a step
+    after, now = momentum(simulation, masses), simulation.states(range(1, 10))
+    assert after[0] == pytest.approx(before[0], abs=1e-5) and after[1] == pytest.approx(before[1], abs=1e-4)
+    assert now[:, :7] == pytest.approx(poses[:, :7], abs=1e-9)
+    assert now[:, 7:] == pytest.approx(poses[:, 7:], abs=1e-4)  # what a soft loop lets through
+
+
+@pytest.mark.parametrize("kind", ["fixed", "hinge", "slide", "pin", "conetwist"])
+def test_joining_two_moving_cubes_catches_them_with_their_momentum(kind: str) -> None:
+    simulation = scene(gravity=0)
+    masses = {1: 1.0, 2: 3.0}
+    simulation.add_body(1, box((0.0, 5.0, 0.0), velocity=(1.0, 0.5, 0.0), spin=(0.0, 2.0, 1.0)))
+    simulation.add_body(2, box((1.5, 5.0, 0.3), mass=3.0, velocity=(-1.0, 0.0, 0.7), spin=(1.0, 0.0, 0.0)))
+    simulation.step(4)
+    before, energy = momentum(simulation, masses), kinetic_energy(simulation, masses)
+    simulation.add_joint(1, JointSpec(kind, 1, 2, (0.7, 5.0, 0.1), vector(np.array([1.0, 2.0, 2.0]) / 3)))
+    simulation.snapshot()
+    after = momentum(simulation, masses)
+    assert after[0] == pytest.approx(before[0], abs=1e-9) and after[1] == pytest.approx(before[1], abs=1e-9)
+    assert kinetic_energy(simulation, masses) < energy
+
+
+@given(st.integers(0, 10_000))
+def test_an_edit_keeps_the_pose_and_velocity_of_a_tree(number: int) -> None:
+    """A chain under motors; then its root freezes, so that the tree runs the other way: nothing may jump."""
+    source = np.random.default_rng(number)
+    simulation = scene()
+    kinds = source.choice(["hinge", "slide", "pin", "fixed", "conetwist"], 4)
+    for i in range(5):
+        simulation.add_body(i + 1, box((1.2 * i, 9.0, 0.0)))
+    for i, kind in enumerate(kinds.tolist()):
+        axis = source.normal(size=3)
+        params = JointParams(motor="velocity", target_velocity=float(source.uniform(-2, 2)), max_effort=20.0)
+        simulation.add_joint(
+            i + 1,
+            JointSpec(
+                kind,
+                i + 1,
+                i + 2,
+                (1.2 * i + 0.6, 9.0, 0.0),
+                vector(axis / np.linalg.norm(axis)),
+                {"hinge": params, "slide": params, "conetwist": JointParams(limits=(0.6, 0.4))}.get(
+                    kind, JointParams()
+                ),
+            ),
+        )
+    for _ in range(20):
+        simulation.step(4)
+    readings = [simulation.joint_state(joint) for joint in range(1, 5)]
+    poses = simulation.states(range(1, 6))
+    simulation.add_body(9, box((0.0, 20.0, 0.0), frozen=True))
+    simulation.add_joint(9, JointSpec("pin", 9, 5, (4.8, 9.0, 0.0), (1.0, 0.0, 0.0)))
+    simulation.remove_joint(9)
+    simulation.snapshot()
+    assert simulation.states(range(1, 6)) == pytest.approx(poses, abs=1e-9)
+    # The last cube becomes the root: joints keep their sign and their zero.
+    simulation.set_frozen(5, True)
+    simulation.snapshot()
+    assert simulation.states(range(1, 6))[:, :7] == pytest.approx(poses[:, :7], abs=1e-9)
+    for joint, before in zip(range(1, 5), readings, strict=True):
+        assert simulation.joint_state(joint).position == pytest.approx(before.position, abs=1e-12)
+
+
+def test_an_edit_leaves_other_structures_bit_for_bit() -> None:
+    def settle(edit: bool) -> Array:
+        simulation = scene()
+        for i in range(4):
+            simulation.add_body(i + 1, box((3.0 * i, 2.0, 0.0), euler=(0.1 * i, 0.2, 0.3)))
+        simulation.add_joint(1, JointSpec("hinge", 1, 2, (1.5, 2.0, 0.0), (0.0, 0.0, 1.0)))
+        for _ in range(45):
+            simulation.step(4)
+        if edit:
+            simulation.add_body(9, box((90.0, 2.0, 0.0)))
+            simulation.add_joint(9, JointSpec("fixed", 9, 4, (50.0, 2.0, 0.0), (1.0, 0.0, 0.0)))
+        simulation.snapshot()
+        return simulation.states([1, 2, 3])
+
+    assert settle(edit=True).tobytes() == settle(edit=False).tobytes()
+
+
+def test_sleepers_wake_when_touched_pushed_joined_or_undermined() -> None:
+    def asleep() -> MujocoSimulation:
+        simulation = scene()
+        simulation.add_body(1, box((0.0, 0.5, 0.0), frozen=True))
+        simulation.add_body(2, box((0.0, 1.5, 0.0)))
+        simulation.add_body(3, box((5.0, 0.5, 0.0)))
+        for _ in range(120):
+            simulation.step(4)
+        assert simulation.sleeping(2) and simulation.sleeping(3) and not simulation.sleeping(1)
+        return simulation
+
+    simulation = asleep()
+    simulation.remove_body(1)
+    simulation.step(4)
+    assert not simulation.sleeping(2) and simulation.body_state(2).linear_velocity[1] < 0
+
+    simulation = asleep()
+    simulation.set_frozen(1, False)
+    simulation.step(4)
+    assert not simulation.sleeping(2)
+
+    simulation = asleep()
+    simulation.apply(3, (0.0, 0.0, 20.0), NONE, NONE, NONE)
+    simulation.step(4)
+    assert not simulation.sleeping(3) and simulation.sleeping(2)
+
+    simulation = asleep()
+    simulation.add_body(4, box((5.0, 3.0, 0.0)))
+    simulation.step(4)
+    assert simulation.sleeping(3) and simulation.sleeping(2)
+    woken = False
+    for _ in range(60):
+        simulation.step(4)
+        woken |= not simulation.sleeping(3)
+    assert woken
+
+    simulation = asleep()
+    simulation.add_joint(1, JointSpec("hinge", 2, 3, (2.5, 1.0, 0.0), (0.0, 0.0, 1.0)))
+    simulation.step(4)
+    assert not simulation.sleeping(2) and not simulation.sleeping(3)
+
+
+@pytest.mark.parametrize("count", [2, 20, 100])
+def test_cubes_spawned_at_one_point_come_apart_at_bounded_speed(count: int) -> None:
+    simulation = scene()
+    cubes = range(1, count + 1)
+    for body in cubes:
+        simulation.add_body(body, box((0.0, 3.0, 0.0)))
+    fastest = 0.0
+    for _ in range(240):
+        simulation.step(4)
+        fastest = max(fastest, float(np.linalg.norm(simulation.states(cubes)[:, 7:10], axis=1).max()))
+    assert 3.0 < fastest < 15.0
+    where = simulation.states(cubes)[:, :3]
+    apart = np.linalg.norm(where[:, None] - where, axis=2) + np.eye(count) * 9
+    assert apart.min() > 0.9
+
+
+@pytest.mark.parametrize(
+    ("room", "code"), [(100, "contact_overflow"), (300, "constraint_overflow"), (500, "arena_exhausted")]
+)
+def test_an_engine_out_of_memory_faults_its_world(room: int, code: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compiler, "arena_bytes", lambda bodies: room << 10)
+    monkeypatch.setattr("nmes.backends.mujoco3d.crowds._CROWD", 99)  # nobody glides away
+    crowded, quiet = World({"mode": "lockstep"}), World({"mode": "lockstep"})
+    client, other = crowded.join(), quiet.join()
+    quiet.execute(other, {"type": "spawn_cube", "position": [0, 3, 0]})
+    quiet.execute(other, {"type": "step", "ticks": 10})
+    alone = quiet.digest()
+    for _ in range(12):
+        crowded.execute(client, {"type": "spawn_cube", "position": [0, 3, 0]})
+    assert crowded.execute(client, {"type": "step"})["code"] == "world_faulted"
+    assert crowded.fault is not None and (crowded.fault.code, crowded.fault.frame) == (code, 0)
+    assert quiet.digest() == alone and quiet.execute(other, {"type": "step"})["frame"] == 11
+    crowded.execute(client, {"type": "reset"})
+    crowded.execute(client, {"type": "spawn_cube", "position": [0, 3, 0]})
+    assert crowded.execute(client, {"type": "step"})["frame"] == 1
+
+
+def test_a_divergence_names_its_body() -> None:
+    simulation = scene()
+    simulation.add_body(1, box((0.0, 0.5, 0.0)))
+    simulation.add_body(7, box((4.0, 0.5, 0.0)))
+    simulation.step(4)
+    simulation.apply(7, (1e14, 0.0, 0.0), NONE, NONE, NONE)
+    with pytest.raises(SimulationFault) as fault:
+        simulation.step(4)
+    assert (fault.value.code, fault.value.body) == ("diverged", 7)
+
+
+# -- determinism -----------------------------------------------------------------------------------------------------
+
+
+def world(number: int) -> World:
+    return World({"mode": "lockstep", "seed": number})
+
+
+@pytest.mark.parametrize("number", range(40))
+def test_a_program_gives_the_same_world_again_with_or_without_queries(number: int) -> None:
+    program = programs.draw(number, 60)
+    replies, digests = programs.play(world(number), program)
+    again = programs.play(world(number), program)
+    assert again == (replies, digests)
+    assert programs.play(world(number), program, queries=False)[1] == digests
+    assert not [reply for reply in replies if reply.get("code") in ("internal", "world_faulted")]
+
+
+class Onlooker(Journal):
+    """A journal that looks at all poses after some ticks, as a recorder does, and keeps nothing."""
+
+    def __init__(self, watched: World) -> None:
+        self.watched = watched
+
+    def ticked(self, frame: int, digest: bytes) -> None:
+        if frame % 6 == 0:
+            self.watched.poses()
+
+
+@pytest.mark.parametrize("number", [*range(130, 150), 1527])  # 1527: a branch of a frozen root wakes between readings
+def test_queries_change_no_later_state(number: int) -> None:
+    program, watched = programs.draw(number, 100), world(number)
+    watched.journal = Onlooker(watched)
+    assert programs.play(watched, program) == programs.play(world(number), program)
+
+
+@pytest.mark.parametrize("number", range(40, 70))
+def test_a_restored_world_continues_like_the_saved_one(number: int) -> None:
+    program = programs.draw(number, 80)
+    first, second = world(number), world(number)
+    programs.play(first, program[:40])
+    programs.play(second, program[:40])
+    assert first.fault is None
+    snapshot = first.simulation.snapshot()
+    second.simulation.snapshot()
+    second.simulation.restore(snapshot)
+    assert first.digest() == second.digest()
+    assert programs.play(first, program[40:]) == programs.play(second, program[40:])
+
+
+@pytest.mark.parametrize("number", range(70, 90))
+def test_the_grouping_of_edits_within_a_tick_does_not_matter(number: int) -> None:
+    """Whatever comes between two ticks may come in one message or in many."""
+    alone, grouped = world(number), world(number)
+    client, other = alone.join(), grouped.join()
+    source, waiting = random.Random(number), list[dict[str, Any]]()
+
+    def send() -> None:
+        while waiting:
+            size = source.randint(1, len(waiting))
+            grouped.execute(other, {"type": "batch", "commands": waiting[:size]})
+            del waiting[:size]
+
+    for step in programs.draw(number, 80):
+        for command in programs.commands(alone, step, queries=False):
+            alone.execute(client, command)
+            if command["type"] == "step":
+                send()
+                grouped.execute(other, command)
+                assert grouped.digest() == alone.digest()
+            else:
+                waiting.append(command)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("hundred", range(10))
+def test_a_thousand_programs_run_twice_and_replayed(hundred: int, tmp_path: Path) -> None:
+    for number in range(1000 + 100 * hundred, 1100 + 100 * hundred):
+        program = programs.draw(number, 100)
+        recorded = world(number)
+        path = tmp_path / f"{number}.mcap"
+        recorder = recorded.journal = Recorder(path, recorded)
+        played = programs.play(recorded, program)
+        recorder.close()
+        assert programs.play(world(number), program) == played, number
+        assert replay(path).verdict == "reproduced", number
+
+
+PLAY = """
+import sys
+import programs
+from nmes import World
+world = World({"mode": "lockstep", "seed": 3})
+replies, digests = programs.play(world, programs.draw(int(sys.argv[1]), 120))
+print(digests[-1].hex(), len(replies), replies[-1])
+"""
+
+
+def test_fresh_processes_reach_the_same_digests() -> None:
+    here = SUPPORT
+
+    def run(number: int, seed: str) -> str:
+        return subprocess.run(
+            [sys.executable, "-c", PLAY, str(number)],
+            cwd=here,
+            env={"PYTHONHASHSEED": seed, "PYTHONPATH": str(here)},
+            capture_output=True,
+            text=True,
+            check=True,
+        ).stdout
+
+    assert run(5, "1") == run(5, "2") != run(6, "1")
+
+
+# -- parked bodies ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", range(100, 130))
+def test_parked_bodies_do_not_affect_the_world(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same programs with parked bodies from the second cube on: repeatable, and restored exactly."""
+    monkeypatch.setattr(rebuild, "PARKING_FROM", 2)
+    program = programs.draw(number, 80)
+    first, second = world(number), world(number)
+    played = programs.play(first, program[:40])
+    assert programs.play(second, program[:40]) == played
+    snapshot = first.simulation.snapshot()
+    second.simulation.snapshot()
+    second.simulation.restore(snapshot)
+    assert programs.play(first, program[40:]) == programs.play(second, program[40:])
+
+
+@given(
+    st.tuples(*[st.floats(0.01, 10)] * 3), st.floats(0.001, 1000), st.floats(0, 2), st.floats(0, 1), st.integers(1, 3)
+)
+def test_a_body_that_takes_a_parked_place_acts_like_a_compiled_one(
+    size: Vector, mass: float, friction: float, restitution: float, before: int
+) -> None:
+    flat = SceneSpec(timestep=STEP)
+
+    def laid(count: int, spares: int) -> CompiledModel:
+        bodies = {n: Body(n, (1.0, 0.5, 0.25), 2.0, 0.7, 0.0, False) for n in range(1, before + 1)}
+        if count:
+            bodies[9] = Body(9, size, mass, friction, restitution, False)
+        forest = spanning_forest(bodies, ())
+        return compile_model(flat, Scenery(flat), bodies, {}, forest, {}, [*forest.trees, *[SPARE] * spares])
+
+    compiled, filled = laid(1, 1), laid(0, 2)
+    body = Body(9, size, mass, friction, restitution, False)
+    occupy(filled, body, compile_lone_body(STEP, body))
+    set_mean_inertia(filled)
+    for name in dir(compiled.model):
+        one, other = getattr(compiled.model, name), getattr(filled.model, name)
+        if isinstance(one, np.ndarray) and not name.startswith("name"):
+            if name == "body_subtreemass":  # the world's own is for show
+                one, other = one[1:], other[1:]
+            assert np.array_equal(one, other), name
+    assert compiled.model.stat.meaninertia == filled.model.stat.meaninertia
+
+
+def test_free_cubes_are_added_and_removed_without_compiling(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(rebuild, "PARKING_FROM", 8)
+    simulation = scene()
+    for i in range(20):
+        simulation.add_body(i + 1, box((1.5 * i, 0.5, 0.0)))
+    simulation.step(4)
+    compiled: list[int] = []
+
+    def count(*args: Any) -> CompiledModel:
+        compiled.append(1)
+        return compile_model(*args)
+
+    monkeypatch.setattr(rebuild, "compile_model", count)
+    for i in range(20, 36):
+        simulation.add_body(i + 1, box((1.5 * (i - 20), 3.0, 0.0), mass=0.5 + i))
+        simulation.step(4)
+    assert not compiled
+    for body in range(5, 25):
+        simulation.remove_body(body)
+        simulation.add_body(body + 100, box((1.5 * body, 6.0, 3.0)))
+        simulation.step(4)
+    assert not compiled
+    for i in range(20):
+        simulation.add_body(i + 500, box((1.5 * i, 9.0, 9.0)))
+        simulation.step(4)
+    assert len(compiled) == 2  # all places were taken: one more cube makes room for sixteen more
+    for _ in range(240):
+        simulation.step(4)
+    bodies = [*range(1, 5), *range(25, 37), *range(105, 125), *range(500, 520)]
+    heights = simulation.states(bodies)[:, 1]
+    assert (heights > 0.49).all() and (heights < 3.6).all()
