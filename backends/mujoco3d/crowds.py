@@ -18,6 +18,7 @@ import numpy.typing as npt
 
 from nmes.backend import Array
 from nmes.backends.mujoco3d.model import CompiledModel
+from nmes.backends.mujoco3d.scenery import Scenery
 
 __all__ = ["Crowds"]
 
@@ -41,8 +42,9 @@ class Crowds:
         gliding: Their numbers.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, scenery: Scenery) -> None:
         self.gliding: set[int] = set()
+        self._scenery = scenery
 
     def move(self, compiled: CompiledModel, data: mujoco.MjData, edited: Iterable[int]) -> None:
         """Sees who of the edited bodies begins to glide and who comes to an end, and sets how fast they go."""
@@ -54,7 +56,7 @@ class Crowds:
         free = _Free(compiled, bodies)
         arrived = free.arrived(data)
         data.qvel[free.v[:, None] + np.arange(6)] = 0.0
-        away = _directions(np.array(bodies), compiled.model.opt.gravity)
+        away = _directions(np.array(bodies), self._scenery.free_falls(free.places(data)))
         going = ~arrived
         data.qvel[free.v[going, None] + np.arange(3)] = _SPEED * away[going]
         self.gliding = {body for body, stays in zip(bodies, arrived.tolist(), strict=True) if not stays}
@@ -116,15 +118,15 @@ class _Free:
     def arrived(self, data: mujoco.MjData) -> npt.NDArray[np.bool_]:
         """Says of each whether it is where there is room, also for those before it."""
         model, places = self._model, self.places(data)
-        others = np.setdiff1d(np.flatnonzero((model.body_treeid >= 0) & (model.body_contype != 0)), self._index)
+        others = (model.body_treeid >= 0) & (model.body_contype != 0)
+        others[self._index] = False
         edges = _ROOM * np.ldexp(0.5, np.frexp(self.radii)[1])
         found = np.zeros(len(places), bool)
         for edge in np.unique(edges).tolist():
             rows = np.flatnonzero(edges == edge)
             near = _hashes(_cells(places[rows], edge)[:, None, :] + _NEAR)
-            taken = set(_hashes(_cells(data.xipos[others], edge)).tolist())
-            room = ~np.isin(near, list(taken)).any(axis=1)
-            taken.clear()
+            room = ~_any_of(near, np.sort(_hashes(_cells(data.xipos[others], edge))))
+            taken: set[int] = set()
             for row, cells in zip(rows[room].tolist(), near[room].tolist(), strict=True):
                 if taken.isdisjoint(cells):
                     taken.add(cells[len(cells) // 2])
@@ -146,16 +148,23 @@ def _hashes(cells: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
     return hashes
 
 
-def _directions(bodies: npt.NDArray[np.int64], gravity: Array) -> Array:
-    """Returns a direction (n, 3) for each body by its number, spread evenly, none of them downwards."""
+def _any_of(rows: npt.NDArray[np.int64], ascending: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+    """Says of each row (n, k) whether any of it is among the numbers (m,); `numpy.isin` sorts all rows for that."""
+    if not len(ascending):
+        return np.zeros(len(rows), bool)
+    found: npt.NDArray[np.bool_] = (ascending.take(np.searchsorted(ascending, rows), mode="clip") == rows).any(axis=1)
+    return found
+
+
+def _directions(bodies: npt.NDArray[np.int64], falls: Array) -> Array:
+    """Returns a direction (n, 3) for each body by its number, spread evenly, none of them the way it falls (n, 3)."""
     height, turn = ((bodies[:, None] * _SPREAD) % 1.0).T
     height = 2.0 * height - 1.0
     half = np.where(turn < 0.5, 1.0, -1.0) * np.sqrt(1.0 - height * height)
     tangent = 4.0 * (turn % 0.5) - 1.0  # of half the angle: no sine is as exact on all machines
     scale = half / (1.0 + tangent * tangent)
     ways = np.column_stack((scale * (1.0 - tangent * tangent), height, scale * 2.0 * tangent))
-    square = float((gravity * gravity).sum())
-    if square > 0.0:
-        down = np.maximum((ways * gravity).sum(axis=1), 0.0)
-        ways -= (2.0 / square * down)[:, None] * gravity
-    return ways
+    squares = (falls * falls).sum(axis=1)
+    down = np.maximum((ways * falls).sum(axis=1), 0.0)
+    turned: Array = ways - (2.0 / np.where(squares > 0.0, squares, 1.0) * down)[:, None] * falls
+    return turned

@@ -9,7 +9,7 @@ state: its digest and its snapshots have it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 import mujoco
 import numpy as np
@@ -18,6 +18,7 @@ import numpy.typing as npt
 from nmes.backend import Array
 from nmes.backends.mujoco3d.crowds import Crowds
 from nmes.backends.mujoco3d.model import CompiledModel
+from nmes.backends.mujoco3d.scenery import Scenery
 
 __all__ = ["Depenetration"]
 
@@ -35,9 +36,9 @@ class Depenetration:
         crowds: Those of them that glide out of a crowd.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, scenery: Scenery) -> None:
         self.bodies: set[int] = set()
-        self.crowds = Crowds()
+        self.crowds = Crowds(scenery)
 
     def watch(self, bodies: Iterable[int]) -> None:
         """Watches bodies that were edited."""
@@ -49,8 +50,8 @@ class Depenetration:
         self.bodies.discard(body)
         self.crowds.gliding.discard(body)
 
-    def step(self, compiled: CompiledModel, data: mujoco.MjData) -> None:
-        """Takes one engine step in which trees with these bodies gain little speed by being deep inside others.
+    def step(self, compiled: CompiledModel, data: mujoco.MjData, step: Callable[[], None]) -> None:
+        """Takes one engine step, by `step`, in which trees with these bodies gain little speed by being deep inside.
 
         Trees that they are in go on being held back, and those so fast that they may be inside others after the next
         step go on being watched; all others are forgotten.
@@ -60,7 +61,7 @@ class Depenetration:
         before = data.qvel.copy()
         watched = model.body_treeid[[compiled.body_index[body] for body in self.bodies]]
         with crowds.apart(compiled, data, ()):
-            mujoco.mj_step(model, data)
+            step()
         deep = _deep(model, data, watched)
         _hold_back(model, data, deep, before)
         going_on = np.isin(model.body_treeid, np.append(deep, self._fast(compiled, data)))

@@ -34,8 +34,8 @@ HUGE = 1e10
 logger = logging.getLogger(__name__)
 
 # A heap: so many trees hold each other. Newton's method with round friction cones takes three times as long for it as
-# with pyramids, and one of hundreds of cubes always trembles by a few mm/s, so that by the usual tolerance none slept.
-_HEAP = 64
+# with pyramids, and one of dozens of cubes always trembles by a few mm/s, so that by the usual tolerance none slept.
+_HEAP = 16
 _HEAP_SETTINGS = mujoco.mjtCone.mjCONE_PYRAMIDAL, 0.02  # the cone, and at which speed (m/s) it falls asleep
 _USUAL_SETTINGS = mujoco.mjtCone.mjCONE_ELLIPTIC, mujoco.MjOption().sleep_tolerance
 
@@ -96,7 +96,7 @@ class RunningModel:
     def __init__(self, scenery: Scenery, scene: SceneSpec) -> None:
         self.scenery, self._timestep = scenery, scene.timestep
         self._heaps = "cone" not in scene.options  # whether heaps may have friction of their own
-        self.depenetration = Depenetration()
+        self.depenetration = Depenetration(scenery)
         self.heaped = False
         self._damping = Damping(scene)
         self.one_by_one = scenery.attracts or self._damping.acts
@@ -312,7 +312,7 @@ class RunningModel:
             self._advance_one_by_one(steps)
             return
         while self.depenetration.bodies and steps:
-            self.depenetration.step(self.compiled, self.data)
+            self.depenetration.step(self.compiled, self.data, self._step_alone)
             self._keep()
             steps -= 1
         if self._driven:
@@ -322,6 +322,9 @@ class RunningModel:
                 effort[:], speed[:] = efforts, speeds
         elif steps:
             mujoco.mj_step(self.model, self.data, steps)
+
+    def _step_alone(self) -> None:
+        mujoco.mj_step(self.model, self.data)
 
     def _keep(self) -> None:
         """Keeps what motors gave in an engine step, if there are any."""
@@ -334,19 +337,19 @@ class RunningModel:
         applied = self._xfrc.copy()
         for _ in range(steps):
             self._xfrc[:] = applied
-            pulled = self.scenery.attracts and (self.depenetration.bodies or not self._sleeps)
+            # Applied weights keep bodies awake; where any is watched, and there is no heap, recordings have them so.
+            pulled = self.scenery.attracts and not (self._sleeps and (self.heaped or not self.depenetration.bodies))
             if pulled:
                 self.scenery.pull(self.model, self.data)
                 sleeping = self.data.body_awake == 0  # parked ones, too: a force would wake them
                 self._xfrc[sleeping] = applied[sleeping]
             if self._damping.acts:
                 self._damping.act(self.model, self.data)
+            step = self._step_attracted if self.scenery.attracts and not pulled else self._step_alone
             if self.depenetration.bodies:
-                self.depenetration.step(self.compiled, self.data)
-            elif self.scenery.attracts and not pulled:
-                self._step_attracted()
+                self.depenetration.step(self.compiled, self.data, step)
             else:
-                mujoco.mj_step(self.model, self.data)
+                step()
             self._keep()
         self._xfrc[:] = applied
 

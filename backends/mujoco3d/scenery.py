@@ -105,11 +105,15 @@ class Scenery:
         """Returns the acceleration of free fall at a place, m/s^2."""
         if not self.attracts:
             return self._gravity
-        away = np.array(position) - self._centres
-        distance = np.sqrt((away * away).sum(axis=1))
-        nearest = int(distance.argmin())
-        x, y, z = (away[nearest] * (-self._strength / max(float(distance[nearest]), 1e-9))).tolist()
+        x, y, z = self.free_falls(np.array([position]))[0].tolist()
         return (x, y, z)
+
+    def free_falls(self, places: Array) -> Array:
+        """Returns the accelerations of free fall (n, 3) at places (n, 3), m/s^2."""
+        if not self.attracts:
+            return np.tile(np.array(self._gravity), (len(places), 1))
+        away, distance = self._nearest(places)
+        return np.asarray(away * (-self._strength / distance)[:, None])
 
     def pull(self, model: Any, data: Any) -> None:
         """Adds to the wrenches on all bodies their weights towards the planet nearest to each.
@@ -121,13 +125,18 @@ class Scenery:
 
     def weights(self, model: Any, data: Any) -> Array:
         """Returns the forces (n, 3), N, that pull each body towards the planet nearest to it, from present poses."""
-        away = data.xipos[:, None, :] - self._centres[None, :, :]
-        distance = np.sqrt((away * away).sum(axis=2))
-        bodies = np.arange(len(away))
-        nearest = distance.argmin(axis=1)
+        away, distance = self._nearest(data.xipos)
         mass = np.where(model.body_treeid >= 0, model.body_mass, 0.0)
-        weight = -self._strength * mass / np.maximum(distance[bodies, nearest], 1e-9)
-        return np.asarray(weight[:, None] * away[bodies, nearest])
+        return np.asarray((-self._strength * mass / distance)[:, None] * away)
+
+    def _nearest(self, places: Array) -> tuple[Array, Array]:
+        """Returns the ways (n, 3) to places (n, 3) from the centre of the planet nearest to each, and how long."""
+        away = places.T[:, :, None] - self._centres.T[:, None, :]
+        x, y, z = away
+        distance = np.sqrt(x * x + y * y + z * z)  # by rows of three, sums take ten times as long
+        rows = np.arange(len(places))
+        nearest = distance.argmin(axis=1)
+        return away[:, rows, nearest].T, np.maximum(distance[rows, nearest], 1e-9)
 
 
 def _ground(scene: SceneSpec) -> list[Part]:

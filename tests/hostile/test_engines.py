@@ -27,6 +27,7 @@ from nmes import World
 from nmes.backend import Array, BodySpec, JointSpec, SceneSpec, Vector
 from nmes.backend.rotation import quaternion_from_euler
 from nmes.backends.mujoco3d import MujocoBackend, MujocoSimulation
+from nmes.cli._serve_settings import DIALECTS
 from nmes.errors import WorldError
 from processes import process, ready
 from servers import PATIENCE
@@ -563,12 +564,12 @@ def test_a_cube_that_is_moved_while_it_glides_glides_no_more() -> None:
     assert say("step", ticks=60)["type"] == "stepped"
 
 
-def wall(**config: Any) -> tuple[World, Say]:
-    """Returns a world with 80 cubes in 8 rows, each on two of the row below, and its commands, after two ticks."""
+def wall(rows: int = 8, **config: Any) -> tuple[World, Say]:
+    """Returns a world with cubes in rows of ten, each on two of the row below, and its commands, after two ticks."""
     world, say = world_of(**config)
-    for number in range(80):
+    for number in range(10 * rows):
         row, column = divmod(number, 10)
-        say("spawn_cube", position=[column + row % 2 / 2, 0.5 + row, 0], list=False)
+        say("spawn_cube", cube_name=f"w{number}", position=[column + row % 2 / 2, 0.5 + row, 0], list=False)
     say("step", ticks=2)
     return world, say
 
@@ -592,6 +593,40 @@ def test_a_heap_has_friction_of_its_own_comes_to_rest_and_goes_on_from_a_snapsho
     say("step", ticks=55)
     assert all(map(world.simulation.sleeping, range(1, 81)))
     assert np.abs(world.simulation.states(range(1, 81)) - before)[:, :3].max() < 0.01
+
+
+@pytest.mark.parametrize("asleep", [False, True])
+def test_a_heap_ends_where_too_few_are_left(asleep: bool) -> None:
+    world, say = wall()
+    if asleep:
+        say("step", ticks=60)
+    assert friction_cone(world) == mujoco.mjtCone.mjCONE_PYRAMIDAL
+    for number in range(10, 80):
+        say("despawn_cube", cube_name=f"w{number}")
+    say("step", ticks=60)
+    assert all(map(world.simulation.sleeping, range(1, 11)))
+    assert friction_cone(world) == mujoco.mjtCone.mjCONE_ELLIPTIC
+
+
+def test_some_twenty_cubes_that_hold_each_other_are_a_heap() -> None:
+    world, _ = wall(rows=2)
+    assert friction_cone(world) == mujoco.mjtCone.mjCONE_PYRAMIDAL
+
+
+def test_a_crowd_on_a_planet_glides_away_from_it_and_comes_to_rest() -> None:
+    world, say = world_of(**DIALECTS["original"] | {"mode": "lockstep"})
+    simulation = world.simulation
+    assert isinstance(simulation, MujocoSimulation)
+    for _ in range(40):
+        say("spawn_cube", position=[2, 0, 101], list=False)
+    lowest = 999.0
+    for _ in range(300):
+        say("step")
+        lowest = min(lowest, float(np.linalg.norm(simulation.states(range(1, 41))[:, :3], axis=1).min()))
+    assert world.fault is None
+    assert lowest > 100.3  # who falls from higher up lands hard
+    assert closest(simulation, 40) > 0.9
+    assert not simulation.running.depenetration.bodies
 
 
 def test_a_world_whose_config_says_which_cone_keeps_it() -> None:
