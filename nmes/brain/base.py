@@ -289,6 +289,7 @@ class Brain(ABC):
         self._resolve(self._document, findings)
         findings.check()
         self._kernel: Kernel | None = None
+        self._form: str | None = None
 
     def _check_rows(self, findings: Findings, schema: Schema, value: JsonObject, path: str) -> None:
         """Finds rows of unequal length."""
@@ -404,10 +405,12 @@ class Brain(ABC):
 
     def form(self) -> str:
         """Returns everything about the brain but its parameters, as text: brains of the same form can be stacked."""
-        bare = copy.deepcopy(self._document)
-        for where, key, _, _ in self._parameters(bare):
-            where[key] = np.zeros(np.shape(where[key]))[()]
-        return orjson.dumps([self.inputs, self.outputs, bare], option=orjson.OPT_SERIALIZE_NUMPY).decode()
+        if self._form is None:  # it takes as long as dozens of steps, and other parameters leave it as it is
+            bare = copy.deepcopy(self._document)
+            for where, key, _, _ in self._parameters(bare):
+                where[key] = np.zeros(np.shape(where[key]))[()]
+            self._form = orjson.dumps([self.inputs, self.outputs, bare], option=orjson.OPT_SERIALIZE_NUMPY).decode()
+        return self._form
 
 
 class BrainBatch:
