@@ -145,7 +145,7 @@ def _draw(genomes: list[Genome], output: Path, files: list[str]) -> None:
 
 def _about(genome: Genome) -> dict[str, Any]:
     body, document = genome.body, genome.document
-    low, high = body.bounds()
+    low, high = body.bounds
     return {
         "name": genome.name,
         "hash": genome.hash,

@@ -276,7 +276,7 @@ class _Rest:
         cubes = creature.body.cubes
         self._track = world.track([creature.cubes[cube.id] for cube in cubes], [], [], task.settle_limit_ticks)
         self._arms = np.array([math.hypot(*cube.size) / 2.0 for cube in cubes])
-        low, high = creature.body.bounds()
+        low, high = creature.body.bounds
         self._limit = _REST_SPEED * max(b - a for a, b in zip(low, high, strict=True))
         self._ticks, self._still = max(1, round(_REST_TIME * task.tick_rate)), 0
         self.speed = 0.0  # of the fastest corner, when one was too fast last, m/s

@@ -230,7 +230,7 @@ class Task:
             genome: The document.
             body: The genome's.
         """
-        vary, lowest = self.document["vary"], body.bounds()[0][1]
+        vary, lowest = self.document["vary"], body.bounds[0][1]
         # Whoever was built beside its origin would begin at a target, or beyond an obstacle.
         x, z = (round(total(cube.mass * cube.position[axis] for cube in body.cubes) / body.mass, 2) for axis in (0, 2))
         position = [0.0 - x, self._draw(seed, "drop", vary["drop"]) - lowest, 0.0 - z]
@@ -288,7 +288,7 @@ class Task:
 
     def check(self, body: Body) -> list[str]:
         """Returns the reasons why a body may not take part, in words; none if it may."""
-        limits, low, high = self.limits, *body.bounds()
+        limits, low, high = self.limits, *body.bounds
         size = max(b - a for a, b in zip(low, high, strict=True))
         reasons = []
         for limit, value, words in (

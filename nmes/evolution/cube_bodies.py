@@ -97,7 +97,7 @@ def _fresh(body: JsonObject, name: str) -> str:
 def _stand(body: JsonObject, before: Body) -> None:
     """Lifts or lowers a whole body to where its lowest point was."""
     lowest = min(float(corners(read_cube(cube))[:, 1].min()) for cube in body["cubes"])
-    by = np.array([0.0, before.bounds()[0][1] - lowest, 0.0])
+    by = np.array([0.0, before.bounds[0][1] - lowest, 0.0])
     for cube in body["cubes"]:
         cube["position"] = _place(cube["position"] + by)
     for joint in body["joints"]:

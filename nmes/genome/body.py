@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -105,7 +106,7 @@ class Sensor:
     axis: str | None
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Body:
     """A whole body: cubes, joints and sensors, in the order that the module promises."""
 
@@ -129,8 +130,9 @@ class Body:
         flat = all(cube.position[2] == 0.0 and cube.quaternion[:2] == (0.0, 0.0) for cube in self.cubes)
         return flat and all(_stays_in_plane(joint) for joint in self.joints)
 
+    @cached_property
     def bounds(self) -> tuple[Vector, Vector]:
-        """Returns the lowest and the highest corner of the box around the body, m."""
+        """The lowest and the highest corner of the box around the body, m."""
         points = np.concatenate([corners(cube) for cube in self.cubes])
         low, high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
         return (low[0], low[1], low[2]), (high[0], high[1], high[2])

@@ -136,7 +136,19 @@ def _read(text: bytes) -> tuple[JsonObject | None, Body]:
         ]
         if outgrown:
             raise DocumentError(outgrown)
-    return grown, read_body(body, document.get("sensors"), None if grown is None else "body/graph")
+    return grown, _body(write_json([body, document.get("sensors"), None if grown is None else "body/graph"]))
+
+
+# A population is of few bodies with many brains, or of one portion of bodies that are each read in their worlds again.
+@lru_cache(maxsize=128)
+def _body(text: bytes) -> Body:
+    """Reads a body from what `read_body` takes.
+
+    Raises:
+        DocumentError: As `read_body`.
+    """
+    body, sensors, place = orjson.loads(text)
+    return read_body(body, sensors, place)
 
 
 def _quantity(body: JsonObject, path: str) -> str:

@@ -90,7 +90,7 @@ def render_text(body: Body, columns: int = 72, rows: int = 22) -> list[str]:
 
 def grid_step(body: Body) -> float:
     """Returns the distance between the lines on the ground, m: 1, 2 or 5 times a power of ten."""
-    low, high = body.bounds()
+    low, high = body.bounds
     target = max(high[0] - low[0], high[2] - low[2], high[1] - low[1]) / 4.0
     power = 10.0 ** floor(log10(target))
     return float(max(step * power for step in (1.0, 2.0, 5.0) if step * power <= target * (1.0 + 1e-9)))

@@ -207,6 +207,18 @@ def test_reading_a_genome_does_not_change_the_document() -> None:
     assert genome.document == before
 
 
+def test_creatures_of_one_body_share_it_and_others_do_not() -> None:
+    document = pair()
+    body = Genome(document).body
+    swinging = {"kind": "sine", "oscillators": [{"motor": "*", "frequency": 1, "amplitude": 1}]}
+    assert Genome({**document, "name": "other", "brain": swinging}).body is body
+    heavier = copy.deepcopy(document)
+    heavier["body"]["cubes"][0]["mass"] = 2
+    assert Genome(heavier).body.mass == body.mass + 1
+    assert Genome({**document, "sensors": []}).body.sensors == ()
+    assert Genome(document).body.sensors == body.sensors != ()
+
+
 def test_what_a_body_senses_by_default_follows_from_it() -> None:
     sensors = [sensor.id for sensor in Genome(pair()).body.sensors]
     assert sensors[:3] == ["hip.position", "hip.velocity", "a.height"]
@@ -245,7 +257,7 @@ def test_a_recursive_part_repeats_up_to_its_limit() -> None:
     assert [(joint.id, joint.cube1, joint.cube2) for joint in body.joints] == [
         ("body.2", "body", "body.2"), ("body.3", "body.2", "body.3"),
     ]  # fmt: skip
-    assert body.bounds()[0][1] == pytest.approx(0)
+    assert body.bounds[0][1] == pytest.approx(0)
 
 
 @pytest.mark.parametrize(
@@ -266,7 +278,7 @@ def test_a_part_grows_away_from_the_face_that_it_stands_on(face: str, at: list[f
     root, leg = body.cubes
     assert np.subtract(leg.position, root.position).tolist() == pytest.approx(place)
     axis = "xyz".index(face[1])
-    low, high = body.bounds()
+    low, high = body.bounds
     assert high[axis] - low[axis] == pytest.approx([1, 0.4, 0.6][axis] + 1)
 
 
@@ -421,7 +433,7 @@ def test_any_graph_grows_into_a_valid_body_or_is_refused_with_the_reason(documen
         return
     body = genome.body
     assert len(body.joints) == len(body.cubes) - 1 < MOST_CUBES
-    assert body.bounds()[0][1] == pytest.approx(0, abs=1e-6)
+    assert body.bounds[0][1] == pytest.approx(0, abs=1e-6)
     assert genome.expanded().body == body
     assert grown(copy.deepcopy(document)).body == body
     world = World({"mode": "lockstep"})
