@@ -33,6 +33,7 @@ logger = logging.getLogger(__name__)
 
 BACKLOG = 1024  # sockets that the system keeps for us
 AT_ONCE = 4  # of these that are accepted before others have their turn
+AT_ONCE_TLS = 1  # the same where there is TLS: for each asyncio fills a buffer of 256 KiB, for half a ms or more
 PAUSE = 0.2  # s: for how long none is accepted where the system has no more descriptors
 SILENCE = 60.0  # s: for how long that is not logged again
 
@@ -184,7 +185,7 @@ class Door:
 
     def _accept(self, listener: socket.socket, protocol: Callable[[], asyncio.BaseProtocol]) -> None:
         """Lets in those that have come; called when there are some."""
-        for _ in range(AT_ONCE):
+        for _ in range(AT_ONCE if self._tls is None else AT_ONCE_TLS):
             try:
                 peer, address = listener.accept()
             except (BlockingIOError, InterruptedError, ConnectionAbortedError):

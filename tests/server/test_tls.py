@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import socket
 import ssl
 from collections.abc import Iterator
+from contextlib import ExitStack
+from itertools import pairwise
 from pathlib import Path
 from typing import Any, cast
 
@@ -88,6 +91,24 @@ def test_a_peer_without_tls_is_sent_nothing(server: Served, trust: ssl.SSLContex
 def test_a_tls_handshake_that_stalls_is_ended(identity: ssl.SSLContext) -> None:
     with served(tls=identity, limits=Limits(auth_timeout=0.3)) as server, server.peer(None) as peer:
         assert peer.rest() == []
+
+
+def test_handshakes_that_come_at_once_begin_one_a_turn_of_the_loop(server: Served) -> None:
+    """Each takes a while to begin: between them others are answered."""
+    with ExitStack() as stack:
+
+        async def begun() -> list[int]:
+            for _ in range(8):  # while the loop has no turn: the system keeps them
+                stack.enter_context(socket.create_connection(("127.0.0.1", server.port), PATIENCE))
+            counts = []
+            for _ in range(50):
+                await asyncio.sleep(0)
+                counts.append(len(server.host._door))
+            return counts
+
+        counts = server.run(begun())
+    assert counts[-1] == 8
+    assert {after - before for before, after in pairwise(counts)} == {0, 1}
 
 
 def test_refused_and_departed_tls_peers_are_treated_like_others(server: Served, trust: ssl.SSLContext) -> None:
