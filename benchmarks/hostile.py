@@ -52,7 +52,7 @@ class Attack:
         """Returns a client of the attacked world."""
         return Client(port=self.port, password=PASSWORD, world="victim", timeout=120).connect()
 
-    def socket(self) -> socket.socket:
+    def peer(self) -> socket.socket:
         """Returns a socket that has said nothing."""
         return socket.create_connection(("127.0.0.1", self.port), timeout=2.0)
 
@@ -211,20 +211,20 @@ def half_handshakes(attack: Attack) -> None:
         with ExitStack() as stack, suppress(OSError):
             for _ in range(500):
                 hello = attack.tls().hello()
-                stack.enter_context(attack.socket()).sendall(hello[: len(hello) // 2])
+                stack.enter_context(attack.peer()).sendall(hello[: len(hello) // 2])
 
 
 def whole_handshakes(attack: Attack) -> None:
     """Handshakes that the host has to answer with its certificate and signature, and that nobody goes on with."""
     while attack.going:
-        with suppress(OSError), attack.socket() as peer:
+        with suppress(OSError), attack.peer() as peer:
             peer.sendall(attack.tls().hello())
             peer.recv(1 << 16)
 
 
 def small_records(attack: Attack) -> None:
     """A client whose every byte is a TLS record of its own."""
-    with attack.socket() as peer:
+    with attack.peer() as peer:
         tls = attack.tls()
         tls.shake(peer)
         peer.sendall(tls.records(AUTH))
@@ -241,7 +241,7 @@ def cut_off(attack: Attack) -> None:
     at_once = struct.pack("ii", 1, 0)
     while attack.going:
         for stage in range(3):
-            with suppress(OSError), attack.socket() as peer:
+            with suppress(OSError), attack.peer() as peer:
                 peer.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, at_once)
                 if stage == 1:
                     peer.sendall(attack.tls().hello())
@@ -255,7 +255,7 @@ def drips(attack: Attack) -> None:
         drops: list[tuple[socket.socket, Iterator[bytes]]] = []
         for n in range(500):
             with suppress(OSError):
-                peer, tls = stack.enter_context(attack.socket()), attack.tls()
+                peer, tls = stack.enter_context(attack.peer()), attack.tls()
                 if n % 2:
                     drops.append((peer, iter([bytes([byte]) for byte in tls.hello()])))
                 else:
