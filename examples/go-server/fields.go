@@ -98,6 +98,48 @@ func notZero(inner check) check {
 	}
 }
 
+// object asks for an object whose known fields pass their checks.
+func object(fields map[string]check) check {
+	return func(value any, path string) *failure {
+		given, isObject := value.(map[string]any)
+		if !isObject {
+			return invalid(path, "expected an object")
+		}
+		for _, key := range sorted(fields) {
+			if inner, there := given[key]; there {
+				if wrong := fields[key](inner, path+"/"+key); wrong != nil {
+					return wrong
+				}
+			}
+		}
+		return nil
+	}
+}
+
+// notes asks for an object of a few numbers by name.
+func notes(value any, path string) *failure {
+	given, isObject := value.(map[string]any)
+	if !isObject || len(given) > 32 {
+		return invalid(path, "expected an object of at most 32 numbers")
+	}
+	for key, number := range given {
+		if wrong := nameLength(key, path); wrong != nil {
+			return wrong
+		}
+		if wrong := between(-1e15, 1e15)(number, path+"/"+key); wrong != nil {
+			return wrong
+		}
+	}
+	return nil
+}
+
+func nameLength(key, path string) *failure {
+	if count := utf8.RuneCountInString(key); count < 1 || count > 64 {
+		return invalid(path, "expected names of 1 to 64 characters")
+	}
+	return nil
+}
+
 func boolean(value any, path string) *failure {
 	if _, isBool := value.(bool); !isBool {
 		return invalid(path, "expected true or false")

@@ -132,7 +132,8 @@ var unsupported = map[string]bool{
 	"get_camera": false, "get_cube_state": false, "get_joint_info": false, "get_joint_list": false,
 	"get_planets": false, "get_world_state": false, "remove_joint": false, "sense": false, "set_cube_state": false,
 	"set_mode": false, "set_objective": false, "compute_reward": false, "spawn_creature": false, "subscribe": false,
-	"unsubscribe": false,
+	"unsubscribe": false, "get_joints_for_cube": false, "link_body_cubes": false, "link_cube_chains": false,
+	"set_color": true, "set_joint_params": false,
 }
 
 var capabilities = []string{
@@ -150,12 +151,18 @@ func init() {
 		{"position", false, vector(1e6)},
 		{"axis", false, notZero(vector(1000))},
 		{"limits", false, numbers(2, 2, between(-mostTurn, mostTurn))},
+		{"joint_name", false, name},
+		{"number_if_taken", false, boolean},
+		{"notes", false, notes}, // without effect, and told by get_joint_info alone, which this server does not have
 	}
+	params := map[string]check{}
 	for _, group := range []map[string]check{motorFields, springFields} {
 		for _, key := range sorted(group) {
 			joint = append(joint, field{key, false, group[key]})
+			params[key] = group[key]
 		}
 	}
+	joint = append(joint, field{"joint_params", false, object(params)})
 	commands = map[string]command{
 		"spawn_cube": {silent: true, run: (*World).spawnCube, fields: []field{
 			{"cube_name", false, name},
@@ -376,6 +383,11 @@ func (w *World) createJoint(_ *client, given map[string]any) (reply, *failure) {
 	if len(w.joints) >= w.mostJoints {
 		return nil, &failure{code: "limit_reached", message: fmt.Sprintf("the world holds %d joints", w.mostJoints)}
 	}
+	called, wrong := w.jointName(given)
+	if wrong != nil {
+		return nil, wrong
+	}
+	params, _ := given["joint_params"].(map[string]any)
 	middle := a.position.add(b.position).mul(0.5)
 	made := newJoint(kind, a.body, b.body, vec(given["position"], middle[:]...), axis.unit())
 	blamed := "limit_lower"
@@ -385,23 +397,53 @@ func (w *World) createJoint(_ *client, given map[string]any) (reply, *failure) {
 	}
 	for _, group := range []map[string]check{motorFields, springFields} {
 		for _, key := range sorted(group) {
-			if value, there := given[key]; there {
-				if wrong := made.set(key, value, key); wrong != nil {
+			value, there := given[key]
+			path := key
+			if overriding, said := params[key]; said {
+				value, there, path = overriding, true, "joint_params/"+key
+			}
+			if there {
+				if wrong := made.set(key, value, path); wrong != nil {
 					return nil, wrong
 				}
 			}
 		}
 	}
-	if value, told := given["motor_enabled"].(bool); told { // what is said outright counts
-		made.motor = value
+	for _, said := range []map[string]any{given, params} { // what is said outright counts
+		if value, told := said["motor_enabled"].(bool); told {
+			made.motor = value
+		}
 	}
 	if wrong := made.check(blamed); wrong != nil {
 		return nil, wrong
 	}
-	w.jointCount++
-	called := fmt.Sprintf("joint_%d", w.jointCount)
 	w.joints = append(w.joints, &namedJoint{made, called, a.name, b.name})
 	return reply{"type": "joint_created", "joint_name": called}, nil
+}
+
+// jointName returns the name that a joint shall have: the one that is given, with a number if need be, or a drawn one.
+func (w *World) jointName(given map[string]any) (string, *failure) {
+	taken := map[string]bool{}
+	for _, j := range w.joints {
+		taken[j.name] = true
+	}
+	wanted, said := given["joint_name"].(string)
+	if !said {
+		for called := ""; ; {
+			w.jointCount++
+			if called = fmt.Sprintf("joint_%d", w.jointCount); !taken[called] {
+				return called, nil
+			}
+		}
+	}
+	called := wanted
+	for number := 2; taken[called]; number++ {
+		if numbered, _ := given["number_if_taken"].(bool); !numbered {
+			return "", &failure{"joint_exists", "there is a joint " + wanted, "joint_name"}
+		}
+		called = fmt.Sprintf("%s_%d", wanted, number)
+	}
+	return called, nil
 }
 
 // set sets one parameter, whose value is valid.

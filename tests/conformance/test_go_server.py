@@ -145,7 +145,7 @@ def test_our_client_drives_the_go_server(program: Path) -> None:
 def test_the_go_server_conforms(program: Path, mode: str, categories: list[str], least: int) -> None:
     with served(program, "-mode", mode) as target:
         report = run(target, Options(categories=categories))
-    assert findings(report) == []
+    assert not findings(report), "\n".join(findings(report))
     assert report.exit_status == 0
     assert sum(result.verdict == Verdict.OK for result in report.results) >= least
 
