@@ -46,7 +46,7 @@ def fork(
     try:
         restore_into(world, recording, frame)
     except NmesError:
-        recorder.path.unlink()
         recorder.close()
+        recorder.path.unlink()
         raise
     return recorder
