@@ -297,7 +297,11 @@ def unbounded(part: Json, path: str) -> Iterator[str]:
     fixed = "enum" in part or "const" in part or re.search(r"\}\$$", part.get("pattern", "")) is not None
     ends = {"minimum", "maximum"}
     needed = {"array": {"maxItems"}, "string": {"maxLength"}, "object": {"properties"}, "number": ends, "integer": ends}
+    if "propertyNames" in part:  # names of the writer's own
+        needed["object"] = {"maxProperties", "additionalProperties"}
     choices = [*part.get("anyOf", ()), *part.get("oneOf", ())]
+    if "propertyNames" in part:
+        choices += [{"type": "string", **part["propertyNames"]}, part["additionalProperties"]]
     if not fixed and not (kind is None and choices) and (kind is None or not needed.get(kind, set()) <= part.keys()):
         yield path
     for name, inner in part.get("properties", {}).items():
