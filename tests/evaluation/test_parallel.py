@@ -28,6 +28,12 @@ def raise_over_one(number: int) -> int:
     return 1 // (number - 1)
 
 
+def wait_or_raise(number: int) -> int:
+    if number == 0:
+        signal.pause()
+    return 1 // (number - 1)
+
+
 def interrupt_all(number: int) -> int:
     os.kill(os.getpid(), signal.SIGINT)
     return number
@@ -82,8 +88,10 @@ def test_workers_stay_from_call_to_call_and_those_that_died_are_replaced() -> No
         first = pids(workers.run(square, range(6)))
         assert pids(workers.run(square, range(6))) == first and len(first) == 2 and os.getpid() not in first
         with pytest.raises(RuntimeError, match="ZeroDivisionError"):
-            list(workers.run(raise_over_one, range(3)))
-        killed = min(first)
+            list(workers.run(wait_or_raise, range(2)))
+        second = pids(workers.run(square, range(6)))  # whoever was at work when another raised was ended
+        assert len(second) == 2 and len(second & first) == 1
+        killed = min(second)
         os.kill(killed, signal.SIGKILL)
         # Nobody looks whether it has died already: either it is replaced, or found dead over an item.
         outcomes = dict(workers.run(square, range(6)))
@@ -92,7 +100,7 @@ def test_workers_stay_from_call_to_call_and_those_that_died_are_replaced() -> No
         results.close()  # whoever takes no more results may go on with other work
         last = pids(workers.run(square, range(6)))
         assert len(outcomes) == 6 and killed not in last
-    for pid in first | last:
+    for pid in first | second | last:
         with pytest.raises(ProcessLookupError):
             os.kill(pid, 0)
 
