@@ -614,7 +614,7 @@ def test_some_twenty_cubes_that_hold_each_other_are_a_heap() -> None:
 
 
 def test_a_crowd_on_a_planet_glides_away_from_it_and_comes_to_rest() -> None:
-    world, say = world_of(**DIALECTS["original"] | {"mode": "lockstep"})
+    world, say = world_of(**{**DIALECTS["original"], "mode": "lockstep"})
     simulation = world.simulation
     assert isinstance(simulation, MujocoSimulation)
     for _ in range(40):
