@@ -381,7 +381,8 @@ def _write_bred(bred: list[tuple[Genome, str]], output: Path | None, seed: int, 
         return
     targets = [output]
     if len(bred) > 1 or output.is_dir():
-        targets = [output / f"{Path(inputs[0]).name.removesuffix('.json')}-{seed}-{i}.json" for i in range(len(bred))]
+        names = "-".join(Path(name).name.removesuffix(".json") for name in inputs)
+        targets = [output / f"{names}-{seed}-{number}.json" for number in range(len(bred))]
     for target in targets:
         check_output(target, *inputs)
     for target, (genome, how) in zip(targets, bred, strict=True):
