@@ -23,7 +23,7 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import islice
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, TypeVar
@@ -193,6 +193,7 @@ def _quiet() -> Iterator[None]:
     """Lets processes that are started meanwhile use one thread, load no renderer, and ignore Ctrl-C."""
     before = {name: os.environ.get(name) for name in _LEAN}
     os.environ.update(_LEAN)
+    resource_tracker.ensure_running()  # when the first worker starts it, it lets Ctrl-C through again
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield

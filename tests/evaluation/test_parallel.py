@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
+import subprocess
+import sys
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 import orjson
 import pytest
@@ -68,6 +72,15 @@ def test_an_exception_in_a_worker_is_raised_in_the_caller() -> None:
 
 def test_workers_ignore_ctrl_c() -> None:
     assert dict(in_processes(interrupt_all, range(3), 2)) == {0: 0, 1: 1, 2: 2}
+
+
+def test_the_first_worker_of_a_program_ignores_ctrl_c() -> None:
+    program = "from test_parallel import *; print(json.dumps(sorted(in_processes(interrupt_all, range(3), 2))))"
+    here = Path(__file__).parent
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(here), str(here.parent / "support")])}
+    command = [sys.executable, "-c", program]
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert json.loads(result.stdout) == [[0, 0], [1, 1], [2, 2]]
 
 
 def test_workers_end_when_their_results_are_no_longer_taken() -> None:
