@@ -84,7 +84,7 @@ class Crowds:
                 mask[:] = values
 
     def _crowded(self, compiled: CompiledModel, data: mujoco.MjData, edited: Iterable[int]) -> set[int]:
-        """Returns those that glide, and of the edited bodies those that share a place with one before them.
+        """Returns the gliding bodies, and the edited bodies that share a place with one before them.
 
         A place is a cell of a grid, so fine that two boxes which do not overlap are never in one.
         """

@@ -38,7 +38,7 @@ def weigh(weights: Array, row: Array, out: Array) -> None:
 
 
 def on_each(function: Callable[[float], float], source: Array, target: Array) -> Callable[[], None]:
-    """Returns what writes a function of each number of one array to another, for arrays that stay where they are.
+    """Returns a call that writes a function of each number of one array to another; both must stay where they are.
 
     Args:
         function: The function.

@@ -90,7 +90,7 @@ class _Cohort:
     # -- brains -------------------------------------------------------------------------------------------------------
 
     def _controls(self) -> Iterator[Array] | None:
-        """Returns what yields the controls of each tick, array (places, motors); None where there are no brains."""
+        """Returns an iterator over the controls of each tick, array (places, motors); None without brains."""
         groups: dict[str, list[int]] = {}
         for place, entry in enumerate(self._entries):
             if entry.form is not None:

@@ -212,7 +212,7 @@ class Environments:
         return over
 
     def _worth(self, values: Mapping[Quantity, float]) -> float | None:
-        """Returns what the episode is worth so far; None where that is no finite number."""
+        """Returns the episode's score so far; None where that is no finite number."""
         try:
             return self._task.objective.value(values)
         except WorldError:
@@ -337,7 +337,7 @@ class _World:
         parts.positions[place] = track.positions(*rows)[0]
 
     def touches(self) -> Flags:
-        """Returns what touches what, as `Trajectory.touches`."""
+        """Returns the touches of all rows, as `Trajectory.touches`."""
         return touches(self._world.simulation, self.watched.bodies, self.judge.trajectory.bodies.body)
 
     def close(self) -> None:

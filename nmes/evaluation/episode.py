@@ -189,7 +189,7 @@ class Episode:
         return True
 
     def start(self) -> tuple[Creature, Watched, Judge] | None:
-        """Returns what whoever drives it in another way needs at its first tick; None where it never came to rest.
+        """Returns the state to go on from at the first scored tick; None where the creature never came to rest.
 
         Returns:
             The creature, what its judge is told of, and the judge, who has seen the start.

@@ -148,7 +148,7 @@ def borrows_name(task: str, task_hash: str) -> bool:
 
 
 def author_forms(author: str) -> tuple[str, ...]:
-    """Returns what an author's name is compared by: two names that share a form look alike; none for an empty name."""
+    """Returns the forms of an author's name: two names that share one look alike; none for an empty name."""
     seen = _UNSEEN.sub("", unicodedata.normalize("NFKC", author))
     forms = (" ".join(text.casefold().split()) for text in (seen, seen.translate(_LOOKS)))
     return tuple(form for form in forms if form)

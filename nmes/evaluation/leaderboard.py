@@ -109,7 +109,7 @@ class Leaderboard:
             raise LeaderboardError("no_leaderboard", f"{self.path} is a leaderboard with tables of somebody else")
 
     def _state(self) -> tuple[int, int, list[tuple[str, ...]]]:
-        """Returns of which kind and version the file says that it is, and its tables."""
+        """Returns the kind and version that the file states, and the names of its tables."""
         kind, version = (
             self._db.execute(f"PRAGMA {name}").fetchone()[0] for name in ("application_id", "user_version")
         )

@@ -92,7 +92,7 @@ def run_alone(genome: Genome, brain: Brain | None, task: Task, seed: int) -> Res
 
 
 def _plan(body: Body) -> Hashable:
-    """Returns what bodies have in common that may be rows of one engine: all but their numbers."""
+    """Returns a body's plan, all but its numbers: bodies of one plan may be rows of one engine."""
     cubes = tuple(cube.id for cube in body.cubes)
     joints = tuple(
         (joint.id, joint.kind, joint.cube1, joint.cube2, bool(joint.stiffness), joint.motor is None)
@@ -210,7 +210,7 @@ class _Population:
         yield from self._over(run, result)
 
     def _guarded(self, run: _Run, call: Callable[[], T]) -> T | Result | None:
-        """Returns what a call does, or the result that says how it failed; None where the creature is refused."""
+        """Returns the result of a call, or one that says how it failed; None where the creature is refused."""
         try:
             return guarded(call, run.seed)
         except NmesError as refusal:
@@ -218,7 +218,7 @@ class _Population:
             return None
 
     def _over(self, run: _Run, result: Result | None) -> Iterator[Outcome]:
-        """Notes how an episode came out; yields the outcome of a genome of which it was the last."""
+        """Adds an episode's result; yields the outcome of a genome once its last episode is there."""
         outcome = run.outcome
         if result is not None:
             outcome.results[run.seed] = result

@@ -127,7 +127,7 @@ def _taken(row: Sequence[float], columns: Sequence[int | None]) -> list[float]:
 
 
 def _weak(count: int, draw: Draw) -> list[float]:
-    """Draws weights of something new, of which many together are as weak as one."""
+    """Draws the weights of a new unit, the weaker the more it listens to."""
     return [round(draw.normal(1.0 / sqrt(max(count, 1))), 6) for _ in range(count)]
 
 

@@ -48,7 +48,7 @@ class Difference:
 
 
 def differences(first: Genome, second: Genome) -> list[Difference]:
-    """Returns what the second genome has otherwise than the first, in the order of the documents.
+    """Returns the differences of the second genome from the first, in the order of the documents.
 
     What is said about a creature (name, author, parents) does not count; nor does the order of entries.
     """

@@ -50,7 +50,7 @@ class Draw:
         return spread * float(self._generator.standard_normal())
 
     def factor(self, spread: float) -> float:
-        """Returns a positive factor, of which the logarithm has this standard deviation: x and 1 / x are as likely."""
+        """Returns a positive factor whose logarithm has this standard deviation: x and 1 / x are as likely."""
         return exp(self.normal(spread))
 
     def one_of(self, values: Sequence[T], weights: Sequence[float] | None = None) -> T:

@@ -261,7 +261,7 @@ class Session:
         return reply + DELIMITER
 
     def without_effect(self, request: Request) -> list[str]:
-        """Returns what of a frame does nothing here, in words, each thing once a session: for a log.
+        """Returns log lines on the fields of a frame that have no effect, each once a session.
 
         In the JSON dialect that is nothing: there the reply tells. Of the original's parameters, which are kept as
         notes of a joint, the log does.

@@ -52,7 +52,7 @@ def _neighbours(entities: Entities, command: Mapping[str, Any]) -> float:
 
 
 def _link(entities: Entities) -> float:
-    """Returns what one more joint takes: where there are many, the structure that it makes is counted."""
+    """Returns the cost of one more joint: where there are many, of the structure that it makes."""
     return _LINK + min(len(entities.joints), MOST_LINKS) * _NAME * 10.0
 
 

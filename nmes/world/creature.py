@@ -283,7 +283,7 @@ class CreatureRows:
         self._rows.set_motor_targets(places, self._plan._numbers, targets)
 
     def sense(self) -> Array:
-        """Returns what `Creature.sense` would in each place: a new array, shape (places, s)."""
+        """Returns the readings of `Creature.sense` in each place: a new array, shape (places, s)."""
         plan, rows = self._plan, self._rows
         out = np.empty((rows.count, len(plan.sensors)))
         if plan._read:

@@ -281,7 +281,7 @@ def planet_list(config: Mapping[str, Any], seed: int) -> list[JsonObject]:
 
 @lru_cache(maxsize=16)
 def _draw_planets(seed: int, fields: tuple[tuple[str, Any], ...]) -> list[JsonObject]:
-    """Returns what is told of planets; in the layout `corner` they have seeds with a sign, resources and trees."""
+    """Returns planets as `get_planets` tells them; in the layout `corner` with signed seeds and locations."""
     config = dict(fields)
     seed, original = config.get("seed", seed), config.get("layout") == "corner"
     planets = []
