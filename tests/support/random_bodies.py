@@ -12,6 +12,7 @@ from base64 import b64encode
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from copy import deepcopy
+from random import Random
 from typing import Any
 
 import numpy as np
@@ -131,6 +132,13 @@ def _numbers_of(value: Any) -> Iterator[tuple[Any, Any]]:
             yield value, key
         elif isinstance(item, dict | list) and key not in _PLACES:
             yield from _numbers_of(item)
+
+
+def unit(draw: Random) -> tuple[float, float, float]:
+    """Returns a random direction, of length 1."""
+    x, y, z = (draw.gauss(0.0, 1.0) for _ in range(3))
+    length = (x * x + y * y + z * z) ** 0.5
+    return (x / length, y / length, z / length)
 
 
 def valid_genomes(seeds: Iterator[int], refused: Counter[str], *, planar: bool = False) -> Iterator[tuple[int, Json]]:
