@@ -1,0 +1,84 @@
+"""The evolutionary algorithms, by name; each is a module of its own, loaded when it is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import MISSING, fields
+from importlib import import_module
+from typing import Any, Final, get_type_hints
+
+from nmes.errors import DocumentError
+from nmes.evolution.algorithm import Algorithm, Problem
+from nmes.schemas.documents import did_you_mean
+
+__all__ = ["ALGORITHMS", "algorithm_options", "load_algorithm"]
+
+_PLACES: Final[Mapping[str, str]] = {
+    "random": "random_search.RandomSearch",
+    "ga": "genetic.Genetic",
+    "afpo": "genetic.AgeFitness",
+    "neat": "neat.Neat",
+    "es": "evolution_strategy.EvolutionStrategy",
+    "cma": "cma_es.CmaEs",
+    "nsga2": "nsga2.Nsga2",
+    "map-elites": "map_elites.MapElites",
+    "cma-me": "cma_me.CmaMe",
+}
+ALGORITHMS: Final = tuple(_PLACES)
+"""The names of the algorithms."""
+
+
+def _load(name: str) -> Any:
+    """Returns an algorithm's class, which has its options as a dataclass `Options`.
+
+    Raises:
+        DocumentError: There is no such algorithm.
+        MissingPackage: The algorithm needs a package that is not installed.
+    """
+    if name not in _PLACES:
+        hint = did_you_mean(name, ALGORITHMS) or f": there are {', '.join(ALGORITHMS)}"
+        raise DocumentError([("algorithm", f"there is no algorithm {name!r}{hint}")])
+    module, attribute = _PLACES[name].split(".")
+    return getattr(import_module(f"nmes.evolution.algorithms.{module}"), attribute)
+
+
+def algorithm_options(name: str) -> dict[str, int | float | bool]:
+    """Returns the options of an algorithm with their defaults.
+
+    Raises:
+        DocumentError: There is no such algorithm.
+        MissingPackage: The algorithm needs a package that is not installed.
+    """
+    options = _load(name).Options
+    assert all(field.default is not MISSING for field in fields(options))
+    return {field.name: field.default for field in fields(options)}
+
+
+def load_algorithm(name: str, problem: Problem, options: Mapping[str, Any] | None = None) -> Algorithm:
+    """Returns an algorithm at its beginning.
+
+    Args:
+        name: One of `ALGORITHMS`.
+        problem: What the run is about.
+        options: Those that differ from their defaults.
+
+    Raises:
+        DocumentError: There is no such algorithm or option, an option is not what it must be, or the problem is none
+            for this algorithm.
+        MissingPackage: The algorithm needs a package that is not installed.
+    """
+    kind = _load(name)
+    types, known, problems = get_type_hints(kind.Options), algorithm_options(name), []
+    given = dict(options or {})
+    for option, value in given.items():
+        if option not in known:
+            hint = did_you_mean(option, known) or f": there are {', '.join(known)}"
+            problems.append((f"options.{option}", f"{name!r} has no such option{hint}"))
+        elif types[option] is float and type(value) is int:
+            given[option] = float(value)
+        elif type(value) is not types[option]:
+            problems.append((f"options.{option}", f"must be of type {types[option].__name__}, not {value!r}"))
+    if problems:
+        raise DocumentError(problems)
+    algorithm: Algorithm = kind(problem, kind.Options(**given))
+    return algorithm
