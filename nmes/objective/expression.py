@@ -186,19 +186,23 @@ class _Expression:
 
     _kind: _Kind
 
-    def __init__(self, text: str, path: str = "expression") -> None:
+    def __init__(
+        self, text: str, path: str = "expression", *, names: Mapping[str, tuple[str, str]] | None = None
+    ) -> None:
         """Reads an expression.
 
         Args:
             text: In CEL, at most 2,000 characters, and 500 words and signs.
             path: The field to blame.
+            names: What it may name instead of the quantities of a trajectory: each with its meaning and unit. These
+                are what they are once and for all: nothing stands before them, and they are of no cube.
 
         Raises:
             WorldError: `bad_expression`, with line and column of the mistake.
         """
         self.text = text
         self._path = path
-        reader = _Reader(text, path)
+        reader = _Reader(text, path, names)
         self._result = reader.read(self._kind)
         self.needs: tuple[Quantity, ...] = tuple(reader.needs)
         """What it needs to know, in order of first use."""
@@ -263,8 +267,8 @@ class _Reader:
             sides of a choice are computed, and nothing but this order is left of how deep the expression was nested.
     """
 
-    def __init__(self, text: str, path: str) -> None:
-        self._text, self._path = text, path
+    def __init__(self, text: str, path: str, names: Mapping[str, object] | None) -> None:
+        self._text, self._path, self._names = text, path, names
         self.needs: dict[Quantity, int] = {}
         self.slots: list[float | bool] = []
         self.steps: list[tuple[int, Callable[..., Any], tuple[int, ...]]] = []
@@ -445,9 +449,10 @@ class _Reader:
         if token.text in ("true", "false"):
             return _Value("truth", self._slot(self._take().text == "true"))
         following = self._tokens[self._next + 1]
-        if token.text != "cube" and following.kind == "mark" and following.text == "(":
+        plain = token.text != "cube" or self._names is not None
+        if plain and following.kind == "mark" and following.text == "(":
             return self._call()
-        quantity = self._quantity()
+        quantity = self._quantity() if self._names is None else self._other(self._names)
         if quantity not in self.needs:
             self.needs[quantity] = self._slot(0.0)
         return _Value("number", self.needs[quantity])
@@ -498,6 +503,13 @@ class _Reader:
                 message = f"there is no quantity {_clip(name)!r}{_near(name, known)}"
             self._refuse(words[0].at, message)
         return Quantity(name, cube, fold)
+
+    def _other(self, names: Mapping[str, object]) -> Quantity:
+        """Reads one of the names that are given instead of a trajectory's."""
+        word = self._take()
+        if word.text not in names:
+            self._refuse(word.at, f"there is no quantity {_clip(word.text)!r}{_near(word.text, names)}")
+        return Quantity(word.text)
 
     def _cube(self) -> str:
         self._take()
