@@ -129,6 +129,13 @@ class Algorithm(ABC):
         They are the best of a population, the contents of an archive, or the front of several objectives.
         """
 
+    def probe(self) -> str:
+        """Returns a digest of what the package that the algorithm rests on computes here; empty where there is none.
+
+        A run of another digest asks for other candidates: it is not comparable.
+        """
+        return ""
+
     def figures(self) -> Mapping[str, float]:
         """Returns what the algorithm tells of its own state by name, as `coverage`, `species`, `step size`."""
         return {}

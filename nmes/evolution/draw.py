@@ -14,6 +14,7 @@ from typing import TypeVar
 import numpy as np
 import orjson
 
+from nmes.backend import Array
 from nmes.backend.rotation import total
 
 __all__ = ["Draw"]
@@ -48,6 +49,10 @@ class Draw:
     def normal(self, spread: float = 1.0) -> float:
         """Returns a normally distributed number with mean 0 and this standard deviation."""
         return spread * float(self._generator.standard_normal())
+
+    def normals(self, count: int) -> Array:
+        """Returns normally distributed numbers with mean 0 and standard deviation 1, shape (count,)."""
+        return self._generator.standard_normal(count)
 
     def factor(self, spread: float) -> float:
         """Returns a positive factor whose logarithm has this standard deviation: x and 1 / x are as likely."""
