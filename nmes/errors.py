@@ -24,6 +24,7 @@ __all__ = [
     "ProofError",
     "RecordingError",
     "RejectedMessage",
+    "RunError",
     "SigningError",
     "SimulationFault",
     "VariationError",
@@ -114,6 +115,10 @@ class LeaderboardError(NmesError):
 
 class VariationError(NmesError):
     """A genome that cannot be varied as asked: an unknown kind of mutation, or no good offspring found."""
+
+
+class RunError(NmesError):
+    """A run of evolution that cannot be begun, read, gone on with, or written."""
 
 
 class FilmError(NmesError):

@@ -44,7 +44,7 @@ from nmes.world import World
 if TYPE_CHECKING:
     from nmes.evaluation.proof import Proof
 
-__all__ = ["Evaluation", "Job", "evaluate", "evaluate_all", "evaluate_population"]
+__all__ = ["Evaluation", "Job", "evaluate", "evaluate_all", "evaluate_population", "evaluate_portion"]
 
 _CLUSTER: Final = 64  # cores of a Ray cluster, of which one must not know more to cut work for it
 _POSE_RATE: Final = 1.0  # Hz; pictures for viewers cost as much as all else that is recorded, and follow from it
@@ -353,7 +353,7 @@ def evaluate_all(
     portions = _cut(work, workers.jobs if ray is None else _CLUSTER)
     while portions:
         lost: list[list[int]] = []
-        for number, results in run(_evaluate_portion, [[work[index] for index in portion] for portion in portions]):
+        for number, results in run(evaluate_portion, [[work[index] for index in portion] for portion in portions]):
             portion = portions[number]
             if isinstance(results, Lost) and len(portion) > 1:
                 lost += [[index] for index in portion]  # one of them did it; the others are done again without it
@@ -382,7 +382,7 @@ def _cut(work: Sequence[Job], jobs: int) -> list[list[int]]:
     return portions
 
 
-def _evaluate_portion(portion: Sequence[Job]) -> list[Evaluation | _Unrecorded]:
+def evaluate_portion(portion: Sequence[Job]) -> list[Evaluation | _Unrecorded]:
     """Evaluates a job that is to be recorded, or jobs of one task and seeds, together."""
     if portion[0].record is not None:
         return [job.run() for job in portion]

@@ -19,6 +19,7 @@ import logging
 import os
 import signal
 import traceback
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -30,7 +31,7 @@ from typing import Any, TypeVar
 
 from nmes.errors import MachineError, MissingPackage
 
-__all__ = ["Lost", "Workers", "in_processes", "on_ray"]
+__all__ = ["Cluster", "Lost", "Pool", "Workers", "in_processes", "on_ray"]
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -49,25 +50,34 @@ class Lost:
     reason: str
 
 
-class Workers:
-    """Processes that stay, so that call after call of a function finds them started; leaving the context ends them.
+class Pool(ABC):
+    """Where functions are called: a few at once, each result as it is ready."""
 
-    They are started when the first call has work for them. Only one call runs at a time.
+    @property
+    @abstractmethod
+    def free(self) -> int:
+        """How many more items it can be given now."""
 
-    Args:
-        jobs: How many at most. With 1, or for a single item, functions are called in this process.
-    """
+    @property
+    @abstractmethod
+    def busy(self) -> bool:
+        """Whether it has been given something of which the result has not been taken."""
 
-    def __init__(self, jobs: int) -> None:
-        self.jobs = jobs
-        self._idle: list[_Worker] = []
+    @abstractmethod
+    def give(self, number: int, function: Callable[[Any], Any], item: object) -> None:
+        """Has a function called with an item; the result comes with this number."""
 
-    def __enter__(self) -> Workers:
-        return self
+    @abstractmethod
+    def take(self) -> list[tuple[int, Any]]:
+        """Waits until something is ready, and returns the numbers and results; a `Lost` for an item that is lost.
 
-    def __exit__(self, *_: object) -> None:
-        while self._idle:
-            self._idle.pop().end()
+        Raises:
+            RuntimeError: A function raised; with its traceback.
+        """
+
+    @abstractmethod
+    def stop(self) -> None:
+        """Ends what is being worked on; its results are never taken."""
 
     def run(
         self, function: Callable[[Item], Result], items: Sequence[Item]
@@ -84,44 +94,98 @@ class Workers:
         Raises:
             RuntimeError: The function raised; with the worker's traceback.
         """
-        if min(self.jobs, len(items)) <= 1:
-            for index, item in enumerate(items):
-                yield index, function(item)
-            return
         waiting = iter(enumerate(items))
-        busy: dict[Connection, _Worker] = {}
         try:
-            for index, item in islice(waiting, self.jobs):
-                self._give(busy, index, function, item)
-            while busy:
-                for pipe in wait(list(busy)):
-                    assert isinstance(pipe, Connection)
-                    index, error, result = self._take(busy.pop(pipe))
-                    if error:
-                        raise RuntimeError(f"a worker failed:\n{error}")
-                    for following in islice(waiting, 1):
-                        self._give(busy, following[0], function, following[1])
-                    yield index, result
+            while True:
+                for index, item in islice(waiting, self.free):
+                    self.give(index, function, item)
+                if not self.busy:
+                    return
+                done = self.take()
+                for index, item in islice(waiting, self.free):
+                    self.give(index, function, item)
+                yield from done
         finally:
-            for worker in busy.values():
-                worker.end()
+            self.stop()
 
-    def _give(self, busy: dict[Connection, _Worker], index: int, function: Callable[[Any], Any], item: object) -> None:
-        """Has a worker begin with an item: one that is idle and has not died since, or a new one."""
+
+class Workers(Pool):
+    """Processes that stay, so that call after call of a function finds them started; leaving the context ends them.
+
+    They are started when the first call has work for them. Only one call runs at a time.
+
+    Args:
+        jobs: How many at most. With 1, or for a single item of `run`, functions are called in this process.
+    """
+
+    def __init__(self, jobs: int) -> None:
+        self.jobs = jobs
+        self._idle: list[_Worker] = []
+        self._busy: dict[Connection, _Worker] = {}
+        self._here: list[tuple[int, Callable[[Any], Any], object]] = []  # with one job: what it was given
+
+    def __enter__(self) -> Workers:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+        while self._idle:
+            self._idle.pop().end()
+
+    @property
+    def free(self) -> int:
+        """As `Pool.free`."""
+        return self.jobs - len(self._busy) - len(self._here)
+
+    @property
+    def busy(self) -> bool:
+        """As `Pool.busy`."""
+        return bool(self._busy or self._here)
+
+    def run(
+        self, function: Callable[[Item], Result], items: Sequence[Item]
+    ) -> Generator[tuple[int, Result | Lost], None, None]:
+        """As `Pool.run`."""
+        if len(items) == 1:
+            yield 0, function(items[0])
+        else:
+            yield from super().run(function, items)
+
+    def give(self, number: int, function: Callable[[Any], Any], item: object) -> None:
+        """As `Pool.give`: to a process that is idle and has not died since, or a new one."""
+        if self.jobs == 1:
+            self._here.append((number, function, item))
+            return
         worker = self._idle.pop() if self._idle else _Worker()
         if not worker.alive:
             worker.end()
             worker = _Worker()
-        busy[worker.pipe] = worker
-        worker.give(index, function, item)
+        self._busy[worker.pipe] = worker
+        worker.give(number, function, item)
 
-    def _take(self, worker: _Worker) -> tuple[int, str, Any]:
-        answer = worker.take()
-        if isinstance(answer[2], Lost):
+    def take(self) -> list[tuple[int, Any]]:
+        """As `Pool.take`."""
+        if self._here:
+            number, function, item = self._here.pop()
+            return [(number, function(item))]
+        return [self._taken(pipe) for pipe in wait(list(self._busy)) if isinstance(pipe, Connection)]
+
+    def _taken(self, pipe: Connection) -> tuple[int, Any]:
+        worker = self._busy.pop(pipe)
+        number, error, result = worker.take()
+        if isinstance(result, Lost):
             worker.end()
         else:
             self._idle.append(worker)
-        return answer
+        if error:
+            raise RuntimeError(f"a worker failed:\n{error}")
+        return number, result
+
+    def stop(self) -> None:
+        """As `Pool.stop`."""
+        self._here.clear()
+        while self._busy:
+            self._busy.popitem()[1].end()
 
 
 def in_processes(
@@ -206,6 +270,77 @@ def _quiet() -> Iterator[None]:
                 os.environ[name] = value
 
 
+class Cluster(Pool):
+    """The machines of a Ray cluster, an item a core; leaving the context parts from it.
+
+    Functions are those of modules that are installed on every machine.
+
+    Args:
+        address: The cluster's: `HOST:PORT`, `auto`, or `local` for one that is started here.
+
+    Raises:
+        MissingPackage: Ray is not installed.
+        MachineError: There is no cluster (`no_cluster`).
+    """
+
+    def __init__(self, address: str) -> None:
+        try:
+            import ray
+        except ImportError as error:
+            raise MissingPackage("a cluster needs Ray: pip install 'nmes[ray]'") from error
+        try:
+            ray.init(
+                address=address,
+                log_to_driver=False,
+                include_dashboard=False,
+                logging_level=logging.ERROR,
+                runtime_env={"env_vars": _LEAN},
+            )
+        except (ConnectionError, ValueError, RuntimeError) as error:
+            raise MachineError("no_cluster", f"no Ray cluster at {address!r}: {error}") from error
+        self._ray = ray
+        self.jobs = max(1, int(ray.cluster_resources().get("CPU", 1)))  # type: ignore[no-untyped-call]
+        self._running: dict[Any, int] = {}
+
+    def __enter__(self) -> Cluster:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._ray.shutdown()
+
+    @property
+    def free(self) -> int:
+        """As `Pool.free`; some items a core wait in the cluster."""
+        return _AHEAD * self.jobs - len(self._running)
+
+    @property
+    def busy(self) -> bool:
+        """As `Pool.busy`."""
+        return bool(self._running)
+
+    def give(self, number: int, function: Callable[[Any], Any], item: object) -> None:
+        """As `Pool.give`."""
+        remote = self._ray.remote(num_cpus=1, max_retries=0)(function)
+        self._running[remote.remote(item)] = number
+
+    def take(self) -> list[tuple[int, Any]]:
+        """As `Pool.take`."""
+        return [self._taken(done) for done in self._ray.wait(list(self._running))[0]]
+
+    def _taken(self, done: Any) -> tuple[int, Any]:
+        try:
+            result = self._ray.get(done)
+        except self._ray.exceptions.WorkerCrashedError as error:
+            result = Lost(str(error).split(". ")[0])
+        return self._running.pop(done), result
+
+    def stop(self) -> None:
+        """As `Pool.stop`."""
+        for reference in self._running:
+            self._ray.cancel(reference, force=True)
+        self._running.clear()
+
+
 def on_ray(
     function: Callable[[Item], Result], items: Sequence[Item], address: str
 ) -> Generator[tuple[int, Result | Lost], None, None]:
@@ -214,7 +349,7 @@ def on_ray(
     Args:
         function: As for `in_processes`; its module must be installed on every machine.
         items: What to call it with.
-        address: The cluster's: `HOST:PORT`, `auto`, or `local` for one that is started here.
+        address: As for `Cluster`.
 
     Yields:
         The index of an item and its result, as they are ready.
@@ -223,35 +358,5 @@ def on_ray(
         MissingPackage: Ray is not installed.
         MachineError: There is no cluster (`no_cluster`).
     """
-    try:
-        import ray
-    except ImportError as error:
-        raise MissingPackage("a cluster needs Ray: pip install 'nmes[ray]'") from error
-    try:
-        ray.init(
-            address=address,
-            log_to_driver=False,
-            include_dashboard=False,
-            logging_level=logging.ERROR,
-            runtime_env={"env_vars": _LEAN},
-        )
-    except (ConnectionError, ValueError, RuntimeError) as error:
-        raise MachineError("no_cluster", f"no Ray cluster at {address!r}: {error}") from error
-    try:
-        remote = ray.remote(num_cpus=1, max_retries=0)(function)
-        ahead = _AHEAD * max(1, int(ray.cluster_resources().get("CPU", 1)))  # type: ignore[no-untyped-call]
-        waiting = iter(enumerate(items))
-        running: dict[Any, int] = {}
-        while True:
-            while len(running) < ahead and (following := next(waiting, None)) is not None:
-                running[remote.remote(following[1])] = following[0]
-            if not running:
-                return
-            for done in ray.wait(list(running))[0]:
-                try:
-                    result = ray.get(done)
-                except ray.exceptions.WorkerCrashedError as error:
-                    result = Lost(str(error).split(". ")[0])
-                yield running.pop(done), result
-    finally:
-        ray.shutdown()
+    with Cluster(address) as cluster:
+        yield from cluster.run(function, items)

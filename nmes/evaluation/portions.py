@@ -13,7 +13,7 @@ import orjson
 
 from nmes.evaluation.population import ROWS
 
-__all__ = ["cut"]
+__all__ = ["cut", "kind_of", "portion_size"]
 
 _LEAST = 4  # genomes; in smaller portions what a tick costs at all would be paid for too few
 _RESERVE = 2  # portions a process that are still to come when one is handed out
@@ -34,20 +34,36 @@ def cut(genomes: Sequence[bytes], seeds: int, jobs: int) -> list[list[int]]:
     """
     kinds: dict[tuple[int, Hashable], list[int]] = {}
     for index, genome in enumerate(genomes):
-        kinds.setdefault(_look(genome), []).append(index)
-    most, least = max(1, ROWS // seeds), min(_LEAST, -(-len(genomes) // jobs))
+        kinds.setdefault(kind_of(genome), []).append(index)
     portions, left = [], len(genomes)
+    least = min(_LEAST, -(-len(genomes) // jobs))
     for _, kind in sorted(kinds.items(), key=lambda item: (-item[0][0], item[1])):
         begin = 0
         while begin < len(kind):
-            count = most if jobs == 1 else min(most, max(least, left // (_RESERVE * jobs)))
+            count = _size(left, seeds, jobs, least)
             portions.append(kind[begin : begin + count])
             begin += count
             left -= len(portions[-1])
     return portions
 
 
-def _look(genome: bytes) -> tuple[int, Hashable]:
+def portion_size(waiting: int, seeds: int, jobs: int) -> int:
+    """Returns how many genomes of one kind the next portion takes at most, where others may come up later.
+
+    Args:
+        waiting: How many wait.
+        seeds: As for `cut`.
+        jobs: As for `cut`.
+    """
+    return _size(waiting, seeds, jobs, min(_LEAST, -(-waiting // jobs)))
+
+
+def _size(left: int, seeds: int, jobs: int, least: int) -> int:
+    most = max(1, ROWS // seeds)
+    return most if jobs == 1 else min(most, max(least, left // (_RESERVE * jobs)))
+
+
+def kind_of(genome: bytes) -> tuple[int, Hashable]:
     """Returns the number of cubes or parts that a document names, and all of its body but the numbers."""
     try:
         document = orjson.loads(genome)

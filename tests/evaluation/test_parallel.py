@@ -127,7 +127,7 @@ def deadly(portion: Sequence[Job]) -> list[Evaluation]:
 def test_of_creatures_that_run_together_only_the_one_that_kills_its_process_is_lost(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(evaluator, "_evaluate_portion", deadly)
+    monkeypatch.setattr(evaluator, "evaluate_portion", deadly)
     document, task = orjson.dumps(snake()), orjson.dumps(Task.load("walk").document)
     work = [Job("killer" if i == 5 else f"g{i}", document, task) for i in range(12)]
     with Workers(2) as workers:

@@ -1,0 +1,442 @@
+"""A run of evolution: candidates of an algorithm, evaluated by any number of workers, told in one order, and kept.
+
+    settings = RunSettings.read({"format": "nmes-run/1", "task": "walk", "algorithm": "ga", "budget": 99})
+    run = Run.create("runs/mine", settings)
+    with Workers(2) as workers:
+        for record in run.advance(workers):
+            print(record.index, record.score)
+    print(run.digest)
+
+Hides the order of asking and telling, what waits for its turn, and how log and index are kept in step. Invariants:
+
+- The log follows from the settings alone: neither the number of workers nor where a run was interrupted shows in it.
+- A candidate is in the log before the algorithm is told of it. What a kill takes away is what was in no log.
+- Whoever reads a run takes no lock and changes nothing; one process at a time goes on with it.
+"""
+
+from __future__ import annotations
+
+import os
+import secrets
+import sqlite3
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import asdict
+from hashlib import blake2b
+from itertools import count
+from pathlib import Path
+from typing import Final
+
+import orjson
+
+from nmes.backend.fingerprint import differences
+from nmes.errors import DocumentError, RunError
+from nmes.evaluation.episode import Result
+from nmes.evaluation.evaluator import Evaluation
+from nmes.evaluation.parallel import Cluster, Workers
+from nmes.evaluation.portions import kind_of
+from nmes.evaluation.queue import EvaluationQueue
+from nmes.evolution.algorithm import Algorithm, Candidate, Score
+from nmes.evolution.quantities import evaluate_quantities
+from nmes.evolution.run_index import IndexWriter, Record, RunIndex, State
+from nmes.evolution.run_log import Line, RunLog, RunWriter
+from nmes.evolution.run_settings import RunSettings
+from nmes.genome import Genome
+from nmes.schemas.documents import JsonObject, canonical_hash, compile_schema, parse_document
+
+__all__ = ["Order", "Run"]
+
+_RECORD: Final = compile_schema("run_record.json")
+_INDEXED: Final = 32  # records that are put into the index at once
+_LARGEST: Final = 1 << 30  # bytes of run.json, which may hold many genomes
+
+
+class Order:
+    """Asks an algorithm for candidates, and tells it scores, in the one order of a run.
+
+    Args:
+        algorithm: The algorithm, at its beginning.
+        budget: How many candidates there are.
+        first: The index of the first that is asked for: those before it are known.
+    """
+
+    def __init__(self, algorithm: Algorithm, budget: int, first: int = 0) -> None:
+        self.algorithm, self._budget = algorithm, budget
+        self.asked, self.told = first, 0
+
+    def due(self) -> Iterator[tuple[int, Candidate]]:
+        """Yields the candidates that are to be asked for before another score is told."""
+        while self.asked < self._budget and self.algorithm.needs(self.asked) <= self.told:
+            index, self.asked = self.asked, self.asked + 1
+            yield index, self.algorithm.ask(index)
+
+    def tell(self, candidate: Candidate, score: Score) -> None:
+        """Tells the score of the next candidate."""
+        self.algorithm.tell(self.told, candidate, score)
+        self.told += 1
+
+
+class Run:
+    """A run in a folder; `create` and `open` give one.
+
+    Attributes:
+        folder: The folder.
+        settings: What the run is about.
+        fingerprint: Of what computes it.
+        records: The candidates that were told, in order.
+    """
+
+    def __init__(self, folder: Path, document: JsonObject) -> None:
+        self.folder = folder
+        self.settings = RunSettings.reopen(document)
+        self.fingerprint: dict[str, str] = document.get("fingerprint", {})
+        self._document = document
+        decisive = {name: value for name, value in document.items() if name not in ("budget", "fingerprint")}
+        self._log = RunLog(folder / "log.jsonl", canonical_hash(decisive))
+        self._index = RunIndex(folder / "index.sqlite")
+        self._expressions = self.settings.expressions()
+        self.records: list[Record] = []
+        self._state: State | None = None
+        self._read()
+
+    @classmethod
+    def create(cls, folder: str | os.PathLike[str], settings: RunSettings) -> Run:
+        """Makes a folder for a run that has not begun yet.
+
+        Raises:
+            RunError: There is a run in it (`run_exists`), or it cannot be written (`cannot_write`).
+        """
+        path = Path(folder)
+        if any((path / name).exists() for name in ("run.json", "log.jsonl")):
+            raise RunError("run_exists", f"there is a run in {path}: resume it, or choose another folder")
+        document = {**settings.document, "fingerprint": settings.fingerprint()}
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RunError("cannot_write", f"cannot make the folder {path}: {error.strerror}") from error
+        _write_document(path / "run.json", document)
+        return cls(path, document)
+
+    @classmethod
+    def open(cls, folder: str | os.PathLike[str]) -> Run:
+        """Reads the run in a folder, also one that another process goes on with.
+
+        Raises:
+            RunError: There is none, or none of this format (`no_run`), or its log is damaged (`log_damaged`).
+        """
+        path = Path(folder) / "run.json"
+        try:
+            with path.open("rb") as file:
+                text = file.read(_LARGEST)
+            document = parse_document(text)
+            run_format = document.get("format") if isinstance(document, dict) else None
+            if isinstance(run_format, str) and run_format.startswith("nmes-run/") and run_format != "nmes-run/1":
+                what = f"{path.parent} is a run of the format {run_format}, not nmes-run/1"
+                raise RunError("no_run", f"{what}: go on with it in the version of NMES that began it")
+            return cls(path.parent, document)
+        except OSError as error:
+            raise RunError("no_run", f"there is no run in {path.parent}: {error.strerror}") from error
+        except DocumentError as error:
+            raise RunError("no_run", f"{path} is not as it must be:\n{error.message}") from error
+
+    # -- what is there ---------------------------------------------------------------------------------------------
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    @property
+    def digest(self) -> str:
+        """Of all that was told, 32 hexadecimal digits: equal digests, equal histories."""
+        return self.records[-1].digest if self.records else self._log.origin[:32]
+
+    @property
+    def finished(self) -> bool:
+        """Whether as many were told as the budget says."""
+        return len(self) >= self.settings.budget
+
+    @property
+    def best(self) -> Record | None:
+        """The first of those with the highest score; None where there is no score."""
+        scored = (record for record in self.records if record.score is not None)
+        return max(scored, key=lambda record: (record.score or 0.0, -record.index), default=None)
+
+    def genome(self, index: int) -> Genome:
+        """Returns the genome of a candidate.
+
+        Raises:
+            RunError: It is no good genome (`log_damaged`).
+        """
+        return self._genome(index, self._content(index))
+
+    def evaluation(self, index: int) -> Evaluation:
+        """Returns what the log has of the evaluation of a candidate."""
+        return self._evaluation(self._content(index))
+
+    def elites(self) -> Sequence[int]:
+        """Returns the indices of the algorithm's elites, the best first.
+
+        While another process goes on with the run, they may be those of a few candidates ago.
+        """
+        return self._told_state().elites
+
+    def figures(self) -> Mapping[str, float]:
+        """Returns the algorithm's figures, as of `elites`."""
+        return self._told_state().figures
+
+    def _told_state(self) -> State:
+        if self._state is None:
+            order = Order(self.settings.begin(), len(self), len(self))
+            for _ in self.replay(order, lambda: None):
+                pass
+            self._state = State(order.told, tuple(order.algorithm.elites()), dict(order.algorithm.figures()))
+        return self._state
+
+    def replay(self, order: Order, ask: Callable[[], None]) -> Iterator[Record]:
+        """Tells an algorithm what the log has.
+
+        Args:
+            order: The algorithm, at its beginning.
+            ask: What to call before each is told.
+
+        Yields:
+            Each record, once it is told.
+
+        Raises:
+            RunError: The log is damaged (`log_damaged`).
+        """
+        for record, line in zip(self.records, self._log.lines(), strict=False):
+            content = self._parsed(record.index, line)
+            ask()
+            order.tell(self._candidate(content), _score(content))
+            yield record
+
+    # -- reading the log -------------------------------------------------------------------------------------------
+
+    def _read(self) -> None:
+        """Reads what the index has, and what it lacks from the log."""
+        self.records, self._state = self._index.read()
+        if not self._is_indexed():
+            self.records, self._state = [], None
+        self._indexed = len(self)
+        last = self.records[-1] if self.records else None
+        begin, digest = (0, None) if last is None else (last.end, last.digest)
+        for line in self._log.lines(len(self), begin, digest):
+            self.records.append(_record(line, self._parsed(len(self), line)))
+
+    def _is_indexed(self) -> bool:
+        """Whether the index is one of this log, up to some line."""
+        if not self.records:
+            return True
+        *before, last = self.records
+        try:
+            line = next(self._log.lines(len(before), last.begin, before[-1].digest if before else None), None)
+        except RunError:
+            return False
+        return [record.index for record in self.records] == list(range(len(self))) and (
+            line is not None and (line.end, line.digest) == (last.end, last.digest)
+        )
+
+    def _content(self, index: int) -> JsonObject:
+        record = self.records[index]
+        content: JsonObject = orjson.loads(self._log.content(record.begin, record.end))
+        return content
+
+    def _parsed(self, index: int, line: Line) -> JsonObject:
+        """Returns the record of a line, which has to be the one of this index.
+
+        Raises:
+            RunError: It is another, or none (`log_damaged`).
+        """
+        try:
+            content: JsonObject = orjson.loads(line.content)
+        except ValueError:
+            content = {}
+        if not _RECORD.validator.is_valid(content) or content["index"] != index:
+            raise self._log.damaged(index + 1, f"it is no record of the candidate {index}")
+        return content
+
+    def _genome(self, index: int, content: JsonObject) -> Genome:
+        try:
+            return Genome(content["genome"])
+        except DocumentError as error:
+            raise self._log.damaged(index + 1, f"its genome is none: {error.message}") from error
+
+    def _candidate(self, content: JsonObject) -> Candidate:
+        genome = self._genome(content["index"], content)
+        parents = tuple(content["parents"])
+        return Candidate(genome, content["operator"], parents, content["generation"], content["group"])
+
+    def _evaluation(self, content: JsonObject) -> Evaluation:
+        task = self.settings.task
+        results = tuple(Result(**result) for result in content["results"])
+        names = content["genome"]["name"], content["genome_hash"], task.name, task.hash
+        return Evaluation(*names, results, content["error"])
+
+    # -- going on --------------------------------------------------------------------------------------------------
+
+    def extend(self, budget: int) -> None:
+        """Gives the run another budget.
+
+        Raises:
+            RunError: It has been told more already (`budget_spent`), or the folder cannot be written (`cannot_write`).
+        """
+        if budget < len(self):
+            raise RunError("budget_spent", f"{self.folder} has {len(self):,} candidates already, more than {budget:,}")
+        self._document = {**self._document, "budget": budget}
+        _write_document(self.folder / "run.json", self._document)
+        self.settings = self.settings.with_budget(budget)
+
+    def check_comparable(self) -> None:
+        """Raises an error where something else would be computed here than where the run was begun.
+
+        Raises:
+            RunError: It would (`not_comparable`).
+        """
+        here = self.settings.fingerprint()
+        ours = ("draws", "algorithm")
+        different = differences(self.fingerprint, here)
+        different |= {n: (self.fingerprint.get(n, ""), here[n]) for n in ours if self.fingerprint.get(n) != here[n]}
+        if different:
+            told = "; ".join(
+                f"{name}: {then or 'nothing'}, here {now or 'nothing'}" for name, (then, now) in different.items()
+            )
+            raise RunError("not_comparable", f"{self.folder} was begun where other numbers come out: {told}")
+
+    def advance(self, pool: Workers | Cluster) -> Iterator[Record]:
+        """Goes on until the budget is spent. Whoever takes no more records interrupts the run.
+
+        Args:
+            pool: Who evaluates.
+
+        Yields:
+            The record of each candidate once it is told.
+
+        Raises:
+            RunError: Another process goes on with the run (`run_busy`), other numbers would come out here
+                (`not_comparable`), the log is damaged (`log_damaged`), or the folder cannot be written
+                (`cannot_write`). What was told before is kept.
+            VariationError: The algorithm finds no candidate.
+            MachineError: Workers are killed (`worker_killed`).
+        """
+        self.check_comparable()
+        writer = RunWriter(self._log)
+        try:
+            self._read()  # another process may have gone on since
+            if self.records:
+                writer.resume(self.records[-1].end, self.records[-1].digest)
+            else:
+                writer.resume(0, self._log.origin)
+            index = self._index.write(anew=not self._indexed)
+            try:
+                yield from self._advance(pool, writer, index)
+            finally:
+                index.close()
+        except sqlite3.Error as error:
+            raise RunError("cannot_write", f"cannot write the index in {self.folder}: {error}") from error
+        finally:
+            pool.stop()
+            writer.close()
+
+    def _advance(self, pool: Workers | Cluster, writer: RunWriter, index: IndexWriter) -> Iterator[Record]:
+        order = Order(self.settings.begin(), self.settings.budget, len(self))
+        queue = EvaluationQueue(self.settings.task, self.settings.seeds, pool)
+        asked: dict[int, Candidate] = {}
+        early: dict[int, Evaluation] = {}
+
+        def ask() -> None:
+            for number, candidate in order.due():
+                asked[number] = candidate
+                queue.put(number, candidate.genome)
+
+        for _ in self.replay(order, ask):
+            pass
+        try:
+            while order.told < self.settings.budget:
+                ask()
+                early.update(queue.take())
+                ready = range(order.told, next(number for number in count(order.told) if number not in early))
+                contents = [self._told(number, asked[number], early.pop(number)) for number in ready]
+                for content, line in zip(contents, writer.append(contents), strict=True):
+                    ask()
+                    record = _record(line, content)
+                    self.records.append(record)
+                    order.tell(asked.pop(record.index), _score(content))
+                    yield record
+                if len(self) >= self._indexed + _INDEXED:
+                    self._put(index, order)
+        finally:
+            if order.told == len(self):
+                self._put(index, order)
+
+    def _put(self, index: IndexWriter, order: Order) -> None:
+        """Brings the index up to what was told."""
+        self._state = State(order.told, tuple(order.algorithm.elites()), dict(order.algorithm.figures()))
+        index.put(self.records[self._indexed :], self._state)
+        self._indexed = len(self)
+
+    def _told(self, index: int, candidate: Candidate, evaluation: Evaluation) -> JsonObject:
+        """Returns what the log has of a candidate."""
+        settings = self.settings
+        values = evaluate_quantities(self._expressions, candidate.genome, evaluation, settings.task)
+        known, split = () if values is None else values, len(settings.objectives)
+        return {
+            "index": index,
+            "operator": candidate.operator,
+            "parents": list(candidate.parents),
+            "generation": candidate.generation,
+            "group": candidate.group,
+            "genome": candidate.genome.document,
+            "genome_hash": evaluation.genome_hash or candidate.genome.hash,
+            "results": [asdict(result) for result in evaluation.results],
+            "error": evaluation.error,
+            "score": None if values is None else evaluation.score,
+            "objectives": known[:split],
+            "measures": known[split:],
+        }
+
+
+def _record(line: Line, content: JsonObject) -> Record:
+    faults = (result["fault"] for result in content["results"] if result["fault"] is not None)
+    error = content["error"] or next(faults, None)
+    if error is None and content["score"] is None:
+        error = "an objective or a measure has no finite value"
+    return Record(
+        index=content["index"],
+        begin=line.begin,
+        end=line.end,
+        digest=line.digest,
+        score=content["score"],
+        operator=content["operator"],
+        parents=tuple(content["parents"]),
+        generation=content["generation"],
+        group=content["group"],
+        objectives=tuple(content["objectives"]),
+        measures=tuple(content["measures"]),
+        genome=content["genome"]["name"],
+        genome_hash=content["genome_hash"],
+        plan=blake2b(repr(kind_of(orjson.dumps(content["genome"]))).encode(), digest_size=8).hexdigest(),
+        error=error,
+    )
+
+
+def _score(content: JsonObject) -> Score:
+    return Score(content["score"], tuple(content["objectives"]), tuple(content["measures"]))
+
+
+def _write_document(path: Path, document: JsonObject) -> None:
+    """Writes a file whole, or not at all.
+
+    Raises:
+        RunError: It cannot be written (`cannot_write`).
+    """
+    part = path.with_name(f".{secrets.token_hex(8)}.part")
+    try:
+        with part.open("xb") as file:
+            file.write(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
+            file.flush()
+            os.fsync(file.fileno())
+        part.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+        raise RunError("cannot_write", f"cannot write {path}: {error.strerror}") from error

@@ -1,0 +1,192 @@
+"""The log of a run: a line for every candidate that was told, in order, each with the digest of all lines up to it.
+
+Hides the file's form: JSON lines that are only ever appended, whose last field is a chain of BLAKE2b digests, and how
+they are written so that a kill at any byte leaves whole lines and at most one torn one, which nothing stands on.
+"""
+
+from __future__ import annotations
+
+import errno
+import fcntl
+import os
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import blake2b
+from pathlib import Path
+from typing import Any, Final
+
+from nmes.errors import RunError
+from nmes.schemas.documents import write_json
+
+__all__ = ["Line", "RunLog", "RunWriter"]
+
+_BEFORE, _AFTER = b',"digest":"', b'"}\n'  # the digest, at the end of a line
+_DIGITS: Final = 32
+_TAIL: Final = len(_BEFORE) + _DIGITS + len(_AFTER)
+_LONGEST: Final = 160 << 20  # bytes of a line: a genome's file may have half of that
+_SYNC: Final = 1.0  # s; what a machine that fails may lose, and a kill never does
+_FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A line of the log.
+
+    Attributes:
+        begin: Where it begins, bytes from the beginning of the file.
+        end: Where the next one begins.
+        content: Its record, as JSON.
+        digest: Of all lines up to this one, 32 hexadecimal digits.
+    """
+
+    begin: int
+    end: int
+    content: bytes
+    digest: str
+
+
+class RunLog:
+    """A log, for reading; `writing` gives one that can be appended to.
+
+    Args:
+        path: The file. One that is not there yet is empty.
+        origin: What the chain of digests begins with.
+    """
+
+    def __init__(self, path: Path, origin: str) -> None:
+        self.path, self.origin = path, origin
+
+    def lines(self, number: int = 0, begin: int = 0, digest: str | None = None) -> Iterator[Line]:
+        """Reads whole lines; a last line that was torn, or is just being written, is not there yet.
+
+        Args:
+            number: How many lines are before the first to read.
+            begin: Where that line begins, bytes.
+            digest: Of the line before it; None: it is the first.
+
+        Raises:
+            RunError: A line is damaged or none of a log (`log_damaged`), or the file cannot be read (`no_run`).
+        """
+        digest = self.origin if digest is None else digest
+        try:
+            with self.path.open("rb") as file:
+                file.seek(begin)
+                while (text := file.readline(_LONGEST)).endswith(b"\n"):
+                    number += 1
+                    line = _line(text, begin, digest)
+                    if line is None:
+                        raise self.damaged(number, "it is not as it was written")
+                    begin, digest = line.end, line.digest
+                    yield line
+                if len(text) == _LONGEST:
+                    raise self.damaged(number + 1, f"it is longer than {_LONGEST >> 20} MiB")
+        except FileNotFoundError:
+            return
+        except OSError as error:
+            raise RunError("no_run", f"cannot read {self.path}: {error.strerror}") from error
+
+    def content(self, begin: int, end: int) -> bytes:
+        """Returns the record of the line between two places."""
+        with self.path.open("rb") as file:
+            file.seek(begin)
+            return _content(file.read(end - begin))
+
+    def damaged(self, number: int, what: str) -> RunError:
+        """Returns the error about a line, counted from 1."""
+        return RunError("log_damaged", f"{self.path}, line {number}: {what}; restore the file, or begin a new run")
+
+
+class RunWriter:
+    """A log that this process, and no other, appends to, until it is closed.
+
+    Args:
+        log: The log.
+
+    Raises:
+        RunError: Another process does (`run_busy`), or the file cannot be written (`cannot_write`).
+    """
+
+    def __init__(self, log: RunLog) -> None:
+        self._log = log
+        try:
+            self._file = os.open(log.path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
+        except OSError as error:
+            raise _unwritten(log.path, error) from error
+        try:
+            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            os.close(self._file)
+            raise RunError("run_busy", f"another process goes on with the run in {log.path.parent}") from error
+        self.end, self.digest = 0, log.origin
+        self._synced = time.monotonic()
+
+    def resume(self, end: int, digest: str) -> None:
+        """Goes on where the last whole line ends, which has this digest; what was torn behind it is cut off."""
+        self.end, self.digest = end, digest
+        self._cut()
+
+    def append(self, records: Sequence[Mapping[str, Any]]) -> list[Line]:
+        """Appends records, and returns their lines; a second later at most they are on the disk.
+
+        Raises:
+            RunError: They cannot be written (`cannot_write`); none of them is in the log then.
+        """
+        lines, texts = [], []
+        end, digest = self.end, self.digest
+        for record in records:
+            content = write_json(record)
+            digest = _chain(digest, content)
+            texts.append(content[:-1] + _BEFORE + digest.encode() + _AFTER)
+            lines.append(Line(end, end + len(texts[-1]), content, digest))
+            end = lines[-1].end
+        try:
+            _write(self._file, b"".join(texts))
+            if time.monotonic() >= self._synced + _SYNC:
+                self._sync()
+        except OSError as error:
+            self._cut()
+            raise _unwritten(self._log.path, error) from error
+        self.end, self.digest = end, digest
+        return lines
+
+    def _cut(self) -> None:
+        os.ftruncate(self._file, self.end)
+
+    def _sync(self) -> None:
+        os.fsync(self._file)
+        self._synced = time.monotonic()
+
+    def close(self) -> None:
+        """Lets others go on with the run."""
+        self._sync()
+        os.close(self._file)
+
+
+def _write(file: int, text: bytes) -> None:
+    """Writes all of a text; a disk that is full takes a part, and then nothing."""
+    left = memoryview(text)
+    while left:
+        left = left[os.write(file, left) :]
+
+
+def _unwritten(path: Path, error: OSError) -> RunError:
+    advice = "; make room, then resume the run" if error.errno in _FULL else ""
+    return RunError("cannot_write", f"cannot write {path}: {error.strerror}{advice}")
+
+
+def _chain(digest: str, content: bytes) -> str:
+    return blake2b(content, key=digest.encode(), digest_size=_DIGITS // 2).hexdigest()
+
+
+def _content(text: bytes) -> bytes:
+    return text[:-_TAIL] + b"}"
+
+
+def _line(text: bytes, begin: int, digest: str) -> Line | None:
+    """Reads a line; None if it is none, or does not follow on this digest."""
+    content = _content(text)
+    following = _chain(digest, content)
+    if text[-_TAIL:] != _BEFORE + following.encode() + _AFTER:
+        return None
+    return Line(begin, begin + len(text), content, following)
