@@ -18,7 +18,7 @@ from nmes.genome import Genome
 from nmes.genome.body import Body
 from nmes.schemas.documents import JsonObject, fits
 
-__all__ = ["is_planar", "offspring", "written_sensors"]
+__all__ = ["admitted", "is_planar", "offspring", "written_sensors"]
 
 
 def offspring(document: JsonObject, before: Body, parents: Sequence[Genome], draw: Draw, task: Task | None) -> Genome:
@@ -39,8 +39,21 @@ def offspring(document: JsonObject, before: Body, parents: Sequence[Genome], dra
     after = _body_of(child)
     if "brain" in child and _names(before) != _names(after):
         child["brain"] = carry_over(child["brain"], before, after, draw)
-    genome = Genome(child)
-    if "brain" in child:
+    return admitted(child, task)
+
+
+def admitted(document: JsonObject, task: Task | None) -> Genome:
+    """Returns the genome of a document.
+
+    Args:
+        document: It, whole.
+        task: What it must be allowed to take part in, if anything.
+
+    Raises:
+        DocumentError: It is no good genome, its brain is none for its body, or it may not take part.
+    """
+    genome = Genome(document)
+    if "brain" in document:
         genome.brain()
     reasons = [] if task is None else task.check(genome.body)
     if is_planar(task) and not genome.body.planar:

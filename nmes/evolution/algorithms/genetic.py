@@ -1,0 +1,201 @@
+"""Genetic algorithms over whole genomes: `ga`, tournaments among the young and the best; `afpo`, age against fitness.
+
+Both are steady-state: a candidate is bred as soon as the window allows, from whoever is told by then, so that no worker
+waits for the last of a generation. "Generation" counts candidates by the size of the population.
+"""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from collections import deque
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from nmes.evolution.algorithm import Algorithm, Candidate, Problem, Score
+from nmes.evolution.algorithms.bounds import within_bounds
+from nmes.evolution.algorithms.breeding import Parent, breed, found, newcomer
+from nmes.evolution.draw import Draw
+
+__all__ = ["AgeFitness", "Genetic"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Member:
+    """A candidate of a population; `origin` is the index of the first ancestor of all."""
+
+    parent: Parent
+    score: float
+    origin: int
+
+
+def _sorted(members: Iterable[_Member]) -> list[_Member]:
+    """Returns members with the best first, of equals the first that was told."""
+    return sorted(members, key=lambda member: (-member.score, member.parent.index))
+
+
+@dataclass(frozen=True)
+class _Options:
+    population: int
+    tournament: int
+    crossover: float
+    window: int
+
+    def __post_init__(self) -> None:
+        bounds = {"population": (2, 100_000), "tournament": (1, 1_000), "crossover": (0, 1), "window": (1, 100_000)}
+        within_bounds(self, bounds)
+
+
+class _SteadyState(Algorithm):
+    """A population that changes with every candidate that is told, and those who are bred from it."""
+
+    def __init__(self, problem: Problem, options: _Options) -> None:
+        self._problem, self._options = problem, options
+        self._members: Sequence[_Member] = ()
+        self._origins: list[int] = []  # of every candidate that was told, by index
+
+    @abstractmethod
+    def _with(self, newcomer: _Member) -> Sequence[_Member]:
+        """Returns the population once somebody has come and, where it is full, somebody else has gone."""
+
+    def needs(self, index: int) -> int:
+        """Returns how many candidates must be told before: all but the window's."""
+        return max(0, index - self._options.window + 1)
+
+    def ask(self, index: int) -> Candidate:
+        """Returns the candidate of this index; see `Algorithm`."""
+        options, generation = self._options, index // self._options.population
+        if generation == 0:
+            return found(self._problem, index)
+        if not self._members:
+            return newcomer(self._problem, index, generation)
+        return breed(self._problem, index, self._chosen, options.crossover, generation)
+
+    def _chosen(self, draw: Draw) -> Parent:
+        """Returns the winner of a tournament; of equals, any is as likely."""
+        rivals = [draw.one_of(self._members) for _ in range(self._options.tournament)]
+        return max(rivals, key=lambda member: member.score).parent
+
+    def tell(self, index: int, candidate: Candidate, score: Score) -> None:
+        """Takes a candidate's score in; see `Algorithm`. One without a score has no offspring."""
+        origin = min((self._origins[parent] for parent in candidate.parents), default=index)
+        self._origins.append(origin)
+        if score.score is not None:
+            self._members = self._with(_Member(Parent(index, candidate.genome), score.score, origin))
+
+    def elites(self) -> Sequence[int]:
+        """Returns the population, the best first."""
+        return [member.parent.index for member in _sorted(self._members)]
+
+
+class Genetic(_SteadyState):
+    """A genetic algorithm whose parents are the youngest, and a few who are the best of all.
+
+    Whoever is old goes, however good, but for the elites: what E. Real et al., "Regularized Evolution for Image
+    Classifier Architecture Search" (2019) found to keep a population from being that of one ancestor.
+
+    Args:
+        problem: What the run is about.
+        options: See `Options`.
+    """
+
+    @dataclass(frozen=True)
+    class Options(_Options):
+        """The options.
+
+        Attributes:
+            population: How many of the youngest with a score may be parents, and how many are founders.
+            tournament: Of how many, drawn at random, the best becomes a parent.
+            crossover: The part of the offspring that have two parents, from 0 to 1.
+            window: How many candidates may be evaluated at once.
+            elites: How many of the best of all may be parents for good.
+        """
+
+        population: int = 100
+        tournament: int = 5
+        crossover: float = 0.25
+        window: int = 32
+        elites: int = 10
+
+        def __post_init__(self) -> None:
+            """Raises a DocumentError where an option is out of its bounds."""
+            super().__post_init__()
+            within_bounds(self, {"elites": (0, 100_000)})
+
+    def __init__(self, problem: Problem, options: Options) -> None:
+        super().__init__(problem, options)
+        self._young: deque[_Member] = deque(maxlen=options.population)
+        self._best: list[_Member] = []
+        self._elites = options.elites
+
+    def _with(self, newcomer: _Member) -> Sequence[_Member]:
+        self._young.append(newcomer)
+        self._best = _sorted([*self._best, newcomer])[: self._elites]
+        return [*self._best, *(member for member in self._young if member not in self._best)]
+
+
+class AgeFitness(_SteadyState):
+    """Age-fitness Pareto optimisation: young lineages compete with the young, so that new bodies have time to learn.
+
+    After M. Schmidt and H. Lipson, "Age-Fitness Pareto Optimization" (2011): a lineage is as old as its first ancestor,
+    one random creature comes with each generation, and who is dominated, by somebody as young who is better, goes
+    first. Here the one who is dominated by the most goes, of equals the worst, and nothing is drawn for it.
+
+    Args:
+        problem: What the run is about.
+        options: See `Options`.
+    """
+
+    @dataclass(frozen=True)
+    class Options(_Options):
+        """The options.
+
+        Attributes:
+            population: How many may be parents; with each generation of so many candidates one random creature comes.
+            tournament: Of how many, drawn at random, the best becomes a parent.
+            crossover: The part of the offspring that have two parents, from 0 to 1.
+            window: How many candidates may be evaluated at once.
+            newcomers: How many random creatures come with each generation.
+        """
+
+        population: int = 100
+        tournament: int = 2
+        crossover: float = 0.25
+        window: int = 32
+        newcomers: int = 1
+
+        def __post_init__(self) -> None:
+            """Raises a DocumentError where an option is out of its bounds."""
+            super().__post_init__()
+            within_bounds(self, {"newcomers": (0, self.population)})
+
+    def __init__(self, problem: Problem, options: Options) -> None:
+        super().__init__(problem, options)
+        self._newcomers = options.newcomers
+
+    def ask(self, index: int) -> Candidate:
+        """Returns the candidate of this index; see `Algorithm`."""
+        generation, place = divmod(index, self._options.population)
+        if generation and place * self._newcomers % self._options.population < self._newcomers:
+            return newcomer(self._problem, index, generation)
+        return super().ask(index)
+
+    def _with(self, newcomer: _Member) -> Sequence[_Member]:
+        members = [*self._members, newcomer]
+        if len(members) > self._options.population:
+            del members[_least(members)]
+        return members
+
+    def figures(self) -> Mapping[str, float]:
+        """Returns how many lineages there are, by their first ancestors."""
+        return {"lineages": len({member.origin for member in self._members})}
+
+
+def _least(members: Sequence[_Member]) -> int:
+    """Returns the place of the member that is dominated by the most; of equals the worst, then the first told."""
+    scores = np.array([member.score for member in members])
+    origins = np.array([member.origin for member in members])
+    dominated = (scores[:, np.newaxis] > scores) & (origins[:, np.newaxis] >= origins)
+    dominators = dominated.sum(axis=0).tolist()
+    return max(range(len(members)), key=lambda i: (dominators[i], -members[i].score, -members[i].parent.index))
