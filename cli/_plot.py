@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from nmes.cli._output import whole_file
+from nmes.view.chart import round_numbers
 
 __all__ = ["Bars", "Curves", "write_plot"]
 
@@ -79,11 +80,7 @@ class Curves:
             low = math.floor(math.log10(self.floor))
             high = max(low + 1, math.ceil(self._scaled(max(values, default=self.floor))))
             return [float(power) for power in range(low, high + 1)]
-        least, most = min(values, default=0.0), max(values, default=1.0)
-        step = 10.0 ** math.floor(math.log10(max(most - least, 1e-9)))
-        step *= next(part for part in (0.25, 0.5, 1.0, 2.5) if (most - least) / (step * part) <= 5.0)
-        first, last = math.floor(least / step), max(math.ceil(most / step), math.floor(least / step) + 1)
-        return [step * number for number in range(first, last + 1)]
+        return round_numbers(min(values, default=0.0), max(values, default=1.0))
 
 
 @dataclass(frozen=True, slots=True)

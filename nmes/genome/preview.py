@@ -18,7 +18,7 @@ from nmes.backend import Image as Pixels
 from nmes.backend.rotation import rotate
 from nmes.genome.body import Body, BodyCube, corners
 
-__all__ = ["grid_step", "render_body", "render_text", "sheet"]
+__all__ = ["grid_step", "render_body", "render_cutout", "render_text", "sheet"]
 
 _YAW, _PITCH = radians(32.0), radians(24.0)
 _BACK = np.array([sin(_YAW) * cos(_PITCH), sin(_PITCH), cos(_YAW) * cos(_PITCH)])  # towards the eye
@@ -44,6 +44,22 @@ def render_body(body: Body, width: int = 720, height: int = 540) -> Pixels:
     """
     fine = _Canvas(body, width * _FINE, height * _FINE).draw(lines=True)
     return np.asarray(fine.reshape(height, _FINE, width, _FINE, 3).mean(axis=(1, 3)).round().astype(np.uint8))
+
+
+def render_cutout(body: Body, width: int, height: int) -> Pixels:
+    """Returns a picture of a body alone, to be laid over any colour, shape (height, width, 4): red, green, blue, alpha.
+
+    Args:
+        body: The body.
+        width: Pixels.
+        height: Pixels.
+    """
+    canvas = _Canvas(body, width * _FINE, height * _FINE, shadow=False)
+    seen, fine = canvas.alone()
+    parts = np.concatenate([fine * seen[..., None], 255.0 * seen[..., None]], axis=2)
+    mean = parts.reshape(height, _FINE, width, _FINE, 4).mean(axis=(1, 3))
+    mean[..., :3] *= 255.0 / np.maximum(mean[..., 3:], 1.0)
+    return np.asarray(mean.round().clip(0.0, 255.0).astype(np.uint8))
 
 
 def sheet(bodies: Sequence[tuple[str, Body]], width: int = 320, height: int = 260) -> Pixels:
@@ -99,10 +115,11 @@ def grid_step(body: Body) -> float:
 class _Canvas:
     """One picture in the making; `seen` is the face (6 * cube + face) at each pixel, or -1."""
 
-    def __init__(self, body: Body, width: int, height: int) -> None:
+    def __init__(self, body: Body, width: int, height: int, shadow: bool = True) -> None:
         self._width, self._height, self._body = width, height, body
         points = np.concatenate([corners(cube) for cube in body.cubes])
-        points = np.concatenate([points, _on_ground(points)])
+        if shadow:
+            points = np.concatenate([points, _on_ground(points)])
         across, upward = points @ _RIGHT, points @ _UP
         room = 1.0 - 2.0 * _MARGIN
         span = max(float(np.ptp(across)) / (width * room), float(np.ptp(upward)) / (height * room))
@@ -120,6 +137,14 @@ class _Canvas:
         if lines:
             self._outline(image)
         return image
+
+    def alone(self) -> tuple[Array, Array]:
+        """Returns where the body is, booleans of shape (height, width), and its pixels as `draw` does."""
+        image = np.zeros((self._height, self._width, 3))
+        for number, cube in enumerate(self._body.cubes):
+            self._cast(image, number, cube)
+        self._outline(image)
+        return self.seen >= 0, image
 
     def _origins(self, area: tuple[slice, slice]) -> Array:
         """Returns the points where the rays of an area begin, shape (h, w, 3)."""
