@@ -63,18 +63,20 @@ def film(
     path: str | os.PathLike[str],
     cut: Cut = Cut(),
     *,
+    titles: Sequence[str] | None = None,
     fps: int = 30,
     size: tuple[int, int] = (640, 480),
     progress: Progress = lambda doing, done, total: None,
 ) -> None:
     """Makes a film (`.mp4`, `.gif`) of recordings, or a picture (`.png`) of their last moments.
 
-    Several recordings are shown side by side in a grid, each with its file's name; one that ends earlier stands still.
+    Several recordings are shown side by side in a grid, each with its title; one that ends earlier stands still.
 
     Args:
         recordings: The recordings.
         path: The file; its ending decides the format.
         cut: The part of each that is shown, and how the camera moves.
+        titles: One a recording; None: the names of their files where there are several.
         fps: Pictures a second, of an `.mp4` or `.gif`.
         size: Width and height of the whole picture, pixels.
         progress: Called with what is being done, how much of it is done, and how much there is.
@@ -96,7 +98,10 @@ def film(
     columns = ceil(sqrt(len(recordings)))
     rows = ceil(len(recordings) / columns)
     tile = (size[0] // columns // 2 * 2, size[1] // rows // 2 * 2)  # in whole pixels of half resolution, for mp4
-    takes = [_take(recording, cut, fps, tile, progress) for recording in recordings]
+    names = titles or ([recording.path.stem for recording in recordings] if len(recordings) > 1 else [""])
+    takes = [
+        _take(recording, name, cut, fps, tile, progress) for recording, name in zip(recordings, names, strict=True)
+    ]
     if path.suffix == ".png":
         takes = [_Take(take.title, take.config, take.moments[-1:], take.cameras[-1:]) for take in takes]
     with _whole(path) as unfinished, closing(_pictures(takes, columns, rows, tile, progress)) as pictures:
@@ -112,10 +117,10 @@ class _Take(NamedTuple):
     cameras: list[CameraSpec]
 
 
-def _take(recording: Recording, cut: Cut, fps: int, size: tuple[int, int], progress: Progress) -> _Take:
+def _take(recording: Recording, title: str, cut: Cut, fps: int, size: tuple[int, int], progress: Progress) -> _Take:
     """Runs a recording and chooses its moments and cameras; `size` is that of its tile, pixels."""
     parts = _choose(recording, cut, cut.speed / fps, partial(progress, f"running {recording.path.name}"))
-    return _Take(recording.path.stem, recording.config, parts, cameras(parts, cut.camera, cut.target, fps, size))
+    return _Take(title, recording.config, parts, cameras(parts, cut.camera, cut.target, fps, size))
 
 
 def _choose(recording: Recording, cut: Cut, step: float, progress: Callable[[int, int], None]) -> list[Moment]:
@@ -155,7 +160,7 @@ def _pictures(
                 at = min(i, len(take.moments) - 1)
                 stage.show(take.moments[at])
                 pixels = stage.draw(take.cameras[at])
-                if len(takes) > 1:
+                if take.title:
                     pixels = _titled(pixels, take.title)
                 y, x = place // columns * height, place % columns * width
                 sheet[y : y + height, x : x + width] = pixels

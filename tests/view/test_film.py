@@ -177,6 +177,17 @@ def test_several_recordings_are_filmed_side_by_side(recording: Recording, tmp_pa
     assert [place(quarter, 0) is not None for quarter in quarters] == [True, True, True, False]
 
 
+def test_recordings_have_titles_which_may_be_given(recording: Recording, tmp_path: Path) -> None:
+    def drawn(count: int, titles: list[str] | None) -> Pixels:
+        film([recording] * count, tmp_path / "x.png", Cut(target="red"), titles=titles, size=(240, 80 * count))
+        return frames(tmp_path / "x.png")[0][:30, :120].astype(int)
+
+    plain = drawn(1, None)
+    assert (plain == drawn(1, [""])).all()
+    assert (abs(plain - drawn(1, ["#12, score 3.5"])).max(axis=2) > 60).sum() > 40  # letters
+    assert (drawn(2, None) == drawn(2, ["thrown", "another"])).all()  # else they have the names of the files
+
+
 def test_a_planar_world_is_filmed_from_its_front(tmp_path: Path, recording: Recording) -> None:
     def play(world: World, client: int) -> None:
         send(world, client, type="spawn_cube", cube_name="a", position=[-2, 2, 0], color=[1, 0, 0])
