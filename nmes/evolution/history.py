@@ -11,7 +11,7 @@ from itertools import pairwise
 from statistics import quantiles
 from typing import Protocol
 
-__all__ = ["History", "OperatorRecord", "Origin", "Window"]
+__all__ = ["History", "OperatorRecord", "Origin", "Window", "milestones"]
 
 _WINDOWS = 80  # of a curve, at most: more cannot be told apart
 _FEWEST = 10  # candidates of a window, so that it has quartiles
@@ -87,6 +87,23 @@ class OperatorRecord:
     without_score: int
     better: int
     champions: int
+
+
+def milestones(rows: Sequence[Origin], count: int) -> list[Origin]:
+    """Returns the first and the last candidate, and of those that were the best so far the ones that gained most.
+
+    Args:
+        rows: One candidate or more, in order.
+        count: How many are returned at most, two or more.
+    """
+    best, gains = rows[0].score, {}
+    for row in rows[1:-1]:
+        if row.score is not None and (best is None or row.score > best):
+            gains[row.index] = row.score - (row.score if best is None else best)
+            best = row.score
+    most = sorted(gains, key=lambda index: (-gains[index], index))[: count - 2]
+    kept = {rows[0].index, *most, rows[-1].index}
+    return [row for row in rows if row.index in kept]
 
 
 class History:

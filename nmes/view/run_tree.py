@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from nmes.evolution.history import History, Origin
+from nmes.evolution.history import History, Origin, milestones
 from nmes.view.chart import WIDTH, Picture, number, short, text
 
 __all__ = ["Portrait", "lineage_tree"]
@@ -28,7 +28,7 @@ _LINES = 3  # of text below an edge
 def lineage_tree(history: History, index: int, portrait: Portrait) -> Picture:
     """Returns the line of descent of a candidate, from the eldest on, with the other parents of those bred from two."""
     line = history.lineage(index)
-    shown = _landmarks(line)
+    shown = milestones(line, _SHOWN)
     parts = []
     for place, row in enumerate(shown):
         left, top = place % _COLUMNS * _STEP, place // _COLUMNS * _ROW
@@ -45,18 +45,6 @@ def lineage_tree(history: History, index: int, portrait: Portrait) -> Picture:
         told += f"comes from candidate {eldest.index} ({eldest.operator}) in {len(line) - 1} generations"
         told += "." if len(shown) == len(line) else f", of which {len(shown) - 1} that gained are shown."
     return Picture("lineage", f"Where candidate {index} comes from", told, WIDTH, rows * _ROW, "\n".join(parts))
-
-
-def _landmarks(line: Sequence[Origin]) -> list[Origin]:
-    """Returns the first and the last of a line, and of those that were its best so far the ones that gained most."""
-    best, gains = line[0].score, {}
-    for row in line[1:-1]:
-        if row.score is not None and (best is None or row.score > best):
-            gains[row.index] = row.score - (best if best is not None else row.score)
-            best = row.score
-    most = sorted(gains, key=lambda index: (-gains[index], index))[: _SHOWN - 2]
-    kept = {line[0].index, *most, line[-1].index}
-    return [row for row in line if row.index in kept]
 
 
 def _node(row: Origin, x: float, y: float, portrait: Portrait, *, last: bool) -> list[str]:

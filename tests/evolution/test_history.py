@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from statistics import median
 
-from nmes.evolution.history import History, OperatorRecord
+from nmes.evolution.history import History, OperatorRecord, milestones
 from run_rows import Row, history
 
 
@@ -25,6 +25,14 @@ def test_a_lineage_follows_the_parent_that_each_is_mostly_like() -> None:
     told = History(rows)
     assert [row.index for row in told.lineage(4)] == [1, 2, 4]
     assert [row.index for row in told.lineage(0)] == [0]
+
+
+def test_milestones_are_the_ends_and_the_greatest_gains() -> None:
+    rows = history(1.0, 2.0, None, 1.5, 7.0, 7.5, 9.0, 8.0).rows
+    assert [row.index for row in milestones(rows, 9)] == [0, 1, 4, 5, 6, 7]
+    assert [row.index for row in milestones(rows, 4)] == [0, 4, 6, 7]
+    assert [row.index for row in milestones(rows, 2)] == [0, 7]
+    assert milestones(rows[:1], 2) == [rows[0]]
 
 
 def test_operators_are_judged_by_the_first_parent() -> None:
