@@ -25,6 +25,7 @@ _LARGEST, _SMALLEST = 140, 24  # pixels of one, across
 _FINE = 16  # columns from which on portraits are too small to be made out without a glass
 _TALLEST = 620.0  # pixels of the map
 _KEY = 96  # pixels, for the scale of colours
+_MOST = 64  # fields in a row or column: where an archive has more cells, several share a field
 _NOTHING = Measure("", 0.0, 1.0, 1)  # in place of a second measure
 
 
@@ -35,7 +36,7 @@ def archive_map(
     body: Callable[[int], Body],
     progress: Callable[[int, int], None],
 ) -> Picture:
-    """Returns the archive over the first two of its measures; of cells that lie behind each other, the best is seen.
+    """Returns the archive over the first two of its measures; of elites in one place the best is seen.
 
     Args:
         elites: The archive's contents, one or more.
@@ -50,20 +51,20 @@ def archive_map(
     source = png_source(plane.portraits(body, progress), 128)
     parts = [
         *chart.axes(measures[0].expression, measures[1].expression if len(measures) > 1 else ""),
-        *plane.cells(),
+        *plane.fields(),
         f'<image {place} preserveAspectRatio="none" pointer-events="none" href="{source}"/>',
         *plane.key(),
     ]
     told = f"{len(elites):,} of {prod(measure.cells for measure in measures):,} cells are filled; "
     told += f"scores go from {number(plane.low)} to {number(plane.high)}."
-    if len(measures) > 2:
-        told += f" Shown over the first two of {len(measures)} measures, the best of the cells behind each other."
+    if len(measures) > 2 or max(measure.cells for measure in measures) > _MOST:
+        told += f" Each of the {len(plane.best):,} fields that are shown has the best of several cells."
     size = chart.width, chart.height
     return Picture("archive", "The archive", told, *size, "\n".join(parts), fine=measures[0].cells > _FINE)
 
 
 class _Plane:
-    """The cells of an archive that are seen, and where they are; arguments are those of `archive_map`."""
+    """The fields of an archive that are seen, and where they are; arguments are those of `archive_map`."""
 
     def __init__(
         self,
@@ -72,22 +73,22 @@ class _Plane:
         cell_of: Callable[[Sequence[float]], tuple[int, ...]],
     ) -> None:
         self._measures = measures
-        self._best: dict[tuple[int, int], Origin] = {}
+        first, second = measures[0], (*measures, _NOTHING)[1]
+        self._columns, self._rows = min(first.cells, _MOST), min(second.cells, _MOST)
+        self.best: dict[tuple[int, int], Origin] = {}
         for elite in sorted(elites, key=lambda elite: (elite.score is not None, elite.score or 0.0)):
             column, row, *_ = (*cell_of(elite.measures), 0)
-            self._best[column, row] = elite
-        scores = [elite.score for elite in self._best.values() if elite.score is not None]
+            self.best[column * self._columns // first.cells, row * self._rows // second.cells] = elite
+        scores = [elite.score for elite in self.best.values() if elite.score is not None]
         self.low, self.high = min(scores, default=0.0), max(scores, default=0.0)
-        first, second = measures[0], (*measures, _NOTHING)[1]
-        self._columns, self._rows = first.cells, second.cells
         height = min(_TALLEST, self._rows * (WIDTH - LEFT - _KEY) / self._columns * 0.75 + 40)
         span = (first.low, first.high), (second.low, second.high)
         self.chart = Chart(*span, height=height, right=_KEY, widened=False)
         self._wide, self._tall = self.chart.plane_width / self._columns, self.chart.plane_height / self._rows
 
-    def cells(self) -> Iterator[str]:
-        """Yields the cells, each in the colour of its elite's score."""
-        for (column, row), elite in sorted(self._best.items()):
+    def fields(self) -> Iterator[str]:
+        """Yields the fields, each in the colour of its elite's score."""
+        for (column, row), elite in sorted(self.best.items()):
             x, y = self.chart.left + column * self._wide, self.chart.top + (self._rows - 1 - row) * self._tall
             values = zip(self._measures, elite.measures, strict=True)
             told = ", ".join(f"{measure.expression} {value:.4g}" for measure, value in values)
@@ -96,14 +97,14 @@ class _Plane:
             yield f'<rect {place} fill="{self._color(elite.score)}"><title>{name}</title></rect>'
 
     def portraits(self, body: Callable[[int], Body], progress: Callable[[int, int], None]) -> Pixels:
-        """Returns the portraits of all cells as one picture of the map's shape, (height, width, 4)."""
+        """Returns the portraits of all fields as one picture of the map's shape, (height, width, 4)."""
         across = max(_SMALLEST, min(_LARGEST, _SHARP // self._columns))
         down = max(1, round(across * self._tall / self._wide))
         pixels: Pixels = np.zeros((self._rows * down, self._columns * across, 4), np.uint8)
-        for done, ((column, row), elite) in enumerate(sorted(self._best.items()), start=1):
+        for done, ((column, row), elite) in enumerate(sorted(self.best.items()), start=1):
             y, x = (self._rows - 1 - row) * down, column * across
             pixels[y : y + down, x : x + across] = render_cutout(body(elite.index), across, down)
-            progress(done, len(self._best))
+            progress(done, len(self.best))
         return pixels
 
     def _color(self, score: float | None) -> str:

@@ -181,6 +181,15 @@ def test_the_archive_has_a_cell_for_each_elite_and_the_best_of_those_behind_each
     assert drawn_cells == {(0, 2), (3, 0)}
 
 
+def test_cells_beyond_number_share_fields() -> None:
+    measures = (Measure("mass", 0.0, 10_000.0, 10_000), Measure("legs", 0.0, 10_000.0, 10_000))
+    rows = [Row(i, float(i), measures=(x, x)) for i, x in enumerate((0.0, 100.0, 200.0, 9_999.0))]
+    picture = drawn(rows, measures)
+    titles = [element.text or "" for element in elements(picture, "title")][1:]
+    assert [title.split(",")[0] for title in titles] == ["candidate 1", "candidate 2", "candidate 3"]
+    assert "4 of 100,000,000 cells" in picture.description and "best of several" in picture.description
+
+
 def points_of(element: ElementTree.Element) -> tuple[float, float]:
     return float(element.get("x", "")), float(element.get("y", ""))
 
