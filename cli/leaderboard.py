@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
+from nmes.cli._columns import columns
 from nmes.cli._json import print_json
 from nmes.cli._output import whole_file
 from nmes.cli._progress import progress_bars
@@ -71,7 +71,7 @@ def tasks(file: Path, allow: tuple[str, ...], as_json: bool) -> None:
     if as_json:
         print_json([{"name": name, "hash": digest} for name, digest in listed])
     else:
-        click.echo("\n".join(_columns([(visible(name), visible(digest)) for name, digest in listed])))
+        click.echo("\n".join(columns([(visible(name), visible(digest)) for name, digest in listed])))
 
 
 def _task(name: str) -> Task:
@@ -175,20 +175,7 @@ def _lines(entries: list[Entry]) -> list[str]:
                 visible(entry.recorded[:10]),
             )
         )
-    return _columns(rows, right=(1, 2))
-
-
-def _columns(rows: Sequence[tuple[str, ...]], right: tuple[int, ...] = ()) -> list[str]:
-    """Lays rows out, each cell as wide as the widest of its column."""
-    # By hand: a table of rich takes seconds for what is here a moment, where there are thousands.
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join(
-            cell.rjust(width) if i in right else cell.ljust(width)
-            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
+    return columns(rows, right=(1, 2))
 
 
 @command.command()

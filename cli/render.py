@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import click
 
 from nmes.cli._output import check_output
 from nmes.cli._progress import progress_bars
+from nmes.cli._size import size_option
 from nmes.cli.info import open_recording
 from nmes.recording import Recording
 from nmes.view.camera import Way
@@ -16,18 +16,9 @@ from nmes.view.film import Cut, film
 
 __all__ = ["command"]
 
-_PIXELS = 4096
-
 
 def _open(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> list[Recording]:
     return [open_recording(context, parameter, value) for value in values]
-
-
-def _size(_: click.Context, parameter: click.Parameter, value: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d+)x(\d+)", value)
-    if match is None or not all(16 <= int(number) <= _PIXELS for number in match.groups()):
-        raise click.BadParameter(f"expected WIDTHxHEIGHT, each from 16 to {_PIXELS}: 640x480", param=parameter)
-    return int(match[1]), int(match[2])
 
 
 @click.command("render")
@@ -57,9 +48,7 @@ def _size(_: click.Context, parameter: click.Parameter, value: str) -> tuple[int
     help="Seconds of simulation in a second of film.",
 )
 @click.option("--fps", type=click.IntRange(1, 120), default=30, show_default=True, help="Pictures a second.")
-@click.option(
-    "--size", callback=_size, default="640x480", show_default=True, metavar="WxH", help="Of all of it, in pixels."
-)
+@size_option("640x480")
 def command(
     recordings: list[Recording],
     output: Path,

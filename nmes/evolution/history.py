@@ -150,14 +150,19 @@ class History:
         return sorted(records, key=lambda record: (-record.candidates, record.name))
 
     def _beats_parent(self, row: Origin) -> bool:
-        parent = self.rows[row.parents[0]].score if row.parents else None
-        return row.score is not None and parent is not None and row.score > parent
+        parent = self._parent(row)
+        scores = row.score, None if parent is None else parent.score
+        return scores[0] is not None and scores[1] is not None and scores[0] > scores[1]
+
+    def _parent(self, row: Origin) -> Origin | None:
+        """Returns whom a candidate is mostly like; nobody where a log names none that was before it."""
+        return self.rows[row.parents[0]] if row.parents and row.parents[0] < row.index else None
 
     def lineage(self, index: int) -> list[Origin]:
         """Returns a candidate and, before it, those that it comes from: of each the parent that it is mostly like."""
         line = [self.rows[index]]
-        while line[-1].parents:
-            line.append(self.rows[line[-1].parents[0]])
+        while (parent := self._parent(line[-1])) is not None:
+            line.append(parent)
         return line[::-1]
 
     def windows(self) -> list[Window]:

@@ -13,8 +13,6 @@ from dataclasses import dataclass
 from html import escape
 from math import floor, isfinite, log10
 
-from PIL import Image
-
 from nmes.backend import Image as Pixels
 from nmes.errors import visible
 
@@ -175,6 +173,8 @@ def number(value: float | None) -> str:
 
 def png_source(pixels: Pixels, colors: int = 64) -> str:
     """Returns a picture of pixels (height, width, 3 or 4) as the address that holds all of it."""
+    from PIL import Image  # what is told in words needs none
+
     image = Image.fromarray(pixels)
     image = image.quantize(colors, method=Image.Quantize.FASTOCTREE)  # the one that keeps what is transparent
     file = io.BytesIO()

@@ -27,6 +27,12 @@ def test_a_lineage_follows_the_parent_that_each_is_mostly_like() -> None:
     assert [row.index for row in told.lineage(0)] == [0]
 
 
+def test_a_log_that_makes_somebody_its_own_ancestor_has_an_end() -> None:
+    told = History([Row(0, 1.0, parents=(1,)), Row(1, 2.0, parents=(0,)), Row(2, 3.0, parents=(7,))])
+    assert [row.index for row in told.lineage(1)] == [0, 1] and [row.index for row in told.lineage(2)] == [2]
+    assert sum(record.better for record in told.operators()) == 1
+
+
 def test_milestones_are_the_ends_and_the_greatest_gains() -> None:
     rows = history(1.0, 2.0, None, 1.5, 7.0, 7.5, 9.0, 8.0).rows
     assert [row.index for row in milestones(rows, 9)] == [0, 1, 4, 5, 6, 7]
