@@ -235,12 +235,7 @@ class Connection(asyncio.BufferedProtocol):
                 waits = True
                 break
             else:
-                request = session.parse(first)
-                if request.error is not None:
-                    request = session.redacted(request)
-                elif request.ignored or request.said is not None:
-                    _log_without_effect(session, request, self._peer)
-                backlog[0] = request
+                request = self._read_some()
             encoded = world.submit(self._client, request)
             waits = encoded is None
             if encoded is None or not backlog:  # it waits, or its connection was ended meanwhile
@@ -263,6 +258,27 @@ class Connection(asyncio.BufferedProtocol):
             self._wait_or_leave(waits or output.waits)
         else:
             self._transport.resume_reading()
+
+    def _read_some(self) -> Request:
+        """Reads the first frames of the backlog, at most as much as one frame that is not long; returns the first.
+
+        They are read in one go because code that has just run runs faster: read one by one, between commands that are
+        executed, a command of a long row takes a third longer.
+        """
+        session, backlog, requests, size = self._session, self._backlog, list[Request](), 0
+        while backlog and not isinstance(frame := backlog[0], Request):
+            size += len(frame)
+            if size > LONG:
+                break
+            request = session.parse(frame)
+            if request.error is not None:
+                request = session.redacted(request)
+            elif request.ignored or request.said is not None:
+                _log_without_effect(session, request, self._peer)
+            requests.append(request)
+            backlog.popleft()
+        backlog.extendleft(reversed(requests))
+        return requests[0]
 
     def _read_in_thread(self, frame: bytes) -> None:
         """Reads the first frame of the backlog in a thread; what came behind it waits."""
