@@ -1,4 +1,4 @@
-"""The examples of CONTRIBUTING.md for tasks and commands, added to a copy of the package as the page says."""
+"""The examples of CONTRIBUTING.md for tasks, algorithms and commands, added to a copy of the package."""
 
 from __future__ import annotations
 
@@ -94,6 +94,19 @@ def with_command(tmp_path_factory: pytest.TempPathFactory) -> Copy:
     return copy
 
 
+@pytest.fixture(scope="module")
+def with_algorithm(tmp_path_factory: pytest.TempPathFactory) -> Copy:
+    """A copy with the evolutionary algorithm of the page."""
+    copy = Copy(tmp_path_factory.mktemp("algorithm"))
+    text = section("Adding an evolutionary algorithm")
+    copy.add("nmes/evolution/algorithms/climber.py", block(text, "nmes/evolution/algorithms/climber.py"))
+    table = copy.root / "nmes" / "evolution" / "algorithms" / "__init__.py"
+    head = "_PLACES: Final[Mapping[str, str]] = {\n"
+    assert head in table.read_text()
+    table.write_text(table.read_text().replace(head, head + block(text, "nmes/evolution/algorithms/__init__.py")))
+    return copy
+
+
 # -- a task -----------------------------------------------------------------------------------------------------------
 
 
@@ -120,6 +133,25 @@ def test_the_task_keeps_the_rules_of_tasks_that_ship(with_task: Copy) -> None:
     (document,) = [task for task in json.loads(with_task.nmes("tasks", "--json")) if task["name"] == "backwards"]
     assert len(document["seeds"]) >= 3
     assert set(document["limits"]) == {field.name for field in fields(Limits)}
+
+
+# -- an algorithm -----------------------------------------------------------------------------------------------------
+
+
+def test_a_run_of_the_algorithm_is_resumed_and_verified(with_algorithm: Copy, tmp_path: Path) -> None:
+    folder, options = str(tmp_path / "run"), ["--seeds", "1", "--jobs", "1", "--json"]
+    begun = with_algorithm.nmes(
+        "evolve", "inchworm", "--task", "walk", "--algorithm", "climber", "--budget", "14", "-o", folder, *options
+    )
+    assert json.loads(begun)["best"]["index"] >= 0
+    with_algorithm.nmes("evolve", "verify", folder, "--jobs", "1")
+
+
+def test_the_algorithm_keeps_the_laws_of_all(with_algorithm: Copy) -> None:
+    laws = ROOT / "tests" / "evolution" / "test_algorithm_laws.py"
+    (with_algorithm.root / "test_laws.py").write_text(laws.read_text())
+    options = ["-q", "-p", "no:cacheprovider", "-c", os.devnull, "--rootdir=.", "-k", "climber"]
+    assert " passed" in with_algorithm.python("-m", "pytest", *options, "test_laws.py")
 
 
 # -- a command --------------------------------------------------------------------------------------------------------
