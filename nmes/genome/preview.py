@@ -144,7 +144,7 @@ class _Canvas:
         for number, cube in enumerate(self._body.cubes):
             self._cast(image, number, cube)
         self._outline(image)
-        return self.seen >= 0, image
+        return np.asarray(self.seen >= 0), np.asarray(image)
 
     def _origins(self, area: tuple[slice, slice]) -> Array:
         """Returns the points where the rays of an area begin, shape (h, w, 3)."""

@@ -39,7 +39,7 @@ def fitness_curves(history: History, what: str) -> Picture:
     parts.append(f'<polyline class="s1" stroke-width="2" points="{chart.path(steps)}"/>')
     index, score = best[-1]
     parts.append(f'<circle class="f1" cx="{chart.x(index):.1f}" cy="{chart.y(score):.1f}" r="4"/>')
-    names = [("f1", "best so far"), ("f0", "median"), ("f0", "half of all", 0.25)]
+    names = [("f1", "best so far", 1.0), ("f0", "median", 1.0), ("f0", "half of all", 0.25)]
     parts += _legend(names if bands else names[:1])
     told = f"The best score rises from {number(best[0][1])} to {number(score)}, which candidate {index - 1} reached."
     return Picture("scores", "Scores", told, chart.width, chart.height, "\n".join(parts))
@@ -47,7 +47,9 @@ def fitness_curves(history: History, what: str) -> Picture:
 
 def _band(chart: Chart, windows: Sequence[Window]) -> list[str]:
     """Returns the median of windows as a line and their quartiles as a band; where there is none, none."""
-    low, middle, high = [], [], []
+    low: list[tuple[float, float]] = []
+    middle: list[tuple[float, float]] = []
+    high: list[tuple[float, float]] = []
     for window in windows:
         assert window.quartiles is not None
         place = (window.begin + window.end) / 2
@@ -61,12 +63,12 @@ def _band(chart: Chart, windows: Sequence[Window]) -> list[str]:
     ]
 
 
-def _legend(names: Sequence[tuple[str, str] | tuple[str, str, float]]) -> list[str]:
+def _legend(names: Sequence[tuple[str, str, float]]) -> list[str]:
+    """Draws the classes of colours, what each stands for, and how opaque it is, on the right."""
     left, parts = WIDTH - _LEGEND + 20, []
-    for place, (color, name, *opacity) in enumerate(names):
+    for place, (color, name, opacity) in enumerate(names):
         y = 26 + _LINE * place
-        faint = f' opacity="{opacity[0]}"' if opacity else ""
-        parts.append(f'<rect class="{color}"{faint} x="{left}" y="{y - 10}" width="12" height="12"/>')
+        parts.append(f'<rect class="{color}" opacity="{opacity}" x="{left}" y="{y - 10}" width="12" height="12"/>')
         parts.append(f'<text class="ink" x="{left + 18}" y="{y}">{text(short(name, 22))}</text>')
     return parts
 
@@ -84,29 +86,24 @@ def groups_over_time(history: History) -> Picture | None:
     chart = Chart((0, len(history.rows)), (0.0, 100.0), right=_LEGEND, height=240)
     parts = list(chart.axes("candidates evaluated", "% of the candidates"))
     floors = [0.0] * len(windows)
-    for place, name in enumerate([*shown, None]):
-        tops = [low + _percent(window, name, shown) for low, window in zip(floors, windows, strict=True)]
-        color = place if name is not None else len(SERIES) - 1
+    others = [name for name in total if name not in shown]
+    for color, names in [*enumerate([name] for name in shown), (len(SERIES) - 1, others)]:
+        tops = [low + _percent(window, names) for low, window in zip(floors, windows, strict=True)]
         if tops != floors:
             outline = [*_stairs(windows, floors), *_stairs(windows, tops)[::-1]]
             parts.append(f'<polygon class="f{color}" points="{chart.path(outline)}"/>')
         floors = tops
-    others = len(total) - len(shown)
-    names = [(f"f{place}", name or "none") for place, name in enumerate(shown)]
-    parts += _legend(names + ([(f"f{len(SERIES) - 1}", f"{others} others")] if others else []))
+    legend = [(f"f{place}", name or "none", 1.0) for place, name in enumerate(shown)]
+    parts += _legend(legend + ([(f"f{len(SERIES) - 1}", f"{len(others)} others", 1.0)] if others else []))
     told = (
         f"{len(total)} groups; most candidates, {max(total.values()):,}, were of {max(total, key=total.__getitem__)}."
     )
     return Picture("groups", "Species and other groups over time", told, chart.width, chart.height, "\n".join(parts))
 
 
-def _percent(window: Window, name: str | None, shown: Sequence[str]) -> float:
-    """Returns the part that a group had of a window, or all that are not shown."""
-    if name is not None:
-        count = window.groups.get(name, 0)
-    else:
-        count = sum(many for other, many in window.groups.items() if other not in shown)
-    return 100.0 * count / (window.end - window.begin)
+def _percent(window: Window, names: Sequence[str]) -> float:
+    """Returns the part that some groups had of a window."""
+    return 100.0 * sum(window.groups.get(name, 0) for name in names) / (window.end - window.begin)
 
 
 def _stairs(windows: Sequence[Window], values: Sequence[float]) -> list[tuple[float, float]]:

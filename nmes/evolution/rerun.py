@@ -1,0 +1,47 @@
+"""A candidate of a run evaluated again, with recordings that prove what the log says of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from nmes.errors import RunError
+from nmes.evaluation import Evaluation, evaluate
+from nmes.evolution.run import Run
+from nmes.recording.signing import SUFFIX
+
+__all__ = ["record_candidate"]
+
+
+def record_candidate(run: Run, index: int, folder: Path, seeds: Sequence[int]) -> Evaluation:
+    """Evaluates a candidate again, and leaves a recording of each episode in a folder.
+
+    Nothing is left unless every figure is that of the log.
+
+    Args:
+        run: The run.
+        index: The candidate's, which has a score.
+        folder: An existing folder.
+        seeds: Of the episodes; those that the run did not have are compared with nothing.
+
+    Raises:
+        RunError: It comes out otherwise than the log says (`diverged`, or `not_comparable` where the run was begun on
+            a machine or by versions that compute otherwise), or the log is damaged (`log_damaged`).
+        RecordingError: A recording cannot be written.
+    """
+    with TemporaryDirectory(dir=folder, prefix=".") as unfinished:
+        found = evaluate(run.genome(index), run.settings.task, seeds=seeds, record=unfinished)
+        logged = {result.seed: result for result in run.evaluation(index).results}
+        for seed in seeds:
+            again = next((result for result in found.results if result.seed == seed), None)
+            if again != logged.get(seed, again) or again is None:
+                run.check_comparable()
+                what = f"candidate {index} of {run.folder}, seed {seed}: the log says {logged.get(seed)}"
+                raise RunError("diverged", f"{what}, here it is {again or found.error}")
+        recordings = [folder / Path(path).name for path in found.recordings]
+        for path, target in zip(found.recordings, recordings, strict=True):
+            target.with_name(target.name + SUFFIX).unlink(missing_ok=True)  # it is of the recording before
+            Path(path).replace(target)
+    names = found.genome, found.genome_hash, found.task, found.task_hash
+    return Evaluation(*names, found.results, None, tuple(map(str, recordings)), found.wall_seconds)

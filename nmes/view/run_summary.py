@@ -1,0 +1,100 @@
+"""What there is to say of a run in words and numbers, for people and as plain data."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from functools import cached_property
+from typing import Any
+
+from nmes.evolution.history import History, Origin
+from nmes.evolution.run import Run
+from nmes.view.chart import number
+
+__all__ = ["RunSummary"]
+
+_TOP = 10
+
+
+class RunSummary:
+    """What there is to say of a run as far as it is.
+
+    Args:
+        run: The run.
+
+    Attributes:
+        history: Its candidates.
+        elites: The indices of those that count as its outcome, the best first.
+        top: The candidates with the highest scores, the best first.
+    """
+
+    def __init__(self, run: Run) -> None:
+        self._run = run
+        self.history = History(run.records)
+        self.elites = run.elites()
+        self.top = self.history.top(_TOP)
+
+    @property
+    def title(self) -> str:
+        """The run's name."""
+        return self._run.folder.resolve().name
+
+    @property
+    def subtitle(self) -> str:
+        """What it is about, in a line."""
+        settings = self._run.settings
+        return f"{settings.algorithm} on {settings.task.name}, seed {settings.seed}"
+
+    @property
+    def best(self) -> Origin | None:
+        """The candidate with the highest score; None where none has one."""
+        return self.top[0] if self.top else None
+
+    @cached_property
+    def without_score(self) -> int:
+        """How many candidates have no score."""
+        return len([row for row in self.history.rows if row.score is None])
+
+    def facts(self) -> list[tuple[str, str]]:
+        """Returns how far it is and what came out, by names."""
+        count = f"{len(self.history.rows):,} of {self._run.settings.budget:,}"
+        facts = [("candidates", count + (f", {self.without_score:,} without a score" if self.without_score else ""))]
+        if self.best is not None:
+            origin = f"{self.best.operator}, generation {self.best.generation}"
+            facts.append(("best", f"{number(self.best.score)} (candidate {self.best.index}: {origin})"))
+        facts.append(("elites", f"{len(self.elites):,}"))
+        facts += [(name, f"{value:.6g}") for name, value in self._run.figures().items()]
+        return [*facts, ("digest", self._run.digest)]
+
+    def settings(self) -> list[tuple[str, str]]:
+        """Returns what it was begun with, by names."""
+        given = self._run.settings
+        facts = [
+            ("algorithm", given.algorithm),
+            ("options", ", ".join(f"{name}={value}" for name, value in given.options.items()) or "none"),
+            ("task", f"{given.task.name} ({given.task.hash[:16]})"),
+            ("seeds of the task", ", ".join(map(str, given.seeds))),
+            ("begins with", ", ".join(genome.name for genome in given.starts) or "random"),
+            ("seed", str(given.seed)),
+            ("budget", f"{given.budget:,}"),
+        ]
+        facts += [("objective", expression) for expression in given.objectives]
+        for measure in given.measures:
+            facts.append(
+                ("measure", f"{measure.expression}, {measure.low:g} to {measure.high:g} in {measure.cells} cells")
+            )
+        return facts
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns all of it as plain data."""
+        best = self.best
+        return {
+            "settings": self._run.settings.document,
+            "told": len(self.history.rows),
+            "without_score": self.without_score,
+            "best": None if best is None else {"index": best.index, "score": best.score},
+            "elites": list(self.elites),
+            "figures": dict(self._run.figures()),
+            "top": [{"index": row.index, "score": row.score, "operator": row.operator} for row in self.top],
+            "operators": [asdict(record) for record in self.history.operators()],
+            "digest": self._run.digest,
+        }
