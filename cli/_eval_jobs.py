@@ -9,14 +9,15 @@ import shlex
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, NoReturn
+from typing import IO
 
 import click
 import orjson
 
+from nmes.cli._interruptions import interruptions
 from nmes.cli._progress import progress_bars
 from nmes.evaluation import Evaluation, Job, Workers, evaluate_all
 
@@ -35,7 +36,11 @@ def run_jobs(work: list[Job], jobs: int, ray: str | None, resume: Path | None) -
         done = {} if resume is None else _results(work, resume)
         left = [i for i in range(len(work)) if i not in done]
         try:
-            with progress_bars(len(work) > 1) as progress, _interruptions() as interrupted, Workers(jobs) as workers:
+            with (
+                progress_bars(len(work) > 1) as progress,
+                interruptions(signal.SIGINT) as interrupted,
+                Workers(jobs) as workers,
+            ):
                 progress("evaluating", len(done), len(work))
                 for place, evaluation in evaluate_all([work[i] for i in left], workers=workers, ray=ray):
                     if file is not None:
@@ -51,26 +56,6 @@ def run_jobs(work: list[Job], jobs: int, ray: str | None, resume: Path | None) -
                 done = _results(work, resume)  # the count is of what the file has, wherever it was interrupted
             _tell_how_to_resume(work, done, resume)
     return [done[i] for i in sorted(done)], len(done) == len(work)
-
-
-@contextmanager
-def _interruptions() -> Iterator[Callable[[], bool]]:
-    """Gives a function that tells whether Ctrl-C was pressed.
-
-    Python loses the exception if that was while a destructor ran.
-    """
-    pressed = False
-
-    def interrupt(*_: object) -> NoReturn:
-        nonlocal pressed
-        pressed = True
-        raise KeyboardInterrupt
-
-    before = signal.signal(signal.SIGINT, interrupt)
-    try:
-        yield lambda: pressed
-    finally:
-        signal.signal(signal.SIGINT, before)
 
 
 @contextmanager

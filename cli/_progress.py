@@ -2,30 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Protocol
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-__all__ = ["progress_bars"]
+__all__ = ["Progressing", "progress_bars"]
+
+
+class Progressing(Protocol):
+    """Shows how far something is."""
+
+    def __call__(self, doing: str, done: int, total: int, note: str = "") -> None:
+        """Shows that so much of what is being done is done."""
 
 
 @contextmanager
-def progress_bars(visible: bool = True) -> Iterator[Callable[[str, int, int], None]]:
-    """Gives a function to call with what is being done, how much of it is done, and how much there is.
+def progress_bars(visible: bool = True) -> Iterator[Progressing]:
+    """Gives a function to call with what is being done, how much of it is done, how much there is, and maybe a note.
 
     Args:
         visible: Whether to show bars at all: short work needs none.
     """
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeRemainingColumn())
+    texts = TextColumn("{task.description}"), TextColumn("{task.fields[note]}")
+    columns = (texts[0], BarColumn(), TaskProgressColumn(), TimeRemainingColumn(), texts[1])
     with Progress(*columns, console=console, transient=True, disable=not (visible and console.is_terminal)) as bars:
         tasks: dict[str, TaskID] = {}
 
-        def progress(doing: str, done: int, total: int) -> None:
+        def progress(doing: str, done: int, total: int, note: str = "") -> None:
             if doing not in tasks:
-                tasks[doing] = bars.add_task(doing, total=total)
-            bars.update(tasks[doing], completed=done, total=total)
+                tasks[doing] = bars.add_task(doing, total=total, note=note)
+            bars.update(tasks[doing], completed=done, total=total, note=note)
 
         yield progress

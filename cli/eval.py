@@ -18,6 +18,7 @@ from nmes.cli._eval_scores import format_seeds, print_csv, print_results, print_
 from nmes.cli._genomes import find_genomes
 from nmes.cli._output import check_output
 from nmes.cli._recording_plot import plot_recordings
+from nmes.cli._seeds import read_seeds
 from nmes.errors import DocumentError, visible
 from nmes.evaluation import Evaluation, Job, Proof, Task, prove
 from nmes.evaluation.identity import borrows_name
@@ -27,30 +28,12 @@ from nmes.recording import Recording
 __all__ = ["command"]
 
 
-def _seeds(_: click.Context, parameter: click.Parameter, value: str | None) -> tuple[int, ...] | None:
-    """Reads `1,2,3` and `0-9`."""
-    if value is None:
-        return None
-    seeds: list[int] = []
-    try:
-        for part in value.split(","):
-            first, _dash, last = part.strip().partition("-")
-            seeds += range(int(first), int(last or first) + 1)
-    except ValueError:
-        raise click.BadParameter(
-            f"{value!r} is no list of seeds; expected such as 1,2,3 or 0-9", param=parameter
-        ) from None
-    if not seeds or len(set(seeds)) < len(seeds):
-        raise click.BadParameter("expected one seed or more, each once", param=parameter)
-    return tuple(seeds)
-
-
 @click.command("eval")
 @click.argument("genomes", metavar="GENOME...", nargs=-1)
 @click.option(
     "--task", metavar="T", default="walk", show_default=True, help="A file, or the name of a task that ships."
 )
-@click.option("--seeds", metavar="LIST", callback=_seeds, help="Such as 1,2,3 or 0-9.  [default: the task's]")
+@click.option("--seeds", metavar="LIST", callback=read_seeds, help="Such as 1,2,3 or 0-9.  [default: the task's]")
 @click.option("--record", type=click.Path(file_okay=False, path_type=Path), help="Leave a recording of each here.")
 @click.option("--record-best", metavar="K", type=click.IntRange(1), help="Record but the K best, alone, afterwards.")
 @click.option(

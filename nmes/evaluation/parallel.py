@@ -249,7 +249,10 @@ def _work(pipe: Connection) -> None:
             answer = "", function(item)
         except Exception:
             answer = traceback.format_exc(), None
-        pipe.send(answer)
+        try:
+            pipe.send(answer)
+        except BrokenPipeError:
+            return  # whoever gave it is gone
 
 
 @contextmanager

@@ -20,9 +20,7 @@ import os
 import secrets
 import sqlite3
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import suppress
-from dataclasses import asdict
-from hashlib import blake2b
+from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
 from typing import Final
@@ -31,22 +29,19 @@ import orjson
 
 from nmes.backend.fingerprint import differences
 from nmes.errors import DocumentError, RunError
-from nmes.evaluation.episode import Result
 from nmes.evaluation.evaluator import Evaluation
 from nmes.evaluation.parallel import Cluster, Workers
-from nmes.evaluation.portions import kind_of
 from nmes.evaluation.queue import EvaluationQueue
 from nmes.evolution.algorithm import Algorithm, Candidate, Score
-from nmes.evolution.quantities import evaluate_quantities
+from nmes.evolution.run_entry import Entry, told
 from nmes.evolution.run_index import IndexWriter, Record, RunIndex, State
 from nmes.evolution.run_log import Line, RunLog, RunWriter
-from nmes.evolution.run_settings import RunSettings
+from nmes.evolution.run_settings import FORMAT, RunSettings
 from nmes.genome import Genome
-from nmes.schemas.documents import JsonObject, canonical_hash, compile_schema, parse_document
+from nmes.schemas.documents import JsonObject, canonical_hash, parse_document
 
 __all__ = ["Order", "Run"]
 
-_RECORD: Final = compile_schema("run_record.json")
 _INDEXED: Final = 32  # records that are put into the index at once
 _LARGEST: Final = 1 << 30  # bytes of run.json, which may hold many genomes
 
@@ -130,8 +125,8 @@ class Run:
                 text = file.read(_LARGEST)
             document = parse_document(text)
             run_format = document.get("format") if isinstance(document, dict) else None
-            if isinstance(run_format, str) and run_format.startswith("nmes-run/") and run_format != "nmes-run/1":
-                what = f"{path.parent} is a run of the format {run_format}, not nmes-run/1"
+            if isinstance(run_format, str) and run_format.startswith("nmes-run/") and run_format != FORMAT:
+                what = f"{path.parent} is a run of the format {run_format}, not {FORMAT}"
                 raise RunError("no_run", f"{what}: go on with it in the version of NMES that began it")
             return cls(path.parent, document)
         except OSError as error:
@@ -166,11 +161,12 @@ class Run:
         Raises:
             RunError: It is no good genome (`log_damaged`).
         """
-        return self._genome(index, self._content(index))
+        with self._whole(index):
+            return self.entry(index).genome
 
     def evaluation(self, index: int) -> Evaluation:
         """Returns what the log has of the evaluation of a candidate."""
-        return self._evaluation(self._content(index))
+        return self.entry(index).evaluation(self.settings.task)
 
     def elites(self) -> Sequence[int]:
         """Returns the indices of the algorithm's elites, the best first.
@@ -204,10 +200,11 @@ class Run:
         Raises:
             RunError: The log is damaged (`log_damaged`).
         """
-        for record, line in zip(self.records, self._log.lines(), strict=False):
-            content = self._parsed(record.index, line)
+        for record, (_, entry) in zip(self.records, self.entries(), strict=False):
+            with self._whole(record.index):
+                candidate = entry.candidate
             ask()
-            order.tell(self._candidate(content), _score(content))
+            order.tell(candidate, entry.score)
             yield record
 
     # -- reading the log -------------------------------------------------------------------------------------------
@@ -220,8 +217,8 @@ class Run:
         self._indexed = len(self)
         last = self.records[-1] if self.records else None
         begin, digest = (0, None) if last is None else (last.end, last.digest)
-        for line in self._log.lines(len(self), begin, digest):
-            self.records.append(_record(line, self._parsed(len(self), line)))
+        for line, entry in self.entries(len(self), begin, digest):
+            self.records.append(entry.record(line))
 
     def _is_indexed(self) -> bool:
         """Whether the index is one of this log, up to some line."""
@@ -236,41 +233,37 @@ class Run:
             line is not None and (line.end, line.digest) == (last.end, last.digest)
         )
 
-    def _content(self, index: int) -> JsonObject:
-        record = self.records[index]
-        content: JsonObject = orjson.loads(self._log.content(record.begin, record.end))
-        return content
+    def entries(self, number: int = 0, begin: int = 0, digest: str | None = None) -> Iterator[tuple[Line, Entry]]:
+        """Reads the log itself, from a place on that `RunLog.lines` describes.
 
-    def _parsed(self, index: int, line: Line) -> JsonObject:
-        """Returns the record of a line, which has to be the one of this index.
+        Yields:
+            Each line, and the entry in it.
 
         Raises:
-            RunError: It is another, or none (`log_damaged`).
+            RunError: A line is damaged (`log_damaged`), or the log cannot be read (`no_run`).
         """
-        try:
-            content: JsonObject = orjson.loads(line.content)
-        except ValueError:
-            content = {}
-        if not _RECORD.validator.is_valid(content) or content["index"] != index:
-            raise self._log.damaged(index + 1, f"it is no record of the candidate {index}")
-        return content
+        for index, line in enumerate(self._log.lines(number, begin, digest), number):
+            with self._whole(index):
+                entry = Entry.parse(line.content, index)
+            yield line, entry
 
-    def _genome(self, index: int, content: JsonObject) -> Genome:
+    def entry(self, index: int) -> Entry:
+        """Returns what the log has of a candidate.
+
+        Raises:
+            RunError: Its line is damaged (`log_damaged`).
+        """
+        record = self.records[index]
+        with self._whole(index):
+            return Entry.parse(self._log.content(record.begin, record.end), index)
+
+    @contextmanager
+    def _whole(self, index: int) -> Iterator[None]:
+        """Says of a document in the log that is none that the log is damaged."""
         try:
-            return Genome(content["genome"])
+            yield
         except DocumentError as error:
-            raise self._log.damaged(index + 1, f"its genome is none: {error.message}") from error
-
-    def _candidate(self, content: JsonObject) -> Candidate:
-        genome = self._genome(content["index"], content)
-        parents = tuple(content["parents"])
-        return Candidate(genome, content["operator"], parents, content["generation"], content["group"])
-
-    def _evaluation(self, content: JsonObject) -> Evaluation:
-        task = self.settings.task
-        results = tuple(Result(**result) for result in content["results"])
-        names = content["genome"]["name"], content["genome_hash"], task.name, task.hash
-        return Evaluation(*names, results, content["error"])
+            raise self._log.damaged(index + 1, f"it is no record of candidate {index} ({error.message})") from error
 
     # -- going on --------------------------------------------------------------------------------------------------
 
@@ -286,21 +279,11 @@ class Run:
         _write_document(self.folder / "run.json", self._document)
         self.settings = self.settings.with_budget(budget)
 
-    def check_comparable(self) -> None:
-        """Raises an error where something else would be computed here than where the run was begun.
-
-        Raises:
-            RunError: It would (`not_comparable`).
-        """
-        here = self.settings.fingerprint()
-        ours = ("draws", "algorithm")
-        different = differences(self.fingerprint, here)
-        different |= {n: (self.fingerprint.get(n, ""), here[n]) for n in ours if self.fingerprint.get(n) != here[n]}
-        if different:
-            told = "; ".join(
-                f"{name}: {then or 'nothing'}, here {now or 'nothing'}" for name, (then, now) in different.items()
-            )
-            raise RunError("not_comparable", f"{self.folder} was begun where other numbers come out: {told}")
+    def differences(self) -> dict[str, tuple[str, str]]:
+        """Returns what decides the numbers and is otherwise here than where the run was begun, with both values."""
+        then, now = self.fingerprint, self.settings.fingerprint()
+        ours = {name: (then.get(name, ""), now[name]) for name in ("draws", "algorithm")}
+        return differences(then, now) | {name: pair for name, pair in ours.items() if pair[0] != pair[1]}
 
     def advance(self, pool: Workers | Cluster) -> Iterator[Record]:
         """Goes on until the budget is spent. Whoever takes no more records interrupts the run.
@@ -318,7 +301,11 @@ class Run:
             VariationError: The algorithm finds no candidate.
             MachineError: Workers are killed (`worker_killed`).
         """
-        self.check_comparable()
+        if different := self.differences():
+            pairs = "; ".join(
+                f"{name}: {then or 'none'}, here {now or 'none'}" for name, (then, now) in different.items()
+            )
+            raise RunError("not_comparable", f"{self.folder} was begun where other numbers come out ({pairs})")
         writer = RunWriter(self._log)
         try:
             self._read()  # another process may have gone on since
@@ -355,12 +342,13 @@ class Run:
                 ask()
                 early.update(queue.take())
                 ready = range(order.told, next(number for number in count(order.told) if number not in early))
-                contents = [self._told(number, asked[number], early.pop(number)) for number in ready]
-                for content, line in zip(contents, writer.append(contents), strict=True):
+                settings, expressions = self.settings, self._expressions
+                entries = [told(each, asked[each], early.pop(each), settings, expressions) for each in ready]
+                for entry, line in zip(entries, writer.append([entry.content for entry in entries]), strict=True):
                     ask()
-                    record = _record(line, content)
+                    record = entry.record(line)
                     self.records.append(record)
-                    order.tell(asked.pop(record.index), _score(content))
+                    order.tell(asked.pop(record.index), entry.score)
                     yield record
                 if len(self) >= self._indexed + _INDEXED:
                     self._put(index, order)
@@ -373,54 +361,6 @@ class Run:
         self._state = State(order.told, tuple(order.algorithm.elites()), dict(order.algorithm.figures()))
         index.put(self.records[self._indexed :], self._state)
         self._indexed = len(self)
-
-    def _told(self, index: int, candidate: Candidate, evaluation: Evaluation) -> JsonObject:
-        """Returns what the log has of a candidate."""
-        settings = self.settings
-        values = evaluate_quantities(self._expressions, candidate.genome, evaluation, settings.task)
-        known, split = () if values is None else values, len(settings.objectives)
-        return {
-            "index": index,
-            "operator": candidate.operator,
-            "parents": list(candidate.parents),
-            "generation": candidate.generation,
-            "group": candidate.group,
-            "genome": candidate.genome.document,
-            "genome_hash": evaluation.genome_hash or candidate.genome.hash,
-            "results": [asdict(result) for result in evaluation.results],
-            "error": evaluation.error,
-            "score": None if values is None else evaluation.score,
-            "objectives": known[:split],
-            "measures": known[split:],
-        }
-
-
-def _record(line: Line, content: JsonObject) -> Record:
-    faults = (result["fault"] for result in content["results"] if result["fault"] is not None)
-    error = content["error"] or next(faults, None)
-    if error is None and content["score"] is None:
-        error = "an objective or a measure has no finite value"
-    return Record(
-        index=content["index"],
-        begin=line.begin,
-        end=line.end,
-        digest=line.digest,
-        score=content["score"],
-        operator=content["operator"],
-        parents=tuple(content["parents"]),
-        generation=content["generation"],
-        group=content["group"],
-        objectives=tuple(content["objectives"]),
-        measures=tuple(content["measures"]),
-        genome=content["genome"]["name"],
-        genome_hash=content["genome_hash"],
-        plan=blake2b(repr(kind_of(orjson.dumps(content["genome"]))).encode(), digest_size=8).hexdigest(),
-        error=error,
-    )
-
-
-def _score(content: JsonObject) -> Score:
-    return Score(content["score"], tuple(content["objectives"]), tuple(content["measures"]))
 
 
 def _write_document(path: Path, document: JsonObject) -> None:

@@ -68,12 +68,7 @@ class RunSettings:
         """
         found = cls.reopen(document)
         settings = replace(found, options={**algorithm_options(found.algorithm), **found.options})
-        wrong = [
-            (f"measures/{index}/high", "must be above the lower end of the range")
-            for index, measure in enumerate(settings.measures)
-            if measure.low >= measure.high
-        ]
-        if problems := [*wrong, *_refusals(settings.starts, settings.task)]:
+        if problems := list(_refusals(settings.starts, settings.task)):
             raise DocumentError(problems)
         settings.expressions()
         settings.begin()

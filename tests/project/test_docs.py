@@ -52,7 +52,7 @@ def leaves(name: str) -> list[tuple[str, click.Command]]:
     """Returns a subcommand or, for a group, its commands, each with its full name."""
     command = subcommand(name)
     if isinstance(command, click.Group):
-        return [(f"nmes {name} {inner}", each) for inner, each in command.commands.items()]
+        return [(f"nmes {name} {inner}".strip(), each) for inner, each in command.commands.items()]
     return [(f"nmes {name}", command)]
 
 
@@ -74,7 +74,7 @@ def test_commands_shown_exist(line: str) -> None:
     assert name in SUBCOMMANDS
     command = subcommand(name)
     if isinstance(command, click.Group):
-        command = command.commands[arguments.pop(0)]
+        _, command, arguments = command.resolve_command(click.Context(command), arguments)
     options = {option for parameter in command.params for option in parameter.opts} | {"--help"}
     used = {argument.split("=")[0] for argument in arguments if argument.startswith("-")}
     assert used <= options

@@ -1,0 +1,116 @@
+"""A run of evolution from the command line: gone on with until its budget is spent, or somebody stops it."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+import sys
+import time
+from collections import deque
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import click
+
+from nmes.cli._interruptions import interruptions
+from nmes.cli._json import print_json
+from nmes.cli._progress import progress_bars
+from nmes.errors import visible
+
+if TYPE_CHECKING:
+    from nmes.evaluation.parallel import Cluster, Workers
+    from nmes.evolution.run import Run
+    from nmes.evolution.run_index import Record
+
+__all__ = ["JOBS", "JSON", "RAY", "check_pool", "go_on", "open_pool"]
+
+_RECENT: Final = 100  # candidates of which the progress tells the mean and the diversity
+
+JOBS = click.option("--jobs", type=click.IntRange(1), help="How many processes.  [default: one a core]")
+RAY = click.option("--ray", metavar="ADDRESS", help="Use a Ray cluster instead: HOST:PORT, auto, or local.")
+JSON = click.option("--json", "as_json", is_flag=True, help="End with an object with digest and best.")
+
+
+def check_pool(jobs: int | None, ray: str | None) -> None:
+    """Refuses options that do not go together."""
+    if jobs is not None and ray is not None:
+        raise click.UsageError("either --jobs or --ray")
+
+
+def open_pool(jobs: int | None, ray: str | None) -> Workers | Cluster:
+    """Returns who evaluates, as the options say.
+
+    Raises:
+        MissingPackage: Ray is not installed.
+        MachineError: There is no cluster.
+    """
+    from nmes.evaluation.parallel import Cluster, Workers
+
+    return Workers(jobs or os.cpu_count() or 1) if ray is None else Cluster(ray)
+
+
+def go_on(run: Run, jobs: int | None, ray: str | None, as_json: bool) -> None:
+    """Goes on with a run, says how it came out, and ends the program: status 1 where it was interrupted."""
+    with interruptions(signal.SIGINT, signal.SIGTERM) as interrupted:
+        try:
+            with open_pool(jobs, ray) as pool:
+                _advance(run, pool)
+        except KeyboardInterrupt:
+            pass
+    run = type(run).open(run.folder)  # wherever it was interrupted, this is what is there
+    stopped = interrupted() and not run.finished
+    if stopped:
+        click.echo(visible(f"stopped: {len(run):,} of {run.settings.budget:,} done"), err=True)
+        click.echo(f"go on with: nmes evolve resume {shlex.quote(str(run.folder))}", err=True)
+    _tell(run, as_json)
+    sys.exit(1 if stopped else 0)
+
+
+def _advance(run: Run, pool: Workers | Cluster) -> None:
+    recent = deque(run.records[-_RECENT:], _RECENT)
+    best = run.best
+    begin, first = time.monotonic(), len(run)
+    total = run.settings.budget
+    with progress_bars() as progress:
+        progress("evolving", first, total)
+        for record in run.advance(pool):
+            recent.append(record)
+            if record.score is not None and (best is None or record.score > (best.score or 0.0)):
+                best = record
+            rate = (record.index + 1 - first) / max(1e-9, time.monotonic() - begin)
+            progress("evolving", record.index + 1, total, f"{_note(recent, best)}, {rate:.1f}/s")
+
+
+def _note(recent: deque[Record], best: Record | None) -> str:
+    """Returns best score, mean of the recent ones, and how many of these have bodies of different plans."""
+    scores = [record.score for record in recent if record.score is not None]
+    plans = len({record.plan for record in recent})
+    mean = f"{sum(scores) / len(scores):.4g}" if scores else "none"
+    return f"best {'none' if best is None else f'{best.score:.4g}'}, mean {mean}, diversity {plans / len(recent):.0%}"
+
+
+def _tell(run: Run, as_json: bool) -> None:
+    best = run.best
+    if as_json:
+        print_json(_summary(run))
+        return
+    click.echo(visible(f"{run.folder}: {len(run):,} of {run.settings.budget:,} candidates"))
+    if best is not None:
+        click.echo(visible(f"best: {best.score:.6g}, candidate {best.index} ({best.genome})"))
+    click.echo(f"digest: {run.digest}")
+
+
+def _summary(run: Run) -> dict[str, Any]:
+    best = run.best
+    named = ("index", "score", "genome", "genome_hash", "operator", "generation")
+    return {
+        "run": str(Path(run.folder)),
+        "told": len(run),
+        "budget": run.settings.budget,
+        "finished": run.finished,
+        "elites": len(run.elites()),
+        "figures": dict(run.figures()),
+        "best": None if best is None else {name: getattr(best, name) for name in named},
+        "digest": run.digest,
+    }

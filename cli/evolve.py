@@ -1,0 +1,172 @@
+"""`nmes evolve`: begin a run of evolution, go on with it, look at it, prove it."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Sequence
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import click
+import orjson
+from click.core import ParameterSource
+
+from nmes.cli import _evolve_resume, _evolve_verify
+from nmes.cli._evolve_run import JOBS, JSON, RAY, check_pool, go_on
+from nmes.cli._genomes import find_genomes
+from nmes.cli._seeds import read_seeds
+from nmes.errors import DocumentError
+
+__all__ = ["command"]
+
+_FORMAT = "nmes-run/1"
+_MEASURE = re.compile(r"(.+)\sfrom\s+(\S+)\s+to\s+(\S+)(?:\s+in\s+(\d{1,9}))?\s*", re.DOTALL)
+_CELLS = 50
+_BESIDE = {"settings", "output", "jobs", "ray", "as_json"}  # options that are not of the run itself
+
+
+class _Evolve(click.Group):
+    """A group in which what is no subcommand begins a run."""
+
+    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command, list[str]]:
+        if args[0] in self.commands and args[0]:
+            return super().resolve_command(ctx, args)  # type: ignore[return-value]
+        return "", self.commands[""], args
+
+    def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        self.commands[""].format_help(ctx, formatter)
+        self.format_commands(ctx, formatter)
+
+
+@click.group("evolve", cls=_Evolve, context_settings={"ignore_unknown_options": True})
+def command() -> None:
+    """Evolve creatures, in runs that anyone can repeat."""
+
+
+for _each in (_evolve_resume, _evolve_verify):
+    command.add_command(_each.command)
+
+
+@command.command("", hidden=True)
+@click.argument("what", metavar="WHAT...", nargs=-1)
+@click.option(
+    "--task", metavar="T", default="walk", show_default=True, help="A file, or the name of a task that ships."
+)
+@click.option("--algorithm", metavar="A", default="ga", show_default=True, help="Its name: see docs/evolution.md.")
+@click.option(
+    "--budget", metavar="N", type=click.IntRange(1), default=1000, show_default=True, help="How many candidates."
+)
+@click.option(
+    "--seed", metavar="S", type=click.IntRange(0), default=0, show_default=True, help="Of all that the run draws."
+)
+@click.option("--seeds", metavar="LIST", callback=read_seeds, help="Of episodes, such as 1-5.  [default: the task's]")
+@click.option("--set", "options", metavar="NAME=VALUE", multiple=True, help="An option of the algorithm.")
+@click.option("--objective", "objectives", metavar="EXPR", multiple=True, help="What is maximised: one of several.")
+@click.option(
+    "--measure", "measures", metavar="MEASURE", multiple=True, help="Of an archive: 'EXPR from LOW to HIGH in CELLS'."
+)
+@click.option(
+    "--settings", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="All of this from a file instead."
+)
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), help="The run's folder.  [default: runs/TASK-ALGORITHM-SEED]"
+)
+@JOBS
+@RAY
+@JSON
+@click.pass_context
+def begin(context: click.Context, settings: Path | None, output: Path | None, **options: Any) -> None:
+    """Evolve creatures, in runs that anyone can repeat.
+
+    WHAT is where the run begins: `random` for random creatures, or genomes: files, directories, patterns, or names of
+    genomes that ship. The run is kept in a folder: its settings, a log of all candidates, an index. It comes out the
+    same for any number of processes, and also if it was interrupted in between: the digest that is printed at the end
+    proves it.
+
+    Ctrl-C leaves a run that `nmes evolve resume` goes on with, and says so.
+
+    Exit status: 0 the budget is spent, 1 it was interrupted, 2 wrong usage.
+
+    For example:
+
+    \b
+        nmes evolve random --task walk --algorithm ga --budget 2000 --seed 1 -o runs/first
+        nmes evolve walker --algorithm cma --budget 600 --set sigma=0.2
+        nmes evolve random --algorithm map-elites --measure 'legs from 0 to 10 in 10' --measure 'mass from 0 to 50'
+        nmes evolve random --algorithm nsga2 --objective distance --objective -energy
+        nmes evolve --settings mine.json -o runs/mine
+    """
+    from nmes.evolution.run import Run
+    from nmes.evolution.run_settings import RunSettings
+
+    check_pool(options["jobs"], options["ray"])
+    try:
+        document = _from_options(options) if settings is None else _from_file(context, settings)
+        judged = RunSettings.read(document)
+    except DocumentError as error:
+        raise click.UsageError(error.message if settings is None else f"{settings}:\n{error.message}") from error
+    folder = output or Path("runs", f"{judged.task.name}-{judged.algorithm}-{judged.seed}")
+    go_on(Run.create(folder, judged), options["jobs"], options["ray"], options["as_json"])
+
+
+def _from_file(context: click.Context, settings: Path) -> Any:
+    """Reads a settings file, beside which nothing else may say what the run is."""
+    from nmes.schemas.documents import parse_document
+
+    used = {name for name in context.params if context.get_parameter_source(name) is ParameterSource.COMMANDLINE}
+    if used - _BESIDE:
+        raise click.UsageError("--settings says all of the run: only -o, --jobs, --ray and --json go with it")
+    return parse_document(settings.read_bytes())
+
+
+def _from_options(options: dict[str, Any]) -> dict[str, Any]:
+    """Returns the settings that arguments and options mean, as a document."""
+    what: Sequence[str] = options["what"]
+    if not what:
+        raise click.UsageError("say where to begin: `random`, or genomes; or give --settings")
+    if "random" in what and len(what) > 1:
+        raise click.UsageError("either `random` or genomes")
+    document = {
+        "format": _FORMAT,
+        "task": options["task"],
+        "algorithm": options["algorithm"],
+        "options": _options(options["options"]),
+        "starts": [] if "random" in what else find_genomes(what),
+        "seed": options["seed"],
+        "budget": options["budget"],
+        "objectives": list(options["objectives"]),
+        "measures": [_measure(text) for text in options["measures"]],
+    }
+    return document if options["seeds"] is None else {**document, "seeds": list(options["seeds"])}
+
+
+def _options(texts: Iterable[str]) -> dict[str, Any]:
+    """Reads `NAME=VALUE`, of which the value is a number, true or false."""
+    values: dict[str, Any] = {}
+    for text in texts:
+        name, _, value = text.partition("=")
+        if name in values:
+            raise click.BadParameter(f"{name} is set twice", param_hint="--set")
+        try:
+            values[name] = orjson.loads(value)
+        except orjson.JSONDecodeError:
+            message = f"{text!r} is not of the form NAME=VALUE, with a number, true or false"
+            raise click.BadParameter(message, param_hint="--set") from None
+    return values
+
+
+def _measure(text: str) -> dict[str, Any]:
+    """Reads `EXPR from LOW to HIGH in CELLS`; without the last, there are 50."""
+    found = _MEASURE.fullmatch(text)
+    try:
+        if found is None:
+            raise ValueError
+        expression, low, high, cells = found.groups()
+        bounds = float(low), float(high)
+        if not all(map(isfinite, bounds)):
+            raise ValueError
+    except ValueError:
+        message = f"{text!r} is not of the form EXPR from LOW to HIGH in CELLS, such as 'legs from 0 to 10 in 10'"
+        raise click.BadParameter(message, param_hint="--measure") from None
+    return {"expression": expression, "low": bounds[0], "high": bounds[1], "cells": int(cells or _CELLS)}

@@ -1,0 +1,152 @@
+"""An entry of a run's log: a candidate, how its evaluation came out, and what the algorithm was told of it.
+
+Hides how that is written as JSON (`schemas/run_record.json`), and read again from a log of whomever.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from hashlib import blake2b
+from typing import Final
+
+import orjson
+
+from nmes.errors import DocumentError
+from nmes.evaluation.episode import Result
+from nmes.evaluation.evaluator import Evaluation
+from nmes.evaluation.portions import kind_of
+from nmes.evaluation.task import Task
+from nmes.evolution.algorithm import Candidate, Score
+from nmes.evolution.quantities import evaluate_quantities
+from nmes.evolution.run_index import Record
+from nmes.evolution.run_log import Line
+from nmes.evolution.run_settings import RunSettings
+from nmes.genome import Genome
+from nmes.objective import Objective
+from nmes.schemas.documents import JsonObject, check, compile_schema
+
+__all__ = ["Entry", "told"]
+
+_RECORD: Final = compile_schema("run_record.json")
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """An entry.
+
+    Attributes:
+        content: The document.
+    """
+
+    content: JsonObject
+
+    @classmethod
+    def parse(cls, text: bytes, index: int) -> Entry:
+        """Reads an entry.
+
+        Raises:
+            DocumentError: It is none, or not that of the candidate of this index.
+        """
+        try:
+            content = orjson.loads(text)
+        except orjson.JSONDecodeError as error:
+            raise DocumentError([("", f"not strict JSON: {error}")]) from error
+        check(_RECORD, content)
+        if content["index"] != index:
+            raise DocumentError([("index", f"must be {index}, not {content['index']}")])
+        return cls(content)
+
+    @property
+    def genome(self) -> Genome:
+        """The genome.
+
+        Raises:
+            DocumentError: It is no good one.
+        """
+        return Genome(self.content["genome"])
+
+    @property
+    def candidate(self) -> Candidate:
+        """What the algorithm asked for.
+
+        Raises:
+            DocumentError: Its genome is no good one.
+        """
+        content = self.content
+        parents = tuple(content["parents"])
+        return Candidate(self.genome, content["operator"], parents, content["generation"], content["group"])
+
+    @property
+    def score(self) -> Score:
+        """What the algorithm was told."""
+        content = self.content
+        return Score(content["score"], tuple(content["objectives"]), tuple(content["measures"]))
+
+    def evaluation(self, task: Task) -> Evaluation:
+        """Returns how the candidate came out on the run's task."""
+        content = self.content
+        results = tuple(Result(**result) for result in content["results"])
+        names = content["genome"]["name"], content["genome_hash"], task.name, task.hash
+        return Evaluation(*names, results, content["error"])
+
+    def record(self, line: Line) -> Record:
+        """Returns what the index has of the entry in a line."""
+        content = self.content
+        faults = (result["fault"] for result in content["results"] if result["fault"] is not None)
+        error = content["error"] or next(faults, None)
+        if error is None and content["score"] is None:
+            error = "an objective or a measure has no finite value"
+        return Record(
+            index=content["index"],
+            begin=line.begin,
+            end=line.end,
+            digest=line.digest,
+            score=content["score"],
+            operator=content["operator"],
+            parents=tuple(content["parents"]),
+            generation=content["generation"],
+            group=content["group"],
+            objectives=tuple(content["objectives"]),
+            measures=tuple(content["measures"]),
+            genome=content["genome"]["name"],
+            genome_hash=content["genome_hash"],
+            plan=blake2b(repr(kind_of(orjson.dumps(content["genome"]))).encode(), digest_size=8).hexdigest(),
+            error=error,
+        )
+
+
+def told(
+    index: int,
+    candidate: Candidate,
+    evaluation: Evaluation,
+    settings: RunSettings,
+    expressions: Sequence[Objective],
+) -> Entry:
+    """Returns the entry of a candidate that was evaluated.
+
+    Args:
+        index: The candidate's.
+        candidate: What the algorithm asked for.
+        evaluation: How it came out.
+        settings: The run's.
+        expressions: Its objectives, then its measures.
+    """
+    values = evaluate_quantities(expressions, candidate.genome, evaluation, settings.task)
+    known, split = () if values is None else values, len(settings.objectives)
+    return Entry(
+        {
+            "index": index,
+            "operator": candidate.operator,
+            "parents": list(candidate.parents),
+            "generation": candidate.generation,
+            "group": candidate.group,
+            "genome": candidate.genome.document,
+            "genome_hash": evaluation.genome_hash or candidate.genome.hash,
+            "results": [asdict(result) for result in evaluation.results],
+            "error": evaluation.error,
+            "score": None if values is None else evaluation.score,
+            "objectives": list(known[:split]),
+            "measures": list(known[split:]),
+        }
+    )

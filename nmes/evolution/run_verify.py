@@ -1,0 +1,164 @@
+"""How a run is proved: its log is told to the algorithm again, and some of its evaluations are done again.
+
+Invariants: nothing that the log or the index says is believed, and what is compared is compared to the last bit. A
+verdict does not depend on who evaluates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from nmes.errors import DocumentError, RunError, VariationError
+from nmes.evaluation.parallel import Cluster, Workers
+from nmes.evaluation.queue import EvaluationQueue
+from nmes.evolution.algorithm import Candidate
+from nmes.evolution.draw import Draw
+from nmes.evolution.run import Order, Run
+from nmes.evolution.run_entry import Entry, told
+from nmes.schemas.documents import plain
+
+__all__ = ["RunVerdict", "verify_run"]
+
+_MOST: Final = 20  # findings that are kept
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class RunVerdict:
+    """What came out when a run was verified.
+
+    Attributes:
+        verdict: It `holds`; it is `broken`, since something did not come out as the log has it; or it is
+            `not_comparable`: that may be because the run was begun where other numbers come out.
+        findings: What did not, the first of them, in words.
+        asked: How many candidates the algorithm was asked for again.
+        evaluated: How many were evaluated again.
+        digest: The run's.
+    """
+
+    verdict: Literal["holds", "broken", "not_comparable"]
+    findings: tuple[str, ...]
+    asked: int
+    evaluated: int
+    digest: str
+
+
+def verify_run(run: Run, pool: Workers | Cluster, sample: int | None, progress: Progress) -> RunVerdict:
+    """Verifies a run.
+
+    Args:
+        run: The run.
+        pool: Who evaluates.
+        sample: How many candidates are evaluated again beside the elites, drawn by the run's seed and digest; None:
+            all are.
+        progress: Called with what is being done, how much of it is done, and how much there is.
+
+    Raises:
+        MissingPackage: The algorithm needs a package that is not installed.
+        MachineError: Workers are killed (`worker_killed`).
+    """
+    verification = _Verification(run, progress)
+    evaluated = 0
+    try:
+        for finding in verification.ask_again():
+            verification.found(finding)
+        chosen = verification.choose(sample)
+        evaluated = len(chosen)
+        for finding in verification.evaluate_again(chosen, pool):
+            verification.found(finding)
+    except RunError as error:  # the log cannot be read on
+        verification.found(error.message)
+    findings = tuple(verification.findings)
+    verdict: Literal["holds", "broken", "not_comparable"] = "broken" if findings else "holds"
+    if findings and run.differences():
+        verdict = "not_comparable"
+    return RunVerdict(verdict, findings, verification.order.told, evaluated, run.digest)
+
+
+class _Verification:
+    def __init__(self, run: Run, progress: Progress) -> None:
+        self._run, self._progress = run, progress
+        self.order = Order(run.settings.begin(), len(run))
+        self.findings: list[str] = []
+
+    def found(self, finding: str) -> None:
+        """Keeps a finding, if there are not many already."""
+        if len(self.findings) < _MOST:
+            self.findings.append(finding)
+
+    def ask_again(self) -> Iterator[str]:
+        """Tells the algorithm the log; yields in what it is not what the algorithm asks for, and the index not it."""
+        run, order = self._run, self.order
+        asked: dict[int, Candidate] = {}
+        for record, (line, entry) in zip(run.records, run.entries(), strict=False):
+            self._progress("asking again", order.told, len(run))
+            try:
+                asked.update(order.due())
+            except VariationError as error:
+                yield f"candidate {order.asked - 1}: the algorithm asks for none: {error.message}"
+                return
+            yield from _differences(asked.pop(record.index), entry)
+            if entry.record(line) != record:
+                yield f"candidate {record.index}: the index has something else of it than the log: delete the index"
+            try:
+                candidate = entry.candidate
+            except DocumentError as error:
+                yield f"candidate {record.index}: its genome is none: {error.message}"
+                return
+            order.tell(candidate, entry.score)
+
+    def choose(self, sample: int | None) -> list[int]:
+        """Returns the candidates that are to be evaluated again: the elites, and others."""
+        run, count = self._run, self.order.told
+        if sample is None or sample >= count:
+            return list(range(count))
+        draw = Draw(run.settings.seed, "verify", run.digest)
+        chosen = {index for index in self.order.algorithm.elites() if index < count}
+        left = [index for index in range(count) if index not in chosen]
+        for _ in range(min(sample, len(left))):
+            place = draw.count(0, len(left) - 1)
+            left[place], left[-1] = left[-1], left[place]
+            chosen.add(left.pop())
+        return sorted(chosen)
+
+    def evaluate_again(self, chosen: list[int], pool: Workers | Cluster) -> Iterator[str]:
+        """Evaluates candidates; yields what comes out otherwise."""
+        run, expressions = self._run, self._run.settings.expressions()
+        queue = EvaluationQueue(run.settings.task, run.settings.seeds, pool)
+        done = 0
+        entries = {}
+        for index in chosen:
+            entries[index] = run.entry(index)
+            queue.put(index, entries[index].genome)
+        while done < len(chosen):
+            for index, evaluation in queue.take():
+                done += 1
+                self._progress("evaluating again", done, len(chosen))
+                entry = entries.pop(index)
+                again = told(index, entry.candidate, evaluation, run.settings, expressions)
+                yield from (
+                    f"candidate {index}: {name} is {entry.content[name]!r} in the log, and comes out as {value!r}"
+                    for name, value in plain(again.content).items()
+                    if entry.content[name] != value
+                )
+
+
+def _differences(candidate: Candidate, entry: Entry) -> Iterator[str]:
+    """Yields in what an entry is not the candidate that the algorithm asks for."""
+    content = entry.content
+    asked = {
+        "genome_hash": candidate.genome.hash,
+        "operator": candidate.operator,
+        "parents": list(candidate.parents),
+        "generation": candidate.generation,
+        "group": candidate.group,
+    }
+    for name, value in asked.items():
+        if content[name] != value:
+            what = f"{name} is {content[name]!r} in the log, and {value!r} is asked for"
+            yield f"candidate {content['index']}: {what}"
+    if content["genome"] != candidate.genome.document and content["genome_hash"] == asked["genome_hash"]:
+        yield f"candidate {content['index']}: its genome is not the one that is asked for"

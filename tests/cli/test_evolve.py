@@ -1,0 +1,219 @@
+"""`nmes evolve`, its runs interrupted, resumed and proved, as a person would."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import orjson
+import pytest
+from click.testing import CliRunner, Result
+
+from nmes.cli import main
+from nmes.genome import Genome
+from processes import NMES, process
+from runs import SETTINGS, TASK
+
+BEGIN = ("--budget", "24", "--seed", "3", "--set", "population=8", "--set", "window=6")
+
+
+def nmes(*arguments: str | Path) -> Result:
+    result = CliRunner().invoke(main, ["evolve", *map(str, arguments)])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result
+
+
+def told(result: Result) -> dict[str, Any]:
+    assert result.exit_code == 0, result.output
+    document = json.loads(result.stdout)
+    assert isinstance(document, dict)
+    return document
+
+
+@pytest.fixture(scope="module")
+def task(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("task") / "moment.json"
+    path.write_bytes(orjson.dumps(TASK))
+    return path
+
+
+@pytest.fixture(scope="module")
+def whole(task: Path) -> Path:
+    """The folder of a finished run."""
+    folder = task.parent / "whole"
+    assert nmes("random", "--task", task, *BEGIN, "-o", folder, "--jobs", "1").exit_code == 0
+    return folder
+
+
+@pytest.fixture
+def run(whole: Path, tmp_path: Path) -> Path:
+    """A copy of it."""
+    shutil.copytree(whole, tmp_path / "run")
+    return tmp_path / "run"
+
+
+# -- begin and resume -------------------------------------------------------------------------------------------------
+
+
+def test_a_run_ends_with_its_best_and_its_digest(whole: Path, tmp_path: Path) -> None:
+    ended = nmes("resume", whole)
+    assert ended.exit_code == 0 and "finished" in ended.stderr
+    summary = told(nmes("resume", whole, "--json", "--jobs", "1"))
+    assert summary["told"] == summary["budget"] == 24 and summary["finished"]
+    assert summary["best"]["score"] > 0.0 and summary["best"]["index"] < 24
+    assert f"digest: {summary['digest']}" in ended.stdout and f"candidate {summary['best']['index']}" in ended.stdout
+    lines = (whole / "log.jsonl").read_bytes().splitlines()
+    assert orjson.loads(lines[-1])["digest"] == summary["digest"]
+    (tmp_path / "settings.json").write_bytes(orjson.dumps(SETTINGS))
+    other = nmes("--settings", tmp_path / "settings.json", "-o", tmp_path / "other", "--jobs", "1", "--json")
+    assert told(other)["digest"] == summary["digest"]
+
+
+def test_a_run_can_be_given_a_greater_budget(run: Path, task: Path, tmp_path: Path) -> None:
+    longer = told(nmes("resume", run, "--budget", "30", "--jobs", "1", "--json"))
+    settings = orjson.dumps({**SETTINGS, "budget": 30})
+    (tmp_path / "settings.json").write_bytes(settings)
+    at_once = told(nmes("--settings", tmp_path / "settings.json", "-o", tmp_path / "b", "--jobs", "1", "--json"))
+    assert longer["digest"] == at_once["digest"] and longer["told"] == 30
+    result = nmes("resume", run, "--budget", "29")
+    assert result.exit_code == 1 and "30" in result.output
+
+
+def test_where_a_run_lies_unless_said_otherwise(task: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = nmes("random", "--task", task, "--algorithm", "random", "--budget", "1", "--seed", "5", "--jobs", "1")
+    assert result.exit_code == 0 and "runs/moment-random-5: 1 of 1" in result.stdout
+    assert Path("runs/moment-random-5/log.jsonl").is_file()
+
+
+def test_genomes_to_begin_with_are_files_folders_and_names(task: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "genomes"
+    folder.mkdir()
+    for name in ("roller", "inchworm"):
+        (folder / f"{name}.json").write_bytes(orjson.dumps(Genome.load(name).document))
+    result = nmes(folder, "walker", "--budget", "1", "--seeds", "2-3", "-o", tmp_path / "run", "--jobs", "1")
+    assert result.exit_code == 0, result.output
+    settings = orjson.loads((tmp_path / "run" / "run.json").read_bytes())
+    assert [start["name"] for start in settings["starts"]] == ["inchworm", "roller", "walker"]
+    assert settings["seeds"] == [2, 3] and settings["fingerprint"]["probe"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("random", "--algorithm", "gaa"), "did you mean ga"),
+        (("random", "--budget", "0"), "0"),
+        (("random", "--task", "wlk"), "did you mean walk"),
+        (("random", "walker"), "either"),
+        (("nobody",), "nobody"),
+        ((), "WHAT"),
+        (("random", "--set", "window"), "NAME=VALUE"),
+        (("random", "--set", "window=wide"), "NAME=VALUE"),
+        (("random", "--set", "window=1", "--set", "window=2"), "twice"),
+        (("random", "--set", "windw=1"), "did you mean window"),
+        (("random", "--set", "window=0"), "window"),
+        (("random", "--measure", "legs"), "from LOW to HIGH"),
+        (("random", "--measure", "legs from a to b"), "from LOW to HIGH"),
+        (("random", "--measure", "legs from 0 to nan"), "from LOW to HIGH"),
+        (("random", "--jobs", "1", "--ray", "auto"), "either"),
+        (("random", "--settings", "SETTINGS"), "--settings"),
+        (("--settings", "SETTINGS", "--seed", "1"), "--settings"),
+        (("--settings", "BROKEN"), "budget"),
+        (("random", "--bugdet", "1"), "--budget"),
+        (("resume", "nowhere"), "nowhere"),
+        (("verify", "nowhere"), "nowhere"),
+        (("resume", "nowhere", "--jobs", "0"), "0"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, tuple) else value,
+)
+def test_wrong_usage_is_told_and_makes_nothing(
+    arguments: tuple[str, ...], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("SETTINGS").write_bytes(orjson.dumps(SETTINGS))
+    Path("BROKEN").write_bytes(orjson.dumps({**SETTINGS, "budget": "much"}))
+    result = nmes(*arguments)
+    assert result.exit_code in (1, 2) and words in result.output, result.output
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["BROKEN", "SETTINGS"]
+
+
+def test_measures_may_hold_any_expression(task: Path, tmp_path: Path) -> None:
+    measures = ("legs > 2.0 ? mass : 2 * mass from 0 to 1e2 in 7", "height from -1 to 2")
+    options = [text for measure in measures for text in ("--measure", measure)]
+    arguments = ("random", "--task", task, "--algorithm", "map-elites", "--budget", "3", "--jobs", "1")
+    result = nmes(*arguments, *options, "-o", tmp_path / "run")
+    assert result.exit_code == 0, result.output
+    assert orjson.loads((tmp_path / "run" / "run.json").read_bytes())["measures"] == [
+        {"expression": "legs > 2.0 ? mass : 2 * mass", "low": 0, "high": 100, "cells": 7},
+        {"expression": "height", "low": -1, "high": 2, "cells": 50},
+    ]
+
+
+def test_a_folder_that_holds_a_run_is_refused(run: Path, task: Path) -> None:
+    before = (run / "log.jsonl").read_bytes()
+    result = nmes("random", "--task", task, *BEGIN, "-o", run)
+    assert result.exit_code == 1 and "resume" in result.output
+    assert (run / "log.jsonl").read_bytes() == before
+
+
+# -- interruptions ----------------------------------------------------------------------------------------------------
+
+
+def until(condition: Callable[[], bool], running: subprocess.Popen[str]) -> None:
+    while not condition():
+        assert running.poll() is None, running.communicate()
+        time.sleep(0.01)
+
+
+@pytest.mark.parametrize(("number", "jobs"), [(signal.SIGINT, "2"), (signal.SIGTERM, "1")])
+def test_a_run_that_is_stopped_says_how_to_go_on(
+    number: signal.Signals, jobs: str, task: Path, tmp_path: Path, whole: Path
+) -> None:
+    folder = tmp_path / "run"
+    arguments = ("evolve", "random", "--task", str(task), *BEGIN, "--budget", "100000", "-o", str(folder))
+    with process(*arguments, "--jobs", jobs, "--json") as running:
+        until(lambda: (folder / "log.jsonl").is_file() and (folder / "log.jsonl").stat().st_size > 0, running)
+        running.send_signal(number)
+        out, err = running.communicate()
+    assert running.returncode == 1 and f"nmes evolve resume {folder}" in err and "Traceback" not in err
+    stopped = json.loads(out)
+    assert 0 < stopped["told"] < 100000 and not stopped["finished"]
+    assert f"stopped: {stopped['told']:,} of 100,000 done" in err
+    lines = (folder / "log.jsonl").read_bytes().splitlines()
+    assert len(lines) == stopped["told"] and orjson.loads(lines[-1])["digest"] == stopped["digest"]
+    if stopped["told"] <= 24:
+        resumed = told(nmes("resume", folder, "--budget", "24", "--jobs", "1", "--json"))
+        assert resumed["digest"] == told(nmes("resume", whole, "--jobs", "1", "--json"))["digest"]
+
+
+def test_a_full_disk_stops_a_run_that_goes_on_once_there_is_room(task: Path, tmp_path: Path, whole: Path) -> None:
+    folder = tmp_path / "run"
+    enough = len((whole / "log.jsonl").read_bytes()) // 2
+    arguments = [NMES, "evolve", "random", "--task", str(task), *BEGIN, "-o", str(folder), "--jobs", "1"]
+    result = subprocess.run(
+        arguments,
+        capture_output=True,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (enough, resource.RLIM_INFINITY)),
+    )
+    assert result.returncode == 1 and "make room" in result.stderr and "Traceback" not in result.stderr
+    text = (folder / "log.jsonl").read_bytes()
+    assert 0 < len(text) <= enough and text.endswith(b"\n")
+    assert nmes("resume", folder, "--jobs", "1").exit_code == 0
+    assert (folder / "log.jsonl").read_bytes() == (whole / "log.jsonl").read_bytes()
+
+
+def test_an_extra_that_is_missing_is_named(tmp_path: Path) -> None:
+    program = "import sys; sys.modules['cma'] = None; from nmes.cli import main; main()"
+    arguments = [os.path.join(os.path.dirname(NMES), "python"), "-c", program, "evolve", "walker", "--algorithm", "cma"]
+    result = subprocess.run([*arguments, "-o", str(tmp_path / "run")], capture_output=True, text=True)
+    assert result.returncode == 1 and "pip install 'nmes[evolve]'" in result.stderr, result.stderr
+    assert not (tmp_path / "run").exists()
