@@ -22,7 +22,7 @@ from nmes.evolution.draw import Draw
 from nmes.genome.body import Body
 from nmes.schemas.documents import JsonObject, fits
 
-__all__ = ["CHANGES"]
+__all__ = ["CHANGES", "splitting_node"]
 
 _ACTIVATIONS: Final = ("tanh", "sigmoid", "sin", "cos", "gauss", "relu", "abs", "identity")
 _MOST_NODES, _MOST_LINKS, _MOST_NEURONS, _MOST_TERMS = 1024, 16384, 512, 1024
@@ -205,13 +205,23 @@ def _split_link(brain: JsonObject, body: Body, draw: Draw) -> bool:
         return False
     link = draw.one_of(brain["links"])
     source = {end: link[end] for end in ("from", "sensor") if end in link}
-    node = "split." + blake2b(f"{source} {link['to']}".encode(), digest_size=6).hexdigest()
+    node = splitting_node(source, link["to"])
     if any(each["id"] == node for each in brain["nodes"]):
         return False  # it was split before
     brain["nodes"].append({"id": node, "activation": draw.one_of(_ACTIVATIONS), "bias": 0.0})
     brain["links"].remove(link)
     brain["links"] += [{**source, "to": node}, {"from": node, "to": link["to"], "weight": link.get("weight", 1.0)}]
     return True
+
+
+def splitting_node(source: Mapping[str, str], target: str) -> str:
+    """Returns the id of the node that splits a link, the same in every line of descent.
+
+    Args:
+        source: Where the link comes from, as it says: `from` a node, or a `sensor`.
+        target: The node that it goes to.
+    """
+    return "split." + blake2b(f"{source} {target}".encode(), digest_size=6).hexdigest()
 
 
 def _remove_link(brain: JsonObject, body: Body, draw: Draw) -> bool:
