@@ -74,9 +74,8 @@ def test_instances_share_no_generator_and_leave_the_global_ones_alone() -> None:
 
 
 def test_what_leaves_the_bounds_of_a_parameter_is_evaluated_at_the_bound() -> None:
-    roller = Genome.load("sidewinder")
-    algorithm = cma(Problem(WALK, 1, (roller,)), sigma=50.0)
-    drawn = np.array([vector_of(algorithm.ask(index).genome) for index in range(10)])
+    algorithm = cma(Problem(WALK, 1, (Genome.load("sidewinder"),)), sigma=50.0)
+    drawn = np.array([algorithm.ask(index).genome.brain().to_vector() for index in range(10)])
     frequencies = drawn[:, 0]
     assert frequencies.min() == 0.0 and frequencies.max() <= 100.0
     assert (frequencies == 0.0).sum() < 10

@@ -40,13 +40,15 @@ def vector_genome(values: Any) -> Genome:
         **{"sensors": [{"type": "height", "cube": "b"}], "brain": {"kind": "mlp", "layers": layers}},
     }
     genome = Genome(document)
-    assert vector_of(genome).tolist() == [*first, *biases, *second, numbers[-1]]
+    assert vector_of(genome).tolist() == genome.brain().to_vector().tolist() == numbers
     return genome
 
 
 def vector_of(genome: Genome) -> Vector:
-    """Returns the parameters that a genome stands for."""
-    return genome.brain().to_vector()
+    """Returns the vector that a genome of `vector_genome`, or one with other numbers, stands for."""
+    first, second = genome.document["brain"]["layers"]
+    (weights,), biases = second["weights"], second["biases"]
+    return np.array([*(row[0] for row in first["weights"]), *first["biases"], *weights, *biases])
 
 
 def vector_problem(start: Any, seed: int = 1, *measures: Measure) -> Problem:

@@ -36,3 +36,8 @@ class BrainSpace:
         """Returns the genome at a point, shape (dimension,)."""
         brain = self._brain.with_vector(self._origin + np.asarray(point, np.float64))
         return Genome({**self._document, "brain": brain.document})
+
+    def point(self, genome: Genome) -> list[float]:
+        """Returns where a genome of the space is, the other way around."""
+        point: list[float] = (genome.brain().to_vector() - self._origin).tolist()
+        return point
