@@ -104,8 +104,22 @@ import json, sys
 from nmes.backend import load_backend
 from nmes.backend.fingerprint import fingerprint
 from nmes.evaluation import Task, evaluate
+from nmes.evolution.algorithm import Measure, Problem, Score
+from nmes.evolution.algorithms import load_algorithm
 from nmes.genome import Genome
 from nmes.playback import replay
+
+def run(name, options, measures):
+    # Scores that are all others if one bit of a candidate is another.
+    problem = Problem(task, 1, (Genome.load("inchworm"),), measures=tuple(Measure(*measure) for measure in measures))
+    algorithm, hashes = load_algorithm(name, problem, options), []
+    for index in range(24):
+        candidate = algorithm.ask(index)
+        hashes.append(candidate.genome.hash)
+        number = int(hashes[-1][:8], 16)
+        measured = (number % 101, number % 103)[: len(measures)]
+        algorithm.tell(index, candidate, Score(float(number), (), tuple(map(float, measured))))
+    return [*hashes, algorithm.probe()]
 
 asked = json.load(sys.stdin)
 task = Task(asked["task"])
@@ -117,12 +131,21 @@ for path in asked["genomes"]:
 print(json.dumps({
     "scores": scores,
     "verdicts": {path: replay(path).verdict for path in asked["recordings"]},
+    "runs": {run_of[0]: run(*run_of) for run_of in asked["runs"]},
     "probes": {name: fingerprint(load_backend(name))["probe"] for name in asked["engines"]},
 }))
 """
 
 CREATURES = ("biped", "inchworm", "juggler", "lurcher", "roller", "walker")
 ENGINES = ("mujoco", "pymunk", "ballistic")
+MEASURES = [("mass", 0, 101, 7), ("length", 0, 103, 7)]
+RUNS = [
+    ("cma", {"population": 6}, []),
+    ("es", {"population": 6}, []),
+    ("map-elites", {"initial": 8, "window": 1}, MEASURES),
+    ("cma-me", {"emitters": 2, "batch": 4}, MEASURES),
+]
+"""Algorithms, each with options with which it moves several times in a short run."""
 
 
 def _numpy(*kept: str) -> dict[str, str]:
@@ -156,7 +179,7 @@ UNLIKE = {"GLIBC_TUNABLES": "glibc.cpu.hwcaps=-AVX2,-FMA,-FMA4"}
 
 def outcome(environment: dict[str, str], recordings: tuple[str, ...]) -> dict[str, Any]:
     genomes = [str(ROOT / f"nmes/genome/shipped/{name}.json") for name in CREATURES]
-    asked = {"task": TASK, "genomes": genomes, "recordings": recordings, "engines": ENGINES}
+    asked = {"task": TASK, "genomes": genomes, "recordings": recordings, "engines": ENGINES, "runs": RUNS}
     process = subprocess.run(
         [sys.executable, "-c", PROGRAM],
         input=json.dumps(asked),
@@ -184,7 +207,7 @@ def here(recordings: tuple[str, ...]) -> dict[str, Any]:
 
 
 @pytest.mark.parametrize("name", ALIKE)
-def test_creatures_recordings_and_probes_come_out_the_same_to_the_last_bit(name: str) -> None:
+def test_creatures_recordings_runs_and_probes_come_out_the_same_to_the_last_bit(name: str) -> None:
     assert outcome(ALIKE[name], SOME) == here(SOME)
     assert set(here(SOME)["verdicts"].values()) == {"reproduced"}
 
