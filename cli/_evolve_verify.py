@@ -42,21 +42,18 @@ def command(folder: Path, sample: int, everything: bool, jobs: int | None, ray: 
         nmes evolve verify runs/walk-ga-0
         nmes evolve verify runs/walk-ga-0 --all --jobs 4
     """
-    from nmes.evolution.run import Run
     from nmes.evolution.run_verify import verify_run
 
     check_pool(jobs, ray)
-    run = Run.open(folder)
     with progress_bars() as progress, open_pool(jobs, ray) as pool:
-        found = verify_run(run, pool, None if everything else sample, progress)
+        found = verify_run(folder, pool, None if everything else sample, progress)
     if as_json:
         print_json(asdict(found))
     else:
         words = {"holds": "holds", "broken": "broken", "not_comparable": "not comparable here"}[found.verdict]
         for finding in found.findings:
             click.echo(visible(finding))
-        click.echo(
-            f"{words}: {found.asked:,} of {len(run):,} candidates asked for again, {found.evaluated:,} evaluated again"
-        )
+        again = f"{found.asked:,} of {found.told:,} candidates asked for again, {found.evaluated:,} evaluated again"
+        click.echo(f"{words}: {again}")
         click.echo(f"digest: {found.digest}")
     sys.exit(_STATUS[found.verdict])

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final, Literal
 
 from nmes.errors import DocumentError, RunError, VariationError
@@ -24,6 +25,7 @@ __all__ = ["RunVerdict", "verify_run"]
 _MOST: Final = 20  # findings that are kept
 
 Progress = Callable[[str, int, int], None]
+Verdict = Literal["holds", "broken", "not_comparable"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,48 +36,54 @@ class RunVerdict:
         verdict: It `holds`; it is `broken`, since something did not come out as the log has it; or it is
             `not_comparable`: that may be because the run was begun where other numbers come out.
         findings: What did not, the first of them, in words.
-        asked: How many candidates the algorithm was asked for again.
+        told: How many candidates the log has.
+        asked: How many of them candidates the algorithm was asked for again.
         evaluated: How many were evaluated again.
         digest: The run's.
     """
 
-    verdict: Literal["holds", "broken", "not_comparable"]
+    verdict: Verdict
     findings: tuple[str, ...]
+    told: int
     asked: int
     evaluated: int
     digest: str
 
 
-def verify_run(run: Run, pool: Workers | Cluster, sample: int | None, progress: Progress) -> RunVerdict:
+def verify_run(folder: Path, pool: Workers | Cluster, sample: int | None, progress: Progress) -> RunVerdict:
     """Verifies a run.
 
     Args:
-        run: The run.
+        folder: The run's.
         pool: Who evaluates.
         sample: How many candidates are evaluated again beside the elites, drawn by the run's seed and digest; None:
             all are.
         progress: Called with what is being done, how much of it is done, and how much there is.
 
     Raises:
+        RunError: There is no run, or it cannot be read (`no_run`).
         MissingPackage: The algorithm needs a package that is not installed.
         MachineError: Workers are killed (`worker_killed`).
     """
+    try:
+        run = Run.open(folder)
+    except RunError as error:
+        if error.code != "log_damaged":
+            raise
+        return RunVerdict("broken", (error.message,), 0, 0, 0, "")
     verification = _Verification(run, progress)
-    evaluated = 0
+    chosen: list[int] = []
     try:
         for finding in verification.ask_again():
             verification.found(finding)
         chosen = verification.choose(sample)
-        evaluated = len(chosen)
         for finding in verification.evaluate_again(chosen, pool):
             verification.found(finding)
     except RunError as error:  # the log cannot be read on
         verification.found(error.message)
     findings = tuple(verification.findings)
-    verdict: Literal["holds", "broken", "not_comparable"] = "broken" if findings else "holds"
-    if findings and run.differences():
-        verdict = "not_comparable"
-    return RunVerdict(verdict, findings, verification.order.told, evaluated, run.digest)
+    verdict: Verdict = "holds" if not findings else "not_comparable" if run.differences() else "broken"
+    return RunVerdict(verdict, findings, len(run), verification.order.told, len(chosen), run.digest)
 
 
 class _Verification:

@@ -1,0 +1,215 @@
+"""What somebody changes in a run, however well the log's chain is mended afterwards, is found."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import orjson
+import pytest
+from click.testing import CliRunner, Result
+
+from nmes.cli import main
+from runs import begin, finish, forge
+
+Records = list[dict[str, Any]]
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("whole") / "run"
+    finish(begin(folder))
+    return folder
+
+
+@pytest.fixture
+def run(whole: Path, tmp_path: Path) -> Path:
+    shutil.copytree(whole, tmp_path / "run")
+    return tmp_path / "run"
+
+
+def verify(folder: Path, *options: str) -> Result:
+    result = CliRunner().invoke(main, ["evolve", "verify", str(folder), "--jobs", "1", *options])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result
+
+
+def verdict(folder: Path, *options: str) -> dict[str, Any]:
+    result = verify(folder, "--json", *options)
+    found: dict[str, Any] = json.loads(result.stdout)
+    assert result.exit_code == {"holds": 0, "broken": 1, "not_comparable": 3}[found["verdict"]]
+    return found
+
+
+def test_a_run_that_is_as_it_came_out_holds(whole: Path) -> None:
+    result = verify(whole, "--all")
+    assert result.exit_code == 0 and "24 of 24 candidates asked for again, 24 evaluated again" in result.stdout
+    before = {path.name: path.read_bytes() for path in whole.iterdir()}
+    found = verdict(whole, "--sample", "2")
+    assert (found["verdict"], found["asked"], found["findings"]) == ("holds", 24, [])
+    assert 2 < found["evaluated"] < 24
+    assert {path.name: path.read_bytes() for path in whole.iterdir()} == before
+
+
+def test_a_run_without_its_index_and_one_that_is_not_finished_hold_too(run: Path) -> None:
+    forge(run, lambda records: records.__delitem__(slice(15, None)))
+    found = verdict(run, "--sample", "0")
+    assert (found["verdict"], found["asked"]) == ("holds", 15)
+
+
+def raise_score(records: Records) -> None:
+    records[17]["score"] += 1.0
+
+
+def raise_score_and_result(records: Records) -> None:
+    records[17]["score"] += 1.0
+    records[17]["results"][0]["score"] += 1.0
+
+
+def lower_energy(records: Records) -> None:
+    records[17]["results"][0]["energy"] *= 1.0 - 1e-15
+
+
+def hide_failure(records: Records) -> None:
+    records[17]["error"] = "it would not"
+    records[17]["results"] = []
+    records[17]["score"] = None
+
+
+def drop_result(records: Records) -> None:
+    records[17]["results"] = []
+
+
+def give_objectives(records: Records) -> None:
+    records[17]["objectives"] = [1.0]
+
+
+def swap_genome(records: Records) -> None:
+    records[17]["genome"], records[17]["genome_hash"] = records[3]["genome"], records[3]["genome_hash"]
+
+
+def swap_genome_alone(records: Records) -> None:
+    records[17]["genome"] = records[3]["genome"]
+
+
+def swap_genomes_and_scores(records: Records) -> None:
+    for name in ("genome", "genome_hash", "results", "score", "error"):
+        records[17][name], records[3][name] = records[3][name], records[17][name]
+
+
+def turn_a_number(records: Records) -> None:
+    records[17]["genome"]["body"] = json.loads(json.dumps(records[17]["genome"]["body"]))
+    part = (records[17]["genome"]["body"].get("cubes") or records[17]["genome"]["body"]["graph"]["parts"])[0]
+    part["size"][0] *= 1.0 + 1e-15
+
+
+def rename_operator(records: Records) -> None:
+    records[17]["operator"] = "magic"
+
+
+def change_parents(records: Records) -> None:
+    records[17]["parents"] = [0]
+
+
+def change_group(records: Records) -> None:
+    records[17]["group"] = "others"
+
+
+def change_generation(records: Records) -> None:
+    records[17]["generation"] += 1
+
+
+def remove(records: Records) -> None:
+    del records[17]
+
+
+def remove_and_count_anew(records: Records) -> None:
+    del records[17]
+    for index, record in enumerate(records):
+        record["index"] = index
+
+
+def reorder(records: Records) -> None:
+    records[16], records[17] = records[17], records[16]
+
+
+def reorder_and_count_anew(records: Records) -> None:
+    reorder(records)
+    records[16]["index"], records[17]["index"] = 16, 17
+
+
+def no_genome(records: Records) -> None:
+    records[17]["genome"]["body"] = {}
+
+
+def other_shape(records: Records) -> None:
+    records[17]["score"] = "much"
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        raise_score,
+        raise_score_and_result,
+        lower_energy,
+        hide_failure,
+        drop_result,
+        give_objectives,
+        swap_genome,
+        swap_genome_alone,
+        swap_genomes_and_scores,
+        turn_a_number,
+        rename_operator,
+        change_parents,
+        change_group,
+        change_generation,
+        remove,
+        remove_and_count_anew,
+        reorder,
+        reorder_and_count_anew,
+        no_genome,
+        other_shape,
+    ],
+)
+def test_a_falsehood_is_found(run: Path, change: Callable[[Records], None]) -> None:
+    forge(run, change)
+    found = verdict(run, "--all")
+    assert found["verdict"] == "broken" and 0 < len(found["findings"]) <= 20
+    told = "\n".join(found["findings"])
+    assert any(f"candidate {index}:" in told or f"line {index + 1}:" in told for index in (3, 16, 17)), told
+
+
+def test_a_line_that_was_changed_without_its_digest_is_named(run: Path) -> None:
+    text = (run / "log.jsonl").read_bytes()
+    (run / "log.jsonl").write_bytes(text.replace(b'"index":17', b'"index":71'))
+    found = verdict(run)
+    assert found["verdict"] == "broken" and "line 18" in found["findings"][0]
+
+
+def test_an_index_that_says_otherwise_than_the_log_is_found(run: Path) -> None:
+    with sqlite3.connect(run / "index.sqlite") as db:
+        db.execute('UPDATE records SET score = 99.0 WHERE "index" = 5')
+    db.close()
+    found = verdict(run)
+    assert found["verdict"] == "broken" and "candidate 5: the index" in found["findings"][0]
+
+
+def test_settings_that_were_changed_are_found(run: Path) -> None:
+    document = orjson.loads((run / "run.json").read_bytes())
+    (run / "run.json").write_bytes(orjson.dumps({**document, "seed": 4}))
+    assert verdict(run)["verdict"] == "broken"
+    forge(run, lambda records: None)  # as if the log had been of these settings
+    assert verdict(run)["verdict"] == "broken"
+
+
+def test_what_does_not_come_out_elsewhere_is_not_comparable_and_what_does_holds(run: Path) -> None:
+    document = orjson.loads((run / "run.json").read_bytes())
+    elsewhere = {**document["fingerprint"], "probe": "of another machine"}
+    (run / "run.json").write_bytes(orjson.dumps({**document, "fingerprint": elsewhere}))
+    assert verdict(run)["verdict"] == "holds"
+    forge(run, lower_energy)
+    assert verdict(run, "--all")["verdict"] == "not_comparable"
