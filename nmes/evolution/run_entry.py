@@ -6,7 +6,7 @@ Hides how that is written as JSON (`schemas/run_record.json`), and read again fr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from hashlib import blake2b
 from typing import Final
 
@@ -15,7 +15,6 @@ import orjson
 from nmes.errors import DocumentError
 from nmes.evaluation.episode import Result
 from nmes.evaluation.evaluator import Evaluation
-from nmes.evaluation.portions import kind_of
 from nmes.evaluation.task import Task
 from nmes.evolution.algorithm import Candidate, Score
 from nmes.evolution.quantities import evaluate_quantities
@@ -24,10 +23,11 @@ from nmes.evolution.run_log import Line
 from nmes.evolution.run_settings import RunSettings
 from nmes.genome import Genome
 from nmes.objective import Objective
-from nmes.schemas.documents import JsonObject, check, compile_schema
+from nmes.schemas.documents import JsonObject, check, compile_schema, write_json
 
 __all__ = ["Entry", "told"]
 
+_FIGURES: Final = tuple(figure.name for figure in fields(Result))
 _RECORD: Final = compile_schema("run_record.json")
 
 
@@ -36,10 +36,15 @@ class Entry:
     """An entry.
 
     Attributes:
-        content: The document.
+        content: The document. The genome of an entry that is to be written is in it as a fragment of JSON: thousands
+            of documents would keep the garbage collector at work.
+        name: The genome's name.
+        plan: A digest of its body without the numbers.
     """
 
     content: JsonObject
+    name: str
+    plan: str
 
     @classmethod
     def parse(cls, text: bytes, index: int) -> Entry:
@@ -55,7 +60,7 @@ class Entry:
         check(_RECORD, content)
         if content["index"] != index:
             raise DocumentError([("index", f"must be {index}, not {content['index']}")])
-        return cls(content)
+        return cls(content, content["genome"]["name"], _plan(content["genome"]["body"]))
 
     @property
     def genome(self) -> Genome:
@@ -109,9 +114,9 @@ class Entry:
             group=content["group"],
             objectives=tuple(content["objectives"]),
             measures=tuple(content["measures"]),
-            genome=content["genome"]["name"],
+            genome=self.name,
             genome_hash=content["genome_hash"],
-            plan=blake2b(repr(kind_of(orjson.dumps(content["genome"]))).encode(), digest_size=8).hexdigest(),
+            plan=self.plan,
             error=error,
         )
 
@@ -134,19 +139,32 @@ def told(
     """
     values = evaluate_quantities(expressions, candidate.genome, evaluation, settings.task)
     known, split = () if values is None else values, len(settings.objectives)
-    return Entry(
-        {
-            "index": index,
-            "operator": candidate.operator,
-            "parents": list(candidate.parents),
-            "generation": candidate.generation,
-            "group": candidate.group,
-            "genome": candidate.genome.document,
-            "genome_hash": evaluation.genome_hash or candidate.genome.hash,
-            "results": [asdict(result) for result in evaluation.results],
-            "error": evaluation.error,
-            "score": None if values is None else evaluation.score,
-            "objectives": list(known[:split]),
-            "measures": list(known[split:]),
-        }
-    )
+    document = candidate.genome.document
+    content = {
+        "index": index,
+        "operator": candidate.operator,
+        "parents": list(candidate.parents),
+        "generation": candidate.generation,
+        "group": candidate.group,
+        "genome": orjson.Fragment(write_json(document)),
+        "genome_hash": evaluation.genome_hash or candidate.genome.hash,
+        "results": [{name: getattr(result, name) for name in _FIGURES} for result in evaluation.results],
+        "error": evaluation.error,
+        "score": None if values is None else evaluation.score,
+        "objectives": list(known[:split]),
+        "measures": list(known[split:]),
+    }
+    return Entry(content, document["name"], _plan(document["body"]))
+
+
+def _plan(body: JsonObject) -> str:
+    """Returns a digest of the parts of a body and of what joins which, without the numbers; of no body, of nothing."""
+    try:
+        if "graph" in body:
+            parts, joints, names = body["graph"]["parts"], body["graph"].get("connections", ()), ("from", "to", "face")
+        else:
+            parts, joints, names = body["cubes"], body.get("joints", ()), ("cube1", "cube2", "type")
+        plan = [[part["id"] for part in parts], [[joint.get(name) for name in names] for joint in joints]]
+    except (KeyError, TypeError, AttributeError):
+        plan = []  # a line of somebody else's; that its genome is none comes out where it is needed
+    return blake2b(orjson.dumps(plan), digest_size=8).hexdigest()
