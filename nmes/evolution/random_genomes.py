@@ -33,6 +33,7 @@ _DENSITY: Final = (200.0, 1500.0)  # kg/m^3
 _LIMBS: Final = 3
 _FACES: Final = ("+z", "-z", "-y", "+y", "+x", "-x")
 _FACING: Final = (0.35, 0.1, 0.25, 0.05, 0.15, 0.1)
+_STRENGTH: Final = (0.7, 4.0)  # of a motor, of that of one that mutation adds
 _FREQUENCY: Final = (0.5, 4.0)  # Hz
 _RATE: Final = 60.0  # control steps a second, for which clocks of networks are drawn
 _GAIN: Final = 1.1  # of a clock: above 1 it goes on by itself
@@ -90,10 +91,15 @@ def _graph(draw: Draw, task: Task, planar: bool) -> JsonObject:
 
 
 def _joint(draw: Draw, weight: float, length: float, planar: bool) -> JsonObject:
-    """Draws a joint; a hinge mostly lets its part swing, rather than spin about its own length."""
+    """Draws a joint; a hinge mostly lets its part swing, rather than spin about its own length.
+
+    Some motors are stronger than those that mutation adds, for to leap takes several times what it takes to stand.
+    """
     joint = draw_joint(draw, weight, length, planar)
     if joint["type"] == "hinge" and not planar and draw.chance(0.7):
         joint["axis"] = draw.one_of(([0.0, 0.0, 1.0], [0.0, 1.0, 0.0]))
+    if "motor" in joint:
+        joint["motor"]["max_effort"] = round(joint["motor"]["max_effort"] * _between(draw, *_STRENGTH), 6)
     return joint
 
 

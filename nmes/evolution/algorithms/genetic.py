@@ -16,6 +16,7 @@ import numpy as np
 from nmes.evolution.algorithm import Algorithm, Candidate, Problem, Score
 from nmes.evolution.algorithms.bounds import within_bounds
 from nmes.evolution.algorithms.breeding import Parent, breed, found, newcomer
+from nmes.evolution.algorithms.requirements import check_problem
 from nmes.evolution.draw import Draw
 
 __all__ = ["AgeFitness", "Genetic"]
@@ -51,6 +52,7 @@ class _SteadyState(Algorithm):
     """A population that changes with every candidate that is told, and those who are bred from it."""
 
     def __init__(self, problem: Problem, options: _Options) -> None:
+        check_problem(problem)
         self._problem, self._options = problem, options
         self._members: Sequence[_Member] = ()
         self._origins: list[int] = []  # of every candidate that was told, by index
@@ -98,6 +100,9 @@ class Genetic(_SteadyState):
     Args:
         problem: What the run is about.
         options: See `Options`.
+
+    Raises:
+        DocumentError: There are objectives or measures.
     """
 
     @dataclass(frozen=True)
@@ -145,6 +150,9 @@ class AgeFitness(_SteadyState):
     Args:
         problem: What the run is about.
         options: See `Options`.
+
+    Raises:
+        DocumentError: There are objectives or measures.
     """
 
     @dataclass(frozen=True)

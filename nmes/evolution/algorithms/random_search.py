@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from nmes.evolution.algorithm import Algorithm, Candidate, Problem, Score
-from nmes.evolution.algorithms.bounds import within_bounds
+from nmes.evolution.algorithms.best import Best
 from nmes.evolution.algorithms.breeding import found
+from nmes.evolution.algorithms.requirements import check_problem
 
 __all__ = ["RandomSearch"]
 
@@ -17,26 +18,19 @@ class RandomSearch(Algorithm):
 
     Args:
         problem: What the run is about.
-        options: See `Options`.
+        options: None.
+
+    Raises:
+        DocumentError: There are objectives or measures.
     """
 
     @dataclass(frozen=True)
     class Options:
-        """The options.
-
-        Attributes:
-            elites: How many of the best count as the outcome.
-        """
-
-        elites: int = 10
-
-        def __post_init__(self) -> None:
-            """Raises a DocumentError where an option is out of its bounds."""
-            within_bounds(self, {"elites": (1, 100_000)})
+        """There are no options."""
 
     def __init__(self, problem: Problem, options: Options) -> None:
-        self._problem, self._options = problem, options
-        self._best: list[tuple[float, int]] = []  # minus the score, and the index
+        check_problem(problem)
+        self._problem, self._best = problem, Best()
 
     def needs(self, index: int) -> int:
         """Returns 0: no candidate depends on another."""
@@ -48,9 +42,8 @@ class RandomSearch(Algorithm):
 
     def tell(self, index: int, candidate: Candidate, score: Score) -> None:
         """Takes a candidate's score in; see `Algorithm`."""
-        if score.score is not None:
-            self._best = sorted([*self._best, (-score.score, index)])[: self._options.elites]
+        self._best.add(index, score.score)
 
     def elites(self) -> Sequence[int]:
-        """Returns the best, of equals the first."""
-        return [index for _, index in self._best]
+        """Returns the ten best, of equals the first."""
+        return self._best.indices
