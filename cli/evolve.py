@@ -12,7 +12,7 @@ import click
 import orjson
 from click.core import ParameterSource
 
-from nmes.cli import _evolve_resume, _evolve_verify
+from nmes.cli import _evolve_best, _evolve_film, _evolve_resume, _evolve_show, _evolve_verify
 from nmes.cli._evolve_run import JOBS, JSON, RAY, check_pool, go_on
 from nmes.cli._genomes import find_genomes
 from nmes.cli._seeds import read_seeds
@@ -44,7 +44,7 @@ def command() -> None:
     """Evolve creatures, in runs that anyone can repeat."""
 
 
-for _each in (_evolve_resume, _evolve_verify):
+for _each in (_evolve_best, _evolve_film, _evolve_resume, _evolve_show, _evolve_verify):
     command.add_command(_each.command)
 
 

@@ -36,12 +36,17 @@ def record_candidate(run: Run, index: int, folder: Path, seeds: Sequence[int]) -
         for seed in seeds:
             again = next((result for result in found.results if result.seed == seed), None)
             if again != logged.get(seed, again) or again is None:
-                run.check_comparable()
-                what = f"candidate {index} of {run.folder}, seed {seed}: the log says {logged.get(seed)}"
-                raise RunError("diverged", f"{what}, here it is {again or found.error}")
+                raise _otherwise(run, index, f"seed {seed}: {again or found.error}, and not {logged.get(seed)}")
         recordings = [folder / Path(path).name for path in found.recordings]
         for path, target in zip(found.recordings, recordings, strict=True):
             target.with_name(target.name + SUFFIX).unlink(missing_ok=True)  # it is of the recording before
             Path(path).replace(target)
     names = found.genome, found.genome_hash, found.task, found.task_hash
     return Evaluation(*names, found.results, None, tuple(map(str, recordings)), found.wall_seconds)
+
+
+def _otherwise(run: Run, index: int, what: str) -> RunError:
+    """Returns the error of a candidate that does not come out as the log says."""
+    code = "not_comparable" if run.differences() else "diverged"
+    where = ", and the run was begun where other numbers come out" if code == "not_comparable" else ""
+    return RunError(code, f"candidate {index} of {run.folder} does not come out as its log says{where} ({what})")

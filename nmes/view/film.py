@@ -173,8 +173,8 @@ def _pictures(
 
 def _titled(pixels: Pixels, title: str) -> Pixels:
     image = Image.fromarray(np.ascontiguousarray(pixels))
-    font = ImageFont.load_default(max(10, pixels.shape[0] // 24))
-    ImageDraw.Draw(image).text((8, 6), title, fill=(20, 24, 30), font=font)
+    font = ImageFont.load_default(max(12, pixels.shape[0] // 24))
+    ImageDraw.Draw(image).text((8, 6), title, fill=(255, 255, 255), font=font, stroke_width=2, stroke_fill=(20, 24, 30))
     return np.asarray(image)
 
 

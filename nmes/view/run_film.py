@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -12,7 +13,7 @@ from nmes.evolution.rerun import record_candidate
 from nmes.evolution.run import Run
 from nmes.recording import Recording
 from nmes.view.chart import number
-from nmes.view.film import film
+from nmes.view.film import Cut, film
 
 __all__ = ["film_run"]
 
@@ -20,7 +21,7 @@ _ERAS = 6  # champions, at most
 
 
 def film_run(
-    run: Run, path: Path, *, fps: int, size: tuple[int, int], progress: Callable[[str, int, int], None]
+    run: Run, path: Path, *, seconds: float, fps: int, size: tuple[int, int], progress: Callable[[str, int, int], None]
 ) -> list[int]:
     """Makes a film of those who were the best of a run in their time, each in the first of its episodes.
 
@@ -30,6 +31,7 @@ def film_run(
     Args:
         run: The run.
         path: The film (`.mp4`, `.gif`), or a picture of its end (`.png`).
+        seconds: How much of each episode is shown, from when the first of them begins to count.
         fps: Pictures a second.
         size: Width and height of the whole picture, pixels.
         progress: Called with what is being done, how much of it is done, and how much there is.
@@ -45,12 +47,23 @@ def film_run(
     if not champions:
         raise RunError("no_score", f"no candidate of {run.folder} has a score: there is nothing to film")
     shown = milestones(champions, _ERAS)
-    titles = [f"{number(row.score)}   #{row.index}, generation {row.generation}" for row in shown]
+    titles = [f"score {number(row.score)}, #{row.index}, generation {row.generation}" for row in shown]
+    begin = inf
     with TemporaryDirectory() as folder:
         recordings = []
         for done, row in enumerate(shown, start=1):
             again = record_candidate(run, row.index, Path(folder), run.settings.seeds[:1])
-            recordings += [Recording(recording) for recording in again.recordings]
+            recordings.append(Recording(again.recordings[0]))
+            settled = recordings[-1].summary().ticks - again.results[0].ticks
+            begin = min(begin, settled / run.settings.task.tick_rate)
             progress("running the champions", done, len(shown))
-        film(recordings, path, titles=titles, fps=fps, size=size, progress=progress)
+        film(
+            recordings,
+            path,
+            Cut(begin=begin, end=begin + seconds),
+            titles=titles,
+            fps=fps,
+            size=size,
+            progress=progress,
+        )
     return [row.index for row in shown]

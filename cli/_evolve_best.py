@@ -1,0 +1,158 @@
+"""`nmes evolve best`: a candidate of a run with the proof of its score."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+import orjson
+
+from nmes.cli._json import print_json
+from nmes.cli._output import whole_file
+from nmes.errors import RunError, visible
+
+if TYPE_CHECKING:
+    from nmes.evaluation import Evaluation, Task
+    from nmes.evolution.run import Run
+
+__all__ = ["command"]
+
+
+def _cell(_: click.Context, parameter: click.Parameter, value: str | None) -> tuple[int, ...] | None:
+    """Reads `3,4`."""
+    if value is None or re.fullmatch(r"\d{1,5}(,\d{1,5})*", value):
+        return None if value is None else tuple(map(int, value.split(",")))
+    raise click.BadParameter("expected a number a measure, counted from 0: 3,4", param=parameter)
+
+
+@click.command("best")
+@click.argument("folder", metavar="RUN", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="FOLDER",
+    help="Where to write it.  [default: best-INDEX in RUN]",
+)
+@click.option("--index", type=click.IntRange(min=0), help="This candidate, instead of the best.")
+@click.option("--cell", "place", callback=_cell, metavar="I,J", help="The elite in this cell of the archive.")
+@click.option(
+    "--sign",
+    "key",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    metavar="KEY",
+    help="Sign the recordings: an Ed25519 private key, PEM without a passphrase.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print what was written as JSON.")
+def command(
+    folder: Path,
+    output: Path | None,
+    index: int | None,
+    place: tuple[int, ...] | None,
+    key: Path | None,
+    as_json: bool,
+) -> None:
+    """Write the best of a run: its genome, and the recordings that prove its score.
+
+    It is run again, and every figure must be that of the log. Then there are its genome, a recording of each episode,
+    and the line that lists it on a leaderboard. With --index or --cell it is another candidate than the best.
+
+    For example:
+
+    \b
+        nmes evolve best runs/walk-ga-1
+        nmes evolve best runs/walk-ga-1 -o champion --sign ada.pem
+        nmes evolve best runs/walk-map-elites-1 --cell 3,4
+    """
+    from nmes.evaluation.identity import shipped_hash
+    from nmes.evolution.rerun import record_candidate
+    from nmes.evolution.run import Run
+    from nmes.recording import Recording
+    from nmes.recording.signing import private_key, sign
+
+    run = Run.open(folder)
+    chosen = _chosen(run, index, place)
+    signing = None if key is None else private_key(key)
+    target = output or folder / f"best-{chosen}"
+    target.mkdir(parents=True, exist_ok=True)
+    seeds = tuple(dict.fromkeys([*run.settings.seeds, *run.settings.task.seeds]))
+    found = record_candidate(run, chosen, target, seeds)
+    documents = {"genome.json": run.genome(chosen).document}
+    if run.settings.task.hash != shipped_hash(run.settings.task.name):
+        documents["task.json"] = run.settings.task.document
+    for name, document in documents.items():
+        with whole_file(target / name) as file:
+            file.write_bytes(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
+    signatures = [] if signing is None else [str(sign(Recording(path), signing)) for path in found.recordings]
+    told = {
+        "index": chosen,
+        "score": run.records[chosen].score,
+        "files": [str(target / name) for name in documents],
+        "recordings": list(found.recordings),
+        "signatures": signatures,
+        "leaderboard": _leaderboard_lines(run.settings.task, target, found),
+    }
+    if as_json:
+        print_json(told)
+    else:
+        _print(told)
+
+
+def _chosen(run: Run, index: int | None, place: tuple[int, ...] | None) -> int:
+    """Returns the index of the candidate that is asked for, which has a score.
+
+    Raises:
+        UsageError: There is no such candidate.
+        RunError: None has a score, or that one has none (`no_score`).
+    """
+    if index is not None and place is not None:
+        raise click.UsageError("either --index or --cell")
+    if index is not None and index >= len(run):
+        raise click.UsageError(f"there is no candidate {index}: the run has {len(run):,}")
+    if place is not None:
+        index = _elite(run, place)
+    if index is None:
+        if run.best is None:
+            raise RunError("no_score", f"no candidate of {run.folder} has a score")
+        return run.best.index
+    if run.records[index].score is None:
+        raise RunError("no_score", f"candidate {index} of {run.folder} has no score: {run.records[index].error}")
+    return index
+
+
+def _elite(run: Run, place: tuple[int, ...]) -> int:
+    """Returns the index of the elite in a cell."""
+    from nmes.evolution.archive import cell
+
+    measures = run.settings.measures
+    if len(place) != len(measures) or any(at >= each.cells for at, each in zip(place, measures, strict=True)):
+        sizes = " x ".join(str(measure.cells) for measure in measures) or "no"
+        raise click.UsageError(f"there is no such cell: the archive has {sizes} cells, counted from 0")
+    for index in run.elites():
+        if cell(measures, run.records[index].measures) == place:
+            return index
+    raise click.UsageError(f"the cell {','.join(map(str, place))} is empty")
+
+
+def _leaderboard_lines(task: Task, folder: Path, found: Evaluation) -> list[str]:
+    """Returns the commands that list a creature on a leaderboard."""
+    from nmes.evaluation.identity import shipped_hash
+
+    paths = dict(zip((result.seed for result in found.results), found.recordings, strict=True))
+    lines = [["nmes", "leaderboard", "add", "board.sqlite", *(paths[seed] for seed in task.seeds)]]
+    if task.hash != shipped_hash(task.name):
+        lines.insert(0, ["nmes", "leaderboard", "tasks", "board.sqlite", "--allow", str(folder / "task.json")])
+    return [shlex.join(line) for line in lines]
+
+
+def _print(told: Mapping[str, Any]) -> None:
+    click.echo(f"candidate {told['index']}: score {told['score']:.6g}, again as the log says")
+    for path in (*told["files"], *told["recordings"], *told["signatures"]):
+        click.echo(visible(f"wrote {path}"))
+    click.echo("to list it on a leaderboard:")
+    for line in told["leaderboard"]:
+        click.echo(visible(f"  {line}"))
