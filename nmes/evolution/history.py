@@ -72,7 +72,7 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class OperatorRecord:
-    """How the candidates that came about in one way did.
+    """How the candidates did that an operator made, or had part in.
 
     Attributes:
         name: The operator's.
@@ -132,11 +132,12 @@ class History:
         return [self.rows[index] for _, index in sorted(scores)[:count]]
 
     def operators(self) -> list[OperatorRecord]:
-        """Returns how each operator did, the one with most candidates first."""
+        """Returns how each operator did, the one with most candidates first; those made by several count for each."""
         champions = {row.index for row in self.champions()}
         members: dict[str, list[Origin]] = {}
         for row in self.rows:
-            members.setdefault(row.operator, []).append(row)
+            for name in dict.fromkeys(row.operator.split("+")):
+                members.setdefault(name, []).append(row)
         records = [
             OperatorRecord(
                 name,

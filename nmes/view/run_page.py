@@ -40,7 +40,7 @@ ol {{ list-style: none; padding: 0; display: grid; grid-template-columns: repeat
  gap: 1rem; }}
 li {{ border: 1px solid var(--line); border-radius: .6rem; overflow: hidden; }}
 li img {{ display: block; width: 100%; height: auto; background: var(--plate); }}
-li div {{ padding: .4rem .8rem .6rem; }}
+li div {{ padding: .4rem .8rem .6rem; overflow-wrap: anywhere; }}
 .score {{ float: right; font-variant-numeric: tabular-nums; font-weight: 600; }}
 .scroll {{ overflow-x: auto; }}
 table {{ border-collapse: collapse; }}

@@ -48,11 +48,11 @@ def test_operators_are_judged_by_the_first_parent() -> None:
         Row(2, 2.0, "cross", (0, 1)),
         Row(3, 2.0, "cross", (1, 0)),
         Row(4, None, "cross", (0, 1)),
-        Row(5, 6.0, "add-part", (1,)),
+        Row(5, 6.0, "add-part+cross+add-part", (1,)),
         Row(6, 1.0, "add-part", (4,)),
     ]
     assert History(rows).operators() == [
-        OperatorRecord("cross", 3, without_score=1, better=1, champions=0),
+        OperatorRecord("cross", 4, without_score=1, better=2, champions=1),
         OperatorRecord("add-part", 2, without_score=0, better=1, champions=1),
         OperatorRecord("random", 2, without_score=0, better=0, champions=2),
     ]
