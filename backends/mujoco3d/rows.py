@@ -6,12 +6,15 @@ its arrays; and what of a simulation a row cannot do. That is left to whoever ru
 fault, whatever its kind, and the contacts of what sleeps.
 
 A step computes poses and velocities of the new state too, as a simulation does when they are read; contacts are those
-of the last engine step, so where they are wanted they are taken out before.
+of the last engine step, so where they are wanted they are taken out before. Where many ticks are known beforehand, the
+batch takes them in one call and records each engine step: what it records of poses is that of the state before the
+step, so that of the state after a tick comes with the first step of the next.
 """
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Sequence
+from collections.abc import Hashable, Mapping, Sequence
+from math import prod
 from typing import TYPE_CHECKING
 
 import mujoco
@@ -27,7 +30,7 @@ from nmes.backends.mujoco3d.sleep import AWAKE
 from nmes.backends.mujoco3d.tracking import states_of
 
 if TYPE_CHECKING:
-    from mujoco.batch import Batch
+    from mujoco.batch import Batch, RecordItem
 
 __all__ = ["MujocoRow", "MujocoRows"]
 
@@ -36,6 +39,7 @@ _NEVER = (int(mujoco.mjtSleepPolicy.mjSLEEP_NEVER), int(mujoco.mjtSleepPolicy.mj
 _NONE, _MOTION = int(mujoco.mjtStage.mjSTAGE_NONE), int(mujoco.mjtStage.mjSTAGE_VEL)
 # What must be equal for models to share the memory of one MjData, besides the places of bodies and joints.
 _SIZES = "nq nv nu nbody njnt ngeom nsite ntendon neq ntree nM nB nC nD nJmom narena".split()
+_ROOM = 1 << 19  # numbers that are recorded in one call: about as many as the processor's caches hold
 
 
 class MujocoRow(Row):
@@ -82,7 +86,7 @@ class MujocoRows(Rows):
     def __init__(self, first: MujocoRow, count: int, threads: int, contacts: bool) -> None:
         from mujoco.batch import Batch, SimulationError  # as much as loading all of MuJoCo; few processes need it
 
-        self.count, self._failure = count, SimulationError
+        self.count, self._failure, self._sleeps = count, SimulationError, first.sleeps
         self.compiled: CompiledModel = first.compiled
         self._batch = batch = Batch(first.model, count, threads, contacts or first.sleeps)
         self._rows: list[MujocoRow] = [first] * count
@@ -139,6 +143,41 @@ class MujocoRows(Rows):
         if self._senses is not None:
             failed.update(self._senses.look(batch, places))
             batch.forward(ids, _MOTION)
+        return self._lost(places, failed)
+
+    def run(self, places: Places, joints: Sequence[int], targets: Array, substeps: int, track: RowsTrack) -> list[int]:
+        """Drives and advances rows for some ticks."""
+        if len(targets) == 1 or self._sleeps or self._senses is not None:
+            return super().run(places, joints, targets, substeps, track)
+        assert isinstance(track, MujocoRowsTrack)
+        motors = np.array([self.compiled.actuator[joint] for joint in joints], np.intp)
+        controls = np.repeat(self._ctrl[places][:, None], len(targets), axis=1)
+        strong = self._strong[places[:, None], motors]
+        controls[:, :, motors] = np.where(strong[:, None], targets.transpose(1, 0, 2), 0.0)
+        failed: set[int] = set()
+        most = max(1, _ROOM // (len(places) * substeps * track.width))
+        for begin in range(0, len(targets), most):
+            some = controls[:, begin : begin + most]
+            failed.update(self._record(places, np.repeat(some, substeps, axis=1), substeps, track))
+        return self._lost(places, failed)
+
+    def _record(self, places: Places, controls: Array, substeps: int, track: MujocoRowsTrack) -> list[int]:
+        """Goes on with controls for each engine step, array (places, steps, motors); returns the places that fail."""
+        ids, failed = np.asarray(places, np.int32), []
+        before, records = self.qvel[places], track.records(len(places), controls.shape[1])
+        try:
+            self._batch.rollout(controls.shape[1], controls, record=tuple(records), ids=ids, out=records)
+        except self._failure as error:
+            failed += error.ids.tolist()
+        try:
+            self._batch.forward(ids, _MOTION)
+        except self._failure as error:
+            failed += error.ids.tolist()
+        track.take(places, records, before, substeps)
+        return failed
+
+    def _lost(self, places: Places, failed: set[int]) -> list[int]:
+        """Returns those of some places that failed or were warned of."""
         if self._warnings.any():
             failed.update(np.flatnonzero(self._warnings.any(axis=1)).tolist())
         if not failed:
@@ -225,7 +264,7 @@ class MujocoRowsTrack(RowsTrack):
         substeps: int,
     ) -> None:
         compiled, count, n = rows.compiled, rows.count, len(bodies)
-        self.rows, self._source = 0, rows
+        self.rows, self._source, self._recorded = 0, rows, (0, 0)
         at = [compiled.body_index[body] for body in bodies]
         roots = compiled.model.body_rootid[at].tolist()
         roots = roots[:1] if len(set(roots)) == 1 else roots  # bodies of one tree share its centre of mass
@@ -238,13 +277,16 @@ class MujocoRowsTrack(RowsTrack):
         self._pose, self._turn = np.empty((count, room, n, 3)), np.empty((count, room, n, 4))
         self._motion, self._centre = np.empty((count, room, n, 6)), np.empty((count, room, len(roots), 3))
         self._position = np.empty((count, room, len(joints)))
-        self._kept = [
-            (rows.xpos, compact(at), self._pose),
-            (rows.xquat, compact(at), self._turn),
-            (rows.cvel, compact(at), self._motion),
-            (rows.centre, compact(roots), self._centre),
-            (rows.qpos, compact([compiled.joint[joint].q for joint in joints]), self._position),
-        ]
+        self._kept = {
+            "xpos": (rows.xpos, compact(at), self._pose),
+            "xquat": (rows.xquat, compact(at), self._turn),
+            "cvel": (rows.cvel, compact(at), self._motion),
+            "subtree_com": (rows.centre, compact(roots), self._centre),
+            "qpos": (rows.qpos, compact([compiled.joint[joint].q for joint in joints]), self._position),
+        }
+        self._shapes = {name: array.shape[1:] for name, (array, _, _) in self._kept.items()}
+        self._shapes |= {"actuator_force": rows.efforts.shape[1:], "qvel": rows.qvel.shape[1:]}
+        self.width = sum(map(prod, self._shapes.values()))
         self._efforts = np.empty((count, room, substeps, len(driven)))
         self._speeds = np.empty((count, room, substeps + 1, len(driven)))
         self._dofs = compact([compiled.joint[joint].v for joint in driven])
@@ -252,11 +294,40 @@ class MujocoRowsTrack(RowsTrack):
     def note(self) -> None:
         """Keeps the present states and readings of all places as the next row."""
         row, source = self.rows, self._source
-        for array, wanted, kept in self._kept:
+        for array, wanted, kept in self._kept.values():
             kept[:, row] = array[:, wanted]
         self._efforts[:, row] = source.step_efforts[:, :, self._motors]
         self._speeds[:, row] = source.step_speeds[:, :, self._dofs]
         self.rows = row + 1
+
+    def records(self, places: int, steps: int) -> dict[RecordItem, Array]:
+        """Returns arrays (places, steps, ...) for what `take` takes of each engine step, by the name of the field."""
+        if self._recorded != (places, steps):
+            self._recorded = places, steps
+            self._records = {name: np.empty((places, steps, *shape)) for name, shape in self._shapes.items()}
+        return self._records
+
+    def take(self, places: Places, records: Mapping[RecordItem, Array], before: Array, substeps: int) -> None:
+        """Keeps many ticks in some places as the next rows, after a call that recorded them.
+
+        Args:
+            places: Which.
+            records: What was recorded of each engine step; the batch's arrays are those of the last state.
+            before: The velocities before the first step, array (places, nv).
+            substeps: How many engine steps a tick has.
+        """
+        ticks = records["qvel"].shape[1] // substeps
+        row, last = self.rows, self.rows + ticks - 1
+        for name, (array, wanted, kept) in self._kept.items():
+            kept[places, row:last] = _later(records[name], name, substeps)[:, :, wanted]
+            kept[places, last] = array[places][:, wanted]
+        shape = len(places), ticks, substeps, -1
+        self._efforts[places, row : last + 1] = records["actuator_force"].reshape(shape)[..., self._motors]
+        after = records["qvel"].reshape(shape)[..., self._dofs]
+        self._speeds[places, row : last + 1, 1:] = after
+        self._speeds[places, row + 1 : last + 1, 0] = after[:, :-1, -1]
+        self._speeds[places, row, 0] = before[:, self._dofs]
+        self.rows = last + 1
 
     def clear(self) -> None:
         """Forgets all rows."""
@@ -281,3 +352,9 @@ class MujocoRowsTrack(RowsTrack):
             efforts, before, after = self._efforts[:, :rows], speeds[:, :, :-1], speeds[:, :, 1:]
             out[..., self._columns] = mean_powers(efforts, before, after, slopes, bounds)
         return out
+
+
+def _later(record: Array, name: str, substeps: int) -> Array:
+    """Returns what a record has of the states after all ticks but the last, array (places, ticks - 1, ...)."""
+    ahead = int(name == "qpos")  # a state, which is recorded after the step; all else follows from the one before it
+    return record[:, substeps - ahead : record.shape[1] - ahead : substeps]

@@ -103,6 +103,29 @@ class Rows(ABC):
             a simulation. What has happened is to be found out by running that scene alone; the place is empty now.
         """
 
+    def run(self, places: Places, joints: Sequence[int], targets: Array, substeps: int, track: RowsTrack) -> list[int]:
+        """Drives and advances the rows in some places for some ticks, and keeps all places in a track after each.
+
+        An engine that takes many ticks in one call does it here; this goes tick by tick.
+
+        Args:
+            places: Which.
+            joints: Those whose motors are driven; the targets of others stay what they are.
+            targets: Of these motors in each tick, array (ticks, places, joints), as `set_motor_targets`.
+            substeps: How many engine steps a tick has.
+            track: It has room for so many ticks more.
+
+        Returns:
+            The places that cannot go on as rows, as `step`; what the track has of them means nothing.
+        """
+        lost: list[int] = []
+        for tick in range(len(targets)):
+            kept = ~np.isin(places, lost)
+            self.set_motor_targets(places[kept], joints, targets[tick, kept])
+            lost += self.step(places[kept], substeps)
+            track.note()
+        return lost
+
     @abstractmethod
     def body_state(self, body: int) -> BodyState:
         """Returns the pose and velocity of a body: each of its numbers an array (places,)."""

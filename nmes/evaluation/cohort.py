@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmes.backend import Array, Contact, Places, Rows
-from nmes.brain import Brain, stack
+from nmes.brain import Brain, BrainBatch, stack
 from nmes.evaluation.episode import Handover, Result
 from nmes.evaluation.task import Task
 from nmes.objective.trajectory import touches
@@ -38,6 +38,11 @@ class Entry:
     brain: Brain | None
     form: str | None
     seed: int
+
+    @classmethod
+    def of(cls, handover: Handover, brain: Brain | None, seed: int) -> Entry:
+        """Returns the entry of a scene and what drives it."""
+        return cls(handover, brain, None if brain is None else brain.form(), seed)
 
     @property
     def kin(self) -> Hashable:
@@ -75,13 +80,13 @@ class _Cohort:
 
     def run(self) -> None:
         """Runs all episodes; afterwards there are results."""
-        task, first, controls = self._task, self._first.tick, self._controls()
-        for tick in range(first, task.ticks):
-            if controls is not None:
-                self._drive(next(controls))
-            self._leave(self._rows.step(self._places, task.substeps))
-            self._note(tick)
-            last = tick + 1 == task.ticks
+        task, tick = self._task, self._first.tick
+        for controls in self._controls():
+            self._advance(controls)
+            tick += len(controls)
+            if self._judges[0].touchy:
+                self._feel(tick)
+            last = tick == task.ticks
             if last or self._track.rows == task.tick_rate:
                 self._look(last=last)
             if not len(self._places):
@@ -89,50 +94,55 @@ class _Cohort:
 
     # -- brains -------------------------------------------------------------------------------------------------------
 
-    def _controls(self) -> Iterator[Array] | None:
-        """Returns an iterator over the controls of each tick, array (places, motors); None without brains."""
+    def _controls(self) -> Iterator[Array]:
+        """Yields the controls of the ticks that come next, array (ticks, places, motors); of no motors without brains.
+
+        These are all ticks until the judges look, where no brain senses and nobody asks what touches what; else one.
+        """
         groups: dict[str, list[int]] = {}
         for place, entry in enumerate(self._entries):
             if entry.form is not None:
                 groups.setdefault(entry.form, []).append(place)
-        return self._think([np.array(places) for places in groups.values()]) if groups else None
-
-    def _think(self, groups: list[Places]) -> Iterator[Array]:
-        first, ticks = self._first.tick, self._task.ticks
-        controls = np.zeros((len(self._entries), len(self._first.creature.motors)))
-        known: list[tuple[Places, Array]] = []
-        thinking = []
-        for places in groups:
-            entries = [self._entries[place] for place in places]
-            brains = stack([entry.brain for entry in entries if entry.brain is not None])
-            brains.reset([entry.seed for entry in entries], 1.0 / self._task.tick_rate)
-            if brains.open_loop:
-                known.append((places, brains.controls(ticks)))
-                continue
-            for tick in range(first):  # what they have lived through already
-                brains.step(np.array([entry.handover.sensed[tick] for entry in entries]))
-            thinking.append((places, brains))
-        sensed = None
-        if thinking:
-            sensed = np.array([entry.handover.senses for entry in self._entries])
-        for tick in range(first, ticks):
-            for places, all_controls in known:
-                controls[places] = all_controls[tick]
-            if sensed is not None:
-                for places, brains in thinking:
-                    controls[places] = brains.step(sensed[places])
+        stacks = [(places, self._stacked(places)) for places in map(np.array, groups.values())]
+        motors = len(self._first.creature.motors) if stacks else 0
+        ahead = all(brains.open_loop for _, brains in stacks)
+        block = self._task.tick_rate if ahead and not self._judges[0].touchy else 1
+        sensed = np.array([entry.handover.senses for entry in self._entries])
+        for tick in range(self._first.tick, self._task.ticks, block):
+            controls = np.zeros((min(block, self._task.ticks - tick), len(self._entries), motors))
+            for places, brains in stacks:
+                controls[:, places] = brains.controls(len(controls)) if ahead else brains.step(sensed[places])
             yield controls
-            if thinking:
+            if not ahead:
                 sensed = self._creatures.sense()
 
-    def _drive(self, controls: Array) -> None:
-        """Drives the rows that still run; those that the motors would refuse leave, to be refused in a world."""
-        controls = controls[self._places]
-        accepted = (np.abs(controls) <= 1.0).all(axis=1)
+    def _stacked(self, places: Places) -> BrainBatch:
+        """Returns the brains of some entries, as far as they have come."""
+        entries = [self._entries[place] for place in places]
+        brains = stack([entry.brain for entry in entries if entry.brain is not None])
+        brains.reset([entry.seed for entry in entries], 1.0 / self._task.tick_rate)
+        for tick in range(self._first.tick):  # what they have lived through already
+            if brains.open_loop:
+                brains.controls(1)
+            else:
+                brains.step(np.array([entry.handover.sensed[tick] for entry in entries]))
+        return brains
+
+    def _advance(self, controls: Array) -> None:
+        """Advances the rows that still run; those that the motors would refuse leave, to be refused in a world."""
+        controls = controls[:, self._places]
+        accepted = (np.abs(controls) <= 1.0).all(axis=(0, 2))
         if not accepted.all():
-            controls = controls[accepted]
+            controls = controls[:, accepted]
             self._leave(self._places[~accepted].tolist())
-        self._creatures.drive(self._places, controls)
+        if not len(self._places):
+            return
+        substeps = self._task.substeps
+        if controls.shape[2]:
+            lost = self._creatures.run(self._places, controls, substeps, self._track)
+        else:
+            lost = self._rows.run(self._places, (), controls, substeps, self._track)
+        self._leave(lost)
 
     # -- rows ---------------------------------------------------------------------------------------------------------
 
@@ -140,14 +150,13 @@ class _Cohort:
         if places:
             self._places = self._places[~np.isin(self._places, places)]
 
-    def _note(self, tick: int) -> None:
-        self._track.note()
-        if self._judges[0].touchy:
-            bodies = self._first.watched.bodies
-            for place in self._places.tolist():
-                judge = self._judges[place]
-                scene = PlaceOfRows(self._rows, place)
-                judge.touches[tick + 1] = touches(scene, bodies, judge.trajectory.bodies.body)
+    def _feel(self, tick: int) -> None:
+        """Tells the judges what touches what after a tick."""
+        bodies = self._first.watched.bodies
+        for place in self._places.tolist():
+            judge = self._judges[place]
+            scene = PlaceOfRows(self._rows, place)
+            judge.touches[tick] = touches(scene, bodies, judge.trajectory.bodies.body)
 
     def _look(self, *, last: bool) -> None:
         """Has the new rows judged; those whose episode is over leave, with a result."""

@@ -111,8 +111,8 @@ class Episode:
             WorldError: As by `run`.
         """
         self._leaves = True
-        result = self.run()
-        return result if self._handover is None else self._handover
+        self._go()
+        return self.result() if self._handover is None else self._handover
 
     def run(self) -> Result:
         """Runs all of it.
@@ -120,6 +120,10 @@ class Episode:
         Raises:
             WorldError: The world refuses a command that sets the scene.
         """
+        self._go()
+        return self.result()
+
+    def _go(self) -> None:
         world = self._world
         client = world.join()
         drive, tick = world.drive, world.tick
@@ -134,7 +138,6 @@ class Episode:
                 if reply["type"] == "error":
                     raise WorldError(reply["code"], reply["message"], reply.get("field"))
         world.leave(client)
-        return self.result()
 
     def steps(self) -> Iterator[Step]:
         """Yields the episode's steps; each must be done before the next is asked for."""

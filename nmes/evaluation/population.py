@@ -23,7 +23,7 @@ from nmes.genome import Genome
 from nmes.genome.body import Body
 from nmes.world import World
 
-__all__ = ["ROWS", "Outcome", "admit", "guarded", "run_alone", "run_population"]
+__all__ = ["ROWS", "Outcome", "admit", "guarded", "run_alone", "run_in_world", "run_population"]
 
 ROWS: Final = 64
 """How many episodes are run together: with more the costs of a tick hardly fall, and each keeps its trajectory."""
@@ -79,7 +79,23 @@ def guarded(run: Callable[[], T], seed: int) -> T | Result:
 
 
 def run_alone(genome: Genome, brain: Brain | None, task: Task, seed: int) -> Result:
-    """Runs an episode in a world of its own.
+    """Runs an episode by itself: as a row, where a brain that senses nothing lets many ticks be taken in one call.
+
+    Raises:
+        NmesError: The creature cannot be evaluated.
+    """
+    if brain is None or brain.open_loop:
+        start = _begin(genome, brain, task, seed)
+        if isinstance(start, Result):
+            return start
+        result = _together([Entry.of(start, brain, seed)], task)[0]
+        if result is not None:
+            return result
+    return run_in_world(genome, brain, task, seed)
+
+
+def run_in_world(genome: Genome, brain: Brain | None, task: Task, seed: int) -> Result:
+    """Runs an episode in a world of its own, all of it; the figures are those of `run_alone`.
 
     Raises:
         NmesError: The creature cannot be evaluated.
@@ -87,6 +103,15 @@ def run_alone(genome: Genome, brain: Brain | None, task: Task, seed: int) -> Res
     world = World(task.world_config(seed))
     try:
         return Episode(world, genome, brain, task, seed).run()
+    finally:
+        world.close()
+
+
+def _begin(genome: Genome, brain: Brain | None, task: Task, seed: int) -> Result | Handover:
+    """Sets the scene in a world, and hands it over; where that cannot be, runs all of the episode there."""
+    world = World(task.world_config(seed))
+    try:
+        return Episode(world, genome, brain, task, seed).begin()
     finally:
         world.close()
 
@@ -106,7 +131,7 @@ def _together(entries: Sequence[Entry], task: Task) -> Sequence[Result | None]:
         return run_cohort(entries, task)
     except Exception as failure:
         # Of one brain, maybe: whose it is, and what it says, comes out where each is run alone.
-        logger.warning("%d episodes are run one by one, since together they fail: %r", len(entries), failure)
+        logger.warning("%d episodes are run in worlds of their own, since as rows they fail: %r", len(entries), failure)
         return [None] * len(entries)
 
 
@@ -117,7 +142,6 @@ class _Run:
     outcome: Outcome
     genome: Genome
     brain: Brain | None
-    form: str | None
     seed: int
 
 
@@ -155,7 +179,7 @@ class _Population:
             for runs in bodies.values():
                 self._starts.clear()
                 for run in runs:
-                    yield from self._alone(run) if few else self._start(run)
+                    yield from self._by_itself(run, run_alone) if few else self._start(run)
                     while sum(map(len, self._waiting.values())) >= ROWS:
                         yield from self._run_together()
             while self._waiting:
@@ -168,30 +192,22 @@ class _Population:
         except NmesError as refusal:
             outcome.refusals = dict.fromkeys(self._seeds, refusal.message)
             return []
-        form = None if brain is None else brain.form()
-        return [_Run(outcome, genome, brain, form, seed) for seed in self._seeds]
+        return [_Run(outcome, genome, brain, seed) for seed in self._seeds]
 
     def _start(self, run: _Run) -> Iterator[Outcome]:
         """Sets a scene, or takes that of another creature of this body; the episode then waits for others."""
         began = time.perf_counter()
         start: Result | Handover | None = self._starts.get(run.seed)
         if start is None:
-            start = self._guarded(run, lambda: self._begin(run))
+            start = self._guarded(run, lambda: _begin(run.genome, run.brain, self._task, run.seed))
             if isinstance(start, Handover) and start.tick == 0:
                 self._starts[run.seed] = start
         run.outcome.seconds += time.perf_counter() - began
         if isinstance(start, Handover):
-            entry = Entry(start, run.brain, run.form, run.seed)
+            entry = Entry.of(start, run.brain, run.seed)
             self._waiting.setdefault(entry.kin, []).append((run, entry))
         else:
             yield from self._over(run, start)
-
-    def _begin(self, run: _Run) -> Result | Handover:
-        world = World(self._task.world_config(run.seed))
-        try:
-            return Episode(world, run.genome, run.brain, self._task, run.seed).begin()
-        finally:
-            world.close()
 
     def _run_together(self) -> Iterator[Outcome]:
         """Runs the largest group of those that wait."""
@@ -201,11 +217,11 @@ class _Population:
         share = (time.perf_counter() - began) / len(group)
         for (run, _), result in zip(group, results, strict=True):
             run.outcome.seconds += share
-            yield from self._alone(run) if result is None else self._over(run, result)
+            yield from self._by_itself(run, run_in_world) if result is None else self._over(run, result)
 
-    def _alone(self, run: _Run) -> Iterator[Outcome]:
+    def _by_itself(self, run: _Run, how: Callable[[Genome, Brain | None, Task, int], Result]) -> Iterator[Outcome]:
         began = time.perf_counter()
-        result = self._guarded(run, lambda: run_alone(run.genome, run.brain, self._task, run.seed))
+        result = self._guarded(run, lambda: how(run.genome, run.brain, self._task, run.seed))
         run.outcome.seconds += time.perf_counter() - began
         yield from self._over(run, result)
 

@@ -18,7 +18,7 @@ import numpy as np
 import orjson
 
 from nmes import protocol
-from nmes.backend import Array, BodyState, Places, Quaternion, Rows, StaticBox, Vector
+from nmes.backend import Array, BodyState, Places, Quaternion, Rows, RowsTrack, StaticBox, Vector
 from nmes.backend.rotation import conjugate, minus, plus, rotate
 from nmes.errors import WorldError
 from nmes.genome import Genome
@@ -277,10 +277,27 @@ class CreatureRows:
             places: Which.
             controls: Shape (places, m), each from -1 to 1.
         """
+        self._rows.set_motor_targets(places, self._plan._numbers, self._aims(places, controls))
+
+    def run(self, places: Places, controls: Array, substeps: int, track: RowsTrack) -> list[int]:
+        """Drives and advances some places for some ticks; see `Rows.run`.
+
+        Args:
+            places: Which.
+            controls: Of each tick, shape (ticks, places, m), each from -1 to 1.
+            substeps: How many engine steps a tick has.
+            track: Where each tick is kept.
+
+        Returns:
+            The places that cannot go on as rows.
+        """
+        return self._rows.run(places, self._plan._numbers, self._aims(places, controls), substeps, track)
+
+    def _aims(self, places: Places, controls: Array) -> Array:
         targets: Array = controls + 1.0
         targets *= self._half[places]
         targets += self._low[places]
-        self._rows.set_motor_targets(places, self._plan._numbers, targets)
+        return targets
 
     def sense(self) -> Array:
         """Returns the readings of `Creature.sense` in each place: a new array, shape (places, s)."""

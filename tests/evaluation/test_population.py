@@ -6,11 +6,17 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 import pytest
 
 from creatures import cpg, exploding, mlp, snake
-from nmes.evaluation import Evaluation, Task, Workers, evaluate, evaluate_population, population
+from nmes.backend import Rows
+from nmes.backends.mujoco3d import rows
+from nmes.backends.mujoco3d.rows import MujocoRows
+from nmes.evaluation import Evaluation, Task, Workers, evaluate, evaluate_population, evaluator, population
+from nmes.evaluation.episode import Episode, Handover
 from nmes.genome import Genome
+from nmes.world import World
 from populations import draw_population
 
 LOOSE = {"cubes": 8}
@@ -53,10 +59,18 @@ def task(name: str, **changes: Any) -> Task:
     return Task({**head, "settle_limit": 2, "limits": LOOSE, **TASKS[name], **changes})
 
 
+def in_worlds(genome: Genome, asked: Task) -> Evaluation:
+    """Evaluates a creature in worlds of its own, all of each episode."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(evaluator, "run_alone", population.run_in_world)
+        return evaluate(genome, asked)
+
+
 def assert_alike(genomes: Sequence[Genome], asked: Task, found: Sequence[Evaluation]) -> None:
     for genome, together in zip(genomes, found, strict=True):
-        alone = evaluate(genome, asked)
-        assert together == alone, f"{genome!r} on {asked.name}"
+        expected = in_worlds(genome, asked)
+        assert together == expected, f"{genome!r} on {asked.name}"
+        assert evaluate(genome, asked) == expected, f"{genome!r} on {asked.name}, alone"
 
 
 def draw_and_compare(seed: int, name: str, size: int, **changes: Any) -> Counter[str]:
@@ -103,6 +117,7 @@ def test_one_body_with_many_brains_and_many_sizes_of_it_run_as_rows(monkeypatch:
     genomes = [*many, Genome(sized)]
     with monkeypatch.context() as patch:
         patch.setattr(population, "run_alone", refuse)
+        patch.setattr(population, "run_in_world", refuse)
         found = evaluate_population(genomes, asked)
     assert len({each.score for each in found}) == 5  # the two of equal brains score alike
     assert_alike(genomes, asked, found)
@@ -119,6 +134,44 @@ def test_a_row_that_faults_or_ends_early_leaves_the_others_as_they_were() -> Non
     found = evaluate_population(genomes, asked)
     assert [each.faults for each in found] == [0, 2, 0, 2, 0, 2]
     assert_alike(genomes, asked, found)
+
+
+def test_ticks_in_one_call_are_kept_as_ticks_one_by_one() -> None:
+    document = snake(name="sprung")
+    for joint in document["body"]["joints"]:
+        joint["stiffness"] = 0.5
+    asked = task("run", settle_limit=0.6)
+    start = Episode(World(asked.world_config(3)), Genome(document), None, asked, 3).begin()
+    assert isinstance(start, Handover)
+    joints, ticks = start.watched.motors, 9
+    targets = np.random.default_rng(0).uniform(-0.5, 0.5, (ticks, 2, len(joints)))
+    kept = []
+    for run in (Rows.run, MujocoRows.run):
+        places = start.row.rows(3)
+        places.put([0, 2], [start.row, start.row])
+        track = places.track(*start.watched, ticks + 1, 4)
+        assert isinstance(places, MujocoRows)
+        for some in (targets[:2], targets[2:]):
+            assert run(places, np.array([0, 2]), joints, some, 4, track) == []
+        kept.append([values[[0, 2]] for values in (track.states(), track.positions(), track.powers(), places.qpos)])
+    for one_by_one, at_once in zip(*kept, strict=True):
+        assert at_once.size and np.array_equal(one_by_one, at_once)
+        assert not np.array_equal(at_once[0], at_once[1])
+
+
+@pytest.mark.parametrize("room", [1, 5_000])
+def test_how_many_ticks_are_taken_in_one_call_changes_nothing(room: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    brains = [{"kind": "sine", "oscillators": [{"motor": "*", "frequency": 0.5 + 0.3 * i}]} for i in range(5)]
+    waves = [snake(brain) for brain in brains]
+    for document in waves:
+        for joint in document["body"]["joints"]:
+            joint["stiffness"] = 0.5
+    asked = task("run", duration=1.2, settle_limit=0.6, ends=[{"name": "off", "when": "displacement.horizontal > 0.1"}])
+    genomes = [Genome(document) for document in waves]
+    expected = [in_worlds(genome, asked) for genome in genomes]
+    assert len({each.score for each in expected}) == 5
+    monkeypatch.setattr(rows, "_ROOM", room)
+    assert evaluate_population(genomes, asked) == expected
 
 
 def test_processes_and_order_change_nothing() -> None:
