@@ -61,7 +61,7 @@ def test_instances_share_no_generator_and_leave_the_global_ones_alone() -> None:
     alone = digest(cma(vector_problem(TEN, 3)), 60)
     np.random.seed(8)
     random.seed(8)
-    before = np.random.get_state()[1].tolist(), random.getstate()  # type: ignore[index, union-attr]
+    before = np.random.get_state()[1].tolist(), random.getstate()  # type: ignore[index]
     first, second = cma(vector_problem(TEN, 3)), cma(vector_problem(TEN, 4))
     hashes: list[str] = []
     others = feed(second, lambda candidate: Score(-sphere(vector_of(candidate.genome))))
@@ -69,7 +69,7 @@ def test_instances_share_no_generator_and_leave_the_global_ones_alone() -> None:
         hashes.append(candidate.genome.hash)
         next(others)
     assert hashes == alone
-    assert (np.random.get_state()[1].tolist(), random.getstate()) == before  # type: ignore[index, union-attr]
+    assert (np.random.get_state()[1].tolist(), random.getstate()) == before  # type: ignore[index]
     assert digest(cma(vector_problem(TEN, 5)), 20) != alone[:20]
 
 

@@ -31,7 +31,7 @@ def fronts(objectives: Array) -> list[list[int]]:
     Returns:
         The places of the members of each front, ascending; the members of each are dominated only by those before.
     """
-    no_less = (objectives[:, None, :] >= objectives[None, :, :]).all(axis=2)
+    no_less = np.asarray((objectives[:, None, :] >= objectives[None, :, :]).all(axis=2))
     dominates = no_less & ~no_less.T
     left = dominates.sum(axis=0)  # how many dominate each
     found: list[list[int]] = []
