@@ -23,6 +23,7 @@ __all__ = ["EvaluationQueue"]
 
 _CRASHES: Final = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL")  # what a process does to itself
 _TRIES: Final = 2
+_ENOUGH: Final = 8  # genomes a process that wait, with which one that is free may begin
 
 
 class EvaluationQueue:
@@ -41,12 +42,17 @@ class EvaluationQueue:
         self._lost: dict[int, int] = {}  # how often by itself
         self._given: dict[int, dict[int, Job]] = {}  # portions that are being worked on, by their number
         self._portions = 0
+        self._count = 0  # of those that wait
 
     def put(self, number: int, genome: Genome) -> None:
         """Has a genome evaluated; the evaluation comes with this number, which is above those before."""
         document = orjson.dumps(genome.document)
         job = Job(genome.name, document, self._task, self._seeds)
         self._waiting.setdefault(kind_of(document), deque()).append((number, job))
+        self._count += 1
+        # One process takes all there is at once; several should not idle while others come up.
+        if self._pool.jobs > 1 and self._count >= _ENOUGH * self._pool.jobs:
+            self._feed()
 
     def take(self) -> list[tuple[int, Evaluation]]:
         """Waits until something is ready, and returns the numbers and evaluations; none where nothing is left.
@@ -57,15 +63,14 @@ class EvaluationQueue:
             MachineError: Something else ends the processes of workers (`worker_killed`).
         """
         found: list[tuple[int, Evaluation]] = []
-        self.feed()
+        self._feed()
         while self._given and not found:
             for portion, results in self._pool.take():
                 found += self._taken(self._given.pop(portion), results)
-            self.feed()
+            self._feed()
         return found
 
-    def feed(self) -> None:
-        """Gives workers that are free something to do."""
+    def _feed(self) -> None:
         while self._pool.free and (self._alone or self._waiting):
             jobs = dict([self._alone.popleft()] if self._alone else self._portion())
             self._given[self._portions] = jobs
@@ -76,10 +81,11 @@ class EvaluationQueue:
         """Takes some of the kind of what has waited longest, since that is what the order of a run waits for."""
         kind = min(self._waiting, key=lambda kind: self._waiting[kind][0][0])
         jobs = self._waiting[kind]
-        size = portion_size(sum(map(len, self._waiting.values())), len(self._seeds), self._pool.jobs)
+        size = portion_size(self._count, len(self._seeds), self._pool.jobs)
         portion = [jobs.popleft() for _ in range(min(size, len(jobs)))]
         if not jobs:
             del self._waiting[kind]
+        self._count -= len(portion)
         return portion
 
     def _taken(self, jobs: dict[int, Job], results: list[Evaluation] | Lost) -> list[tuple[int, Evaluation]]:

@@ -1,0 +1,135 @@
+"""Genomes that come up one by one: evaluated as all together, by workers that always have something to do."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import pytest
+
+from creatures import snake
+from nmes.errors import MachineError
+from nmes.evaluation import Evaluation, Job, Task, evaluate_population
+from nmes.evaluation import queue as queue_module
+from nmes.evaluation.parallel import Lost, Workers
+from nmes.evaluation.queue import EvaluationQueue
+from nmes.genome import Genome
+from populations import draw_population
+
+TASK = Task(
+    {
+        "format": "nmes-task/1",
+        "name": "moment",
+        "description": "Get far in a moment.",
+        "duration": 0.2,
+        "settle": 0,
+        "settle_limit": 0.25,
+        "seeds": [1, 2],
+        "objective": "displacement.horizontal",
+    }
+)
+
+
+class Notes(Workers):
+    """Workers in this process that note the sizes of portions, and have a fate for each creature."""
+
+    def __init__(self, jobs: int, fates: dict[str, list[str]] | None = None) -> None:
+        super().__init__(jobs)
+        self.given: list[list[str]] = []
+        self._fates = fates or {}
+        self._work: list[tuple[int, Callable[[Any], Any], Sequence[Job]]] = []
+
+    @property
+    def free(self) -> int:
+        return self.jobs - len(self._work)
+
+    def give(self, number: int, function: Callable[[Any], Any], item: object) -> None:
+        assert isinstance(item, list)
+        self.given.append([job.name for job in item])
+        self._work.append((number, function, item))
+
+    def take(self) -> list[tuple[int, Any]]:
+        number, function, portion = self._work.pop(0)
+        for job in portion:
+            if self._fates.get(job.name):
+                return [(number, Lost(f"the process was killed by {self._fates[job.name].pop(0)}"))]
+        return [(number, function(portion))]
+
+
+def all_of(queue: EvaluationQueue) -> dict[int, Evaluation]:
+    found: dict[int, Evaluation] = {}
+    while ready := queue.take():
+        assert not found.keys() & dict(ready).keys()
+        found.update(ready)
+    return found
+
+
+def test_evaluations_are_those_of_all_together_whenever_their_genomes_came() -> None:
+    genomes = draw_population(5, 9)
+    together = evaluate_population(genomes, TASK)
+    queue = EvaluationQueue(TASK, TASK.seeds, Workers(1))
+    found: dict[int, Evaluation] = {}
+    for number, genome in enumerate(genomes):
+        queue.put(number, genome)
+        if number % 4 == 3:
+            found.update(queue.take())
+    found.update(all_of(queue))
+    assert [found[number] for number in range(len(genomes))] == together
+    assert queue.take() == []
+
+
+def test_workers_are_given_something_as_soon_as_there_is_enough_and_kinds_stay_together() -> None:
+    pool = Notes(2)
+    queue = EvaluationQueue(TASK, (1,), pool)
+    for number in range(40):
+        segments = 2 + number % 2
+        queue.put(number, Genome(snake(segments=segments, name=f"{segments} {number}")))
+    assert len(pool.given) == 2  # before anybody waits for a result
+    all_of(queue)
+    names = [name for portion in pool.given for name in portion]
+    assert sorted(names) == sorted(f"{2 + number % 2} {number}" for number in range(40))
+    assert all(len({name.split()[0] for name in portion}) == 1 for portion in pool.given)
+    assert pool.given[0][0] == "2 0" and pool.given[1][0] == "3 1"  # what has waited longest comes first
+    assert max(map(len, pool.given)) <= 10  # no worker has so much that another has to wait for it
+
+
+def test_of_a_portion_that_is_lost_only_who_crashes_its_process_has_an_error() -> None:
+    genomes = [Genome(snake(name=name)) for name in ("a", "killer", "b", "c")]
+    pool = Notes(1, {"killer": ["SIGSEGV", "SIGSEGV", "SIGSEGV"]})
+    queue = EvaluationQueue(TASK, (1,), pool)
+    for number, genome in enumerate(genomes):
+        queue.put(number, genome)
+    found = all_of(queue)
+    assert "SIGSEGV" in str(found[1].error) and [found[number].error for number in (0, 2, 3)] == [None] * 3
+    assert pool.given == [["a", "killer", "b", "c"], ["a"], ["killer"], ["b"], ["c"], ["killer"]]
+
+
+@pytest.mark.parametrize(("kills", "lost"), [(1, False), (2, True)])
+def test_a_kill_from_outside_is_no_fault_of_the_creature(kills: int, lost: bool) -> None:
+    pool = Notes(1, {"victim": ["SIGKILL"] * kills})
+    queue = EvaluationQueue(TASK, (1,), pool)
+    queue.put(0, Genome(snake(name="victim")))
+    if lost:
+        with pytest.raises(MachineError) as error:
+            all_of(queue)
+        assert error.value.code == "worker_killed"
+    else:
+        assert all_of(queue)[0].error is None
+
+
+def dying(portion: Sequence[Job]) -> list[Evaluation]:
+    if portion[0].name == "killer":
+        os.kill(os.getpid(), signal.SIGSEGV)
+    return [job.failed("alive") for job in portion]
+
+
+def test_processes_that_die_are_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(queue_module, "evaluate_portion", dying)
+    with Workers(2) as workers:
+        queue = EvaluationQueue(TASK, (1,), workers)
+        for number, name in enumerate(("a", "killer", "b")):
+            queue.put(number, Genome(snake(segments=2 + number, name=name)))
+        found = all_of(queue)
+    assert "SIGSEGV" in str(found[1].error) and found[0].error == found[2].error == "alive"
