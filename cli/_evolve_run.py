@@ -8,6 +8,7 @@ import signal
 import sys
 import time
 from collections import deque
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -55,7 +56,7 @@ def go_on(run: Run, jobs: int | None, ray: str | None, as_json: bool) -> None:
     with interruptions(signal.SIGINT, signal.SIGTERM) as interrupted:
         try:
             with open_pool(jobs, ray) as pool:
-                _advance(run, pool)
+                _advance(run, pool, interrupted)
         except KeyboardInterrupt:
             pass
     run = type(run).open(run.folder)  # wherever it was interrupted, this is what is there
@@ -67,7 +68,7 @@ def go_on(run: Run, jobs: int | None, ray: str | None, as_json: bool) -> None:
     sys.exit(1 if stopped else 0)
 
 
-def _advance(run: Run, pool: Workers | Cluster) -> None:
+def _advance(run: Run, pool: Workers | Cluster, interrupted: Callable[[], bool]) -> None:
     recent = deque(run.records[-_RECENT:], _RECENT)
     best = run.best
     begin, first = time.monotonic(), len(run)
@@ -80,6 +81,8 @@ def _advance(run: Run, pool: Workers | Cluster) -> None:
                 best = record
             rate = (record.index + 1 - first) / max(1e-9, time.monotonic() - begin)
             progress("evolving", record.index + 1, total, f"{_note(recent, best)}, {rate:.1f}/s")
+            if interrupted():
+                raise KeyboardInterrupt
 
 
 def _note(recent: deque[Record], best: Record | None) -> str:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import signal
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -12,7 +10,6 @@ import pytest
 from creatures import snake
 from nmes.errors import MachineError
 from nmes.evaluation import Evaluation, Job, Task, evaluate_population
-from nmes.evaluation import queue as queue_module
 from nmes.evaluation.parallel import Lost, Workers
 from nmes.evaluation.queue import EvaluationQueue
 from nmes.genome import Genome
@@ -117,19 +114,3 @@ def test_a_kill_from_outside_is_no_fault_of_the_creature(kills: int, lost: bool)
         assert error.value.code == "worker_killed"
     else:
         assert all_of(queue)[0].error is None
-
-
-def dying(portion: Sequence[Job]) -> list[Evaluation]:
-    if portion[0].name == "killer":
-        os.kill(os.getpid(), signal.SIGSEGV)
-    return [job.failed("alive") for job in portion]
-
-
-def test_processes_that_die_are_replaced(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(queue_module, "evaluate_portion", dying)
-    with Workers(2) as workers:
-        queue = EvaluationQueue(TASK, (1,), workers)
-        for number, name in enumerate(("a", "killer", "b")):
-            queue.put(number, Genome(snake(segments=2 + number, name=name)))
-        found = all_of(queue)
-    assert "SIGSEGV" in str(found[1].error) and found[0].error == found[2].error == "alive"
