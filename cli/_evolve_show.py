@@ -46,6 +46,8 @@ def command(folder: Path, output: Path | None, as_json: bool) -> None:
     from nmes.evolution.run import Run
     from nmes.view.run_summary import RunSummary
 
+    if output is not None and output.suffix != ".html" and output.exists() and not output.is_dir():
+        raise click.UsageError(f"{output} is no folder: a page ends in .html")
     run = Run.open(folder)
     summary = RunSummary(run)
     if output is not None:

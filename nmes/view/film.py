@@ -28,7 +28,7 @@ from nmes.view.camera import Way, cameras
 from nmes.view.moments import Moment, moments
 from nmes.view.stage import Stage
 
-__all__ = ["Cut", "film"]
+__all__ = ["Cut", "check_path", "film"]
 
 Progress = Callable[[str, int, int], None]
 
@@ -89,10 +89,7 @@ def film(
         MissingPackage: An `.mp4` needs PyAV, which is not installed.
     """
     path = Path(path)
-    if path.suffix not in _WRITERS:
-        raise FilmError("unknown_format", f"{path}: a film ends in .mp4 or .gif, a picture in .png")
-    if not path.parent.is_dir():  # found before the work, not after it
-        raise FilmError("cannot_write", f"cannot write {path}: there is no folder {path.parent}")
+    check_path(path)
     if path.suffix == ".gif":
         fps = min(fps, _GIF_CLOCK // 2)
     columns = ceil(sqrt(len(recordings)))
@@ -106,6 +103,18 @@ def film(
         takes = [_Take(take.title, take.config, take.moments[-1:], take.cameras[-1:]) for take in takes]
     with _whole(path) as unfinished, closing(_pictures(takes, columns, rows, tile, progress)) as pictures:
         _WRITERS[path.suffix](pictures, unfinished, fps)
+
+
+def check_path(path: Path) -> None:
+    """Refuses a path that no film can have: for who would find it out after much work.
+
+    Raises:
+        FilmError: The ending is not known (`unknown_format`), or there is no such folder (`cannot_write`).
+    """
+    if path.suffix not in _WRITERS:
+        raise FilmError("unknown_format", f"{path}: a film ends in .mp4 or .gif, a picture in .png")
+    if not path.parent.is_dir():
+        raise FilmError("cannot_write", f"cannot write {path}: there is no folder {path.parent}")
 
 
 class _Take(NamedTuple):

@@ -13,7 +13,7 @@ from nmes.evolution.rerun import record_candidate
 from nmes.evolution.run import Run
 from nmes.recording import Recording
 from nmes.view.chart import number
-from nmes.view.film import Cut, film
+from nmes.view.film import Cut, check_path, film
 
 __all__ = ["film_run"]
 
@@ -43,6 +43,7 @@ def film_run(
         RunError: None has a score (`no_score`), or as `record_candidate`.
         FilmError, WorldError, MissingPackage: As `film`.
     """
+    check_path(path)
     champions = History(run.records).champions()
     if not champions:
         raise RunError("no_score", f"no candidate of {run.folder} has a score: there is nothing to film")

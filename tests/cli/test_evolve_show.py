@@ -254,6 +254,20 @@ def test_a_film_shows_the_champions(walk: Path, tmp_path: Path) -> None:
     assert (tmp_path / "film.gif").stat().st_size > 1000
 
 
+def test_outputs_that_cannot_be_are_refused_before_the_work(
+    walk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nmes.view.run_film.record_candidate", None)
+    for name, words in (("film.txt", ".mp4 or .gif"), ("nowhere/film.gif", "no folder")):
+        result = run("film", walk, "-o", tmp_path / name)
+        assert result.exit_code == 1 and words in result.output
+    before = (walk / "log.jsonl").read_bytes()
+    for command in ("show", "best"):
+        result = run(command, walk, "-o", walk / "log.jsonl")
+        assert result.exit_code == 2 and "log.jsonl" in result.output
+    assert (walk / "log.jsonl").read_bytes() == before
+
+
 def test_the_words_of_a_run_come_without_delay(tmp_path: Path) -> None:
     """Of 10,000 candidates in under 2 s of a core: here, that no genome is read and that nothing is done twice."""
     make_run(tmp_path / "run", candidates(300))
