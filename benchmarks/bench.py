@@ -23,6 +23,7 @@ import bodies
 import brains
 import engines
 import evaluation
+import evolution
 import filming
 import hostile
 import hosting
@@ -40,6 +41,7 @@ SUITES = {
     "brains": brains.figures,
     "engines": engines.figures,
     "evaluation": evaluation.figures,
+    "evolution": evolution.figures,
     "filming": filming.figures,
     "hosting": hosting.figures,
     "hostile": hostile.figures,

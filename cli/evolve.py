@@ -76,7 +76,7 @@ for _each in (_evolve_best, _evolve_film, _evolve_resume, _evolve_show, _evolve_
 @RAY
 @JSON
 @click.pass_context
-def begin(context: click.Context, settings: Path | None, output: Path | None, **options: Any) -> None:
+def begin(context: click.Context, /, settings: Path | None, output: Path | None, **options: Any) -> None:
     """Evolve creatures, in runs that anyone can repeat.
 
     WHAT is where the run begins: `random` for random creatures, or genomes: files, directories, patterns, or names of

@@ -127,7 +127,7 @@ class RunWriter:
         self._cut()
 
     def append(self, records: Sequence[Mapping[str, Any]]) -> list[Line]:
-        """Appends records, and returns their lines; a second later at most they are on the disk.
+        """Appends records, and returns their lines; about once a second all is synced to the disk.
 
         Raises:
             RunError: They cannot be written (`cannot_write`); none of them is in the log then.

@@ -8,6 +8,7 @@ import sqlite3
 from collections.abc import Iterator, Sequence
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import orjson
 import pytest
@@ -66,7 +67,8 @@ def test_workers_do_not_show_in_the_log(whole: Path, tmp_path: Path) -> None:
 
 def test_another_seed_or_option_is_another_history(whole: Path, tmp_path: Path) -> None:
     digests = {Run.open(whole).digest}
-    for number, settings in enumerate(({"seed": 4}, {"seeds": [2]}, {"options": {"crossover": 0.0}})):
+    others: list[dict[str, Any]] = [{"seed": 4}, {"seeds": [2]}, {"options": {"crossover": 0.0}}]
+    for number, settings in enumerate(others):
         digests.add(finish(begin(tmp_path / str(number), budget=3, **settings)).digest)
     digests.add(finish(begin(tmp_path / "same", budget=3)).digest)
     assert len(digests) == 5
