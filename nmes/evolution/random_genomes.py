@@ -30,10 +30,12 @@ _TRUNK: Final = "trunk"
 _LARGEST: Final = 4.0  # m: the size for which bodies are drawn where the task has no limit
 _THINNEST: Final = 0.02  # m
 _DENSITY: Final = (200.0, 1500.0)  # kg/m^3
-_LIMBS: Final = 3
+_LIMBS: Final = 4
 _FACES: Final = ("+z", "-z", "-y", "+y", "+x", "-x")
 _FACING: Final = (0.35, 0.1, 0.25, 0.05, 0.15, 0.1)
-_STRENGTH: Final = (0.7, 4.0)  # of a motor, of that of one that mutation adds
+_SWING: Final = (0.4, 1.4)  # rad: how far a limb swings to each side
+_STRENGTH: Final = (0.2, 4.0)  # of a motor, of what lifts the whole body at the end of the limb
+_GRAVITY: Final = 9.81
 _FREQUENCY: Final = (0.5, 4.0)  # Hz
 _RATE: Final = 60.0  # control steps a second, for which clocks of networks are drawn
 _GAIN: Final = 1.1  # of a clock: above 1 it goes on by itself
@@ -75,7 +77,7 @@ def random_genome(draw: Draw, task: Task, name: str) -> Genome:
 def _graph(draw: Draw, task: Task, planar: bool) -> JsonObject:
     """Draws a graph of parts, good or not."""
     most = min(task.limits.size or _LARGEST, _LARGEST)
-    trunk = _part(_TRUNK, most * _between(draw, 0.05, 0.3), _between(draw, *_DENSITY), draw)
+    trunk = _part(_TRUNK, most * _between(draw, 0.08, 0.3), _between(draw, *_DENSITY), draw)
     parts, connections = [trunk], list[JsonObject]()
     if draw.chance(0.3):
         trunk["recursive_limit"] = draw.count(2, 4)
@@ -91,16 +93,20 @@ def _graph(draw: Draw, task: Task, planar: bool) -> JsonObject:
 
 
 def _joint(draw: Draw, weight: float, length: float, planar: bool) -> JsonObject:
-    """Draws a joint; a hinge mostly lets its part swing, rather than spin about its own length.
+    """Draws a joint: mostly a hinge by which its part swings, rather than spins about its own length, to and fro.
 
-    Some motors are stronger than those that mutation adds, for to leap takes several times what it takes to stand.
+    Others hardly move a body by themselves; mutation finds them where they are of use.
     """
-    joint = draw_joint(draw, weight, length, planar)
-    if joint["type"] == "hinge" and not planar and draw.chance(0.7):
-        joint["axis"] = draw.one_of(([0.0, 0.0, 1.0], [0.0, 1.0, 0.0]))
-    if "motor" in joint:
-        joint["motor"]["max_effort"] = round(joint["motor"]["max_effort"] * _between(draw, *_STRENGTH), 6)
-    return joint
+    if draw.chance(0.15):
+        return draw_joint(draw, weight, length, planar)
+    reach = round(draw.uniform(*_SWING), 6)
+    effort = round(_GRAVITY * weight * length * _between(draw, *_STRENGTH), 6)
+    return {
+        "type": "hinge",
+        "axis": [0.0, 0.0, 1.0] if planar or draw.chance(0.5) else [0.0, 1.0, 0.0],
+        "limits": [-reach, reach],
+        "motor": {"mode": "position", "range": [-reach, reach], "max_effort": effort},
+    }
 
 
 def _part(name: str, length: float, density: float, draw: Draw) -> JsonObject:

@@ -1,7 +1,7 @@
 """Genetic algorithms over whole genomes: `ga`, tournaments among the young and the best; `afpo`, age against fitness.
 
 Both are steady-state: a candidate is bred as soon as the window allows, from whoever is told by then, so that no worker
-waits for the last of a generation. "Generation" counts candidates by the size of the population.
+waits for the last of a generation. "Generation" counts candidates by the size of the population, from 0, the founders.
 """
 
 from __future__ import annotations
@@ -38,14 +38,15 @@ def _sorted(members: Iterable[_Member]) -> list[_Member]:
 
 @dataclass(frozen=True)
 class _Options:
+    founders: int
     population: int
     tournament: int
     crossover: float
     window: int
 
     def __post_init__(self) -> None:
-        bounds = {"population": (2, 100_000), "tournament": (1, 1_000), "crossover": (0, 1), "window": (1, 100_000)}
-        within_bounds(self, bounds)
+        many = dict.fromkeys(("founders", "population", "window"), (1, 100_000))
+        within_bounds(self, {**many, "tournament": (1, 1_000), "crossover": (0, 1)})
 
 
 class _SteadyState(Algorithm):
@@ -67,12 +68,18 @@ class _SteadyState(Algorithm):
 
     def ask(self, index: int) -> Candidate:
         """Returns the candidate of this index; see `Algorithm`."""
-        options, generation = self._options, index // self._options.population
+        options, generation = self._options, self._generation(index)
         if generation == 0:
             return found(self._problem, index)
         if not self._members:
             return newcomer(self._problem, index, generation)
         return breed(self._problem, index, self._chosen, options.crossover, generation)
+
+    def _generation(self, index: int) -> int:
+        """Returns 0 for founders, and then how many populations there would have been."""
+        return (
+            (index - self._options.founders) // self._options.population + 1 if index >= self._options.founders else 0
+        )
 
     def _chosen(self, draw: Draw) -> Parent:
         """Returns the winner of a tournament; of equals, any is as likely."""
@@ -110,13 +117,15 @@ class Genetic(_SteadyState):
         """The options.
 
         Attributes:
-            population: How many of the youngest with a score may be parents, and how many are founders.
+            founders: How many candidates a run begins with: start genomes and mutants of these, or random creatures.
+            population: How many of the youngest with a score may be parents.
             tournament: Of how many, drawn at random, the best becomes a parent.
             crossover: The part of the offspring that have two parents, from 0 to 1.
             window: How many candidates may be evaluated at once.
             elites: How many of the best of all may be parents for good.
         """
 
+        founders: int = 200
         population: int = 100
         tournament: int = 5
         crossover: float = 0.25
@@ -160,13 +169,15 @@ class AgeFitness(_SteadyState):
         """The options.
 
         Attributes:
-            population: How many may be parents; with each generation of so many candidates one random creature comes.
+            founders: How many candidates a run begins with: start genomes and mutants of these, or random creatures.
+            population: How many may be parents, and how many candidates are called a generation.
             tournament: Of how many, drawn at random, the best becomes a parent.
             crossover: The part of the offspring that have two parents, from 0 to 1.
             window: How many candidates may be evaluated at once.
             newcomers: How many random creatures come with each generation.
         """
 
+        founders: int = 200
         population: int = 100
         tournament: int = 2
         crossover: float = 0.25
@@ -184,9 +195,9 @@ class AgeFitness(_SteadyState):
 
     def ask(self, index: int) -> Candidate:
         """Returns the candidate of this index; see `Algorithm`."""
-        generation, place = divmod(index, self._options.population)
-        if generation and place * self._newcomers % self._options.population < self._newcomers:
-            return newcomer(self._problem, index, generation)
+        place = (index - self._options.founders) % self._options.population
+        if index >= self._options.founders and place * self._newcomers % self._options.population < self._newcomers:
+            return newcomer(self._problem, index, self._generation(index))
         return super().ask(index)
 
     def _with(self, newcomer: _Member) -> Sequence[_Member]:
