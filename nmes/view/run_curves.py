@@ -74,13 +74,13 @@ def _legend(names: Sequence[tuple[str, str, float]]) -> list[str]:
 
 
 def groups_over_time(history: History) -> Picture | None:
-    """Returns the parts that species, emitters or islands had of the candidates, stacked; None where there are none."""
+    """Returns the parts that species, emitters or islands had of the candidates, stacked; None with fewer than two."""
     windows = history.windows()
     total: dict[str, int] = {}
     for window in windows:
         for name, count in window.groups.items():
             total[name] = total.get(name, 0) + count
-    if set(total) <= {""}:
+    if len(total) < 2:
         return None
     shown = sorted(sorted(total, key=lambda name: (-total[name], name))[:_SHOWN], key=list(total).index)
     chart = Chart((0, len(history.rows)), (0.0, 100.0), right=_LEGEND, height=240)
@@ -95,9 +95,7 @@ def groups_over_time(history: History) -> Picture | None:
         floors = tops
     legend = [(f"f{place}", name or "none", 1.0) for place, name in enumerate(shown)]
     parts += _legend(legend + ([(f"f{len(SERIES) - 1}", f"{len(others)} others", 1.0)] if others else []))
-    told = (
-        f"{len(total)} groups; most candidates, {max(total.values()):,}, were of {max(total, key=total.__getitem__)}."
-    )
+    told = f"{len(total)} groups; most candidates, {max(total.values()):,}, were of group {max(total, key=total.__getitem__)!r}."
     return Picture("groups", "Species and other groups over time", told, chart.width, chart.height, "\n".join(parts))
 
 

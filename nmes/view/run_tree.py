@@ -42,7 +42,8 @@ def lineage_tree(history: History, index: int, portrait: Portrait) -> Picture:
     if len(line) == 1:
         told += f"has no parents: it came about by {eldest.operator}."
     else:
-        told += f"comes from candidate {eldest.index} ({eldest.operator}) in {len(line) - 1} generations"
+        steps = "1 step" if len(line) == 2 else f"{len(line) - 1} steps"
+        told += f"comes from candidate {eldest.index} ({eldest.operator}) in {steps}"
         told += "." if len(shown) == len(line) else f", of which {len(shown) - 1} that gained are shown."
     return Picture("lineage", f"Where candidate {index} comes from", told, WIDTH, rows * _ROW, "\n".join(parts))
 

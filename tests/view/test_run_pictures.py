@@ -116,7 +116,8 @@ def test_groups_are_stacked_to_the_whole() -> None:
     for x in {x for area in areas for x, _ in area}:
         assert any(abs(y - 16) < 0.11 for area in areas for at, y in area if at == x)  # up to the top
     assert "5 others" in words(picture) and sum("species" in word for word in words(picture)) == 7
-    assert groups_over_time(history(1.0, 2.0)) is None
+    assert "12 groups" in picture.description and "'species 0'" in picture.description
+    assert groups_over_time(history(1.0, 2.0)) is None and groups_over_time(history(1.0, 2.0, group="a")) is None
 
 
 def test_the_tree_shows_who_the_winner_comes_from_and_how() -> None:
@@ -211,7 +212,7 @@ def test_the_front_is_a_line_among_all_candidates() -> None:
 
 
 def test_what_strangers_named_is_text() -> None:
-    rows = [Row(0, 1.0, HOSTILE, group=HOSTILE), Row(1, 2.0, HOSTILE, (0,), group=HOSTILE)]
+    rows = [Row(0, 1.0, HOSTILE, group=HOSTILE), Row(1, 2.0, HOSTILE, (0,), group=HOSTILE + "2")]
     told = History(rows)
     pictures = [
         fitness_curves(told, HOSTILE),
