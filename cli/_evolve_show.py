@@ -62,7 +62,7 @@ def _lines(summary: RunSummary) -> list[str]:
     """Returns a run in words, as lines."""
     from nmes.view.chart import number
 
-    lines = [f"{summary.title}: {summary.subtitle}", *columns(summary.facts()), "", *columns(summary.settings())]
+    lines = [summary.title, *columns(summary.facts()), "", *columns(summary.settings())]
     best: list[tuple[str, ...]] = [("the best", "candidate", "score", "generation", "operator")]
     for rank, row in enumerate(summary.top, 1):
         best.append((f"{rank}", f"{row.index}", number(row.score), f"{row.generation}", row.operator))

@@ -95,7 +95,8 @@ def groups_over_time(history: History) -> Picture | None:
         floors = tops
     legend = [(f"f{place}", name or "none", 1.0) for place, name in enumerate(shown)]
     parts += _legend(legend + ([(f"f{len(SERIES) - 1}", f"{len(others)} others", 1.0)] if others else []))
-    told = f"{len(total)} groups; most candidates, {max(total.values()):,}, were of group {max(total, key=total.__getitem__)!r}."
+    largest = max(total, key=total.__getitem__)
+    told = f"{len(total)} groups; most candidates, {total[largest]:,}, were of group {largest!r}."
     return Picture("groups", "Species and other groups over time", told, chart.width, chart.height, "\n".join(parts))
 
 

@@ -27,7 +27,7 @@ _PAGE = """<!doctype html>
 :root {{ color-scheme: light dark; --line: #d8dee4; --soft: #59636e; --plate: #e6eaef; }}
 body {{ font: 16px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 64rem; padding: 0 1rem;
  background: #fff; color: #1f2328; }}
-h1 {{ margin-bottom: .2rem; overflow-wrap: anywhere; }}
+h1 {{ overflow-wrap: anywhere; }}
 h2 {{ margin-top: 2.5rem; }}
 .soft, figcaption {{ color: var(--soft); }}
 dl {{ display: grid; grid-template-columns: max-content 1fr; gap: .25rem 1.25rem; }}
@@ -56,7 +56,6 @@ th {{ font-weight: 600; border-bottom: 1px solid var(--line); }}
 </head>
 <body>
 <h1>{title}</h1>
-<p class="soft">{subtitle}</p>
 {parts}
 </body>
 </html>
@@ -74,7 +73,7 @@ def write_page(summary: RunSummary, path: Path, pictures: Iterable[Picture], por
     """
     parts = [_facts(summary.facts()), *map(_figure, pictures), _top(summary.top, portraits)]
     parts += ["<h2>Operators</h2>", _operators(summary.history), "<h2>Settings</h2>", _facts(summary.settings())]
-    page = _PAGE.format(title=text(summary.title), subtitle=text(summary.subtitle), style=STYLE, parts="\n".join(parts))
+    page = _PAGE.format(title=text(summary.title), style=STYLE, parts="\n".join(parts))
     path.write_text(page, encoding="utf-8")
 
 

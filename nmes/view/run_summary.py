@@ -35,14 +35,10 @@ class RunSummary:
 
     @property
     def title(self) -> str:
-        """The run's name."""
-        return self._run.folder.resolve().name
-
-    @property
-    def subtitle(self) -> str:
-        """What it is about, in a line."""
+        """The run's name, and what it is about."""
         settings = self._run.settings
-        return f"{settings.algorithm} on {settings.task.name}, seed {settings.seed}"
+        name = self._run.folder.resolve().name
+        return f"{name}: {settings.algorithm} on {settings.task.name}, seed {settings.seed}"
 
     @property
     def best(self) -> Origin | None:

@@ -127,6 +127,7 @@ def test_a_folder_gets_each_picture_and_the_page_of_all_which_needs_nothing_from
     text = (folder / "index.html").read_text()
     page = Page(text)
     assert page.scripts == 0 and page.nameless == []
+    assert text.count(">made: map-elites on short-walk, seed 5</") == 2  # the page's title, and the first heading
     assert page.fetched and all(address.startswith("data:image/png;base64,") for address in page.fetched)
     assert "http" not in text.replace('xmlns="http://www.w3.org/2000/svg"', "") and "url(" not in text
     assert page.tags.count("svg") == 5 and page.tags.count("img") == 10
