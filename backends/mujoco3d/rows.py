@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
 from math import prod
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import mujoco
 import numpy as np
@@ -80,6 +80,16 @@ def _layout(compiled: CompiledModel, sleeps: bool) -> Hashable:
     return (sleeps, model.opt.timestep, *sizes, *maps, *(array.tobytes() for array in arrays))
 
 
+class _Located(NamedTuple):
+    """Where joints are in qpos and qvel, which of them (rows) have motors, and these motors: also as an array."""
+
+    q: Indices
+    v: Indices
+    rows: Indices
+    motors: Indices
+    driven: Places
+
+
 class MujocoRows(Rows):
     """See `nmes.backend.rows.Rows`."""
 
@@ -90,6 +100,7 @@ class MujocoRows(Rows):
         self.compiled: CompiledModel = first.compiled
         self._batch = batch = Batch(first.model, count, threads, contacts or first.sleeps)
         self._rows: list[MujocoRow] = [first] * count
+        self._joints: dict[tuple[int, ...], _Located] = {}
         self.puts = 0  # how often rows were put: what follows from their models is then to be looked up again
         self._senses = _ContactSenses(first, count) if contacts else None
         self.qpos, self.qvel, self._ctrl = batch.bind("qpos"), batch.bind("qvel"), batch.bind("ctrl")
@@ -120,8 +131,7 @@ class MujocoRows(Rows):
 
     def set_motor_targets(self, places: Places, joints: Sequence[int], targets: Array) -> None:
         """Sets the controls of motors."""
-        actuator = self.compiled.actuator
-        at = places[:, None], np.array([actuator[joint] for joint in joints], np.intp)
+        at = places[:, None], self._located(tuple(joints)).driven
         self._ctrl[at] = np.where(self._strong[at], targets, 0.0)
 
     def step(self, places: Places, substeps: int) -> list[int]:
@@ -150,7 +160,7 @@ class MujocoRows(Rows):
         if len(targets) == 1 or self._sleeps or self._senses is not None:
             return super().run(places, joints, targets, substeps, track)
         assert isinstance(track, MujocoRowsTrack)
-        motors = np.array([self.compiled.actuator[joint] for joint in joints], np.intp)
+        motors = self._located(tuple(joints)).driven
         controls = np.repeat(self._ctrl[places][:, None], len(targets), axis=1)
         strong = self._strong[places[:, None], motors]
         controls[:, :, motors] = np.where(strong[:, None], targets.transpose(1, 0, 2), 0.0)
@@ -198,13 +208,22 @@ class MujocoRows(Rows):
 
     def joint_readings(self, joints: Sequence[int]) -> Array:
         """Returns a new array (places, n, 3)."""
-        slots, actuator = self.compiled.joint, self.compiled.actuator
+        at = self._located(tuple(joints))
         out = np.zeros((self.count, len(joints), 3))
-        out[:, :, 0] = self.qpos[:, compact([slots[joint].q for joint in joints])]
-        out[:, :, 1] = self.qvel[:, compact([slots[joint].v for joint in joints])]
-        driven = [column for column, joint in enumerate(joints) if joint in actuator]
-        out[:, driven, 2] = self.efforts[:, [actuator[joints[column]] for column in driven]]
+        out[:, :, 0], out[:, :, 1] = self.qpos[:, at.q], self.qvel[:, at.v]
+        out[:, at.rows, 2] = self.efforts[:, at.motors]
         return out
+
+    def _located(self, joints: tuple[int, ...]) -> _Located:
+        """Returns where joints are in the batch's arrays: looked up once."""
+        at = self._joints.get(joints)
+        if at is None:
+            slots, actuator = self.compiled.joint, self.compiled.actuator
+            rows = [row for row, joint in enumerate(joints) if joint in actuator]
+            driven = np.array([actuator[joints[row]] for row in rows], np.intp)
+            q, v = (compact([getattr(slots[joint], name) for joint in joints]) for name in "qv")
+            at = self._joints[joints] = _Located(q, v, compact(rows), compact(driven.tolist()), driven)
+        return at
 
     def touching(self, bodies: Sequence[int]) -> Array:
         """Returns a new array (places, n)."""

@@ -120,10 +120,13 @@ class Rows(ABC):
         """
         lost: list[int] = []
         for tick in range(len(targets)):
-            kept = ~np.isin(places, lost)
-            self.set_motor_targets(places[kept], joints, targets[tick, kept])
-            lost += self.step(places[kept], substeps)
+            self.set_motor_targets(places, joints, targets[tick])
+            gone = self.step(places, substeps)
             track.note()
+            if gone:
+                kept = ~np.isin(places, gone)
+                places, targets = places[kept], targets[:, kept]
+                lost += gone
         return lost
 
     @abstractmethod

@@ -308,7 +308,7 @@ class CreatureRows:
             out[:, plan._joint_rows] = readings[:, plan._picked] * self._scale
         for read, body, columns, picked in plan._felt:
             felt = read(rows.body_state(body))
-            out[:, columns] = np.stack(felt if picked is None else [felt[i] for i in picked], axis=1)
+            out[:, columns] = np.array(felt if picked is None else [felt[i] for i in picked]).T
         if plan._touch_bodies:
             out[:, plan._touch_rows] = rows.touching(plan._touch_bodies)
         if plan._aimed:
