@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 import bodies
@@ -87,7 +88,7 @@ def main() -> None:
             for figure in SUITES[name]():
                 value = f"{figure.value:,.0f}" if figure.value >= 1000 else f"{figure.value:.2f}"
                 mark = "" if not figure.aim else "[green]ok[/]" if figure.ok else "[red]missed[/]"
-                table.add_row(figure.name, f"{value} {figure.unit}", figure.aim, mark)
+                table.add_row(escape(figure.name), escape(f"{value} {figure.unit}"), figure.aim, mark)
                 # JSON has no infinity: a bound that is not there is left out.
                 row = {key: value for key, value in asdict(figure).items() if value not in (inf, -inf)}
                 results.append({"suite": name, **row, "ok": figure.ok})
