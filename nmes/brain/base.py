@@ -187,16 +187,6 @@ class Kernel(ABC):
 
     open_loop = False
 
-    @property
-    @abstractmethod
-    def arrays(self) -> tuple[Array, ...]:
-        """All arrays that tell one brain from another, with `lead` in front, in one order for all of its form."""
-
-    def put(self, row: int, other: Kernel) -> None:
-        """Takes over what another kernel is, of one brain of the same form, in a row's place; after `reset`."""
-        for mine, its in zip(self.arrays, other.arrays, strict=True):
-            mine[row] = its
-
     @abstractmethod
     def reset(self, seeds: Sequence[int], dt: float) -> None:
         """Goes to the start; one seed a brain; `dt` is a control step, s."""
@@ -214,11 +204,6 @@ class OpenLoop(Kernel):
     """A kernel that looks at nothing and so computes many steps at once."""
 
     open_loop = True
-
-    @property
-    def arrays(self) -> tuple[Array, ...]:
-        """Not to be had: what is computed ahead is all rows'."""
-        raise ValueError("these brains look at no sensor: what they do is known beforehand, from `controls`")
 
     def reset(self, seeds: Sequence[int], dt: float) -> None:
         """Goes to the start."""
@@ -425,9 +410,9 @@ class BrainBatch:
         """See `stack`."""
         if not brains:
             raise ValueError("there are no brains to stack")
-        self._form = brains[0].form()
+        form = brains[0].form()
         for number, brain in enumerate(brains):
-            if brain.form() != self._form:
+            if brain.form() != form:
                 raise ValueError(f"brain {number} differs from brain 0 by more than its parameters")
         self.inputs = brains[0].inputs
         self.outputs = brains[0].outputs
@@ -447,27 +432,7 @@ class BrainBatch:
         """Goes to the start: a seed for each brain; `dt` is a control step, s."""
         if len(seeds) != self._count:
             raise ValueError(f"there are {self._count} brains and {len(seeds)} seeds")
-        self._dt = dt
         self._kernel.reset(seeds, dt)
-
-    def restart(self, row: int, brain: Brain, seed: int) -> None:
-        """Puts a brain in a row's place, at its own start; the others go on as if nothing had been; after `reset`.
-
-        Args:
-            row: Whose place it takes.
-            brain: Of the same form.
-            seed: Of whatever it draws; from 0.
-
-        Raises:
-            ValueError: It has another form, there is no such row, or the brains are `open_loop`.
-        """
-        if not 0 <= row < self._count:
-            raise ValueError(f"there is no row {row}: there are {self._count}")
-        if brain.form() != self._form:
-            raise ValueError("the brain differs from the others by more than its parameters")
-        kernel = brain._run(*brain._arrays())
-        kernel.reset((seed,), self._dt)
-        self._kernel.put(row, kernel)
 
     def step(self, inputs: Array) -> Array:
         """Goes one control step on: inputs (brains, sensors), outputs (brains, motors) in a buffer that is reused."""

@@ -200,16 +200,6 @@ class OnnxKernel(Kernel):
         self._raw = np.zeros((*lead, entries.counts["outputs"]))
         self._outputs = Outputs(entries.owners["outputs"], unbounded=True)
 
-    @property
-    def arrays(self) -> tuple[Array, ...]:
-        """Nothing: what a model is made of is in its session."""
-        return ()
-
-    def put(self, row: int, other: Kernel) -> None:
-        """Takes another model's session over."""
-        assert isinstance(other, OnnxKernel)
-        (self._sessions[row],) = other._sessions
-
     def reset(self, seeds: Sequence[int], dt: float) -> None:
         """Has nothing to forget."""
 

@@ -133,7 +133,6 @@ class MlpKernel(Kernel):
         *lead, _, columns = matrices[0].shape
         source = np.zeros((*lead, columns))
         self._inputs = Inputs(source, inputs)
-        self._matrices = tuple(matrices)
         self._layers = []
         for name, matrix in zip(activations, matrices, strict=True):
             *lead, units, _ = matrix.shape
@@ -143,11 +142,6 @@ class MlpKernel(Kernel):
             source = row
         self._last = target
         self._outputs = Outputs(owner, activations[-1] in _UNBOUNDED)
-
-    @property
-    def arrays(self) -> tuple[Array, ...]:
-        """What it is made of: its matrices."""
-        return self._matrices
 
     def reset(self, seeds: Sequence[int], dt: float) -> None:
         """Has nothing to forget."""
@@ -218,11 +212,6 @@ class CtrnnKernel(Kernel):
         self._v, self._sums, self._keep, self._take = np.empty((4, *biases.shape))
         self._fire = on_each(math.tanh, self._sums, self._u)
         self._outputs = Outputs(owner, unbounded=False)
-
-    @property
-    def arrays(self) -> tuple[Array, ...]:
-        """What it is made of: its matrix, its neurons, and how they follow."""
-        return self._taus, self._biases, self._drive, self._row, self._v, self._keep, self._take
 
     def reset(self, seeds: Sequence[int], dt: float) -> None:
         """Goes to the start, at which every y is 0."""
@@ -296,11 +285,6 @@ class GraphKernel(Kernel):
             sums = np.empty((*lead, which.stop - which.start))
             self._groups.append((matrix[..., which, :], sums, _ACTIVATIONS[name](sums, self._now[..., which])))
         self._outputs = Outputs(owner, unbounded)
-
-    @property
-    def arrays(self) -> tuple[Array, ...]:
-        """What it is made of: its matrix, and its nodes."""
-        return self._matrix, self._row
 
     def reset(self, seeds: Sequence[int], dt: float) -> None:
         """Goes to the start, at which every node is 0."""

@@ -14,7 +14,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from itertools import pairwise
 from math import exp, sin, tau
-from types import EllipsisType
 
 import numpy as np
 
@@ -107,7 +106,7 @@ class CpgKernel(Kernel):
         self._source, self._target = edges
         self._convergence = convergence
         self._jitter = jitter
-        self._waves, self._ties, self._rates, self._shifts = waves, ties, rates, offsets
+        self._ties, self._rates, self._shifts = ties, rates, offsets
         self._speed: Array = waves[..., 0, :]
         self._amplitude: Array = waves[..., 1, :]
         self._phase: Array = waves[..., 2, :]
@@ -198,22 +197,9 @@ class ListeningCpgKernel(CpgKernel):
 
     _AHEAD = 64  # steps whose amplitudes are computed at once
 
-    @property
-    def arrays(self) -> tuple[Array, ...]:
-        """What it is made of: its parameters, matrices and phases, and the step at which it began."""
-        made = self._waves, self._ties, self._rates, self._shifts, self._apart, self._onward
-        return *made, self._row, self._began
-
-    def put(self, row: int, other: Kernel) -> None:
-        """Takes another's place in a row, whose time begins now."""
-        super().put(row, other)
-        self._began[row] = self._steps
-        self._grow(row)
-
     def reset(self, seeds: Sequence[int], dt: float) -> None:
         """Goes to the start."""
         super().reset(seeds, dt)
-        self._began = np.zeros((*self._lead, 1))
         self._amplitudes = np.empty((self._AHEAD, *self._after.shape))
         self._heard = self._row[..., self._x]
         self._low, self._high = np.full(self._m, -LIMIT), np.full(self._m, LIMIT)
@@ -221,13 +207,11 @@ class ListeningCpgKernel(CpgKernel):
         self._swing = on_each(sin, self._after, self._out)
         self._floor, self._ceiling = np.full(self._n, -1.0), np.full(self._n, 1.0)
 
-    def _grow(self, rows: int | EllipsisType = ...) -> None:
-        """Computes the amplitudes of this step and those around it."""
-        first, began = self._steps - self._steps % self._AHEAD, self._began[rows]
-        steps = np.arange(first, first + self._AHEAD, dtype=np.float64).reshape(-1, *(1,) * began.ndim)
-        # What began within this block has no amplitudes before.
-        grown = self._grown(np.maximum(steps - began, 0.0) * self._dt)
-        self._amplitudes[:, rows] = grown * self._amplitude[rows]
+    def _grow(self) -> None:
+        """Computes the amplitudes of this step and those that come next."""
+        steps = np.arange(self._steps, self._steps + self._AHEAD, dtype=np.float64)
+        times = steps.reshape(-1, *(1,) * self._amplitude.ndim) * self._dt
+        np.multiply(self._grown(times), self._amplitude, out=self._amplitudes)
 
     def step(self, inputs: Array) -> Array:
         """Goes one control step on."""

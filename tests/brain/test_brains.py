@@ -6,7 +6,6 @@ import json
 import os
 import subprocess
 import sys
-from typing import Any
 
 import numpy as np
 import orjson
@@ -29,7 +28,7 @@ from brain_documents import (
     run,
 )
 from nmes import schemas
-from nmes.brain import KINDS, Brain, load_brain, stack
+from nmes.brain import KINDS, load_brain, stack
 
 
 def test_every_kind_has_a_schema_and_every_schema_a_kind() -> None:
@@ -91,57 +90,6 @@ def test_a_row_of_a_batch_equals_the_brain_alone(made: Made, data: st.DataObject
     if batch.open_loop:
         batch.reset(range(count), DT)
         assert bits(batch.controls(70)) == bits(together)
-
-
-@given(brains(), st.data())
-def test_a_brain_put_in_the_place_of_a_row_equals_it_alone_and_disturbs_none(made: Made, data: st.DataObject) -> None:
-    inputs = made[1]
-    brain = load(*made)
-    count = data.draw(st.integers(1, 4))
-    population = [brain.with_vector(brain.to_vector() + number * 0.1) for number in range(count + 3)]
-    batch = stack(population[:count])
-    batch.reset(range(count), DT)
-    if batch.open_loop:
-        with pytest.raises(ValueError, match="look at no sensor"):
-            batch.restart(0, brain, 0)
-        return
-    episode = np.random.default_rng(count).normal(size=(150, count, len(inputs)))
-    # Which brain stands in each row, since when, and what it has done.
-    rows: list[tuple[int, int, list[bytes]]] = [(number, 0, []) for number in range(count)]
-    starts = data.draw(st.lists(st.tuples(st.integers(0, 149), st.integers(0, count - 1)), max_size=3))
-    for tick, values in enumerate(episode):
-        for number, (_, row) in enumerate(start for start in starts if start[0] == tick):
-            check(population, rows[row], episode[:, row])
-            rows[row] = count + number, tick, []
-            batch.restart(row, population[count + number], count + number)
-        for (_, _, done), out in zip(rows, batch.step(values), strict=True):
-            done.append(bits(out))
-    for row, standing in enumerate(rows):
-        check(population, standing, episode[:, row])
-    # Whoever stands there now stays there.
-    batch.reset(range(count), DT)
-    again = [bits(row) for row in batch.step(episode[0])]
-    assert again == [run(population[rows[row][0]], episode[:1, row], row) for row in range(count)]
-
-
-def check(population: list[Brain], standing: tuple[int, int, list[bytes]], episode: Any) -> None:
-    """Compares what a brain did in a row with what it does alone."""
-    number, since, done = standing
-    assert run(population[number], episode[since : since + len(done)], number) == b"".join(done)
-
-
-def test_only_a_brain_of_the_same_form_takes_the_place_of_a_row() -> None:
-    layers = [{"weights": [[0.5]], "biases": [0.25], "activation": "tanh"}]
-    brain = load_brain({"kind": "mlp", "layers": layers}, ["s"], ["m"])
-    batch = stack([brain, brain])
-    batch.reset([0, 0], DT)
-    other = load_brain({"kind": "mlp", "layers": [{**layers[0], "activation": "sin"}]}, ["s"], ["m"])
-    with pytest.raises(ValueError, match="differs from the others"):
-        batch.restart(0, other, 0)
-    for row in (-1, 2):
-        with pytest.raises(ValueError, match="there is no row"):
-            batch.restart(row, brain, 0)
-    assert bits(batch.step(np.ones((2, 1)))[0]) == run(brain, np.ones((1, 1)))
 
 
 @pytest.mark.parametrize("activation", ACTIVATIONS)
