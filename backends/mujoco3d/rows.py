@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nmes.backend import Array, BodyState, Contact, Places, Row, Rows, RowsTrack
+from nmes.backends.mujoco3d.forest import Joint
 from nmes.backends.mujoco3d.model import CompiledModel
 from nmes.backends.mujoco3d.motors import Indices, braking, compact, mean_powers
 from nmes.backends.mujoco3d.running import RunningModel
@@ -60,10 +61,13 @@ class MujocoRow(Row):
         self.layout: Hashable = _layout(self.compiled, self.sleeps)
 
     @classmethod
-    def of(cls, running: RunningModel, strong: npt.NDArray[np.bool_]) -> MujocoRow | None:
+    def of(cls, running: RunningModel, joints: Mapping[int, Joint]) -> MujocoRow | None:
         """Returns the row that a scene without edits becomes; None where something in it is a simulation's alone."""
         if running.one_by_one or running.depenetration.bodies or (running.asleep != AWAKE).any():
             return None
+        strong = np.ones(running.model.nu, bool)
+        for joint, motor in running.compiled.actuator.items():
+            strong[motor] = joints[joint].params.max_effort > 0.0
         return cls(running, strong)
 
     def rows(self, count: int, *, threads: int = 1, contacts: bool = False) -> MujocoRows:

@@ -254,10 +254,7 @@ class MujocoSimulation(Simulation):
         structure, running = self.structure, self.running
         if structure.edited or self._wrenches.forces or self._wrenches.impulses:
             return None
-        strong = np.ones(running.model.nu, bool)
-        for joint, motor in running.compiled.actuator.items():
-            strong[motor] = structure.joints[joint].params.max_effort > 0.0
-        return MujocoRow.of(running, strong)
+        return MujocoRow.of(running, structure.joints)
 
     def step(self, substeps: int) -> None:
         """Takes up all edits, then advances."""

@@ -276,7 +276,7 @@ class GraphKernel(Kernel):
     ) -> None:
         """Takes a matrix (*lead, nodes, columns) of [inputs, 1, the nodes now, the nodes a step before]."""
         *lead, n, columns = matrix.shape
-        self._matrix, self._row = matrix, np.zeros((*lead, columns))
+        self._row = np.zeros((*lead, columns))
         self._inputs = Inputs(self._row, inputs)
         self._now = self._row[..., inputs + 1 : inputs + 1 + n]
         self._before = self._row[..., inputs + 1 + n : columns]
