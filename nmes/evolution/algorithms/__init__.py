@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, fields
+from dataclasses import asdict
 from importlib import import_module
 from typing import Any, Final, get_type_hints
 
@@ -49,9 +49,7 @@ def algorithm_options(name: str) -> dict[str, int | float | bool]:
         DocumentError: There is no such algorithm.
         MissingPackage: The algorithm needs a package that is not installed.
     """
-    options = _load(name).Options
-    assert all(field.default is not MISSING for field in fields(options))
-    return {field.name: field.default for field in fields(options)}
+    return asdict(_load(name).Options())
 
 
 def load_algorithm(name: str, problem: Problem, options: Mapping[str, Any] | None = None) -> Algorithm:
