@@ -66,6 +66,17 @@ def test_equal_scores_move_nothing_and_none_is_the_least() -> None:
     assert middle(none, 80)[0] < 1.0
 
 
+def test_equal_scores_share_the_mean_of_their_ranks() -> None:
+    # So that to turn all scores around turns all steps around.
+    steps = []
+    for sign in (1.0, -1.0):
+        algorithm = es(population=8)
+        for index, score in enumerate([0.0, 1.0, 2.0, 1.0, 0.0, 2.0, 0.0, 0.0] + [2.0, 0.0] * 4):
+            algorithm.tell(index, algorithm.ask(index), Score(sign * score))
+        steps.append(middle(algorithm, 16) - ONES)
+    assert steps[0] == pytest.approx(-steps[1])
+
+
 def test_decay_brings_the_point_back_to_the_start() -> None:
     farthest = []
     for decay in (0.0, 0.2):
