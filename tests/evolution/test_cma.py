@@ -120,8 +120,8 @@ def test_elites_are_the_best_that_were_told() -> None:
 @pytest.mark.parametrize(
     ("problem", "options", "place", "words"),
     [
-        (Problem(WALK, 1), {}, "starts", "none to begin with"),
-        (Problem(WALK, 1, (vector_genome(TEN),) * 2), {}, "starts", "2 to begin with"),
+        (Problem(WALK, 1), {}, "starts", "one to begin with, such as walker"),
+        (Problem(WALK, 1, (vector_genome(TEN),) * 2), {}, "starts", "one to begin with, not 2"),
         (Problem(WALK, 1, (vector_genome(TEN),), ("score", "-energy")), {}, "objectives", "the task's score alone"),
         (vector_problem(TEN, 1, Measure("legs", 0, 1, 1)), {}, "measures", "no archive"),
         (vector_problem([0.0] * 301), {}, "starts/0/brain", "301 parameters, and cma takes 300 at most"),

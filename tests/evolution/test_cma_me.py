@@ -120,7 +120,7 @@ def test_where_nothing_has_a_score_it_stays_at_the_start() -> None:
 @pytest.mark.parametrize(
     ("problem", "options", "place", "words"),
     [
-        (Problem(WALK, 1, measures=grid(10, 5)), {}, "starts", "none to begin with"),
+        (Problem(WALK, 1, measures=grid(10, 5)), {}, "starts", "one to begin with, such as walker"),
         (vector_problem(ZEROS), {}, "measures", "needs 1 or more; none given"),
         (Problem(WALK, 1, (vector_genome(ZEROS),), ("a",), grid(10, 5)), {}, "objectives", "no use for objectives"),
         (vector_problem([0.0] * 301, 1, *grid(10, 5)), {}, "starts/0/brain", "cma-me takes 300 at most"),

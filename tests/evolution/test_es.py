@@ -102,7 +102,7 @@ def test_elites_are_the_best_that_were_told() -> None:
 @pytest.mark.parametrize(
     ("problem", "options", "place", "words"),
     [
-        (Problem(WALK, 1), {}, "starts", "none to begin with"),
+        (Problem(WALK, 1), {}, "starts", "one to begin with, such as walker"),
         (Problem(WALK, 1, (vector_genome(ONES),), ("a", "b")), {}, "objectives", "the task's score alone"),
         (vector_problem(ONES, 1, Measure("legs", 0, 1, 1)), {}, "measures", "no archive"),
         (vector_problem(ONES), {"population": 7}, "options.population", "must be even"),

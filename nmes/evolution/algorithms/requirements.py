@@ -41,7 +41,8 @@ def _found(problem: Problem, brain: bool) -> Iterator[tuple[str, str]]:
         return
     count = len(problem.starts)
     if count != 1:
-        yield "starts", f"this algorithm varies the brain of one genome; {count or 'none'} to begin with"
+        given = f"not {count}" if count else "such as walker"
+        yield "starts", f"this algorithm varies the brain of one genome: name one to begin with, {given}"
         return
     try:
         size = problem.starts[0].brain().to_vector().size
