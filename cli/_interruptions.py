@@ -14,7 +14,8 @@ __all__ = ["interruptions"]
 def interruptions(*signals: signal.Signals) -> Iterator[Callable[[], bool]]:
     """Lets signals raise `KeyboardInterrupt`, and gives a function that tells whether one came.
 
-    Python loses the exception if that was while a destructor ran.
+    The exception is lost where the signal comes while a destructor runs, or one of the extensions that drop errors (the
+    validator of JSON Schema does): whoever works in a loop asks now and then.
 
     Args:
         signals: Which.

@@ -53,7 +53,7 @@ for _each in (_evolve_best, _evolve_film, _evolve_resume, _evolve_show, _evolve_
 @click.option(
     "--task", metavar="T", default="walk", show_default=True, help="A file, or the name of a task that ships."
 )
-@click.option("--algorithm", metavar="A", default="ga", show_default=True, help="Its name: see docs/evolution.md.")
+@click.option("--algorithm", metavar="A", default="ga", show_default=True, help="Its name, one of those above.")
 @click.option(
     "--budget", metavar="N", type=click.IntRange(1), default=1000, show_default=True, help="How many candidates."
 )
@@ -83,6 +83,9 @@ def begin(context: click.Context, /, settings: Path | None, output: Path | None,
     genomes that ship. The run is kept in a folder: its settings, a log of all candidates, an index. It comes out the
     same for any number of processes, and also if it was interrupted in between: the digest that is printed at the end
     proves it.
+
+    The algorithms: random, ga, afpo, nsga2 (of several objectives) and map-elites (an archive by measures) evolve bodies
+    and brains; cma, es, cma-me (an archive) and neat (the network's shape too) the brain of one creature.
 
     Ctrl-C leaves a run that `nmes evolve resume` goes on with, and says so.
 

@@ -9,7 +9,8 @@ import shutil
 import signal
 import subprocess
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,9 @@ import pytest
 from click.testing import CliRunner, Result
 
 from nmes.cli import main
+from nmes.evaluation import Workers
+from nmes.evolution.run import Run
+from nmes.evolution.run_index import Record
 from nmes.genome import Genome
 from processes import NMES, process
 from runs import SETTINGS, TASK
@@ -192,6 +196,26 @@ def test_a_run_that_is_stopped_says_how_to_go_on(
     if stopped["told"] <= 24:
         resumed = told(nmes("resume", folder, "--budget", "24", "--jobs", "1", "--json"))
         assert resumed["digest"] == told(nmes("resume", whole, "--jobs", "1", "--json"))["digest"]
+
+
+def test_a_signal_whose_exception_is_lost_stops_a_run_too(
+    task: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    advance = Run.advance
+
+    def losing(self: Run, pool: Workers) -> Iterator[Record]:
+        for record in advance(self, pool):
+            if record.index == 3:
+                with suppress(KeyboardInterrupt):  # as an extension does that drops errors
+                    signal.raise_signal(signal.SIGTERM)
+            yield record
+
+    monkeypatch.setattr(Run, "advance", losing)
+    result = nmes(
+        "random", "--task", task, "--budget", "24", "--set", "window=1", "-o", tmp_path / "run", "--jobs", "1"
+    )
+    assert result.exit_code == 1 and "resume" in result.stderr
+    assert len(Run.open(tmp_path / "run")) == 4
 
 
 def test_a_full_disk_stops_a_run_that_goes_on_once_there_is_room(task: Path, tmp_path: Path, whole: Path) -> None:
