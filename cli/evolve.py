@@ -84,8 +84,8 @@ def begin(context: click.Context, /, settings: Path | None, output: Path | None,
     same for any number of processes, and also if it was interrupted in between: the digest that is printed at the end
     proves it.
 
-    The algorithms: random, ga, afpo, nsga2 (of several objectives) and map-elites (an archive by measures) evolve bodies
-    and brains; cma, es, cma-me (an archive) and neat (the network's shape too) the brain of one creature.
+    The algorithms: random, ga, afpo, nsga2 (several objectives) and map-elites (an archive by measures) are for bodies
+    and brains; cma, es, cma-me (an archive) and neat (the network's shape too) for the brain of one creature.
 
     Ctrl-C leaves a run that `nmes evolve resume` goes on with, and says so.
 
