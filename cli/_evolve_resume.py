@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from nmes.cli._evolve_run import JOBS, JSON, RAY, check_pool, go_on
+from nmes.cli._evolve_run import JOBS, JSON, RAY, check_pool, go_on, tell
 
 __all__ = ["command"]
 
@@ -37,6 +37,8 @@ def command(folder: Path, budget: int | None, jobs: int | None, ray: str | None,
     run = Run.open(folder)
     if budget is not None and budget != run.settings.budget:
         run.extend(budget)
-    if run.finished:
+    elif run.finished:
         click.echo("the run is finished", err=True)
+        tell(run, as_json)
+        return
     go_on(run, jobs, ray, as_json)

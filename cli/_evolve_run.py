@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from nmes.evolution.run import Run
     from nmes.evolution.run_index import Record
 
-__all__ = ["JOBS", "JSON", "RAY", "check_pool", "go_on", "open_pool"]
+__all__ = ["JOBS", "JSON", "RAY", "check_pool", "go_on", "open_pool", "tell"]
 
 _RECENT: Final = 100  # candidates of which the progress tells the mean and the diversity
 
@@ -64,7 +64,7 @@ def go_on(run: Run, jobs: int | None, ray: str | None, as_json: bool) -> None:
     if stopped:
         click.echo(visible(f"stopped: {len(run):,} of {run.settings.budget:,} done"), err=True)
         click.echo(f"go on with: nmes evolve resume {shlex.quote(str(run.folder))}", err=True)
-    _tell(run, as_json)
+    tell(run, as_json)
     sys.exit(1 if stopped else 0)
 
 
@@ -93,7 +93,8 @@ def _note(recent: deque[Record], best: Record | None) -> str:
     return f"best {'none' if best is None else f'{best.score:.4g}'}, mean {mean}, diversity {plans / len(recent):.0%}"
 
 
-def _tell(run: Run, as_json: bool) -> None:
+def tell(run: Run, as_json: bool) -> None:
+    """Prints how a run has come out so far."""
     best = run.best
     if as_json:
         print_json(_summary(run))

@@ -109,7 +109,7 @@ class Run:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise RunError("cannot_write", f"cannot make the folder {path}: {error.strerror}") from error
-        _write_document(path / "run.json", document)
+        _write_document(path / "run.json", document, new=True)
         return cls(path, document)
 
     @classmethod
@@ -141,7 +141,7 @@ class Run:
 
     @property
     def digest(self) -> str:
-        """Of all that was told, 32 hexadecimal digits: equal digests, equal histories."""
+        """Of settings and all that was told, 32 hexadecimal digits: equal digests, equal histories."""
         return self.records[-1].digest if self.records else self._log.origin[:32]
 
     @property
@@ -171,7 +171,7 @@ class Run:
     def elites(self) -> Sequence[int]:
         """Returns the indices of the algorithm's elites, the best first.
 
-        While another process goes on with the run, they may be those of a few candidates ago.
+        While another process goes on with the run, or after a kill, they may be those of a few candidates ago.
         """
         return self._told_state().elites
 
@@ -214,6 +214,8 @@ class Run:
         self.records, self._state = self._index.read()
         if not self._is_indexed():
             self.records, self._state = [], None
+        if self._state is not None and not all(0 <= elite < len(self) for elite in self._state.elites):
+            self._state = None
         self._indexed = len(self)
         last = self.records[-1] if self.records else None
         begin, digest = (0, None) if last is None else (last.end, last.digest)
@@ -244,7 +246,7 @@ class Run:
         """
         for index, line in enumerate(self._log.lines(number, begin, digest), number):
             with self._whole(index):
-                entry = Entry.parse(line.content, index)
+                entry = Entry.parse(line.content, index, self.settings)
             yield line, entry
 
     def entry(self, index: int) -> Entry:
@@ -255,7 +257,7 @@ class Run:
         """
         record = self.records[index]
         with self._whole(index):
-            return Entry.parse(self._log.content(record.begin, record.end), index)
+            return Entry.parse(self._log.content(record.begin, record.end), index, self.settings)
 
     @contextmanager
     def _whole(self, index: int) -> Iterator[None]:
@@ -268,15 +270,13 @@ class Run:
     # -- going on --------------------------------------------------------------------------------------------------
 
     def extend(self, budget: int) -> None:
-        """Gives the run another budget.
+        """Gives the run another budget, which is kept once `advance` begins.
 
         Raises:
-            RunError: It has been told more already (`budget_spent`), or the folder cannot be written (`cannot_write`).
+            RunError: It has been told more already (`budget_spent`).
         """
         if budget < len(self):
             raise RunError("budget_spent", f"{self.folder} has {len(self):,} candidates already, more than {budget:,}")
-        self._document = {**self._document, "budget": budget}
-        _write_document(self.folder / "run.json", self._document)
         self.settings = self.settings.with_budget(budget)
 
     def differences(self) -> dict[str, tuple[str, str]]:
@@ -309,6 +309,9 @@ class Run:
         writer = RunWriter(self._log)
         try:
             self._read()  # another process may have gone on since
+            if self._document["budget"] != self.settings.budget:
+                self._document = {**self._document, "budget": self.settings.budget}
+                _write_document(self.folder / "run.json", self._document)
             if self.records:
                 writer.resume(self.records[-1].end, self.records[-1].digest)
             else:
@@ -319,7 +322,8 @@ class Run:
             finally:
                 index.close()
         except sqlite3.Error as error:
-            raise RunError("cannot_write", f"cannot write the index in {self.folder}: {error}") from error
+            what = f"cannot write the index in {self.folder}: {error}"
+            raise RunError("cannot_write", f"{what}; make room, then resume the run") from error
         finally:
             pool.stop()
             writer.close()
@@ -363,11 +367,16 @@ class Run:
         self._indexed = len(self)
 
 
-def _write_document(path: Path, document: JsonObject) -> None:
+def _write_document(path: Path, document: JsonObject, *, new: bool = False) -> None:
     """Writes a file whole, or not at all.
 
+    Args:
+        path: The file.
+        document: What to write.
+        new: Whether it must not be there yet.
+
     Raises:
-        RunError: It cannot be written (`cannot_write`).
+        RunError: It is there (`run_exists`), or cannot be written (`cannot_write`).
     """
     part = path.with_name(f".{secrets.token_hex(8)}.part")
     try:
@@ -375,8 +384,14 @@ def _write_document(path: Path, document: JsonObject) -> None:
             file.write(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
             file.flush()
             os.fsync(file.fileno())
-        part.replace(path)
+        if new:
+            os.link(part, path)
+        else:
+            part.replace(path)
+    except FileExistsError as error:
+        raise RunError("run_exists", f"another process has begun a run in {path.parent}") from error
     except OSError as error:
+        raise RunError("cannot_write", f"cannot write {path}: {error.strerror}") from error
+    finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
-        raise RunError("cannot_write", f"cannot write {path}: {error.strerror}") from error

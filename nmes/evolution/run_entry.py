@@ -47,11 +47,11 @@ class Entry:
     plan: str
 
     @classmethod
-    def parse(cls, text: bytes, index: int) -> Entry:
+    def parse(cls, text: bytes, index: int, settings: RunSettings) -> Entry:
         """Reads an entry.
 
         Raises:
-            DocumentError: It is none, or not that of the candidate of this index.
+            DocumentError: It is none, or not that of the candidate of this index in a run of these settings.
         """
         try:
             content = orjson.loads(text)
@@ -60,6 +60,11 @@ class Entry:
         check(_RECORD, content)
         if content["index"] != index:
             raise DocumentError([("index", f"must be {index}, not {content['index']}")])
+        if not all(parent < index for parent in content["parents"]):
+            raise DocumentError([("parents", f"must be candidates before {index}")])
+        for name, expected in (("objectives", len(settings.objectives)), ("measures", len(settings.measures))):
+            if len(content[name]) != (0 if content["score"] is None else expected):
+                raise DocumentError([(name, "must be one for each of the run, and none where there is no score")])
         return cls(content, content["genome"]["name"], _plan(content["genome"]["body"]))
 
     @property

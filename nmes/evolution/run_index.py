@@ -120,8 +120,8 @@ class RunIndex:
             anew: Whether what it has is of no use.
         """
         if anew:
-            for path in self._path.parent.glob(f"{self._path.name}*"):
-                path.unlink()
+            for ending in ("", "-journal", "-wal", "-shm"):
+                self._path.with_name(self._path.name + ending).unlink(missing_ok=True)
         return IndexWriter(self._path)
 
 

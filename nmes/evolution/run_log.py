@@ -11,6 +11,7 @@ import fcntl
 import os
 import time
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
@@ -145,7 +146,8 @@ class RunWriter:
             if time.monotonic() >= self._synced + _SYNC:
                 self._sync()
         except OSError as error:
-            self._cut()
+            with suppress(OSError):  # whoever goes on cuts it off
+                self._cut()
             raise _unwritten(self._log.path, error) from error
         self.end, self.digest = end, digest
         return lines
@@ -159,8 +161,12 @@ class RunWriter:
 
     def close(self) -> None:
         """Lets others go on with the run."""
-        self._sync()
-        os.close(self._file)
+        try:
+            self._sync()
+        except OSError as error:
+            raise _unwritten(self._log.path, error) from error
+        finally:
+            os.close(self._file)
 
 
 def _write(file: int, text: bytes) -> None:

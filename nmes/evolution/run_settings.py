@@ -24,7 +24,16 @@ from nmes.evolution.draw import Draw
 from nmes.evolution.quantities import read_expressions
 from nmes.genome import Genome
 from nmes.objective import Objective
-from nmes.schemas.documents import JsonObject, canonical_hash, check, compile_schema, complete, plain
+from nmes.schemas.documents import (
+    JsonObject,
+    canonical_hash,
+    check,
+    compile_schema,
+    complete,
+    parse_document,
+    plain,
+    write_json,
+)
 
 __all__ = ["FORMAT", "RunSettings"]
 
@@ -72,6 +81,10 @@ class RunSettings:
             raise DocumentError(problems)
         settings.expressions()
         settings.begin()
+        try:
+            parse_document(write_json(settings.document))
+        except DocumentError as error:  # else nobody could read the run that begins with them
+            raise DocumentError([("starts", f"are too many: {error.message}")]) from error
         return settings
 
     @classmethod

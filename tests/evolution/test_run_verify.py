@@ -14,6 +14,8 @@ import pytest
 from click.testing import CliRunner, Result
 
 from nmes.cli import main
+from nmes.errors import RunError
+from nmes.evolution.run import Run
 from runs import begin, finish, forge
 
 Records = list[dict[str, Any]]
@@ -213,3 +215,14 @@ def test_what_does_not_come_out_elsewhere_is_not_comparable_and_what_does_holds(
     assert verdict(run)["verdict"] == "holds"
     forge(run, lower_energy)
     assert verdict(run, "--all")["verdict"] == "not_comparable"
+
+
+def come_from_later(records: Records) -> None:
+    records[17]["parents"] = [18]
+
+
+@pytest.mark.parametrize("change", [come_from_later, give_objectives])
+def test_what_no_run_could_have_written_is_no_record(run: Path, change: Callable[[Records], None]) -> None:
+    forge(run, change)
+    with pytest.raises(RunError, match="line 18"):
+        Run.open(run)

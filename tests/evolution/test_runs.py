@@ -17,6 +17,7 @@ from nmes.errors import DocumentError, RunError
 from nmes.evaluation import Task, Workers, evaluate
 from nmes.evolution.algorithm import Algorithm, Candidate, Score
 from nmes.evolution.run import Order, Run
+from nmes.evolution.run_log import RunLog, RunWriter
 from nmes.evolution.run_settings import RunSettings
 from nmes.genome import Genome
 from runs import SETTINGS, TASK, begin, finish
@@ -329,3 +330,22 @@ def test_a_run_is_not_gone_on_with_where_other_numbers_come_out(whole: Path, tmp
             finish(run)
         assert error.value.code == "not_comparable" and item in error.value.message
     assert log(folder) == log(whole)
+
+
+def test_a_budget_is_kept_only_if_the_run_goes_on(whole: Path, tmp_path: Path) -> None:
+    folder = copied(whole, tmp_path)
+    before = (folder / "run.json").read_bytes()
+    run = Run.open(folder)
+    writing = RunWriter(RunLog(folder / "log.jsonl", ""))
+    run.extend(30)
+    with pytest.raises(RunError, match="another process"):
+        finish(run)
+    writing.close()
+    assert (folder / "run.json").read_bytes() == before
+
+
+def test_starts_that_nobody_could_read_again_are_refused() -> None:
+    many = [Genome.load("centipede").document] * 1500
+    with pytest.raises(DocumentError) as error:
+        RunSettings.read({**SETTINGS, "task": "walk", "starts": many})
+    assert error.value.problems[0][0] == "starts"
