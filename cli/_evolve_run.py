@@ -40,7 +40,7 @@ def check_pool(jobs: int | None, ray: str | None) -> None:
 
 
 def open_pool(jobs: int | None, ray: str | None) -> Workers | Cluster:
-    """Returns who evaluates, as the options say.
+    """Returns the processes or the cluster that the options mean.
 
     Raises:
         MissingPackage: Ray is not installed.

@@ -56,12 +56,12 @@ class Pool(ABC):
     @property
     @abstractmethod
     def free(self) -> int:
-        """How many more items it can be given now."""
+        """The number of items that it can be given now."""
 
     @property
     @abstractmethod
     def busy(self) -> bool:
-        """Whether it has been given something of which the result has not been taken."""
+        """Whether it has work of which the result has not been taken."""
 
     @abstractmethod
     def give(self, number: int, function: Callable[[Any], Any], item: object) -> None:

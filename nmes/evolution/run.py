@@ -165,7 +165,7 @@ class Run:
             return self.entry(index).genome
 
     def evaluation(self, index: int) -> Evaluation:
-        """Returns what the log has of the evaluation of a candidate."""
+        """Returns the evaluation of a candidate, as the log has it."""
         return self.entry(index).evaluation(self.settings.task)
 
     def elites(self) -> Sequence[int]:
@@ -250,7 +250,7 @@ class Run:
             yield line, entry
 
     def entry(self, index: int) -> Entry:
-        """Returns what the log has of a candidate.
+        """Returns the log's entry of a candidate.
 
         Raises:
             RunError: Its line is damaged (`log_damaged`).
@@ -280,7 +280,7 @@ class Run:
         self.settings = self.settings.with_budget(budget)
 
     def differences(self) -> dict[str, tuple[str, str]]:
-        """Returns what decides the numbers and is otherwise here than where the run was begun, with both values."""
+        """Returns the decisive items of the fingerprint that are otherwise here than in the run, with both values."""
         then, now = self.fingerprint, self.settings.fingerprint()
         ours = {name: (then.get(name, ""), now[name]) for name in ("draws", "algorithm")}
         return differences(then, now) | {name: pair for name, pair in ours.items() if pair[0] != pair[1]}

@@ -94,14 +94,14 @@ class Entry:
         return Score(content["score"], tuple(content["objectives"]), tuple(content["measures"]))
 
     def evaluation(self, task: Task) -> Evaluation:
-        """Returns how the candidate came out on the run's task."""
+        """Returns the candidate's evaluation on the run's task."""
         content = self.content
         results = tuple(Result(**result) for result in content["results"])
         names = content["genome"]["name"], content["genome_hash"], task.name, task.hash
         return Evaluation(*names, results, content["error"])
 
     def record(self, line: Line) -> Record:
-        """Returns what the index has of the entry in a line."""
+        """Returns the record of the entry in a line, for the index."""
         content = self.content
         faults = (result["fault"] for result in content["results"] if result["fault"] is not None)
         error = content["error"] or next(faults, None)
