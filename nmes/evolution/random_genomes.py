@@ -25,7 +25,8 @@ from nmes.schemas.documents import JsonObject, fits
 
 __all__ = ["random_genome"]
 
-_TRIES: Final = 300
+_TRIES: Final = 150
+_SMALLER: Final = 0.98  # from try to try, so that limits of mass and size are met in the end
 _TRUNK: Final = "trunk"
 _LARGEST: Final = 4.0  # m: the size for which bodies are drawn where the task has no limit
 _THINNEST: Final = 0.02  # m
@@ -54,8 +55,10 @@ def random_genome(draw: Draw, task: Task, name: str) -> Genome:
         VariationError: `no_offspring`: none of many tries may take part, as when the task allows one cube.
     """
     planar, reason = is_planar(task), "its parts are in each other's way"
-    for _ in range(_TRIES):
-        document: JsonObject = {"format": "nmes-genome/1", "name": name, "body": {"graph": _graph(draw, task, planar)}}
+    most = min(task.limits.size or _LARGEST, _LARGEST)
+    for number in range(_TRIES):
+        graph = _graph(draw, most * _SMALLER**number, planar)
+        document: JsonObject = {"format": "nmes-genome/1", "name": name, "body": {"graph": graph}}
         try:
             body = Genome(document).body
         except DocumentError:
@@ -74,9 +77,8 @@ def random_genome(draw: Draw, task: Task, name: str) -> Genome:
 # -- bodies -----------------------------------------------------------------------------------------------------------
 
 
-def _graph(draw: Draw, task: Task, planar: bool) -> JsonObject:
-    """Draws a graph of parts, good or not."""
-    most = min(task.limits.size or _LARGEST, _LARGEST)
+def _graph(draw: Draw, most: float, planar: bool) -> JsonObject:
+    """Draws a graph of parts, good or not, with a trunk that is no longer than a part of `most`, in m."""
     trunk = _part(_TRUNK, most * _between(draw, 0.08, 0.3), _between(draw, *_DENSITY), draw)
     parts, connections = [trunk], list[JsonObject]()
     if draw.chance(0.3):
@@ -117,7 +119,7 @@ def _part(name: str, length: float, density: float, draw: Draw) -> JsonObject:
 
 def _between(draw: Draw, low: float, high: float) -> float:
     """Draws a positive number of which twice as much and half as much are as likely."""
-    return low * (high / low) ** draw.uniform(0.0, 1.0)
+    return float(low * (high / low) ** draw.uniform(0.0, 1.0))
 
 
 def _grow_limb(parts: list[JsonObject], connections: list[JsonObject], name: str, draw: Draw, planar: bool) -> None:

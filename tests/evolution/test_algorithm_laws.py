@@ -161,6 +161,7 @@ def test_options_out_of_their_bounds_are_refused_by_name(name: str) -> None:
     for option, default in algorithm_options(name).items():
         if isinstance(default, bool):
             continue
+        wrong: dict[str, Any] = {option: type(default)(-1_000_000)}
         with pytest.raises(DocumentError) as caught:
-            new(name, **{option: type(default)(-1_000_000)})
+            new(name, **wrong)
         assert any(path == f"options.{option}" for path, _ in caught.value.problems)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 from nmes.errors import DocumentError
 
 __all__ = ["within_bounds"]
 
 
-def within_bounds(options: object, bounds: dict[str, tuple[float, float]]) -> None:
+def within_bounds(options: object, bounds: Mapping[str, tuple[float, float]]) -> None:
     """Returns if every option that has bounds is within them.
 
     Args:

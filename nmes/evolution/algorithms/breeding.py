@@ -7,7 +7,8 @@ creature takes the place. So no run fails for want of offspring where there are 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Final, NamedTuple
+from dataclasses import dataclass
+from typing import Final
 
 from nmes.errors import VariationError
 from nmes.evolution.algorithm import Candidate, Problem
@@ -24,7 +25,8 @@ _MORE: Final = 0.3  # chance of one more mutation, and of another after that
 _MOST: Final = 4  # mutations at once
 
 
-class Parent(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class Parent:
     """A candidate that was told: its index, and its genome."""
 
     index: int

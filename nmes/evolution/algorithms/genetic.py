@@ -179,7 +179,7 @@ class AgeFitness(_SteadyState):
 
         founders: int = 200
         population: int = 100
-        tournament: int = 2
+        tournament: int = 5
         crossover: float = 0.25
         window: int = 32
         newcomers: int = 1
