@@ -39,6 +39,7 @@ def test_milestones_are_the_ends_and_the_greatest_gains() -> None:
     assert [row.index for row in milestones(rows, 4)] == [0, 4, 6, 7]
     assert [row.index for row in milestones(rows, 2)] == [0, 7]
     assert milestones(rows[:1], 2) == [rows[0]]
+    assert [row.index for row in milestones(history(1.0, 3.0, 3.0, 2.0).rows, 9)] == [0, 1, 3]  # as good is no gain
 
 
 def test_operators_are_judged_by_the_first_parent() -> None:
