@@ -265,20 +265,18 @@ class Connection(asyncio.BufferedProtocol):
         They are read in one go because code that has just run runs faster: read one by one, between commands that are
         executed, a command of a long row takes a third longer.
         """
-        session, backlog, requests, size = self._session, self._backlog, list[Request](), 0
-        while backlog and not isinstance(frame := backlog[0], Request):
-            size += len(frame)
-            if size > LONG:
+        session, backlog, size = self._session, self._backlog, 0
+        for index in range(len(backlog)):
+            frame = backlog[index]
+            if isinstance(frame, Request) or (size := size + len(frame)) > LONG:
                 break
             request = session.parse(frame)
             if request.error is not None:
                 request = session.redacted(request)
             elif request.ignored or request.said is not None:
                 _log_without_effect(session, request, self._peer)
-            requests.append(request)
-            backlog.popleft()
-        backlog.extendleft(reversed(requests))
-        return requests[0]
+            backlog[index] = request
+        return cast(Request, backlog[0])
 
     def _read_in_thread(self, frame: bytes) -> None:
         """Reads the first frame of the backlog in a thread; what came behind it waits."""
