@@ -154,6 +154,15 @@ def test_it_begins_with_motors_that_listen_to_all_sensors() -> None:
     assert neat(roller, 1).ask(0).genome.brain().document == {**roller.document["brain"]}
 
 
+def test_the_first_generation_comes_of_the_start_genome() -> None:
+    start = Genome.load("roller")
+    algorithm = neat(start, 1, population=5)
+    candidates = [algorithm.ask(index) for index in range(5)]
+    assert [candidate.parents for candidate in candidates] == [(), (0,), (0,), (0,), (0,)]
+    assert all(candidate.genome.body == start.body for candidate in candidates)
+    assert all(candidate.genome.document["parents"] == [start.hash] for candidate in candidates[1:])
+
+
 def test_a_split_link_gives_way_to_a_node_that_is_named_after_it() -> None:
     network = smallest()
     network = Network(network.nodes, {gene: 0.5 for gene in network.genes})

@@ -143,11 +143,12 @@ class Neat(Algorithm):
     def _candidate(
         self, network: Network, operator: str, parents: Sequence[Individual], generation: int, group: str
     ) -> Candidate:
-        hashes = [parent.hash for parent in parents] or ([self._start.hash] if operator != "start" else [])
         document = {**self._start.document, "brain": network.document}
-        if hashes:
-            document["parents"] = list(dict.fromkeys(hashes))
         indices = tuple(parent.index for parent in parents)
+        if operator != "start":
+            hashes = [parent.hash for parent in parents]
+            indices = indices or (0,)  # the first generation comes of the start genome
+            document["parents"] = list(dict.fromkeys(hashes or [self._start.hash]))
         return Candidate(Genome(document), operator, indices, generation, group)
 
     def tell(self, index: int, candidate: Candidate, score: Score) -> None:
