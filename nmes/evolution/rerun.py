@@ -32,11 +32,17 @@ def record_candidate(run: Run, index: int, folder: Path, seeds: Sequence[int]) -
     """
     with TemporaryDirectory(dir=folder, prefix=".") as unfinished:
         found = evaluate(run.genome(index), run.settings.task, seeds=seeds, record=unfinished)
-        logged = {result.seed: result for result in run.evaluation(index).results}
-        for seed in seeds:
-            again = next((result for result in found.results if result.seed == seed), None)
-            if again != logged.get(seed, again) or again is None:
-                raise _otherwise(run, index, f"seed {seed}: {again or found.error}, and not {logged.get(seed)}")
+        logged = run.evaluation(index)
+        if logged.score != run.records[index].score or {each.seed for each in logged.results} != set(
+            run.settings.seeds
+        ):
+            raise _otherwise(run, index, "its score there is not the mean over the seeds")
+        known = {result.seed: result for result in logged.results}
+        if found.error is not None:
+            raise _otherwise(run, index, found.error)
+        for again in found.results:
+            if again != known.get(again.seed, again):
+                raise _otherwise(run, index, f"{again}, and not {known[again.seed]}")
         recordings = [folder / Path(path).name for path in found.recordings]
         for path, target in zip(found.recordings, recordings, strict=True):
             target.with_name(target.name + SUFFIX).unlink(missing_ok=True)  # it is of the recording before

@@ -105,7 +105,8 @@ class Chart:
         widened: bool = True,
     ) -> None:
         self._steps = round_numbers(*upward)
-        self._across = across if across[1] > across[0] else (across[0] - 0.5, across[0] + 0.5)
+        numbers = round_numbers(*across)
+        self._across = across if across[1] > across[0] else (numbers[0], numbers[-1])
         self._upward = (self._steps[0], self._steps[-1]) if widened else upward
         self.left, self.top, self.plane_width, self.plane_height = LEFT, TOP, WIDTH - LEFT - right, height
         self.width, self.height = float(WIDTH), TOP + height + BOTTOM
@@ -149,7 +150,9 @@ def round_numbers(least: float, most: float, *, inside: bool = False) -> list[fl
         most: The upper end.
         inside: Whether those outside the range are left out.
     """
-    step = 10.0 ** floor(log10(max(most - least, 1e-9)))
+    apart = 1e-9 * max(abs(least), abs(most), 1.0)  # what is nearer to each other is one number
+    most = max(most, least + apart)
+    step = 10.0 ** floor(log10(most - least))
     step *= next(part for part in (0.25, 0.5, 1.0, 2.5) if (most - least) / (step * part) <= 5.0)
     first, last = floor(least / step), max(-floor(-most / step), floor(least / step) + 1)
     numbers = [step * number for number in range(first, last + 1)]

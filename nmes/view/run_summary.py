@@ -69,10 +69,12 @@ class RunSummary:
             ("options", ", ".join(f"{name}={value}" for name, value in given.options.items()) or "none"),
             ("task", f"{given.task.name} ({given.task.hash[:16]})"),
             ("seeds of the task", ", ".join(map(str, given.seeds))),
-            ("begins with", ", ".join(genome.name for genome in given.starts) or "random"),
+            ("begins with", ", ".join(genome.name for genome in given.starts[:_TOP]) or "random"),
             ("seed", str(given.seed)),
             ("budget", f"{given.budget:,}"),
         ]
+        if len(given.starts) > _TOP:
+            facts.append(("and with", f"{len(given.starts) - _TOP:,} other genomes"))
         facts += [("objective", expression) for expression in given.objectives]
         for measure in given.measures:
             facts.append(

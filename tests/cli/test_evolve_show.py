@@ -244,6 +244,20 @@ def test_a_score_that_does_not_come_out_again_is_not_proved(tmp_path: Path, else
     assert list((tmp_path / "champion").iterdir()) == []
 
 
+@pytest.mark.parametrize("falsehood", ["score", "a seed is missing"])
+def test_a_score_that_does_not_follow_from_its_episodes_is_not_proved(tmp_path: Path, falsehood: str) -> None:
+    record = real(genomes()[0], Task(SHORT))
+    if falsehood == "score":
+        record["score"] += 1.0
+    else:
+        record |= {"results": record["results"][:1], "score": record["results"][0]["score"]}
+    document = {"format": "nmes-run/1", "task": SHORT, "algorithm": "random", "budget": 9}
+    make_run(tmp_path / "run", [record], fingerprint=RunSettings.reopen(document).fingerprint(), budget=9)
+    result = run("best", tmp_path / "run", "-o", tmp_path / "champion")
+    assert result.exit_code == 1 and "candidate 0" in result.output
+    assert list((tmp_path / "champion").iterdir()) == []
+
+
 def test_a_film_shows_the_champions(walk: Path, tmp_path: Path) -> None:
     result = run("film", walk, "-o", tmp_path / "film.gif", "--size", "160x120", "--fps", "2")
     if "unsupported" in result.output:

@@ -102,8 +102,11 @@ def test_the_curve_of_the_best_rises_where_a_champion_came_and_the_band_is_round
     assert picture.description == "The best score rises from 0 to 18, which candidate 190 reached."
 
 
-def test_a_run_with_one_score_has_a_curve() -> None:
-    assert inside(fitness_curves(history(None, 2.0), "score"))
+@pytest.mark.parametrize("score", [2.0, 0.0, -1e20, 1e300])
+def test_a_run_whose_scores_are_all_the_same_has_pictures(score: float) -> None:
+    assert inside(fitness_curves(history(None, score), "score"))
+    rows = [Row(0, score, objectives=(score, -score)), Row(1, score, objectives=(score, -score))]
+    assert inside(front_plot(History(rows), rows, ("a", "b"), portrait))
 
 
 def test_groups_are_stacked_to_the_whole() -> None:
