@@ -72,7 +72,7 @@ class Window:
 
 @dataclass(frozen=True, slots=True)
 class OperatorRecord:
-    """How the candidates did that an operator made, or had part in.
+    """The success of an operator: of the candidates that it made, or had part in.
 
     Attributes:
         name: The operator's.
@@ -132,7 +132,7 @@ class History:
         return [self.rows[index] for _, index in sorted(scores)[:count]]
 
     def operators(self) -> list[OperatorRecord]:
-        """Returns how each operator did, the one with most candidates first; those made by several count for each."""
+        """Returns the record of each operator, most candidates first; a candidate made by several counts for each."""
         champions = {row.index for row in self.champions()}
         members: dict[str, list[Origin]] = {}
         for row in self.rows:

@@ -66,7 +66,7 @@ def write_page(summary: RunSummary, path: Path, pictures: Iterable[Picture], por
     """Writes a page of a run.
 
     Args:
-        summary: What there is to say of the run.
+        summary: Of the run.
         path: The file.
         pictures: The run's, as `nmes.view.run_pictures.draw_run` gives them.
         portraits: Of its candidates.

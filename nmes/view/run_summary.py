@@ -1,4 +1,4 @@
-"""What there is to say of a run in words and numbers, for people and as plain data."""
+"""A run in words and numbers, for people and as plain data."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _TOP = 10
 
 
 class RunSummary:
-    """What there is to say of a run as far as it is.
+    """A run in words and numbers, as far as it is.
 
     Args:
         run: The run.
@@ -47,11 +47,11 @@ class RunSummary:
 
     @cached_property
     def without_score(self) -> int:
-        """How many candidates have no score."""
+        """The number of candidates without a score."""
         return len([row for row in self.history.rows if row.score is None])
 
     def facts(self) -> list[tuple[str, str]]:
-        """Returns how far it is and what came out, by names."""
+        """Returns the state of the run and its outcome, as names and values."""
         count = f"{len(self.history.rows):,} of {self._run.settings.budget:,}"
         facts = [("candidates", count + (f", {self.without_score:,} without a score" if self.without_score else ""))]
         if self.best is not None:
@@ -62,7 +62,7 @@ class RunSummary:
         return [*facts, ("digest", self._run.digest)]
 
     def settings(self) -> list[tuple[str, str]]:
-        """Returns what it was begun with, by names."""
+        """Returns the settings that it was begun with, as names and values."""
         given = self._run.settings
         facts = [
             ("algorithm", given.algorithm),
