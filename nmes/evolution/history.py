@@ -156,7 +156,7 @@ class History:
         return scores[0] is not None and scores[1] is not None and scores[0] > scores[1]
 
     def _parent(self, row: Origin) -> Origin | None:
-        """Returns whom a candidate is mostly like; nobody where a log names none that was before it."""
+        """Returns the parent that a candidate is mostly like; None where a log names none that was before it."""
         return self.rows[row.parents[0]] if row.parents and row.parents[0] < row.index else None
 
     def lineage(self, index: int) -> list[Origin]:

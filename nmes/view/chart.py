@@ -16,7 +16,7 @@ from math import floor, isfinite, log10
 from nmes.backend import Image as Pixels
 from nmes.errors import visible
 
-__all__ = ["STYLE", "Chart", "Picture", "png_source", "round_numbers", "short", "text"]
+__all__ = ["STYLE", "Chart", "Picture", "number", "png_source", "round_numbers", "short", "text"]
 
 WIDTH = 980
 LEFT, RIGHT, TOP, BOTTOM = 72, 24, 16, 48  # round the plane of a chart, pixels
@@ -91,7 +91,6 @@ class Chart:
         upward: The least and the greatest number on the left axis.
         height: Of the plane, pixels.
         right: What is left free to its right, pixels.
-        width: Of the whole, pixels.
         widened: Whether the left axis is widened to round numbers.
     """
 
