@@ -235,7 +235,9 @@ class Connection(asyncio.BufferedProtocol):
                 waits = True
                 break
             else:
-                request = self._read_some()
+                request = session.read(backlog, LONG)
+            if request.ignored or request.said is not None:
+                _log_without_effect(session, request, self._peer)
             encoded = world.submit(self._client, request)
             waits = encoded is None
             if encoded is None or not backlog:  # it waits, or its connection was ended meanwhile
@@ -259,25 +261,6 @@ class Connection(asyncio.BufferedProtocol):
         else:
             self._transport.resume_reading()
 
-    def _read_some(self) -> Request:
-        """Reads the first frames of the backlog, at most as much as one frame that is not long; returns the first.
-
-        They are read in one go because code that has just run runs faster: read one by one, between commands that are
-        executed, a command of a long row takes a third longer.
-        """
-        session, backlog, size = self._session, self._backlog, 0
-        for index in range(len(backlog)):
-            frame = backlog[index]
-            if isinstance(frame, Request) or (size := size + len(frame)) > LONG:
-                break
-            request = session.parse(frame)
-            if request.error is not None:
-                request = session.redacted(request)
-            elif request.ignored or request.said is not None:
-                _log_without_effect(session, request, self._peer)
-            backlog[index] = request
-        return cast(Request, backlog[0])
-
     def _read_in_thread(self, frame: bytes) -> None:
         """Reads the first frame of the backlog in a thread; what came behind it waits."""
         loop = asyncio.get_running_loop()
@@ -286,8 +269,7 @@ class Connection(asyncio.BufferedProtocol):
         def go_on() -> None:
             self._reading = None
             if self._backlog:  # else the connection was ended meanwhile
-                self._backlog[0] = request = self._session.redacted(reading.result())
-                _log_without_effect(self._session, request, self._peer)
+                self._backlog[0] = self._session.redacted(reading.result())
             self.resume()
 
         reading.add_done_callback(lambda _: loop.call_soon_threadsafe(go_on))

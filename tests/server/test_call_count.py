@@ -61,7 +61,7 @@ def test_a_recorded_command_takes_few_calls(backend: str, tmp_path: Path, monkey
 
 
 def test_commands_of_one_write_are_read_in_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
-    # Code that has just run runs faster: each read before it is executed, commands took a third longer.
+    # Code that has just run runs faster: each read just before it is executed, commands take a tenth longer.
     calls: list[str] = []
     receive: Callable[[Connection, int], None] = Connection.buffer_updated
     pings = 200
