@@ -1,4 +1,4 @@
-"""The algorithm `cma`: as many evaluations as published, nothing shared, nothing that a processor could change."""
+"""The algorithm `cma`: it needs what the package itself needs, shares nothing, and follows no processor."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def digest(algorithm: Algorithm, count: int) -> list[str]:
         pytest.param(rosenbrock, 0.0, range(15), (5_500, 7_500), marks=pytest.mark.long),
     ],
 )
-def test_as_many_evaluations_are_needed_as_published(
+def test_about_as_many_evaluations_are_needed_as_by_the_main_class_of_the_package(
     function: Any, start: float, seeds: Any, bounds: tuple[int, int]
 ) -> None:
     problem = [vector_problem([start] * 10, seed) for seed in seeds]
