@@ -118,7 +118,7 @@ def _part(name: str, length: float, density: float, draw: Draw) -> JsonObject:
 
 
 def _between(draw: Draw, low: float, high: float) -> float:
-    """Draws a positive number of which twice as much and half as much are as likely."""
+    """Draws a positive number, evenly by its logarithm: from 1 to 2 as often as from 2 to 4."""
     return float(low * (high / low) ** draw.uniform(0.0, 1.0))
 
 
@@ -160,7 +160,7 @@ def _connection(parent: str, child: str, draw: Draw, planar: bool) -> JsonObject
 
 
 def _groups(body: Body) -> list[tuple[str, bool]]:
-    """Returns what an output of a brain drives: all motors that grew of a part, or all of their mirror images.
+    """Returns the outputs of a brain: of each part one for the motors that grew of it, and one for their mirror images.
 
     Each is a pattern, and whether it is of mirror images; those come first, for what they fit the other fits too.
     """
@@ -192,7 +192,7 @@ def _sine(body: Body, draw: Draw) -> JsonObject:
 
 
 def _cpg(body: Body, draw: Draw) -> JsonObject:
-    """Draws oscillators, of which some heed a sensor."""
+    """Draws the oscillators of `_sine`, with one or two terms of feedback from a sensor."""
     brain = {**_sine(body, draw), "kind": "cpg"}
     brain["feedback"] = [
         {
