@@ -74,7 +74,9 @@ def test_commands_shown_exist(line: str) -> None:
     assert name in SUBCOMMANDS
     command = subcommand(name)
     if isinstance(command, click.Group):
-        _, command, arguments = command.resolve_command(click.Context(command), arguments)
+        _, found, arguments = command.resolve_command(click.Context(command), arguments)
+        assert found is not None
+        command = found
     options = {option for parameter in command.params for option in parameter.opts} | {"--help"}
     used = {argument.split("=")[0] for argument in arguments if argument.startswith("-")}
     assert used <= options
