@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nmes.backend import Array, BodyState, Contact, Places, Row, Rows, RowsTrack
+from nmes.backend.rotation import total
 from nmes.backends.mujoco3d.forest import Joint
 from nmes.backends.mujoco3d.model import CompiledModel
 from nmes.backends.mujoco3d.motors import Indices, braking, compact, mean_powers
@@ -309,7 +310,7 @@ class MujocoRowsTrack(RowsTrack):
         }
         self._shapes = {name: array.shape[1:] for name, (array, _, _) in self._kept.items()}
         self._shapes |= {"actuator_force": rows.efforts.shape[1:], "qvel": rows.qvel.shape[1:]}
-        self.width = sum(map(prod, self._shapes.values()))
+        self.width = int(total(prod(shape) for shape in self._shapes.values()))
         self._efforts = np.empty((count, room, substeps, len(driven)))
         self._speeds = np.empty((count, room, substeps + 1, len(driven)))
         self._dofs = compact([compiled.joint[joint].v for joint in driven])

@@ -156,8 +156,8 @@ def distance(one: Network, other: Network, weights: float) -> float:
         weights: The coefficient of the mean difference of numbers, c3; those of links, c1 and c2, are 1.
     """
     both = one.genes.keys() & other.genes.keys()
-    apart = sum(_splitting(link) not in other.nodes for link in one.links if link not in both)
-    apart += sum(_splitting(link) not in one.nodes for link in other.links if link not in both)
+    apart = [link for link in one.links if link not in both and _splitting(link) not in other.nodes]
+    apart += [link for link in other.links if link not in both and _splitting(link) not in one.nodes]
     size = max(len(one.genes), len(other.genes))
     mean = total(sorted(abs(one.genes[gene] - other.genes[gene]) for gene in both)) / max(len(both), 1)
-    return apart / (1 if size < _FEW else size) + weights * mean
+    return len(apart) / (1 if size < _FEW else size) + weights * mean

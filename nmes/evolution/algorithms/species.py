@@ -102,6 +102,6 @@ def divided(species: Sequence[Species], count: int, generation: int, patience: i
     exact = [count * mean / whole if whole > 0.0 else count / len(heirs) for mean in means]
     shares = [int(share) for share in exact]
     order = sorted(range(len(heirs)), key=lambda i: shares[i] - exact[i])  # the largest remainders first
-    for i in order[: count - sum(shares)]:
+    for i in order[: count - int(total(shares))]:
         shares[i] += 1
     return [(each, share) for each, share in zip(heirs, shares, strict=True) if share]
