@@ -219,14 +219,14 @@ def test_a_genome_is_not_replaced_by_what_is_made_of_it(wave: Path, command: str
 def test_an_episode_that_fails_has_no_score_and_stops_no_other(
     wave: Path, dash: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    episode = Episode.run
+    steps = Episode.steps
 
     def fail(self: Episode) -> Any:
         if self._seed == 3:
             raise ValueError("ordering is undefined:\nNaN")
-        return episode(self)
+        return steps(self)
 
-    monkeypatch.setattr(Episode, "run", fail)
+    monkeypatch.setattr(Episode, "steps", fail)
     folder = wave.with_name("r")
     for options in ((), ("--record", folder)):
         result = run(wave, "--task", dash, "--jobs", "1", "--json", *options)

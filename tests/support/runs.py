@@ -31,7 +31,7 @@ SETTINGS: dict[str, Any] = {
     "format": "nmes-run/1",
     "task": TASK,
     "algorithm": "ga",
-    "options": {"population": 8, "window": 6},
+    "options": {"founders": 8, "population": 8, "window": 6},
     "budget": 24,
     "seed": 3,
 }
