@@ -13,7 +13,7 @@ from typing import Final
 
 from nmes.evolution.draw import Draw
 from nmes.evolution.joints import CHANGES_OF_JOINTS, JointChange, draw_joint
-from nmes.genome.body import Body
+from nmes.genome.body import PALETTE, Body
 from nmes.schemas.documents import JsonObject
 
 __all__ = ["CHANGES", "graft", "prune"]
@@ -70,6 +70,8 @@ def _add_part(graph: JsonObject, body: Body, draw: Draw, planar: bool) -> bool:
         size = [_edge(edge * draw.uniform(0.3, 1.1)) for edge in _edges(parent)]
         child: JsonObject = {"id": _fresh(graph), "size": size, "density": parent.get("density", 500.0)}
         child["joint"] = draw_joint(draw, body.mass, max(size), planar)
+        if "color" in parent:
+            child["color"] = list(PALETTE[len(graph["parts"]) % len(PALETTE)])
         graph["parts"].append(child)
     else:
         child = draw.one_of(graph["parts"])

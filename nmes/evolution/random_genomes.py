@@ -20,7 +20,7 @@ from nmes.evolution.draw import Draw
 from nmes.evolution.joints import draw_joint
 from nmes.evolution.offspring import admitted, is_planar
 from nmes.genome import Genome
-from nmes.genome.body import Body
+from nmes.genome.body import PALETTE, Body
 from nmes.schemas.documents import JsonObject, fits
 
 __all__ = ["random_genome"]
@@ -87,6 +87,8 @@ def _graph(draw: Draw, most: float, planar: bool) -> JsonObject:
         connections.append({"from": _TRUNK, "to": _TRUNK, "face": "+x", "scale": scale})
     for number in range(draw.count(1, _LIMBS)):
         _grow_limb(parts, connections, f"limb{number + 1}", draw, planar)
+    for number, part in enumerate(parts):
+        part["color"] = list(PALETTE[number % len(PALETTE)])
     weight = 2.0 * total(part["density"] * prod(part["size"]) for part in parts)  # for many are mirrored
     for part in parts:
         if part is not trunk or "recursive_limit" in trunk:

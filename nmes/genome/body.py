@@ -24,10 +24,13 @@ from nmes.errors import DocumentError
 from nmes.genome.sensors import OF_CUBE, OF_JOINT, VECTORS
 from nmes.schemas.documents import did_you_mean, fits
 
-__all__ = ["Body", "BodyCube", "BodyJoint", "Motor", "Sensor", "corners", "read_body", "read_cube"]
+__all__ = ["PALETTE", "Body", "BodyCube", "BodyJoint", "Motor", "Sensor", "corners", "read_body", "read_cube"]
 
 JsonObject = Mapping[str, Any]
 Indices = npt.NDArray[np.intp]
+
+PALETTE = ((0.36, 0.55, 0.75), (0.85, 0.62, 0.31), (0.45, 0.65, 0.45), (0.72, 0.42, 0.42), (0.58, 0.49, 0.7))
+"""Colours for parts that are given none, in turn."""
 
 _TOUCHING = 1e-4  # m that cubes may overlap, and reach into the ground, by rounding
 _SIGNS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])  # of a box's corners

@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 from nmes.backend import Array
 from nmes.backend import Image as Pixels
 from nmes.backend.rotation import rotate
-from nmes.genome.body import Body, BodyCube, corners
+from nmes.genome.body import PALETTE, Body, BodyCube, corners
 
 __all__ = ["grid_step", "render_body", "render_cutout", "render_text", "sheet"]
 
@@ -28,7 +28,6 @@ _LAMP = np.array([0.35, 1.0, 0.55]) / sqrt(0.35**2 + 1.0 + 0.55**2)
 _SKY, _GROUND, _GRID, _SHADE = (
     np.array(c, float) for c in ((246, 247, 249), (232, 233, 236), (208, 211, 217), (150, 154, 163))
 )
-_PALETTE = ((0.36, 0.55, 0.75), (0.85, 0.62, 0.31), (0.45, 0.65, 0.45), (0.72, 0.42, 0.42), (0.58, 0.49, 0.7))
 _MARGIN = 0.08  # of the picture, free on each side
 _FINE = 2  # rays a pixel, in each direction
 _RAMP = " .:-=+*#%@"
@@ -193,7 +192,7 @@ class _Canvas:
         visible = (near <= far) & (near < self._depth[area])
         self._depth[area][visible] = near[visible]
         self.seen[area][visible] = 6 * number + face[visible]
-        base = 255.0 * np.array(cube.color[:3] if cube.color is not None else _PALETTE[number % len(_PALETTE)])
+        base = 255.0 * np.array(cube.color[:3] if cube.color is not None else PALETTE[number % len(PALETTE)])
         shades = np.array([0.42 + 0.58 * max(0.0, float(normal @ _LAMP)) for normal in _normals(cube)])
         image[area][visible] = base * shades[face[visible]][:, None]
 

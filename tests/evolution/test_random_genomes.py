@@ -90,3 +90,12 @@ def test_they_can_be_mutated() -> None:
     task = Task.load("walk")
     for number, genome in enumerate(creatures(task, 30)):
         assert mutate(genome, Draw(5, number), task=task).genome.hash != genome.hash
+
+
+def test_parts_can_be_told_apart_by_colour_and_new_ones_have_another() -> None:
+    genome = random_genome(Draw(4, "colours"), Task.load("walk"), "colourful")
+    colours = [tuple(part["color"]) for part in genome.document["body"]["graph"]["parts"]]
+    assert len(set(colours)) == len(colours) > 1
+    child = mutate(genome, Draw(5, "one more"), kind="add-part").genome
+    assert all(part["color"] for part in child.document["body"]["graph"]["parts"])
+    assert len(child.document["body"]["graph"]["parts"]) > len(colours)
