@@ -26,7 +26,8 @@ from nmes.genome import Genome
 from processes import NMES, process
 from runs import SETTINGS, TASK
 
-BEGIN = ("--budget", "24", "--seed", "3", "--set", "population=8", "--set", "window=6")
+OPTIONS = [word for name, value in SETTINGS["options"].items() for word in ("--set", f"{name}={value}")]
+BEGIN = ("--budget", str(SETTINGS["budget"]), "--seed", str(SETTINGS["seed"]), *OPTIONS)
 
 
 def nmes(*arguments: str | Path) -> Result:
