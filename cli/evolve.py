@@ -29,9 +29,11 @@ _BESIDE = {"settings", "output", "jobs", "ray", "as_json"}  # options that are n
 class _Evolve(click.Group):
     """A group in which what is no subcommand begins a run."""
 
-    def resolve_command(self, ctx: click.Context, args: list[str]) -> tuple[str | None, click.Command, list[str]]:
+    def resolve_command(
+        self, ctx: click.Context, args: list[str]
+    ) -> tuple[str | None, click.Command | None, list[str]]:
         if args[0] in self.commands and args[0]:
-            return super().resolve_command(ctx, args)  # type: ignore[return-value]
+            return super().resolve_command(ctx, args)
         return "", self.commands[""], args
 
     def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
@@ -145,7 +147,7 @@ def _from_options(options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _options(texts: Iterable[str]) -> dict[str, Any]:
-    """Reads `NAME=VALUE`, of which the value is a number, true or false."""
+    """Reads `NAME=VALUE`, whose value is a number, true or false."""
     values: dict[str, Any] = {}
     for text in texts:
         name, _, value = text.partition("=")

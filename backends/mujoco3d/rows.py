@@ -192,7 +192,7 @@ class MujocoRows(Rows):
         return failed
 
     def _lost(self, places: Places, failed: set[int]) -> list[int]:
-        """Returns those of some places that failed or were warned of."""
+        """Returns the places, of some, that failed or were warned of."""
         if self._warnings.any():
             failed.update(np.flatnonzero(self._warnings.any(axis=1)).tolist())
         if not failed:
@@ -379,6 +379,6 @@ class MujocoRowsTrack(RowsTrack):
 
 
 def _later(record: Array, name: str, substeps: int) -> Array:
-    """Returns what a record has of the states after all ticks but the last, array (places, ticks - 1, ...)."""
+    """Returns the recorded states after all ticks but the last, array (places, ticks - 1, ...)."""
     ahead = int(name == "qpos")  # a state, which is recorded after the step; all else follows from the one before it
     return record[:, substeps - ahead : record.shape[1] - ahead : substeps]

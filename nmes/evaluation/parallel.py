@@ -61,7 +61,7 @@ class Pool(ABC):
     @property
     @abstractmethod
     def busy(self) -> bool:
-        """Whether it has work of which the result has not been taken."""
+        """Whether it has work whose result has not been taken."""
 
     @abstractmethod
     def give(self, number: int, function: Callable[[Any], Any], item: object) -> None:

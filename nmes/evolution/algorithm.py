@@ -137,5 +137,5 @@ class Algorithm(ABC):
         return ""
 
     def figures(self) -> Mapping[str, float]:
-        """Returns what the algorithm tells of its own state by name, as `coverage`, `species`, `step size`."""
+        """Returns figures of the algorithm's own state by name, as `coverage`, `species`, `step size`."""
         return {}

@@ -19,7 +19,7 @@ from __future__ import annotations
 import os
 import secrets
 import sqlite3
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from itertools import count
 from pathlib import Path
@@ -285,7 +285,7 @@ class Run:
         ours = {name: (then.get(name, ""), now[name]) for name in ("draws", "algorithm")}
         return differences(then, now) | {name: pair for name, pair in ours.items() if pair[0] != pair[1]}
 
-    def advance(self, pool: Workers | Cluster) -> Iterator[Record]:
+    def advance(self, pool: Workers | Cluster) -> Generator[Record, None, None]:
         """Goes on until the budget is spent. Whoever takes no more records interrupts the run.
 
         Args:

@@ -193,7 +193,8 @@ def test_resources_and_trees_are_spread_over_their_planets() -> None:
 def test_planets_of_the_original_follow_from_the_seed() -> None:
     def planets(number: int, **fields: Any) -> list[Reply]:
         scene = {"type": "planets", "planets": {"layout": "corner", **fields}}
-        return Driver(scene, seed=number)("get_planets")["planets"]  # type: ignore[no-any-return]
+        found: list[Reply] = Driver(scene, seed=number)("get_planets")["planets"]
+        return found
 
     assert planets(1) == planets(1) != planets(2)
     assert planets(1, seed=9) == planets(2, seed=9)

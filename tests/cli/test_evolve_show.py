@@ -260,8 +260,8 @@ def test_a_score_that_does_not_follow_from_its_episodes_is_not_proved(tmp_path: 
 
 def test_a_film_shows_the_champions(walk: Path, tmp_path: Path) -> None:
     result = run("film", walk, "-o", tmp_path / "film.gif", "--size", "160x120", "--fps", "2")
-    if "unsupported" in result.output:
-        pytest.skip(result.output)
+    if "no OpenGL that works without a display" in result.output:
+        pytest.skip(f"no picture to judge: {result.output}")
     assert result.exit_code == 0
     scores = [json.loads(line)["score"] for line in (walk / "log.jsonl").read_text().splitlines()]
     champions = [i for i, score in enumerate(scores) if score is not None and score > max([-9.0, *scores[:i]])]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import shutil
 import sqlite3
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -83,7 +83,7 @@ def test_a_run_that_is_interrupted_again_and_again_comes_out_the_same(whole: Pat
         with Workers(1) as workers:
             records = run.advance(workers)
             told += [record.index for record in islice(records, take)]
-            records.close()  # type: ignore[attr-defined]
+            records.close()
     assert log(tmp_path / "run") == log(whole)
     assert Run.open(tmp_path / "run").records == Run.open(whole).records
     assert set(told) <= set(range(24)) and len(told) == len(set(told))
@@ -198,34 +198,41 @@ def garble(index: Path) -> None:
     index.write_bytes(b"no database at all" * 1000)
 
 
-def age(index: Path) -> None:
-    with sqlite3.connect(index) as db:
-        db.execute("PRAGMA user_version = 99")
-    db.close()
+def saying(statement: str) -> Callable[[Path], None]:
+    """Returns what makes an index do this."""
+
+    def spoil(index: Path) -> None:
+        with sqlite3.connect(index) as db:
+            db.execute(statement)
+        db.close()
+
+    return spoil
 
 
-def empty(index: Path) -> None:
-    with sqlite3.connect(index) as db:
-        db.execute("DELETE FROM records")
-    db.close()
+age = saying("PRAGMA user_version = 99")
+empty = saying("DELETE FROM records")
+halve = saying('DELETE FROM records WHERE "index" > 12')
+mix = saying("UPDATE records SET digest = 'ff' WHERE \"index\" = 23")
 
 
-def halve(index: Path) -> None:
-    with sqlite3.connect(index) as db:
-        db.execute('DELETE FROM records WHERE "index" > 12')
-    db.close()
+SPOILS = {
+    "nothing": spoil_nothing,
+    "delete": delete,
+    "tear": tear,
+    "garble": garble,
+    "age": age,
+    "empty": empty,
+    "halve": halve,
+    "mix": mix,
+}
 
 
-def mix(index: Path) -> None:
-    with sqlite3.connect(index) as db:
-        db.execute("UPDATE records SET digest = 'ff' WHERE \"index\" = 23")
-    db.close()
-
-
-@pytest.mark.parametrize("spoil", [spoil_nothing, delete, tear, garble, age, empty, halve, mix])
-def test_an_index_follows_from_the_log_whatever_became_of_it(whole: Path, tmp_path: Path, spoil: object) -> None:
+@pytest.mark.parametrize("spoil", SPOILS.values(), ids=SPOILS)
+def test_an_index_follows_from_the_log_whatever_became_of_it(
+    whole: Path, tmp_path: Path, spoil: Callable[[Path], None]
+) -> None:
     folder = copied(whole, tmp_path)
-    spoil(folder / "index.sqlite")  # type: ignore[operator]
+    spoil(folder / "index.sqlite")
     run, as_it_was = Run.open(folder), Run.open(whole)
     assert run.records == as_it_was.records
     assert (run.elites(), run.figures(), run.digest) == (as_it_was.elites(), as_it_was.figures(), as_it_was.digest)
