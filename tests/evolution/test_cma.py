@@ -125,7 +125,7 @@ def test_elites_are_the_best_that_were_told() -> None:
         (Problem(WALK, 1, (vector_genome(TEN),) * 2), {}, "starts", "one to begin with, not 2"),
         (Problem(WALK, 1, (vector_genome(TEN),), ("score", "-energy")), {}, "objectives", "the task's score alone"),
         (vector_problem(TEN, 1, Measure("legs", 0, 1, 1)), {}, "measures", "no archive"),
-        (vector_problem([0.0] * 301), {}, "starts/0/brain", "301 parameters, and cma takes 300 at most"),
+        (vector_problem([0.0] * 301), {}, "starts/0/brain", "301 parameters, and this algorithm takes 300 at most"),
         (vector_problem(TEN), {"sigma": 0.0}, "options.sigma", "must be from"),
         (vector_problem(TEN), {"sigma": float("nan")}, "options.sigma", "must be from"),
         (vector_problem(TEN), {"population": 1}, "options.population", "2 and more"),

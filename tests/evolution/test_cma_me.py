@@ -123,7 +123,7 @@ def test_where_nothing_has_a_score_it_stays_at_the_start() -> None:
         (Problem(WALK, 1, measures=grid(10, 5)), {}, "starts", "one to begin with, such as walker"),
         (vector_problem(ZEROS), {}, "measures", "needs 1 or more; none given"),
         (Problem(WALK, 1, (vector_genome(ZEROS),), ("a",), grid(10, 5)), {}, "objectives", "no use for objectives"),
-        (vector_problem([0.0] * 301, 1, *grid(10, 5)), {}, "starts/0/brain", "cma-me takes 300 at most"),
+        (vector_problem([0.0] * 301, 1, *grid(10, 5)), {}, "starts/0/brain", "this algorithm takes 300 at most"),
         (vector_problem(ZEROS, 1, *grid(10, 5)), {"batch": 1}, "options.batch", "2 and more"),
         (vector_problem(ZEROS, 1, *grid(10, 5)), {"emitters": 0}, "options.emitters", "must be from"),
     ],

@@ -9,8 +9,7 @@ from nmes.errors import DocumentError
 from nmes.evolution.algorithm import Algorithm, Candidate, Problem, Score
 from nmes.evolution.algorithms.best import Best
 from nmes.evolution.algorithms.bounds import within_bounds
-from nmes.evolution.algorithms.brain_space import BrainSpace
-from nmes.evolution.algorithms.covariance import MOST_DIMENSIONS, CovarianceAdaptation, probe
+from nmes.evolution.algorithms.covariance import CovarianceAdaptation, adaptable_brain, probe
 from nmes.evolution.algorithms.requirements import check_problem
 
 __all__ = ["CmaEs"]
@@ -50,10 +49,7 @@ class CmaEs(Algorithm):
 
     def __init__(self, problem: Problem, options: Options) -> None:
         check_problem(problem, brain=True)
-        self._problem, self._options, self._space = problem, options, BrainSpace(problem.starts[0])
-        if self._space.dimension > MOST_DIMENSIONS:
-            size = f"the brain has {self._space.dimension:,} parameters, and cma takes {MOST_DIMENSIONS} at most"
-            raise DocumentError([("starts/0/brain", f"{size}; es takes any number")])
+        self._problem, self._options, self._space = problem, options, adaptable_brain(problem, instead="es")
         self._generation = self._restarts = 0
         self._best = Best()
         self._top: tuple[float, list[float]] | None = None

@@ -9,8 +9,7 @@ from math import inf
 from nmes.errors import DocumentError
 from nmes.evolution.algorithm import Algorithm, Candidate, Problem, Score
 from nmes.evolution.algorithms.bounds import within_bounds
-from nmes.evolution.algorithms.brain_space import BrainSpace
-from nmes.evolution.algorithms.covariance import MOST_DIMENSIONS, CovarianceAdaptation, probe
+from nmes.evolution.algorithms.covariance import CovarianceAdaptation, adaptable_brain, probe
 from nmes.evolution.algorithms.requirements import check_problem
 from nmes.evolution.archive import Archive, Elite
 
@@ -67,10 +66,7 @@ class CmaMe(Algorithm):
 
     def __init__(self, problem: Problem, options: Options) -> None:
         check_problem(problem, brain=True, measures=1)
-        self._problem, self._options, self._space = problem, options, BrainSpace(problem.starts[0])
-        if self._space.dimension > MOST_DIMENSIONS:
-            size = f"the brain has {self._space.dimension:,} parameters, and cma-me takes {MOST_DIMENSIONS} at most"
-            raise DocumentError([("starts/0/brain", f"{size}; map-elites takes any number")])
+        self._problem, self._options, self._space = problem, options, adaptable_brain(problem, instead="map-elites")
         self._archive, self._restarts = Archive(problem.measures), 0
         self._emitters = [self._begun(number, [0.0] * self._space.dimension) for number in range(options.emitters)]
         self._batch = self._emitters[0].strategy.population

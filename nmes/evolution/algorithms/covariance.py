@@ -3,7 +3,7 @@
 Hides the package. It is `cma.purecma` that is used, the CMA-ES (N. Hansen, "The CMA Evolution Strategy: A Tutorial",
 2016) by its author in plain Python numbers, which is the same to the last bit on every processor: what the package's
 main class computes with numpy depends on BLAS, and draws from a generator that all instances share. It costs some
-milliseconds a generation up to a hundred dimensions, and grows with their cube: hence `MOST_DIMENSIONS`.
+milliseconds a generation up to a hundred dimensions, and grows with their cube: hence `_MOST_DIMENSIONS`.
 """
 
 from __future__ import annotations
@@ -19,13 +19,14 @@ from typing import Any, Final
 import orjson
 
 from nmes.backend.rotation import total
-from nmes.errors import MissingPackage
+from nmes.errors import DocumentError, MissingPackage
+from nmes.evolution.algorithm import Problem
+from nmes.evolution.algorithms.brain_space import BrainSpace
 from nmes.evolution.draw import Draw
 
-__all__ = ["MOST_DIMENSIONS", "CovarianceAdaptation", "probe"]
+__all__ = ["CovarianceAdaptation", "adaptable_brain", "probe"]
 
-MOST_DIMENSIONS: Final = 300
-"""In how many dimensions a distribution may be adapted: there it takes some seconds a generation."""
+_MOST_DIMENSIONS: Final = 300  # there a generation takes some seconds
 _WIDENED: Final = 1e6  # of the first step size: nothing that is found there is ever small again
 
 
@@ -43,6 +44,23 @@ def _purecma() -> Any:
     except ImportError as error:
         raise MissingPackage("this algorithm needs cma: pip install 'nmes[evolve]'") from error
     return purecma
+
+
+def adaptable_brain(problem: Problem, *, instead: str) -> BrainSpace:
+    """Returns the space of the start genome's brain, which a distribution can adapt to.
+
+    Args:
+        problem: What a run is about: one start genome, with a brain.
+        instead: The algorithm for brains that are too large.
+
+    Raises:
+        DocumentError: The brain has too many parameters.
+    """
+    space = BrainSpace(problem.starts[0])
+    if space.dimension > _MOST_DIMENSIONS:
+        size = f"the brain has {space.dimension:,} parameters, and this algorithm takes {_MOST_DIMENSIONS} at most"
+        raise DocumentError([("starts/0/brain", f"{size}; {instead} takes any number")])
+    return space
 
 
 class CovarianceAdaptation:

@@ -19,7 +19,7 @@ from nmes.evolution.algorithms.breeding import Parent, breed, found, newcomer
 from nmes.evolution.algorithms.requirements import check_problem
 from nmes.evolution.draw import Draw
 
-__all__ = ["AgeFitness", "Genetic"]
+__all__ = ["AgeFitness", "Genetic", "SteadyStateOptions"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,12 +37,22 @@ def _sorted(members: Iterable[_Member]) -> list[_Member]:
 
 
 @dataclass(frozen=True)
-class _Options:
-    founders: int
-    population: int
-    tournament: int
-    crossover: float
-    window: int
+class SteadyStateOptions:
+    """What all genetic algorithms are told.
+
+    Attributes:
+        founders: How many candidates a run begins with: start genomes and mutants of these, or random creatures.
+        population: How many may be parents, and how many candidates are called a generation.
+        tournament: Of how many, drawn at random, the best becomes a parent.
+        crossover: The part of the offspring that have two parents, from 0 to 1.
+        window: How many candidates may be evaluated at once.
+    """
+
+    founders: int = 200
+    population: int = 100
+    tournament: int = 5
+    crossover: float = 0.25
+    window: int = 32
 
     def __post_init__(self) -> None:
         many = dict.fromkeys(("founders", "population", "window"), (1, 100_000))
@@ -52,7 +62,7 @@ class _Options:
 class _SteadyState(Algorithm):
     """A population that changes with every candidate that is told, and those who are bred from it."""
 
-    def __init__(self, problem: Problem, options: _Options) -> None:
+    def __init__(self, problem: Problem, options: SteadyStateOptions) -> None:
         check_problem(problem)
         self._problem, self._options = problem, options
         self._members: Sequence[_Member] = ()
@@ -101,8 +111,9 @@ class _SteadyState(Algorithm):
 class Genetic(_SteadyState):
     """A genetic algorithm whose parents are the youngest, and a few who are the best of all.
 
-    Whoever is old goes, however good, but for the elites: what E. Real et al., "Regularized Evolution for Image
-    Classifier Architecture Search" (2019) found to keep a population from being that of one ancestor.
+    Parents are the `population` youngest. Whoever is old goes, however good, but for the elites: what E. Real et al.,
+    "Regularized Evolution for Image Classifier Architecture Search" (2019) found to keep a population from being that
+    of one ancestor.
 
     Args:
         problem: What the run is about.
@@ -113,27 +124,16 @@ class Genetic(_SteadyState):
     """
 
     @dataclass(frozen=True)
-    class Options(_Options):
-        """The options.
+    class Options(SteadyStateOptions):
+        """Those of all genetic algorithms, and one more.
 
         Attributes:
-            founders: How many candidates a run begins with: start genomes and mutants of these, or random creatures.
-            population: How many of the youngest with a score may be parents.
-            tournament: Of how many, drawn at random, the best becomes a parent.
-            crossover: The part of the offspring that have two parents, from 0 to 1.
-            window: How many candidates may be evaluated at once.
             elites: How many of the best of all may be parents for good.
         """
 
-        founders: int = 200
-        population: int = 100
-        tournament: int = 5
-        crossover: float = 0.25
-        window: int = 32
         elites: int = 10
 
         def __post_init__(self) -> None:
-            """Raises a DocumentError where an option is out of its bounds."""
             super().__post_init__()
             within_bounds(self, {"elites": (0, 100_000)})
 
@@ -165,27 +165,16 @@ class AgeFitness(_SteadyState):
     """
 
     @dataclass(frozen=True)
-    class Options(_Options):
-        """The options.
+    class Options(SteadyStateOptions):
+        """Those of all genetic algorithms, and one more.
 
         Attributes:
-            founders: How many candidates a run begins with: start genomes and mutants of these, or random creatures.
-            population: How many may be parents, and how many candidates are called a generation.
-            tournament: Of how many, drawn at random, the best becomes a parent.
-            crossover: The part of the offspring that have two parents, from 0 to 1.
-            window: How many candidates may be evaluated at once.
             newcomers: How many random creatures come with each generation.
         """
 
-        founders: int = 200
-        population: int = 100
-        tournament: int = 5
-        crossover: float = 0.25
-        window: int = 32
         newcomers: int = 1
 
         def __post_init__(self) -> None:
-            """Raises a DocumentError where an option is out of its bounds."""
             super().__post_init__()
             within_bounds(self, {"newcomers": (0, self.population)})
 

@@ -80,10 +80,7 @@ class Neat(Algorithm):
             within_bounds(self, {**bounds, "patience": (1, 100_000), **dict.fromkeys(parts, (0, 1))})
 
     def __init__(self, problem: Problem, options: Options) -> None:
-        check_problem(problem)
-        if len(problem.starts) != 1:
-            count = len(problem.starts) or "none"
-            raise DocumentError([("starts", f"this algorithm varies the brain of one genome; {count} to begin with")])
+        check_problem(problem, start=True)
         self._problem, self._options, self._start = problem, options, problem.starts[0]
         self._sensors = sensor_names(self._start.body)
         self._first = _first_network(self._start, self._sensors)

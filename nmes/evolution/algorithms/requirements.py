@@ -14,12 +14,15 @@ __all__ = ["check_problem"]
 _CELLS: Final = 1_000_000  # of a measure
 
 
-def check_problem(problem: Problem, *, brain: bool = False, objectives: int = 0, measures: int = 0) -> None:
+def check_problem(
+    problem: Problem, *, start: bool = False, brain: bool = False, objectives: int = 0, measures: int = 0
+) -> None:
     """Returns if a problem is one for an algorithm.
 
     Args:
         problem: The problem.
-        brain: Whether the algorithm varies the brain of one genome, which must be there.
+        start: Whether the algorithm varies the brain of one genome.
+        brain: Whether that must have a brain already.
         objectives: How many objectives it needs at least; 0 if it has no use for any.
         measures: The same of measures.
 
@@ -27,7 +30,8 @@ def check_problem(problem: Problem, *, brain: bool = False, objectives: int = 0,
         DocumentError: It is not; with all that is missing or superfluous.
     """
     problems = [
-        *_found(problem, brain),
+        *_started(problem, start or brain),
+        *_brained(problem, brain),
         *_counted("objectives", len(problem.objectives), objectives, "it maximises the task's score alone"),
         *_counted("measures", len(problem.measures), measures, "it keeps no archive"),
         *(found for place, measure in enumerate(problem.measures) for found in _judged(measure, f"measures/{place}")),
@@ -36,13 +40,15 @@ def check_problem(problem: Problem, *, brain: bool = False, objectives: int = 0,
         raise DocumentError(problems)
 
 
-def _found(problem: Problem, brain: bool) -> Iterator[tuple[str, str]]:
-    if not brain:
-        return
+def _started(problem: Problem, start: bool) -> Iterator[tuple[str, str]]:
     count = len(problem.starts)
-    if count != 1:
+    if start and count != 1:
         given = f"not {count}" if count else "such as walker"
         yield "starts", f"this algorithm varies the brain of one genome: name one to begin with, {given}"
+
+
+def _brained(problem: Problem, brain: bool) -> Iterator[tuple[str, str]]:
+    if not brain or len(problem.starts) != 1:
         return
     try:
         size = problem.starts[0].brain().to_vector().size
