@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import Enum
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
@@ -49,6 +49,7 @@ class Result:
         ended: Which condition or limit of the task ended it early; None where it lasted its time.
         fault: Why there is no score (`code: message`); None where there is one. The codes are those of a world's faults
             and `bad_expression`, `restless` and `energy`.
+        duty: The duty factor; see `Trajectory.duty`. None where it was not asked for.
     """
 
     seed: int
@@ -58,6 +59,11 @@ class Result:
     ticks: int
     ended: str | None = None
     fault: str | None = None
+    duty: float | None = None
+
+    def to_json(self) -> dict[str, Any]:
+        """Returns the fields as plain data, `duty` only where it was asked for."""
+        return {name: value for name, value in asdict(self).items() if name != "duty" or value is not None}
 
 
 class _AnyControls(Enum):
@@ -364,7 +370,7 @@ class Judge:
 
     def __init__(self, task: Task, seed: int, balance: Balance, motors: int) -> None:
         self._task, self._seed, self._balance = task, seed, balance
-        self.touchy = any(quantity.name == "contacts" for quantity in task.needs)
+        self.touchy = task.touchy
         self.trajectory = Trajectory(balance.bodies, task.ticks, motors, contacts=self.touchy)
         self.touches = self.trajectory.touches
         self._powers = np.zeros((task.ticks + 1, 2, motors))
@@ -417,7 +423,8 @@ class Judge:
             except WorldError as error:
                 fault = f"{error.code}: {error.message}"
         rest = measured[_ENERGY], measured[_DISTANCE], trajectory.rows - 1
-        return Result(self._seed, score, *rest, ended=ended, fault=fault)
+        duty = trajectory.duty() if self._task.duty else None
+        return Result(self._seed, score, *rest, ended=ended, fault=fault, duty=duty)
 
     def _imbalance(self) -> str | None:
         """Returns why the body's energy was not earned, over the rows that count; None where it was."""

@@ -120,6 +120,11 @@ class Evaluation:
         return _mean([result.distance for result in self.results])
 
     @property
+    def duty(self) -> float | None:
+        """Mean duty factor; None where it was not asked for, see `Task.with_duty`."""
+        return _mean([result.duty for result in self.results])
+
+    @property
     def faults(self) -> int:
         """How many episodes have no score."""
         return sum(result.fault is not None for result in self.results)
@@ -137,7 +142,7 @@ class Evaluation:
             "distance": self.distance,
             "faults": self.faults,
             "error": self.error,
-            "results": [asdict(result) for result in self.results],
+            "results": [result.to_json() for result in self.results],
             "recordings": list(self.recordings),
             "wall_seconds": self.wall_seconds,
         }
@@ -265,6 +270,7 @@ class Job:
         task: The task's document, as JSON.
         seeds: Instead of the task's, if any are given.
         record: As for `evaluate`.
+        duty: Whether to tell the duty factor.
     """
 
     name: str
@@ -272,14 +278,20 @@ class Job:
     task: bytes
     seeds: tuple[int, ...] | None = None
     record: str | None = None
+    duty: bool = False
 
     @property
     def key(self) -> str:
         """A hash of everything that the result depends on, what this machine computes included."""
-        task = Task(orjson.loads(self.task))
+        task = self.read_task()
         here = decisive(fingerprint(load_backend(task.world_config(0)["backend"])))
-        causes = [self.genome.hex(), task.hash, self.seeds, here]
+        causes = [self.genome.hex(), task.hash, self.seeds, here, *([True] if self.duty else [])]
         return sha256(orjson.dumps(causes, option=orjson.OPT_SORT_KEYS)).hexdigest()
+
+    def read_task(self) -> Task:
+        """Reads the task."""
+        task = Task(orjson.loads(self.task))
+        return task.with_duty() if self.duty else task
 
     def parse(self) -> Genome | Evaluation:
         """Reads the genome; where it is none, returns the evaluation that says so."""
@@ -292,7 +304,7 @@ class Job:
 
     def run(self) -> Evaluation | _Unrecorded:
         """Evaluates the genome on its own; where that cannot be recorded, returns why."""
-        task, genome = Task(orjson.loads(self.task)), self.parse()
+        task, genome = self.read_task(), self.parse()
         if not isinstance(genome, Genome):
             return genome
         try:
@@ -304,7 +316,7 @@ class Job:
 
     def failed(self, error: str) -> Evaluation:
         """Returns the evaluation of a genome that could not be evaluated."""
-        task = Task(orjson.loads(self.task))
+        task = self.read_task()
         return Evaluation(self.name, "", task.name, task.hash, error=error)
 
 
@@ -326,7 +338,7 @@ def evaluate_population(
         An evaluation of each, in their order. A process that dies over a creature is that one's `error`.
     """
     asked, given = orjson.dumps(task.document), None if seeds is None else tuple(seeds)
-    work = [Job(genome.name, orjson.dumps(genome.document), asked, given) for genome in genomes]
+    work = [Job(genome.name, orjson.dumps(genome.document), asked, given, duty=task.duty) for genome in genomes]
     evaluations = dict(evaluate_all(work, workers=workers))
     return [evaluations[index] for index in range(len(work))]
 
@@ -369,13 +381,13 @@ def evaluate_all(
 def _cut(work: Sequence[Job], jobs: int) -> list[list[int]]:
     """Cuts work into portions of jobs that can be run together; each that is to be recorded is one for itself."""
     portions: list[list[int]] = []
-    kinds: dict[tuple[bytes, tuple[int, ...] | None], list[int]] = {}
+    kinds: dict[tuple[bytes, tuple[int, ...] | None, bool], list[int]] = {}
     for index, job in enumerate(work):
         if job.record is None:
-            kinds.setdefault((job.task, job.seeds), []).append(index)
+            kinds.setdefault((job.task, job.seeds, job.duty), []).append(index)
         else:
             portions.append([index])
-    for (document, seeds), indices in kinds.items():
+    for (document, seeds, _), indices in kinds.items():
         count = len(Task(orjson.loads(document)).seeds if seeds is None else seeds)
         for portion in cut([work[index].genome for index in indices], max(1, count), jobs):
             portions.append([indices[place] for place in portion])
@@ -386,7 +398,7 @@ def evaluate_portion(portion: Sequence[Job]) -> list[Evaluation | _Unrecorded]:
     """Evaluates a job that is to be recorded, or jobs of one task and seeds, together."""
     if portion[0].record is not None:
         return [job.run() for job in portion]
-    task = Task(orjson.loads(portion[0].task))
+    task = portion[0].read_task()
     seeds = task.seeds if portion[0].seeds is None else portion[0].seeds
     evaluations: dict[int, Evaluation | _Unrecorded] = {}
     genomes: dict[int, Genome] = {}

@@ -37,6 +37,7 @@ class EvaluationQueue:
 
     def __init__(self, task: Task, seeds: Sequence[int], pool: Workers | Cluster) -> None:
         self._task, self._seeds, self._pool = orjson.dumps(task.document), tuple(seeds), pool
+        self._duty = task.duty
         self._waiting: dict[Hashable, deque[tuple[int, Job]]] = {}  # by their kind
         self._alone: deque[tuple[int, Job]] = deque()  # of portions that were lost: each by itself
         self._lost: dict[int, int] = {}  # how often by itself
@@ -47,7 +48,7 @@ class EvaluationQueue:
     def put(self, number: int, genome: Genome) -> None:
         """Has a genome evaluated; the evaluation comes with this number, which is above those before."""
         document = orjson.dumps(genome.document)
-        job = Job(genome.name, document, self._task, self._seeds)
+        job = Job(genome.name, document, self._task, self._seeds, duty=self._duty)
         self._waiting.setdefault(kind_of(document), deque()).append((number, job))
         self._count += 1
         # One process takes all there is at once; several should not idle while others come up.

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import dataclass
 from hashlib import blake2b
 from pathlib import Path
@@ -90,6 +91,7 @@ class Task:
         limits: What a creature may be and use.
         objective: What an episode is worth.
         ends: What ends an episode early, and what it is called then.
+        duty: Whether episodes tell `Result.duty` too: no part of the document, since it changes nothing else.
         hash: SHA-256 of the document, defaults filled in, in canonical form, 64 hexadecimal digits: equal documents
             (up to white space, the order of keys, `10.0` for `10` and defaults) have equal hashes.
     """
@@ -119,6 +121,7 @@ class Task:
             if isinstance(condition, Condition)
         )
         self.hash = canonical_hash(document)
+        self.duty = False
         ticks = self.settle_ticks + self.ticks
         for count, most, what in ((ticks, _TICKS, "ticks"), (ticks * self._config["substeps"], _STEPS, "engine steps")):
             if count > most:
@@ -132,6 +135,12 @@ class Task:
             DocumentError: There is neither, it cannot be read, or it is not as it must be.
         """
         return cls(parse_document(SHIPPED.read(name_or_path)))
+
+    def with_duty(self) -> Task:
+        """Returns the same task, whose episodes tell the duty factor."""
+        task = copy(self)
+        task.duty = True
+        return task
 
     @staticmethod
     def names() -> tuple[str, ...]:
@@ -196,6 +205,11 @@ class Task:
     def needs(self) -> tuple[Quantity, ...]:
         """The quantities that the objective and the conditions name."""
         return tuple(dict.fromkeys([*self.objective.needs, *(q for _, end in self.ends for q in end.needs)]))
+
+    @property
+    def touchy(self) -> bool:
+        """Whether an episode's judge must be told what touches what."""
+        return self.duty or any(quantity.name == "contacts" for quantity in self.needs)
 
     # -- episodes ------------------------------------------------------------------------------------------------
 

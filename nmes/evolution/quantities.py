@@ -101,6 +101,12 @@ _OF_EVALUATION: Final[Mapping[str, tuple[str, str, Callable[[Evaluation, int], f
     "ticks": ("how many an episode was scored for", "", lambda evaluation, _: _ticks(evaluation)),
     "seconds": ("how long an episode was scored for", "s", lambda evaluation, rate: _ticks(evaluation) / rate),
     "speed": ("that distance in that time", "m/s", _speed),
+    "duty": (
+        "the duty factor of the feet, 0 to 1: of the cubes that touch the ground, or a thing, at all, the part of the "
+        "time that each does, the mean; 0 where none does",
+        "",
+        lambda evaluation, _: _known(evaluation.duty),
+    ),
 }
 QUANTITIES: Final[Mapping[str, tuple[str, str]]] = {
     name: (meaning, unit) for name, (meaning, unit, _) in [*_OF_GENOME.items(), *_OF_EVALUATION.items()]

@@ -6,7 +6,7 @@ Hides how that is written as JSON (`schemas/run_record.json`), and read again fr
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from hashlib import blake2b
 from typing import Final
 
@@ -27,7 +27,6 @@ from nmes.schemas.documents import JsonObject, check, compile_schema, write_json
 
 __all__ = ["Entry", "told"]
 
-_FIGURES: Final = tuple(figure.name for figure in fields(Result))
 _RECORD: Final = compile_schema("run_record.json")
 
 
@@ -153,7 +152,7 @@ def told(
         "group": candidate.group,
         "genome": orjson.Fragment(write_json(document)),
         "genome_hash": evaluation.genome_hash or candidate.genome.hash,
-        "results": [{name: getattr(result, name) for name in _FIGURES} for result in evaluation.results],
+        "results": [result.to_json() for result in evaluation.results],
         "error": evaluation.error,
         "score": None if values is None else evaluation.score,
         "objectives": list(known[:split]),

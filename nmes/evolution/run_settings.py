@@ -46,7 +46,7 @@ class RunSettings:
     """What a run is about.
 
     Attributes:
-        task: What candidates are evaluated on.
+        task: What candidates are evaluated on, told to note what the expressions need.
         algorithm: Its name.
         options: All of its options.
         starts: The genomes to begin with; none: random ones.
@@ -98,7 +98,7 @@ class RunSettings:
         check(_RUN, given)
         full = complete(_RUN.schema, given)
         task = _task(full["task"])
-        return cls(
+        settings = cls(
             task=task,
             algorithm=full["algorithm"],
             options=full["options"],
@@ -109,6 +109,8 @@ class RunSettings:
             objectives=tuple(full["objectives"]),
             measures=tuple(Measure(**measure) for measure in full["measures"]),
         )
+        asked = {need.name for expression in settings.expressions() for need in expression.needs}
+        return replace(settings, task=task.with_duty()) if "duty" in asked else settings
 
     @property
     def document(self) -> JsonObject:

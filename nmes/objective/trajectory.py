@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
+from math import fsum
 from typing import Final, Protocol
 
 import numpy as np
@@ -143,6 +144,16 @@ class Trajectory:
         if quantity.fold == "mean":
             return float(np.add.accumulate(series)[-1] / len(series))
         return float(series.min() if quantity.fold == "min" else series.max())
+
+    def duty(self) -> float:
+        """Returns the duty factor of whatever the body goes on, from 0 to 1.
+
+        Of its cubes that touch something outside it at all, the part of the rows after the start in which each does,
+        and of these parts the mean; 0 where none does. What a leg's duty factor is in works on gaits, of all feet.
+        """
+        counts: list[int] = self.touches[1 : self.rows, : self.bodies.body, 1].sum(axis=0).tolist()
+        feet = [count for count in counts if count]
+        return fsum(feet) / (len(feet) * (self.rows - 1)) if feet else 0.0
 
     def value(self, objective: Objective) -> float:
         """Returns an objective's value over all rows that are written.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -141,6 +142,17 @@ def test_a_row_that_faults_or_ends_early_leaves_the_others_as_they_were() -> Non
     found = evaluate_population(genomes, asked)
     assert [each.faults for each in found] == [0, 2, 0, 2, 0, 2]
     assert_alike(genomes, asked, found)
+
+
+def test_the_duty_factor_is_told_where_it_is_asked_for_and_changes_nothing_else() -> None:
+    genomes, asked = draw_population(9, 6), task("run", duration=0.5)
+    found = evaluate_population(genomes, asked.with_duty())
+    assert_alike(genomes, asked.with_duty(), found)
+    plain = evaluate_population(genomes, asked)
+    for each, other in zip(found, plain, strict=True):
+        assert [replace(result, duty=None) for result in each.results] == list(other.results)
+    duties = {result.duty for each in found for result in each.results if result.fault is None}
+    assert len(duties) > 3 and all(duty is not None and 0 <= duty <= 1 for duty in duties)
 
 
 def test_ticks_in_one_call_are_kept_as_ticks_one_by_one() -> None:

@@ -174,6 +174,20 @@ def test_a_body_that_a_task_does_not_allow_is_refused_with_the_reason() -> None:
         assert Task({**PLAIN, "objective": about, "props": props}).check(body) == reasons
 
 
+def test_the_duty_factor_is_of_those_that_touch_the_ground() -> None:
+    bodies = ObservedBodies(("a", "b", "c", "other"), 3, np.ones((4, 3)), np.ones(4), 60)
+    trajectory = Trajectory(bodies, 8, 1, contacts=True)
+    trajectory.rows = 9
+    assert trajectory.duty() == 0.0
+    trajectory.touches[0] = trajectory.touches[:, 1, 0] = True  # the start; b touches the body
+    trajectory.touches[:, 3] = True  # not of the body
+    assert trajectory.duty() == 0.0
+    trajectory.touches[1:3, 0, 1] = trajectory.touches[2:8, 2, 1] = True
+    assert trajectory.duty() == (2 / 8 + 6 / 8) / 2
+    trajectory.rows = 5  # what comes after an end does not count
+    assert trajectory.duty() == (2 / 4 + 3 / 4) / 2
+
+
 def test_an_episode_ends_at_the_first_tick_at_which_a_condition_holds_or_a_limit_does_not() -> None:
     ends = [
         {"name": "high", "when": "height > 2"},

@@ -14,7 +14,7 @@ from nmes.evolution.quantities import QUANTITIES, evaluate_quantities, read_expr
 from nmes.genome import Genome
 
 TASK = Task.load("walk")
-RESULTS = (Result(1, 4.0, 30.0, 2.0, 60), Result(2, 6.0, 50.0, 4.0, 180, ended="fell"))
+RESULTS = (Result(1, 4.0, 30.0, 2.0, 60, duty=0.5), Result(2, 6.0, 50.0, 4.0, 180, ended="fell", duty=0.25))
 
 
 def values(*texts: str, genome: str = "walker", results: tuple[Result, ...] = RESULTS) -> tuple[float, ...] | None:
@@ -31,7 +31,8 @@ def refused(*texts: str) -> DocumentError:
 
 def test_what_a_creature_did_is_the_mean_over_the_seeds() -> None:
     assert TASK.tick_rate == 60
-    assert values("score", "energy", "distance", "ticks", "seconds", "speed") == (5.0, 40.0, 3.0, 120.0, 2.0, 1.5)
+    names = ("score", "energy", "distance", "ticks", "seconds", "speed", "duty")
+    assert values(*names) == (5.0, 40.0, 3.0, 120.0, 2.0, 1.5, 0.375)
 
 
 def test_what_a_creature_is_follows_from_its_body() -> None:

@@ -25,7 +25,7 @@ ALGORITHMS: dict[str, dict[str, Any]] = {
         "options": {"window": 6, "initial": 6},
         "measures": [
             {"expression": "mass", "low": 0, "high": 50, "cells": 9},
-            {"expression": "length", "low": 0, "high": 2, "cells": 5},
+            {"expression": "duty", "low": 0, "high": 1, "cells": 5},
         ],
     },
     "neat": {"options": {"population": 8}, **WALK},
