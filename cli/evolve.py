@@ -117,12 +117,15 @@ def begin(context: click.Context, /, settings: Path | None, output: Path | None,
 
 def _from_file(context: click.Context, settings: Path) -> Any:
     """Reads a settings file, beside which nothing else may say what the run is."""
-    from nmes.schemas.documents import parse_document
+    from nmes.evolution.run_settings import read_settings
 
     used = {name for name in context.params if context.get_parameter_source(name) is ParameterSource.COMMANDLINE}
     if used - _BESIDE:
         raise click.UsageError("--settings says all of the run: only -o, --jobs, --ray and --json go with it")
-    return parse_document(settings.read_bytes())
+    try:
+        return read_settings(settings)
+    except OSError as error:
+        raise click.UsageError(f"cannot read {settings}: {error.strerror}") from error
 
 
 def _from_options(options: dict[str, Any]) -> dict[str, Any]:

@@ -36,14 +36,13 @@ from nmes.evolution.algorithm import Algorithm, Candidate, Score
 from nmes.evolution.run_entry import Entry, told
 from nmes.evolution.run_index import IndexWriter, Record, RunIndex, State
 from nmes.evolution.run_log import Line, RunLog, RunWriter
-from nmes.evolution.run_settings import FORMAT, RunSettings
+from nmes.evolution.run_settings import FORMAT, RunSettings, read_settings
 from nmes.genome import Genome
-from nmes.schemas.documents import JsonObject, canonical_hash, parse_document
+from nmes.schemas.documents import JsonObject, canonical_hash
 
 __all__ = ["Order", "Run"]
 
 _INDEXED: Final = 32  # records that are put into the index at once
-_LARGEST: Final = 1 << 30  # bytes of run.json, which may hold many genomes
 
 
 class Order:
@@ -121,9 +120,7 @@ class Run:
         """
         path = Path(folder) / "run.json"
         try:
-            with path.open("rb") as file:
-                text = file.read(_LARGEST)
-            document = parse_document(text)
+            document = read_settings(path)
             run_format = document.get("format") if isinstance(document, dict) else None
             if isinstance(run_format, str) and run_format.startswith("nmes-run/") and run_format != FORMAT:
                 what = f"{path.parent} is a run of the format {run_format}, not {FORMAT}"
