@@ -6,17 +6,14 @@ import socket
 import time
 from collections.abc import Iterator
 from contextlib import suppress
-from pathlib import Path
 from typing import Any
 
 import pytest
 
 import nmes.server.connection
 from nmes import protocol
-from nmes.errors import Disconnected, NmesError, RecordingError, WorldError
-from nmes.playback import replay
+from nmes.errors import NmesError, WorldError
 from nmes.protocol import DELIMITER, Limits
-from nmes.recording import Kind, Recorder, Recording
 from nmes.server import Host
 from servers import PASSWORD, PATIENCE, Peer, Served, served, types, until
 
@@ -217,7 +214,7 @@ def test_commands_of_a_client_that_is_gone_before_its_replies_are_executed(serve
         peer.say(*[{"type": "step", "ticks": 1000}] * 300)
         until(lambda: server.call(lambda: server.hosted.world.frame) > 0)
     until(lambda: server.call(lambda: server.hosted.world.frame) == 300 * 1000)
-    until(lambda: _clients(server) == 0)
+    until(lambda: server.clients() == 0)
 
 
 def test_an_idle_client_is_closed_and_a_ping_keeps_one_open() -> None:
@@ -265,11 +262,6 @@ def _never_reads(server: Served, *messages: dict[str, Any]) -> Peer:
     return peer
 
 
-def _clients(server: Served) -> int:
-    with server.client() as client:
-        return client.get_world_info()["counts"]["clients"] - 1
-
-
 def test_a_subscriber_that_never_reads_is_cut_and_its_world_ticks_on() -> None:
     with (
         served({"mode": "fast"}, limits=Limits(pending=64 << 10, stall_timeout=1000)) as server,
@@ -279,7 +271,7 @@ def test_a_subscriber_that_never_reads_is_cut_and_its_world_ticks_on() -> None:
             for n in range(50):
                 many.spawn_cube(position=[0, 1000 + n, 0], linear_velocity=[1, 0, 0], list=False)
         with _never_reads(server, {"type": "subscribe"}) as peer:
-            until(lambda: _clients(server) == 1)
+            until(lambda: server.clients() == 1)
             frame = good.get_world_info()["frame"]
             until(lambda: good.get_world_info()["frame"] > frame)
             # When it reads at last, what was kept for it comes, and then the reason, unless it took too long.
@@ -295,7 +287,7 @@ def test_a_client_that_never_reads_its_replies_is_cut() -> None:
                 many.spawn_cube(list=False)
         flood = [{"type": "get_world_state"}] * 4000  # a hundred megabytes of replies
         with _never_reads(server, *flood):
-            until(lambda: _clients(server) == 1)
+            until(lambda: server.clients() == 1)
             assert good.ping()["type"] == "pong"
 
 
@@ -449,123 +441,7 @@ def test_a_fault_is_reported_and_logged_and_reset_clears_it(server: Served, capl
         assert client.step()["frame"] == 1
 
 
-# -- recordings -------------------------------------------------------------------------------------------------------
-
-
-def test_everything_but_the_password_is_recorded(tmp_path: Path) -> None:
-    with served(record_to=tmp_path / "deep" / "down") as server:
-        with server.peer() as peer:
-            peer.ask({"type": "spawn_cube", "cube_name": "a"})
-            peer.ask({"type": "step", "ticks": 3})
-            peer.send(b'{"type":' + DELIMITER)
-            peer.hear()
-        until(lambda: _clients(server) == 0)
-        assert PASSWORD not in repr(vars(server.host)) + repr(server.hosted)
-    (path,) = (tmp_path / "deep" / "down").iterdir()
-    assert path.name.startswith("main-")
-    recording = Recording(path)
-    assert recording.complete
-    kinds = [record.kind for record in recording if record.client in (None, 1)]
-    expected = [Kind.JOINED, Kind.COMMAND, Kind.REPLY, Kind.COMMAND, Kind.TICKS, Kind.REPLY, Kind.REFUSED, Kind.REPLY]
-    assert kinds[: len(expected)] == expected
-    assert Kind.LEFT in kinds
-    assert b"correct horse" not in b"".join(record.data for record in recording) + path.read_bytes()
-
-
-def test_an_oversize_frame_is_recorded_as_refused_and_does_not_spoil_the_replay(tmp_path: Path) -> None:
-    with served(limits=Limits(frame=100), record_to=tmp_path) as server, server.peer() as peer:
-        peer.send(PING + b"x" * 200)
-        assert len(peer.rest()) == 2
-    (path,) = tmp_path.iterdir()
-    refused, answer = [record for record in Recording(path) if record.client == 1][3:5]
-    assert (refused.kind, refused.data) == (Kind.REFUSED, b"")
-    assert json.loads(answer.data)["code"] == "frame_too_large"
-    report = replay(path)
-    assert (report.verdict, report.commands) == ("reproduced", 2)
-
-
-def test_recordings_never_overwrite_each_other(tmp_path: Path) -> None:
-    for _ in range(3):
-        with served({"name": "a/b"}, record_to=tmp_path):
-            pass
-    paths = list(tmp_path.iterdir())
-    assert len(paths) == 3
-    assert all(path.name.startswith("a_b-") for path in paths)
-
-
-def test_a_recording_is_flushed_by_itself(tmp_path: Path) -> None:
-    with served(record_to=tmp_path) as server, server.client() as client:
-        client.spawn_cube("a")
-        (path,) = tmp_path.iterdir()
-        until(lambda: any(record.kind is Kind.COMMAND for record in Recording(path)))
-
-
-def test_a_recording_that_cannot_be_written_faults_its_world(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    def full(self: Recorder) -> None:
-        raise RecordingError("recording_failed", "the disk is full")
-
-    with served(record_to=tmp_path) as server, server.client() as client:
-        client.subscribe(events=["tick"])
-        monkeypatch.setattr(Recorder, "flush", full)
-        fault = next(client.events(timeout=PATIENCE))
-        assert fault["type"] == "world_fault"
-        assert fault["code"] == "recording_failed"
-        with pytest.raises(NmesError) as failed:
-            client.spawn_cube()
-        assert failed.value.code == "world_faulted"
-        assert "the disk is full" in caplog.text
-
-
-def test_a_recordings_directory_that_cannot_be_created_is_an_error(tmp_path: Path) -> None:
-    (tmp_path / "file").touch()
-    with pytest.raises(RecordingError, match="cannot make"):
-        Host("x", record_to=tmp_path / "file" / "below").add({"backend": "ballistic"})
-
-
 # -- the end ----------------------------------------------------------------------------------------------------------
-
-
-def test_closing_tells_subscribers_and_completes_the_recording(tmp_path: Path) -> None:
-    with served(record_to=tmp_path) as server:
-        subscriber, client, idle = server.peer(), server.client().connect(), server.peer(None)
-        subscriber.ask({"type": "subscribe"})
-        server.close()
-        assert types(subscriber.rest()) == ["world_closed"]
-        with pytest.raises(Disconnected):
-            client.ping()
-        assert idle.rest() == []
-        for closing in (subscriber.socket, client, idle.socket):
-            closing.close()
-        with pytest.raises(ConnectionRefusedError):
-            Peer(server.port)
-    (path,) = tmp_path.iterdir()
-    assert Recording(path).complete
-
-
-def test_closing_during_commands_of_a_client_that_left_completes_the_recording(tmp_path: Path) -> None:
-    with served(record_to=tmp_path) as server:
-        with server.peer("raw") as peer:
-            peer.say(*[{"type": "step", "ticks": 200}] * 300)
-        until(lambda: server.call(lambda: server.hosted.world.frame) > 0)
-    (path,) = tmp_path.iterdir()
-    assert Recording(path).complete
-
-
-def test_a_recording_that_cannot_be_completed_is_logged(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    close = Recorder.close
-
-    def full(self: Recorder) -> None:
-        close(self)
-        raise RecordingError("recording_failed", "the disk is full")
-
-    monkeypatch.setattr(Recorder, "close", full)
-    with served(record_to=tmp_path):
-        pass
-    assert "could not be completed: the disk is full" in caplog.text
 
 
 @pytest.mark.parametrize("turns", range(5))

@@ -103,6 +103,12 @@ class Served:
     def client(self, **options: Any) -> Client:
         return Client(port=self.port, **{"password": PASSWORD, "timeout": PATIENCE, **options})
 
+    def clients(self) -> int:
+        """Returns how many clients the world has."""
+        with self.client() as client:
+            counts: dict[str, int] = client.get_world_info()["counts"]
+        return counts["clients"] - 1
+
     def peer(self, dialect: str | None = "json", **options: Any) -> Peer:
         """Returns a peer that is authenticated in the dialect, if one is given."""
         peer = Peer(self.port, **options)
