@@ -7,7 +7,7 @@ world's ordinary inputs, so that the recording of an episode replays like any ot
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from enum import Enum
 from typing import Any, Final, NamedTuple
@@ -19,14 +19,29 @@ from nmes.backend import Array, Row
 from nmes.brain import Brain
 from nmes.errors import WorldError
 from nmes.evaluation.balance import Balance
-from nmes.evaluation.task import CREATURE, Task
+from nmes.evaluation.task import ALONE, CREATURE, Place, Task
 from nmes.genome import Genome
+from nmes.genome.body import Body
 from nmes.objective import Quantity
-from nmes.objective.trajectory import ObservedBodies, Trajectory
+from nmes.objective.trajectory import Flags, ObservedBodies, Trajectory
 from nmes.world import World
 from nmes.world.creature import Creature
 
-__all__ = ["ANY_CONTROLS", "METADATA", "Episode", "Handover", "Judge", "Result", "Step", "Watched", "brain_of"]
+__all__ = [
+    "ANY_CONTROLS",
+    "METADATA",
+    "Entrant",
+    "Episode",
+    "Handover",
+    "Judge",
+    "Observer",
+    "Rest",
+    "Result",
+    "Step",
+    "Watched",
+    "brain_of",
+    "set_scene",
+]
 
 METADATA: Final = "nmes.evaluation"
 """The metadata record of an episode's recording: its `task`, the `genome`'s hash and its `seed`."""
@@ -102,7 +117,7 @@ class Episode:
     ) -> None:
         self._world, self._genome, self._brain = world, genome, brain
         self._task, self._seed, self._logged = task, seed, logged
-        self._observer: _Observer | None = None
+        self._observer: Observer | None = None
         self._restless: str | None = None
         self._start = 0  # the frame
         self._ended: str | None = None
@@ -210,23 +225,10 @@ class Episode:
 
     def _set_scene(self) -> Iterator[Step]:
         """Yields the steps before the start; makes the observer, unless the creature does not come to rest."""
-        world, task, genome, seed = self._world, self._task, self._genome, self._seed
-        for command in task.entry(seed, genome.document, genome.body):
-            yield protocol.encode(command)
-        creature = world.creature(CREATURE)
-        rest = _Rest(world, creature, task)
-        while world.frame < task.settle_ticks or not rest.reached:
-            if world.frame == task.settle_limit_ticks:
-                after = f"{world.frame / task.tick_rate:g} s"
-                self._restless = f"restless: not yet at rest after {after}: a corner moved at {rest.speed:.2g} m/s"
-                return
-            yield None
-            if world.fault is not None:
-                return
-            rest.look()
-        for command in task.props(seed, genome.body, rest.states[0]):
-            yield protocol.encode(command)
-        self._observer, self._start = _Observer(world, creature, task, seed), world.frame
+        observers, restless = yield from set_scene(self._world, self._task, self._seed, [Entrant(self._genome)])
+        self._restless = restless.get(CREATURE)
+        if observers:
+            self._observer, self._start = observers[0], self._world.frame
 
     def result(self) -> Result:
         """Returns the result, once all steps are done."""
@@ -272,35 +274,79 @@ class Handover:
     sensed: list[Array]
 
 
-class _Rest:
+class Entrant(NamedTuple):
+    """One of those that take part in an episode: the creature, and its place in the world."""
+
+    genome: Genome
+    place: Place = ALONE
+
+
+def set_scene(
+    world: World, task: Task, seed: int, entrants: Sequence[Entrant]
+) -> Generator[Step, None, tuple[list[Observer], dict[str, str]]]:
+    """Yields the steps that bring creatures to their start, where all of them are at rest.
+
+    Returns:
+        Who observes each of them; nobody where the world faulted, or where creatures never came to rest. These are told
+        by name, with the reason.
+    """
+    for entrant in entrants:
+        for command in task.entry(seed, entrant.genome.document, entrant.genome.body, entrant.place):
+            yield protocol.encode(command)
+    creatures = [world.creature(entrant.place.creature) for entrant in entrants]
+    rests = [Rest(creature.body, task) for creature in creatures]
+    tracks = [
+        world.track([creature.cubes[cube.id] for cube in creature.body.cubes], [], [], task.settle_limit_ticks)
+        for creature in creatures
+    ]
+    while world.frame < task.settle_ticks or not all(rest.reached for rest in rests):
+        if world.frame == task.settle_limit_ticks:
+            after = f"not yet at rest after {world.frame / task.tick_rate:g} s"
+            late = {c.name: rest for c, rest in zip(creatures, rests, strict=True) if not rest.reached}
+            return [], {
+                name: f"restless: {after}: a corner moved at {rest.speed:.2g} m/s" for name, rest in late.items()
+            }
+        yield None
+        if world.fault is not None:
+            return [], {}
+        for rest, track in zip(rests, tracks, strict=True):
+            track.note()
+            rest.look(track.states(track.rows - 1, track.rows)[0])
+    for entrant, rest in zip(entrants, rests, strict=True):
+        for command in task.props(seed, entrant.genome.body, rest.states[0], entrant.place):
+            yield protocol.encode(command)
+    return [Observer(world, creature, task, seed, e.place) for creature, e in zip(creatures, entrants, strict=True)], {}
+
+
+class Rest:
     """Tells when a creature is at rest: for a while none of its corners was faster than a part of its size a second.
 
     Args:
-        world: The world, where it has just been set down.
-        creature: The creature.
+        body: The creature's, which has just been set down.
         task: The task.
+
+    Attributes:
+        states: Of its cubes when it was looked at last, array (n, 13) as `Simulation.states` has them.
+        speed: Of the fastest corner, when one was too fast last, m/s.
     """
 
-    def __init__(self, world: World, creature: Creature, task: Task) -> None:
-        cubes = creature.body.cubes
-        self._track = world.track([creature.cubes[cube.id] for cube in cubes], [], [], task.settle_limit_ticks)
-        self._arms = np.array([math.hypot(*cube.size) / 2.0 for cube in cubes])
-        low, high = creature.body.bounds
+    def __init__(self, body: Body, task: Task) -> None:
+        self._arms = np.array([math.hypot(*cube.size) / 2.0 for cube in body.cubes])
+        low, high = body.bounds
         self._limit = _REST_SPEED * max(b - a for a, b in zip(low, high, strict=True))
         self._ticks, self._still = max(1, round(_REST_TIME * task.tick_rate)), 0
-        self.speed = 0.0  # of the fastest corner, when one was too fast last, m/s
+        self.states: Array = np.zeros((len(body.cubes), 13))
+        self.speed = 0.0
 
     @property
     def reached(self) -> bool:
         """Whether it has been at rest for long enough."""
         return self._still >= self._ticks
 
-    def look(self) -> None:
-        """Takes the tick that has just ended."""
-        track = self._track
-        track.note()
-        self.states = track.states(track.rows - 1, track.rows)[0]
-        squares = self.states[:, 7:13] * self.states[:, 7:13]
+    def look(self, states: Array) -> None:
+        """Takes the states of the tick that has just ended."""
+        self.states = states
+        squares = states[:, 7:13] * states[:, 7:13]
         speeds, spins = (np.sqrt(squares[:, i] + squares[:, i + 1] + squares[:, i + 2]) for i in (0, 3))
         speed = float((speeds + spins * self._arms).max())
         if speed <= self._limit:
@@ -309,17 +355,24 @@ class _Rest:
             self._still, self.speed = 0, speed
 
 
-class _Observer:
-    """Tells a judge what happens in a world."""
+class Observer:
+    """Tells a judge what one creature does in a world.
 
-    def __init__(self, world: World, creature: Creature, task: Task, seed: int) -> None:
+    Attributes:
+        creature: Whom.
+        judge: Whom it tells.
+        watched: What it tells of.
+        note: Called after each tick that counts, and at the start: keeps a row, for `look`.
+    """
+
+    def __init__(self, world: World, creature: Creature, task: Task, seed: int, place: Place = ALONE) -> None:
         body, props = creature.body, task.document["props"]
-        cubes = [creature.cubes[cube.id] for cube in body.cubes] + task.prop_ids()
+        cubes = [creature.cubes[cube.id] for cube in body.cubes] + [place.prop(name) for name in task.prop_ids()]
         shapes = [world.cube_shape(name)[0] for name in cubes]
         masses = [*(cube.mass for cube in body.cubes), *(prop["mass"] for prop in props)]
         ids = (*(cube.id for cube in body.cubes), *task.prop_ids())
         bodies = ObservedBodies(
-            ids, len(body.cubes), np.array(shapes), np.array(masses, float), task.tick_rate, task.target(seed)
+            ids, len(body.cubes), np.array(shapes), np.array(masses, float), task.tick_rate, task.target(seed, place)
         )
         motors = [joint for joint in body.joints if joint.motor is not None]
         sprung = [joint for joint in body.joints if joint.stiffness]
@@ -338,6 +391,16 @@ class _Observer:
         judge = self.judge
         judge.touches[self._track.rows] = self._world.touches(self._cubes, judge.trajectory.bodies.body)
         self._track.note()
+
+    def latest(self) -> tuple[Array, Array, Flags]:
+        """Returns what was noted last: states (1, n, 13), what each motor gave (1, m), W, and touches (1, n or 0, 2).
+
+        What motors gave is the mean size of their power in the tick.
+        """
+        row = self._track.rows - 1
+        states, powers = self._track.states(row, row + 1), self._track.powers(row, row + 1)
+        touches = self.judge.touches[row : row + 1] if self.judge.touchy else np.zeros((1, 0, 2), np.bool_)
+        return states, powers[:, 1], touches
 
     def look(self) -> str | None:
         """Has the new rows judged; returns the name of the condition that has ended the episode, if one has."""

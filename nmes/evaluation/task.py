@@ -37,7 +37,7 @@ from nmes.schemas.documents import (
     plain,
 )
 
-__all__ = ["SHIPPED", "Limits", "Task"]
+__all__ = ["CREATURE", "SHIPPED", "Limits", "Place", "Task"]
 
 SHIPPED: Final = ShippedDocuments("task", "nmes.evaluation", "tasks")
 """The tasks that ship with the package."""
@@ -48,6 +48,35 @@ _TICKS, _STEPS = 100_000, 1_000_000  # ticks and engine steps of an episode: its
 _GAP = 0.001  # m between a prop that lies and what it lies on, so that the engine does not find them overlapping
 CREATURE: Final = "creature"
 """The name of the creature in a task's world; its cubes are `creature.ID`."""
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """Where one creature of several has its own scene in a task's world, and what things are called there.
+
+    Attributes:
+        creature: Its name.
+        x: How far its scene is moved along x, m.
+        z: How far along z, m.
+    """
+
+    creature: str = CREATURE
+    x: float = 0.0
+    z: float = 0.0
+
+    def prop(self, name: str) -> str:
+        """Returns what a prop is called in the world: each creature has props of its own."""
+        return name if self.creature == CREATURE else f"{self.creature}.{name}"
+
+    def shifted(self, point: Sequence[float]) -> list[float]:
+        """Returns a point of the task's world, m, where it is in this creature's."""
+        x, y, z = point
+        # To add nothing would make -0.0 another number.
+        return [x + self.x if self.x else x, y, z + self.z if self.z else z]
+
+
+ALONE: Final = Place()
+"""The place of a creature that has the world for itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,50 +257,54 @@ class Task:
             config["friction"] = self._draw(seed, "friction", self.document["vary"]["friction"])
         return config
 
-    def target(self, seed: int) -> Vector | str | None:
+    def target(self, seed: int, place: Place = ALONE) -> Vector | str | None:
         """Returns the point of the target, m, or the id of the prop that is it; None if there is no target."""
         target = self.document.get("target")
         if target is None:
             return next((prop["id"] for prop in self.document["props"] if prop["target"]), None)
         far, bearing = (self._draw(seed, what, target[what]) for what in ("distance", "bearing"))
-        return far * math.cos(bearing), float(target["height"]), -far * math.sin(bearing)
+        x, y, z = place.shifted((far * math.cos(bearing), float(target["height"]), -far * math.sin(bearing)))
+        return x, y, z
 
-    def entry(self, seed: int, genome: Mapping[str, Any], body: Body) -> list[JsonObject]:
+    def entry(self, seed: int, genome: Mapping[str, Any], body: Body, place: Place = ALONE) -> list[JsonObject]:
         """Returns the commands that set a creature down, its centre of mass above the origin, to a centimetre.
 
         Args:
             seed: The episode's.
             genome: The document.
             body: The genome's.
+            place: Where, of several creatures.
         """
         vary, lowest = self.document["vary"], body.bounds[0][1]
         # Whoever was built beside its origin would begin at a target, or beyond an obstacle.
         x, z = (round(total(cube.mass * cube.position[axis] for cube in body.cubes) / body.mass, 2) for axis in (0, 2))
         position = [0.0 - x, self._draw(seed, "drop", vary["drop"]) - lowest, 0.0 - z]
-        spawn: JsonObject = {"type": "spawn_creature", "genome": genome, "name": CREATURE, "position": position}
-        target = self.target(seed)
+        position = place.shifted(position)
+        spawn: JsonObject = {"type": "spawn_creature", "genome": genome, "name": place.creature, "position": position}
+        target = self.target(seed, place)
         if target is not None:
-            spawn["target"] = target
+            spawn["target"] = place.prop(target) if isinstance(target, str) else target
         commands = [spawn]
         yaw = self._draw(seed, "yaw", vary["yaw"])
         if yaw:
             root = body.cubes[0]
             turned = multiply(quaternion_from_euler(0.0, yaw, 0.0), root.quaternion)
-            name = f"{CREATURE}.{root.id}"
+            name = f"{place.creature}.{root.id}"
             commands.append({"type": "set_cube_state", "cube_name": name, "rotation": list(turned)})
         return commands
 
     def prop_ids(self) -> list[str]:
-        """Returns the names of the props, which are their ids in expressions too."""
+        """Returns the ids of the props, as expressions have them."""
         return [prop["id"] for prop in self.document["props"]]
 
-    def props(self, seed: int, body: Body, root: Array) -> list[JsonObject]:
+    def props(self, seed: int, body: Body, root: Array, place: Place = ALONE) -> list[JsonObject]:
         """Returns the commands that put the props on a creature that has settled.
 
         Args:
             seed: The episode's.
             body: The creature's.
             root: State of its root, array (13,) as `Simulation.states` has it.
+            place: The creature's, of several.
         """
         commands: list[JsonObject] = []
         cube = body.cubes[0]
@@ -285,7 +318,7 @@ class Task:
             commands.append(
                 {
                     "type": "spawn_cube",
-                    "cube_name": prop["id"],
+                    "cube_name": place.prop(prop["id"]),
                     "position": [a + b for a, b in zip(foot, up, strict=True)],
                     "rotation": list(turn),
                     "size": prop["size"],
@@ -295,7 +328,7 @@ class Task:
                 }
             )
             if prop["hinge"]:
-                ends = {"cube1": f"{CREATURE}.{cube.id}", "cube2": prop["id"]}
+                ends = {"cube1": f"{place.creature}.{cube.id}", "cube2": place.prop(prop["id"])}
                 joint = {"type": "create_joint", "joint_type": "hinge", "position": list(foot), "axis": [0, 0, 1]}
                 commands.append({**joint, **ends})
         return commands

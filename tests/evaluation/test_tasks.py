@@ -16,6 +16,7 @@ from layout import ROOT
 from nmes.cli import main
 from nmes.errors import DocumentError
 from nmes.evaluation import Limits, Task, evaluate, prove
+from nmes.evaluation.task import Place
 from nmes.genome import Genome
 from nmes.genome.body import Body, BodyCube
 from nmes.objective.trajectory import ObservedBodies, Trajectory
@@ -153,6 +154,23 @@ def test_props_stand_on_the_top_of_the_root() -> None:
     assert pole["position"] == pytest.approx([5.0 - math.sin(0.3), top + math.cos(0.3), 2.0])
     assert cargo["position"] == pytest.approx([5.0, top + 0.1, 2.0], abs=0.002)
     assert cargo["position"][1] > top + 0.1
+
+
+def test_of_several_creatures_each_has_its_own_scene_in_a_place_of_its_own() -> None:
+    stick = {"id": "stick", "size": [0.1, 2, 0.1], "mass": 1, "hinge": True, "target": True}
+    task = Task({**PLAIN, "props": [stick], "vary": {"yaw": [0.5, 0.5]}})
+    place, body, state = Place("b", x=1.0, z=-2.0), block(), np.array([1.0, 0.5, -2.0, 0.0, 0.0, 0.0, 1.0, *[0.0] * 6])
+    spawn, turn = task.entry(1, {}, body, place)
+    assert (spawn["name"], spawn["position"], spawn["target"]) == ("b", [1.0, 0.0, -2.0], "b.stick")
+    assert turn["cube_name"] == "b.root"
+    pole, joint = task.props(1, body, state, place)
+    assert (pole["cube_name"], joint["cube1"], joint["cube2"]) == ("b.stick", "b.root", "b.stick")
+    assert task.target(1, place) == "stick"  # as expressions call it
+    aimed = Task({**PLAIN, "target": {"distance": [3, 5], "bearing": [-1, 1], "height": 0.25}})
+    assert np.subtract(aimed.target(1, place), aimed.target(1)) == pytest.approx([1.0, 0.0, -2.0])
+    # Who is alone has it where it always was, also where that is -0.0.
+    level = Task({**PLAIN, "target": {"distance": [3, 3], "bearing": [0, 0], "height": 0}})
+    assert str(level.target(1)) == "(3.0, 0.0, -0.0)"
 
 
 def test_a_body_that_a_task_does_not_allow_is_refused_with_the_reason() -> None:
