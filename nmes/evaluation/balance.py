@@ -16,12 +16,12 @@ from typing import Any, Final
 
 import numpy as np
 
-from nmes.backend import Array
+from nmes.backend import Array, Places
 from nmes.objective.trajectory import ObservedBodies
 from nmes.world.fields import vector
 from nmes.world.scenery import planet_list
 
-__all__ = ["PART", "RISE", "Balance", "Excess"]
+__all__ = ["PART", "RISE", "Balance", "BalanceRows", "Excess"]
 
 PART: Final = 0.01
 """What part of its motors' work, counted without signs, a body may gain beyond it: too little to buy by shaking."""
@@ -44,6 +44,13 @@ class Excess:
     time: float
     gain: float
     allowed: float
+
+    def __str__(self) -> str:
+        """Returns it in words."""
+        return (
+            f"energy: by {self.time:.2f} s the body had {self.gain:.3g} J that its motors did not give it, and "
+            f"{self.allowed:.3g} J are allowed"
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,20 +84,33 @@ class Balance:
             powers: Mean power of each motor in the tick of each row, and its mean size, shape (k, 2, m), W.
             positions: Of the joints with springs, shape (k, s), rad or m.
         """
-        rate, masses = self.bodies.tick_rate, self.bodies.masses
-        sums = np.add.accumulate(powers, axis=2)[:, :, -1] if powers.shape[2] else np.zeros(powers.shape[:2])
+        rate = self.bodies.tick_rate
+        sums = _sums(powers)
         sums[0] = 0.0  # what they gave before the start
         work, effort = np.add.accumulate(sums, axis=0).T / rate
-        energy = self._kinetic(states) + self._potential(states)
-        energy = energy + (self.stiffnesses * positions * positions).sum(axis=1) / 2.0
-        held = _highest(energy - work, max(1, round(_MOMENT * rate)))
+        held = _highest(self.energy(states, positions) - work, self.moment)
         gain = held - np.minimum.accumulate(held)
-        allowed = PART * effort + RISE * _GRAVITY * float(masses[: self.bodies.body].sum())
+        allowed = PART * effort + self.rise
         broken = np.flatnonzero(~(gain <= allowed))
         if not len(broken):
             return None
         row = int(broken[0])
         return Excess(row / rate, float(gain[row]), float(allowed[row]))
+
+    @property
+    def moment(self) -> int:
+        """The number of ticks for which contacts may hold energy."""
+        return max(1, round(_MOMENT * self.bodies.tick_rate))
+
+    @property
+    def rise(self) -> float:
+        """What a body may gain however little its motors work, J."""
+        return RISE * _GRAVITY * float(self.bodies.masses[: self.bodies.body].sum())
+
+    def energy(self, states: Array, positions: Array) -> Array:
+        """Returns the mechanical energy in each row, shape (k,), J; the arguments are those of `excess`."""
+        energy = self._kinetic(states) + self._potential(states)
+        return np.asarray(energy + (self.stiffnesses * positions * positions).sum(axis=1) / 2.0)
 
     def _kinetic(self, states: Array) -> Array:
         velocity, masses = states[:, :, 7:10], self.bodies.masses
@@ -107,6 +127,83 @@ class Balance:
         away = places[:, :, None] - self.planets
         nearest = np.sqrt((away * away).sum(axis=3)).min(axis=2)
         return np.asarray((masses * nearest).sum(axis=1) * np.sqrt((gravity * gravity).sum()))
+
+
+class BalanceRows:
+    """The balance of many episodes of the same bodies that go on in step, a block of ticks at a time.
+
+    Each comes out as `Balance.excess` of all of its rows would.
+
+    Args:
+        balance: Of any of them.
+        count: The number of places for episodes.
+    """
+
+    def __init__(self, balance: Balance, count: int) -> None:
+        self._balance = balance
+        # Of all blocks before: sums of powers (W), what was held in the last ticks, and the least that was ever held.
+        self._sums, self._held = np.zeros((count, 2)), np.full((count, balance.moment), -np.inf)
+        self._least = np.full(count, np.inf)
+        self._excess: dict[int, Excess] = {}
+
+    def begin(self, place: int, energy: float) -> None:
+        """Begins an episode in a place, with so much energy (J) at its start."""
+        self._sums[place], self._held[place], self._least[place] = 0.0, -np.inf, energy
+        self._held[place, -1] = energy
+        self._excess.pop(place, None)
+
+    def take(self, states: Array, powers: Array, positions: Array, ticks: Places) -> None:
+        """Takes the next rows of all places.
+
+        Args:
+            states: Shape (k, places, n, 13), as by `excess`; before its start, an episode is as it is at the start.
+            powers: Shape (k, places, 2, m); zero before the start.
+            positions: Shape (k, places, s).
+            ticks: The number of the last row in each place, shape (places,).
+        """
+        everybody = np.arange(len(self._least))
+        self._excess = self.excesses(everybody, states, powers, positions, ticks, keep=True)
+
+    def excesses(
+        self, places: Places, states: Array, powers: Array, positions: Array, ticks: Places, *, keep: bool = False
+    ) -> dict[int, Excess]:
+        """Returns, of those places where a body gained more than it may, the first tick at which it had.
+
+        Args:
+            places: Which; the arrays are of these alone.
+            states: As by `take`.
+            powers: As by `take`.
+            positions: As by `take`.
+            ticks: As by `take`.
+            keep: Whether other rows come after these.
+        """
+        balance, rate, rows = self._balance, self._balance.bodies.tick_rate, len(states)
+        excess = {place: self._excess[place] for place in places.tolist() if place in self._excess}
+        if not rows or not len(places):
+            return excess
+        count = rows * len(places)
+        flat = states.reshape(count, *states.shape[2:]), positions.reshape(count, positions.shape[2])
+        energy = balance.energy(*flat).reshape(rows, -1)
+        sums = np.add.accumulate(np.concatenate([self._sums[places][None], _sums(powers)]), axis=0)
+        work = sums[1:] / rate
+        free = np.concatenate([self._held[places].T, energy - work[..., 0]])
+        held = np.lib.stride_tricks.sliding_window_view(free[1:], balance.moment, axis=0).max(axis=-1)
+        least = np.minimum.accumulate(np.concatenate([self._least[places][None], held]), axis=0)
+        gain, allowed = held - least[1:], PART * work[..., 1] + balance.rise
+        broken = ~(gain <= allowed)
+        for column in np.flatnonzero(broken.any(axis=0)).tolist():
+            row = int(broken[:, column].argmax())
+            time = (int(ticks[column]) - (rows - 1 - row)) / rate
+            found = Excess(time, float(gain[row, column]), float(allowed[row, column]))
+            excess.setdefault(int(places[column]), found)
+        if keep:
+            self._sums[places], self._held[places], self._least[places] = sums[-1], free[-balance.moment :].T, least[-1]
+        return excess
+
+
+def _sums(powers: Array) -> Array:
+    """Returns the sums of motors' powers, over the last axis from left to right."""
+    return np.add.accumulate(powers, axis=-1)[..., -1] if powers.shape[-1] else np.zeros(powers.shape[:-1])
 
 
 def _own(states: Array) -> Array:

@@ -4,53 +4,68 @@
     observations = environments.reset(seed=1)
     observations, rewards, terminated, truncated = environments.step(actions)
 
-Hides that scenes are set once and then taken over as rows of an engine, that a row whose episode is over begins the
-next one at once, and where no row can go on as one: there the episode has a world of its own.
+Hides that scenes are set once and then taken over as rows of an engine, when a row begins its next episode, and where
+no row can go on as one: there the episode has a world of its own.
 
 Invariants: an episode with given actions has the same bits as a world driven with them, and its result is that of an
-`Episode`. Which scene an episode has follows from the seed, the row and the number of its episodes before.
+`Episode`. Which scene an episode has follows from its row's seed and the number of the row's episodes before.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final, Literal
 
 import numpy as np
 
-from nmes import protocol
-from nmes.backend import Array, Places, Row
+from nmes.backend import Array, Places
 from nmes.errors import WorldError
-from nmes.evaluation.cohort import PlaceOfRows
-from nmes.evaluation.episode import Episode, Judge, Result, Watched
-from nmes.evaluation.task import CREATURE, Task
+from nmes.evaluation.driven import DrivenWorld, EngineRows, Scene
+from nmes.evaluation.episode import Result
+from nmes.evaluation.evaluator import recorded
+from nmes.evaluation.judging import JudgeRows
+from nmes.evaluation.task import Task
 from nmes.genome import Genome
-from nmes.objective import Quantity
-from nmes.objective.trajectory import Flags, QuantityRows, beyond, touches
-from nmes.world import World
-from nmes.world.creature import Creature, CreatureRows
+from nmes.objective import Objective
+from nmes.objective.trajectory import Flags
 
-__all__ = ["Environments"]
+__all__ = ["AUTORESET", "Autoreset", "Environments"]
+
+Autoreset = Literal["same_step", "next_step", "disabled"]
+AUTORESET: Final[tuple[Autoreset, ...]] = ("same_step", "next_step", "disabled")
+"""When a row whose episode is over begins its next: in the same step, in the next one, or when it is reset."""
 
 
 class Environments:
-    """Rows of a creature on a task, each of which begins its next episode as soon as one is over.
+    """Rows of a creature on a task, each with one episode after the other.
 
     Attributes:
+        genome: The creature.
+        task: What it is asked to do.
         sensors: The ids of the sensors, the columns of observations.
         motors: The ids of the motors, the columns of actions.
         observations: Array (count, sensors): what the sensors read.
-        rewards: Array (count,): by how much the objective grew in this tick. Those of an episode add up to its score;
-            where it has none, what it was given is taken back at its end.
+        rewards: Array (count,). By how much the objective grew in this tick: those of an episode add up to its score;
+            where it has none, what it was given is taken back at its end. Or what the expression of `reward` is.
         terminated: Array (count,), whether the episode was ended by the task's ends and limits, or by a fault.
         truncated: Array (count,), whether the episode has lasted its time.
-        last_observations: Array (count, sensors): where an episode is over, what was sensed at its end; `observations`
-            are then those of the start of the next.
+        last_observations: Array (count, sensors): where an episode is over, what was sensed at its end; with the
+            autoreset `same_step`, `observations` are then those of the start of the next.
         results: Of each row, how the episode came out that was over last; None where none was yet.
     """
 
     def __init__(
-        self, genome: Genome, task: Task, count: int, *, seeds: Sequence[int] | None = None, threads: int = 1
+        self,
+        genome: Genome,
+        task: Task,
+        count: int,
+        *,
+        seeds: Sequence[int] | None = None,
+        threads: int = 1,
+        reward: str | None = None,
+        autoreset: Autoreset = "same_step",
     ) -> None:
         """Sets all scenes.
 
@@ -60,52 +75,83 @@ class Environments:
             count: The number of rows.
             seeds: Of the scenes that episodes take; the task's if left out.
             threads: How many threads step the engine.
+            reward: An objective's expression, whose value at a tick is that tick's reward; its folds are over the
+                episode so far. Where it is no finite number, there is no reward. None: the task's objective's growth.
+            autoreset: When a row whose episode is over begins its next: in the `same_step`; in the `next_step`, whose
+                action it ignores; or, `disabled`, when it is reset.
 
         Raises:
-            ValueError: There are no rows, or no seeds.
-            WorldError: The creature may not take part, or cannot begin.
+            ValueError: There are no rows, or no seeds, or no such autoreset.
+            WorldError: The creature may not take part, or cannot begin; or the reward cannot be read
+                (`bad_expression`).
         """
-        self._genome, self._task = genome, task
+        self.genome, self.task = genome, task
         seeds = task.seeds if seeds is None else seeds
         if count < 1 or not seeds:
             raise ValueError(f"there must be 1 row and 1 seed or more, not {count} and {len(seeds)}")
+        if autoreset not in AUTORESET:
+            raise ValueError(f"autoreset is one of {', '.join(AUTORESET)}, not {autoreset!r}")
         reasons = task.check(genome.body)
         if reasons:
             raise WorldError("invalid", "; ".join(reasons))
-        self._scenes = [_Scene.of(genome, task, seed) for seed in seeds]
+        paid = None if reward is None else _reward(reward, genome, task)
+        touchy = any(quantity.name == "contacts" for quantity in (*task.needs, *(() if paid is None else paid.needs)))
+        self._scenes = [Scene.of(genome, task, seed, touchy=touchy) for seed in seeds]
         first = self._scenes[0]
         self.sensors = tuple(sensor.id for sensor in first.creature.sensors)
         self.motors = tuple(motor.id for motor in first.creature.motors)
-        self._episodes = [_Running(first) for _ in range(count)]
-        self._engine = None if first.row is None else _Engine(first, task, count, threads)
-        bodies = first.judge.trajectory.bodies
-        self._quantities = QuantityRows(bodies, task.needs, count)
-        self._tick = _Parts((count,), first)
-        self._block = _Parts((count, task.tick_rate), first)
-        self._touches: Flags = np.zeros((count, len(bodies.cubes) if first.judge.touchy else 0, 2), np.bool_)
-        self._ticks, self._watts = np.zeros(count, np.intp), np.zeros((count, len(self.motors)))
+        self._judge, self._touchy = JudgeRows(task, first, count, paid), touchy
+        self._engine = None if first.row is None else EngineRows(first, task, count, threads, touchy=touchy)
+        self._rows = [_Row(first) for _ in range(count)]
+        self._worlds: dict[int, DrivenWorld] = {}
+        self._autoreset: Autoreset = autoreset
+        self._waits: Flags = np.ones(count, np.bool_)  # rows that have no episode now
         self._actions = np.zeros((task.ticks, count, len(self.motors)))  # of the episodes so far
-        self._all, self._seed = np.arange(count), 0
+        self._all, self._seeded = np.arange(count), False  # whether every row has had a seed
         self.observations, self.last_observations = np.zeros((2, count, len(self.sensors)))
-        self.rewards: Array = np.zeros(count)
+        self.rewards: Array = self._judge.rewards
         self.terminated: Flags = np.zeros(count, np.bool_)
         self.truncated: Flags = np.zeros(count, np.bool_)
         self.results: list[Result | None] = [None] * count
 
-    def reset(self, seed: int) -> Array:
-        """Begins an episode in every row.
+    @property
+    def seeds(self) -> list[int]:
+        """Of each row, the seed of the scene that its episode has."""
+        return [row.scene.start.seed for row in self._rows]
+
+    def reset(self, seed: int | Sequence[int | None] | None = None, rows: Flags | None = None) -> Array:
+        """Begins an episode in every row, or in some.
 
         Args:
-            seed: From which, with its number, each row draws the scenes of its episodes; from 0.
+            seed: From which, and from the number of its episodes since, a row draws the scenes of its episodes. A
+                number, from 0, is that of the first row, and each has one more than the row before; or one for each
+                row. None: the row goes on with its next episode.
+            rows: In which rows, array (count,); in all if left out.
 
         Returns:
             `observations`.
+
+        Raises:
+            ValueError: A row has never had a seed, or there are not as many seeds as rows; nothing has begun.
         """
-        self._seed = seed
-        self.results = [None] * len(self._episodes)
-        for episode in self._episodes:
-            episode.number = 0
-        self._begin(self._all.tolist())
+        count = len(self._rows)
+        if not isinstance(seed, Sequence):
+            seed = [None if seed is None else seed + row for row in range(count)]
+        if len(seed) != count:
+            raise ValueError(f"there are {count} rows, not {len(seed)}")
+        places = self._all[slice(None) if rows is None else rows].tolist()
+        if any(seed[place] is None and self._rows[place].seed is None for place in places):
+            raise ValueError("the first reset of a row needs a seed")
+        for place in places:
+            given, row = seed[place], self._rows[place]
+            self.results[place] = None
+            if given is not None:
+                row.seed, row.number = given, 0
+        self._seeded = all(row.seed is not None for row in self._rows)
+        self._begin(places)
+        for place in places:
+            self._rows[place].last = None
+        self.rewards[places], self.terminated[places], self.truncated[places] = 0.0, False, False
         return self.observations
 
     def step(self, actions: Array) -> tuple[Array, Array, Flags, Flags]:
@@ -118,30 +164,76 @@ class Environments:
             `observations`, `rewards`, `terminated` and `truncated`, which the next step overwrites.
 
         Raises:
-            ValueError: The actions have another shape, or are beyond -1 or 1, or no `reset` came before; nothing has
-                moved.
+            ValueError: The actions have another shape, or are beyond -1 or 1, or a row must be reset before; nothing
+                has moved.
         """
         self._check(actions)
-        self._actions[self._ticks, self._all] = actions
-        faults = self._move(actions)
-        self._block.write((self._all, self._ticks % self._task.tick_rate), self._tick)
-        self._ticks += 1
-        over = self._judge(faults)
+        judge, going = self._judge, ~self._waits
+        begin = self._all[self._waits].tolist()
+        places = self._all if not begin else self._all[going]
+        self._actions[judge.ticks[places], places] = actions[places]
+        faults = self._move(places, actions)
+        judge.take(going)
+        self.terminated[:] = judge.over
+        self.terminated[list(faults)] = True
+        np.equal(judge.ticks, self.task.ticks, out=self.truncated)
+        self.truncated &= going & ~self.terminated
+        over = np.flatnonzero(self.terminated | self.truncated).tolist()
         if over:
-            self.last_observations[over] = self.observations[over]
-            self._begin(over)
+            self._end(over, faults)
+        judge.turn()
+        due = over if self._autoreset == "same_step" else begin
+        if due:
+            self._begin(due)
         return self.observations, self.rewards, self.terminated, self.truncated
 
     def close(self) -> None:
         """Ends all episodes, and the worlds of those that have one; `reset` begins others."""
-        for episode in self._episodes:
-            episode.leave()
-            episode.number = 0
+        for world in self._worlds.values():
+            world.close()
+        self._worlds.clear()
+        self._waits[:], self._seeded = True, False
+        for row in self._rows:
+            row.seed = row.last = None
+
+    def record(self, row: int, path: str | os.PathLike[str]) -> None:
+        """Records the episode that a row's last step belonged to: in a world that is driven with its actions.
+
+        Args:
+            row: Which.
+            path: The file; one that is there is replaced when the new one is whole.
+
+        Raises:
+            ValueError: The row has made no step since it was reset.
+            RecordingError: The file cannot be written.
+        """
+        episode, ticks, over = self._rows[row], int(self._judge.ticks[row]), bool(self._waits[row])
+        scene = episode.scene
+        if over or not ticks:
+            if episode.last is None:
+                raise ValueError(f"row {row} has made no step since it was reset: there is nothing to record")
+            (scene, ticks), over = episode.last, True
+        actions = self._actions[:ticks, row]
+        if over:  # an evaluation is stopped when its judge looks, which is once a second
+            rate, task = self.task.tick_rate, self.task
+            rest = min(-(-ticks // rate) * rate, task.ticks) - ticks
+            actions = np.concatenate([actions, np.repeat(actions[-1:], rest, axis=0)])
+        with recorded(self.genome, self.task, scene.start.seed, Path(path)) as journal:
+            world = DrivenWorld(self.genome, self.task, scene.start.seed, journal)
+            try:
+                for action in actions:
+                    if world.step(action) is not None:
+                        break
+                world.leave()
+            finally:
+                world.close()
 
     def _check(self, actions: Array) -> None:
-        if not self._episodes[0].number:
+        if not self._seeded:
             raise ValueError("no episodes have begun: reset comes first")
-        shape = len(self._episodes), len(self.motors)
+        if self._autoreset == "disabled" and self._waits.any():
+            raise ValueError(f"the episode of row {int(self._waits.argmax())} is over: reset it first")
+        shape = len(self._rows), len(self.motors)
         if actions.shape != shape:
             raise ValueError(f"actions have the shape {shape}, for each row and motor, not {actions.shape}")
         kept = np.abs(actions) <= 1.0
@@ -152,269 +244,95 @@ class Environments:
 
     # -- one tick -----------------------------------------------------------------------------------------------------
 
-    def _move(self, actions: Array) -> dict[int, str]:
-        """Moves every row, and reads it; returns of those that fault why."""
-        places = np.array([place for place, episode in enumerate(self._episodes) if episode.world is None], np.intp)
-        if self._engine is not None and len(places):
-            lost = self._engine.step(places, actions)
-            for place in lost:  # what becomes of them only worlds can tell
-                self._leave(place)
-            places = places[~np.isin(places, lost)]
-            self._engine.read(places, self.observations, self._tick)
-            if self._touches.size:
-                self._engine.touch(places, self._touches)
+    def _move(self, places: Places, actions: Array) -> dict[int, str]:
+        """Moves some rows, and reads them; returns of those that fault why."""
+        parts, touches, worlds = self._judge.parts, self._judge.touches, self._worlds
+        if self._engine is not None:
+            rows = places if not worlds else places[~np.isin(places, list(worlds))]
+            if len(rows):
+                lost = self._engine.step(rows, actions)
+                for place in lost:  # what becomes of them only worlds can tell
+                    self._leave(place)
+                rows = rows if not lost else rows[~np.isin(rows, lost)]
+            if len(rows):
+                self._engine.read(rows, self.observations, parts)
+                if self._touchy:
+                    self._engine.touch(rows, touches)
         faults = {}
-        for place, episode in enumerate(self._episodes):
-            world = episode.world
-            if world is None:
+        for place in places.tolist() if worlds else ():
+            if place not in worlds:
                 continue
+            world = worlds[place]
             fault = world.step(actions[place])
             if fault is not None:
                 faults[place] = fault
                 continue
             self.observations[place] = world.creature.sense()
-            world.read(place, self._tick)
-            if self._touches.size:
-                self._touches[place] = world.touches()
+            world.read(place, parts)
+            if self._touchy:
+                touches[place] = world.touches()
         return faults
 
     def _leave(self, place: int) -> None:
         """Gives an episode a world of its own, in which it has done all but the actions of this tick."""
-        episode = self._episodes[place]
-        episode.world = _World(self._genome, self._task, episode.scene.seed)
-        for action in self._actions[: self._ticks[place], place]:
-            episode.world.step(action)
+        self._worlds[place] = world = DrivenWorld(self.genome, self.task, self._rows[place].scene.start.seed)
+        for action in self._actions[: self._judge.ticks[place], place]:
+            world.step(action)
 
-    def _judge(self, faults: Mapping[int, str]) -> list[int]:
-        """Rewards every row; returns those whose episode is over."""
-        task, over = self._task, []
-        self._watts += self._tick.powers[:, 1]
-        work = self._watts / task.tick_rate
-        values = self._quantities.add(self._tick.states, work, self._touches)
-        columns = {quantity: column.tolist() for quantity, column in values.items()}
-        flagged = beyond(self._quantities.bodies, self._tick.states, work, **task.bounds)
-        far = np.logical_or.reduce(list(flagged.values()))
-        for place, (episode, tick) in enumerate(zip(self._episodes, self._ticks.tolist(), strict=True)):
-            now = {quantity: column[place] for quantity, column in columns.items()}
-            fault = faults.get(place)
-            ended = fault is not None or far[place] or any(condition.holds(now) for _, condition in task.ends)
-            if fault is None and self._touches.size:
-                episode.judge.touches[tick] = self._touches[place]
-            if ended or tick % task.tick_rate == 0 or tick == task.ticks:
-                self._tell(place, tick if fault is None else tick - 1)
-            self.terminated[place], self.truncated[place] = ended, not ended and tick == task.ticks
-            if ended or tick == task.ticks:
-                result = self.results[place] = episode.judge.result(episode.ended, fault)
-                self.rewards[place] = episode.reward(result.score or 0.0)
-                over.append(place)
-            else:
-                self.rewards[place] = episode.reward(self._worth(now))
-        return over
+    def _end(self, places: Sequence[int], faults: Mapping[int, str]) -> None:
+        """Has some episodes come out, at their ends."""
+        for place, result in zip(places, self._judge.results(places, faults), strict=True):
+            self.results[place] = result
+            row = self._rows[place]
+            row.last = row.scene, int(self._judge.ticks[place])
+        self.last_observations[places] = self.observations[places]
+        self._waits[places] = True
 
-    def _worth(self, values: Mapping[Quantity, float]) -> float | None:
-        """Returns the episode's score so far; None where that is no finite number."""
-        try:
-            return self._task.objective.value(values)
-        except WorldError:
-            return None
-
-    def _tell(self, place: int, tick: int) -> None:
-        """Tells the judge of a row what it has not been told yet, up to a tick."""
-        episode, block = self._episodes[place], self._block
-        rows = slice(0, tick - (episode.judge.trajectory.rows - 1))
-        episode.ended = episode.judge.take(
-            block.states[place, rows], block.powers[place, rows], block.positions[place, rows]
-        )
-
-    def _begin(self, places: list[int]) -> None:
+    def _begin(self, places: Sequence[int]) -> None:
         """Begins the next episode in some rows."""
         rows = []
         for place in places:
-            episode = self._episodes[place]
-            draw = np.random.SeedSequence(self._seed, spawn_key=(place, episode.number))
-            scene = self._scenes[int(draw.generate_state(1)[0]) % len(self._scenes)]
-            episode.begin(scene)
-            episode.number += 1
-            trajectory = scene.judge.trajectory
-            self._quantities.begin(place, trajectory.states[0], trajectory.touches[:1].reshape(-1, 2), scene.target)
+            row = self._rows[place]
+            draw = np.random.SeedSequence(row.seed, spawn_key=(row.number,))
+            row.scene = scene = self._scenes[int(draw.generate_state(1)[0]) % len(self._scenes)]
+            row.number += 1
+            self._judge.begin(place, scene)
             self.observations[place] = scene.senses
+            self._release(place)
             if self._engine is not None and self._engine.takes(scene):
                 rows.append((place, scene))
             else:
-                episode.world = _World(self._genome, self._task, scene.seed)
-        self._ticks[places], self._watts[places] = 0, 0.0
+                self._worlds[place] = DrivenWorld(self.genome, self.task, scene.start.seed)
+        self._waits[list(places)] = False
         if self._engine is not None and rows:
             self._engine.put(rows)
 
-
-class _Parts:
-    """What judges are told of ticks: arrays (*lead, n, 13), (*lead, 2, m) and (*lead, s); see `Judge.take`."""
-
-    def __init__(self, lead: tuple[int, ...], scene: _Scene) -> None:
-        bodies, springs, motors = map(len, scene.watched)
-        self.states = np.zeros((*lead, bodies, 13))
-        self.powers = np.zeros((*lead, 2, motors))
-        self.positions = np.zeros((*lead, springs))
-
-    def write(self, at: tuple[Places, Places], parts: _Parts) -> None:
-        """Writes the parts of a tick where they belong."""
-        self.states[at], self.powers[at], self.positions[at] = parts.states, parts.powers, parts.positions
-
-
-class _Running:
-    """One row's episode: its scene, its judge, its world if it has one, and what it was given so far."""
-
-    def __init__(self, scene: _Scene) -> None:
-        self.number = 0  # of episodes that began
-        self.world: _World | None = None
-        self.begin(scene)
-
-    def begin(self, scene: _Scene) -> None:
-        """Begins the next episode."""
-        self.leave()
-        self.scene, self.judge, self._given = scene, scene.judge.again(), 0.0
-        self.ended: str | None = None
-
-    def reward(self, worth: float | None) -> float:
-        """Returns by how much the episode is worth more than before; nothing where that is not known."""
-        reward = 0.0 if worth is None else worth - self._given
-        self._given += reward
-        return reward
-
-    def leave(self) -> None:
-        """Ends its world."""
-        if self.world is not None:
-            self.world.close()
-            self.world = None
-
-
-class _World:
-    """An episode in a world of its own, at its start, where somebody else drives it."""
-
-    def __init__(self, genome: Genome, task: Task, seed: int) -> None:
-        """Sets the scene.
-
-        Raises:
-            WorldError: The creature cannot begin.
-        """
-        self._world = world = World(task.world_config(seed))
-        self._client = client = world.join()
-        episode = Episode(world, genome, None, task, seed, logged=True)
-        for step in episode.steps():
-            if step is None:
-                world.tick()
-            elif isinstance(step, bytes):
-                reply = protocol.decode(world.handle(client, protocol.parse(step)))
-                if reply["type"] == "error":
-                    raise WorldError(reply["code"], reply["message"], reply.get("field"))
-            else:
-                break  # from here on it is driven
-        start = episode.start()
-        if start is None:
-            raise WorldError("invalid", f"the creature cannot begin with seed {seed}: {episode.result().fault}")
-        self.creature, self.watched, self.judge = start
-        self._track = world.simulation.track(*self.watched, task.ticks)
-
-    def hand_over(self) -> Row | None:
-        """Gives the scene away as a row, if it can be one; then this world is done with."""
-        return self._world.simulation.hand_over()
-
-    def step(self, action: Array) -> str | None:
-        """Goes one tick on; returns why it cannot, if it cannot."""
-        world = self._world
-        world.drive(self._client, CREATURE, action)
-        world.tick()
-        if world.fault is not None:
-            return f"{world.fault.code}: {world.fault.message}"
-        self._track.note()
-        return None
-
-    def read(self, place: int, parts: _Parts) -> None:
-        """Writes what a judge is told of the last tick."""
-        track = self._track
-        rows = track.rows - 1, track.rows
-        parts.states[place], parts.powers[place] = track.states(*rows)[0], track.powers(*rows)[0]
-        parts.positions[place] = track.positions(*rows)[0]
-
-    def touches(self) -> Flags:
-        """Returns the touches of all rows, as `Trajectory.touches`."""
-        return touches(self._world.simulation, self.watched.bodies, self.judge.trajectory.bodies.body)
-
-    def close(self) -> None:
-        """Ends the world."""
-        self._world.close()
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Scene:
-    """A scene at the start of an episode: all that episodes of its seed have in common."""
-
-    seed: int
-    creature: Creature
-    watched: Watched
-    judge: Judge
-    senses: Array
-    row: Row | None
-    target: tuple[float, float, float] | str | None
-
-    @classmethod
-    def of(cls, genome: Genome, task: Task, seed: int) -> _Scene:
-        """Sets the scene in a world.
-
-        Raises:
-            WorldError: The creature cannot begin.
-        """
-        world = _World(genome, task, seed)
-        try:
-            row = world.hand_over()
-            senses = world.creature.sense().copy()
-            return cls(seed, world.creature, world.watched, world.judge, senses, row, task.target(seed))
-        finally:
+    def _release(self, place: int) -> None:
+        """Ends the world of a row, if it has one."""
+        world = self._worlds.pop(place, None)
+        if world is not None:
             world.close()
 
 
-class _Engine:
-    """The rows of an engine with creatures of one plan in them."""
+class _Row:
+    """One row: its seed, the number of episodes that it has begun, its scene, and its last episode."""
 
-    def __init__(self, first: _Scene, task: Task, count: int, threads: int) -> None:
-        assert first.row is not None
-        feels = any(sensor.type == "touch" for sensor in first.creature.sensors)
-        self._first, self._substeps = first, task.substeps
-        self._rows = first.row.rows(count, threads=threads, contacts=feels or first.judge.touchy)
-        self._creatures = CreatureRows(self._rows, first.creature)
-        self._track = self._rows.track(*first.watched, 1, task.substeps)
+    def __init__(self, scene: Scene) -> None:
+        self.seed: int | None = None
+        self.number = 0
+        self.scene = scene
+        self.last: tuple[Scene, int] | None = None  # the scene and the ticks of the episode that was over last
 
-    def takes(self, scene: _Scene) -> bool:
-        """Whether a scene can be one of the rows."""
-        first, row = self._first, scene.row
-        if row is None or first.row is None:
-            return False
-        mine = first.row.layout, first.creature.plan, first.watched
-        return mine == (row.layout, scene.creature.plan, scene.watched)
 
-    def put(self, scenes: Iterable[tuple[int, _Scene]]) -> None:
-        """Begins scenes in places."""
-        scenes = list(scenes)
-        self._rows.put([place for place, _ in scenes], [scene.row for _, scene in scenes if scene.row is not None])
-        for place, scene in scenes:
-            self._creatures.put(place, scene.creature)
+def _reward(text: str, genome: Genome, task: Task) -> Objective:
+    """Reads the expression of a reward.
 
-    def step(self, places: Places, actions: Array) -> list[int]:
-        """Drives some places, and goes one tick on; returns those that cannot go on as rows."""
-        self._creatures.drive(places, actions[places])
-        return self._rows.step(places, self._substeps)
-
-    def read(self, places: Places, observations: Array, parts: _Parts) -> None:
-        """Writes what is sensed in some places, and what judges are told of them."""
-        track = self._track
-        track.note()
-        observations[places] = self._creatures.sense()[places]
-        parts.states[places] = track.states()[places, 0]
-        parts.powers[places], parts.positions[places] = track.powers()[places, 0], track.positions()[places, 0]
-        track.clear()
-
-    def touch(self, places: Places, out: Flags) -> None:
-        """Writes what touches what in some places."""
-        bodies, body = self._first.watched.bodies, self._first.judge.trajectory.bodies.body
-        for place in places.tolist():
-            out[place] = touches(PlaceOfRows(self._rows, place), bodies, body)
+    Raises:
+        WorldError: `bad_expression`, also where it names a cube that is not there.
+    """
+    reward = Objective(text, "reward")
+    known = {*(cube.id for cube in genome.body.cubes), *task.prop_ids()}
+    strangers = sorted({quantity.cube for quantity in reward.needs if quantity.cube is not None} - known)
+    if strangers:
+        raise WorldError("bad_expression", f"reward: there is no cube {strangers[0]!r}", "reward")
+    return reward

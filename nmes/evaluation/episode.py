@@ -7,8 +7,8 @@ world's ordinary inputs, so that the recording of an episode replays like any ot
 from __future__ import annotations
 
 import math
-from collections.abc import Generator, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from typing import Any, Final, NamedTuple
 
@@ -18,7 +18,7 @@ from nmes import protocol
 from nmes.backend import Array, Row
 from nmes.brain import Brain
 from nmes.errors import WorldError
-from nmes.evaluation.balance import Balance
+from nmes.evaluation.balance import Balance, Excess
 from nmes.evaluation.task import ALONE, CREATURE, Place, Task
 from nmes.genome import Genome
 from nmes.genome.body import Body
@@ -29,6 +29,7 @@ from nmes.world.creature import Creature
 
 __all__ = [
     "ANY_CONTROLS",
+    "MEASURED",
     "METADATA",
     "Entrant",
     "Episode",
@@ -40,6 +41,7 @@ __all__ = [
     "Step",
     "Watched",
     "brain_of",
+    "result_of",
     "set_scene",
 ]
 
@@ -48,6 +50,8 @@ METADATA: Final = "nmes.evaluation"
 _REST_TIME = 0.25  # s
 _REST_SPEED = 0.05  # of the body's size in a second: in a whole episode it would not come farther than that size
 _ENERGY, _DISTANCE = Quantity("energy"), Quantity("displacement.horizontal")
+MEASURED: Final = (_ENERGY, _DISTANCE)
+"""What each result tells besides the score."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -426,22 +430,28 @@ class Judge:
         motors: The number of the creature's motors.
 
     Attributes:
+        balance: Of the energy.
         touchy: Whether it must be told what touches what.
         touches: Where to write that, row by row, before the row is taken: see `Trajectory.touches`.
         trajectory: All that was taken.
     """
 
     def __init__(self, task: Task, seed: int, balance: Balance, motors: int) -> None:
-        self._task, self._seed, self._balance = task, seed, balance
+        self._task, self._seed, self.balance = task, seed, balance
         self.touchy = task.touchy
         self.trajectory = Trajectory(balance.bodies, task.ticks, motors, contacts=self.touchy)
         self.touches = self.trajectory.touches
         self._powers = np.zeros((task.ticks + 1, 2, motors))
         self._positions = np.zeros((task.ticks + 1, len(balance.stiffnesses)))
 
+    @property
+    def start(self) -> tuple[Array, Array]:
+        """What it was told of the start: states, array (n, 13), and positions, array (s,)."""
+        return self.trajectory.states[0].copy(), self._positions[0].copy()
+
     def again(self) -> Judge:
         """Returns a judge of the same scene, who has seen what this one has."""
-        judge = Judge(self._task, self._seed, self._balance, self._powers.shape[2])
+        judge = Judge(self._task, self._seed, self.balance, self._powers.shape[2])
         rows = self.trajectory.rows
         judge.touches[:rows] = self.touches[:rows]
         judge.take(self.trajectory.states[:rows], self._powers[:rows], self._positions[:rows])
@@ -477,25 +487,37 @@ class Judge:
             ended: The condition that ended it early, if one did.
             fault: Why the world could not go on, if it could not.
         """
-        trajectory, score = self.trajectory, None
-        measured = trajectory.values((_ENERGY, _DISTANCE))
-        fault = fault or self._imbalance()
-        if fault is None:
-            try:
-                score = trajectory.value(self._task.objective)
-            except WorldError as error:
-                fault = f"{error.code}: {error.message}"
-        rest = measured[_ENERGY], measured[_DISTANCE], trajectory.rows - 1
-        duty = trajectory.duty() if self._task.duty else None
-        return Result(self._seed, score, *rest, ended=ended, fault=fault, duty=duty)
+        trajectory = self.trajectory
+        rows, values = trajectory.rows, trajectory.values(dict.fromkeys((*MEASURED, *self._task.objective.needs)))
+        excess = self.balance.excess(trajectory.states[:rows], self._powers[:rows], self._positions[:rows])
+        result = result_of(self._task, self._seed, values, rows - 1, ended, fault, excess)
+        return replace(result, duty=trajectory.duty()) if self._task.duty else result
 
-    def _imbalance(self) -> str | None:
-        """Returns why the body's energy was not earned, over the rows that count; None where it was."""
-        rows = self.trajectory.rows
-        excess = self._balance.excess(self.trajectory.states[:rows], self._powers[:rows], self._positions[:rows])
-        if excess is None:
-            return None
-        return (
-            f"energy: by {excess.time:.2f} s the body had {excess.gain:.3g} J that its motors did not give it, and "
-            f"{excess.allowed:.3g} J are allowed"
-        )
+
+def result_of(
+    task: Task,
+    seed: int,
+    values: Mapping[Quantity, float],
+    ticks: int,
+    ended: str | None,
+    fault: str | None,
+    excess: Excess | None,
+) -> Result:
+    """Returns how an episode came out.
+
+    Args:
+        task: What was asked.
+        seed: The episode's.
+        values: Of `MEASURED` and of what the objective needs, over the rows that count.
+        ticks: How many count, after the start.
+        ended: The condition that ended it early, if one did.
+        fault: Why the world could not go on, if it could not.
+        excess: Where the body had energy of nothing, if it had.
+    """
+    score, fault = None, fault or (None if excess is None else str(excess))
+    if fault is None:
+        try:
+            score = task.objective.value(values)
+        except WorldError as error:
+            fault = f"{error.code}: {error.message}"
+    return Result(seed, score, values[_ENERGY], values[_DISTANCE], ticks, ended=ended, fault=fault)

@@ -17,7 +17,8 @@ import re
 import secrets
 import statistics
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from hashlib import sha256
@@ -44,7 +45,7 @@ from nmes.world import World
 if TYPE_CHECKING:
     from nmes.evaluation.proof import Proof
 
-__all__ = ["Evaluation", "Job", "evaluate", "evaluate_all", "evaluate_population", "evaluate_portion"]
+__all__ = ["Evaluation", "Job", "evaluate", "evaluate_all", "evaluate_population", "evaluate_portion", "recorded"]
 
 _CLUSTER: Final = 64  # cores of a Ray cluster, of which one must not know more to cut work for it
 _POSE_RATE: Final = 1.0  # Hz; pictures for viewers cost as much as all else that is recorded, and follow from it
@@ -233,23 +234,49 @@ def _plain(name: str) -> str:
 
 
 def _recorded(genome: Genome, brain: Brain | None, task: Task, seed: int, path: Path) -> Result:
-    world = World(task.world_config(seed))
-    # So that what has the name of a recording is one; and that of two who make it none takes the other's away.
-    part = path.with_suffix(f".{secrets.token_hex(8)}.part")
-    about = {"task": protocol.encode(task.document).decode(), "genome": genome.hash, "seed": str(seed)}
-    recorder = world.journal = Recorder(part, world, pose_rate=_POSE_RATE, about={METADATA: about})
-    try:
+    with recorded(genome, task, seed, path) as journal:
+        world = World(task.world_config(seed))
+        world.journal = journal(world)
         try:
             result = Episode(world, genome, brain, task, seed).run()
         finally:
             world.close()
-            recorder.close()
         if world.fault is not None and world.fault.code == "recording_failed":
             raise RecordingError(world.fault.code, world.fault.message)
+    return result
+
+
+@contextmanager
+def recorded(genome: Genome, task: Task, seed: int, path: Path) -> Iterator[Callable[[World], Recorder]]:
+    """Gives what makes the journal of an episode's world, which is a recording once all has gone well.
+
+    Args:
+        genome: The creature.
+        task: What it is asked to do.
+        seed: The episode's.
+        path: The file; one that is there is replaced when the new one is whole.
+
+    Raises:
+        RecordingError: It cannot be written.
+    """
+    # So that what has the name of a recording is one; and that of two who make it none takes the other's away.
+    part = path.with_suffix(f".{secrets.token_hex(8)}.part")
+    about = {"task": protocol.encode(task.document).decode(), "genome": genome.hash, "seed": str(seed)}
+    recorders: list[Recorder] = []
+
+    def journal(world: World) -> Recorder:
+        recorders.append(Recorder(part, world, pose_rate=_POSE_RATE, about={METADATA: about}))
+        return recorders[-1]
+
+    try:
+        try:
+            yield journal
+        finally:
+            for recorder in recorders:
+                recorder.close()
         part.replace(path)
     finally:
         part.unlink(missing_ok=True)
-    return result
 
 
 @dataclass(frozen=True, slots=True)

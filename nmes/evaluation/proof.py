@@ -125,7 +125,7 @@ def _check(recording: Recording, brain: bool) -> tuple[_Checker, Task, Genome]:
     if recording.config != protocol.complete_config(task.world_config(seed)):
         raise ProofError("diverged", f"{recording.path}, frame 0: the world is not the task's")
     driver = brain_of(genome) if brain else None
-    logged = not brain and "brain" in genome.document
+    logged = not brain and ("brain" in genome.document or _driven(recording))
     checker = _Checker(lambda world: Episode(world, genome, driver, task, seed, logged=logged))
     try:
         report = replay(recording, watch=checker)
@@ -143,6 +143,12 @@ def _check(recording: Recording, brain: bool) -> tuple[_Checker, Task, Genome]:
         code = "not_comparable" if beyond else error.code
         raise ProofError(code, f"{recording.path}: {error.message}") from error
     return checker, task, genome
+
+
+def _driven(recording: Recording) -> bool:
+    """Whether anybody drives, as in an environment's episode, a creature that has no brain."""
+    commands = (protocol.parse(record.data) for record in recording if record.kind is Kind.COMMAND)
+    return any(command.type == "drive" for command in commands)
 
 
 def _computes_otherwise(recording: Recording, genome: Genome) -> bool:

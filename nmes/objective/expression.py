@@ -20,10 +20,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, NoReturn
 
+import numpy as np
+import numpy.typing as npt
+
 from nmes.errors import WorldError
 
 __all__ = ["CUBE_QUANTITIES", "FOLDS", "FUNCTIONS", "QUANTITIES", "Condition", "Objective", "Quantity"]
 
+Array = npt.NDArray[np.float64]
 _AXES = {"x": "along x", "y": "upwards", "z": "along z"}
 
 
@@ -121,6 +125,36 @@ FUNCTIONS: Final[Mapping[str, str]] = {
     "sqrt": "sqrt(x): square root",
 }
 """The functions of an expression, and what each gives."""
+
+
+# The same functions of arrays, to the same bits in each row; whatever is not here is what it is of numbers.
+def _choose_rows(truth: Any, this: Any, that: Any) -> Any:
+    return np.where(truth, this, that)
+
+
+def _extreme(before: Callable[[Any, Any], Any]) -> Callable[..., Any]:
+    def call(*values: Any) -> Any:
+        result, known = values[0], values[0] == values[0]
+        for value in values[1:]:
+            result, known = np.where(before(value, result), value, result), known & (value == value)
+        return np.where(known, result, np.nan)
+
+    return call
+
+
+def _one_by_one(function: Callable[[float], float]) -> Callable[..., Any]:
+    return lambda values: np.array([function(value) for value in np.ravel(values).tolist()]).reshape(np.shape(values))
+
+
+_OF_ROWS: Final[dict[Callable[..., Any], Callable[..., Any]]] = {
+    _choose: _choose_rows,
+    _quotient: np.divide,
+    operator.not_: np.logical_not,
+    **{_FUNCTIONS[name]: _one_by_one(_FUNCTIONS[name]) for name in ("exp", "log")},  # numpy's have other bits
+    _FUNCTIONS["sqrt"]: np.sqrt,
+    _greatest: _extreme(operator.gt),
+    _least: _extreme(operator.lt),
+}
 
 _OPERATORS: Final[dict[str, Callable[..., Any]]] = {
     **{"+": operator.add, "-": operator.sub, "*": operator.mul, "/": _quotient},
@@ -220,6 +254,15 @@ class _Expression:
             slots[slot] = function(*[slots[operand] for operand in operands])
         return slots[self._result]
 
+    def _run_rows(self, columns: Mapping[Quantity, Array], count: int) -> Any:
+        slots: list[Any] = list(self._slots)
+        for quantity, slot in self._inputs:
+            slots[slot] = columns[quantity]
+        with np.errstate(all="ignore"):
+            for slot, function, operands in self._steps:
+                slots[slot] = _OF_ROWS.get(function, function)(*[slots[operand] for operand in operands])
+        return np.broadcast_to(slots[self._result], count)
+
 
 class Objective(_Expression):
     """An expression that gives a number: a score, a fitness, a reward."""
@@ -244,6 +287,18 @@ class Objective(_Expression):
             )
         return value
 
+    def values(self, columns: Mapping[Quantity, Array], count: int) -> Array:
+        """Returns its value in each of so many rows, array (count,), to the bits of `value`.
+
+        Args:
+            columns: Of each quantity that it `needs`, array (count,).
+            count: The number of rows.
+
+        Returns:
+            What is not finite too, as after a division by zero.
+        """
+        return np.asarray(self._run_rows(columns, count), np.float64)
+
 
 class Condition(_Expression):
     """An expression that is true or false."""
@@ -253,6 +308,10 @@ class Condition(_Expression):
     def holds(self, values: Mapping[Quantity, float]) -> bool:
         """Tells whether it is true; `values` has the value of each quantity that it `needs`."""
         return bool(self._run(values))
+
+    def flags(self, columns: Mapping[Quantity, Array], count: int) -> npt.NDArray[np.bool_]:
+        """Tells of each of so many rows whether it is true, array (count,); `columns` as in `Objective.values`."""
+        return np.asarray(self._run_rows(columns, count), np.bool_)
 
 
 class _Reader:

@@ -318,8 +318,10 @@ class QuantityRows:
         self._ticks, self._upright = np.zeros(count), np.zeros(count)
         self._folds = {quantity: np.zeros(count) for quantity in self._quantities if quantity.fold != "final"}
 
-    def begin(self, place: int, states: Array, touches: Flags, target: tuple[float, float, float] | str | None) -> None:
-        """Begins an episode in a place, whatever was there.
+    def begin(
+        self, place: int, states: Array, touches: Flags, target: tuple[float, float, float] | str | None
+    ) -> dict[Quantity, float]:
+        """Begins an episode in a place, whatever was there; returns the values of the quantities at its start.
 
         Args:
             place: Which.
@@ -332,8 +334,13 @@ class QuantityRows:
             self._targets[place] = target
         rows = states[np.newaxis], np.zeros(1), touches[np.newaxis]
         block = _Block(self.bodies, self._starts[place : place + 1], target, 0, *rows)
+        values = {
+            quantity: 0.0 if quantity.name == "time_upright" else float(block.series(quantity)[0])
+            for quantity in self._quantities
+        }
         for quantity, fold in self._folds.items():
-            fold[place] = 0.0 if quantity.name == "time_upright" else block.series(quantity)[0]
+            fold[place] = values[quantity]
+        return values
 
     def add(self, states: Array, work: Array, touches: Flags) -> dict[Quantity, Array]:
         """Takes the rows of the next tick, and returns the values of the quantities, each an array (count,).
@@ -363,7 +370,7 @@ class QuantityRows:
             np.minimum(fold, now, out=fold)
         elif quantity.fold == "max":
             np.maximum(fold, now, out=fold)
-        return fold
+        return fold.copy()
 
 
 class HasContacts(Protocol):

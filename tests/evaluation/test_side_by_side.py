@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import count
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,10 +12,12 @@ import pytest
 from creatures import exploding, snake
 from nmes.backend import Array, Places
 from nmes.backends.mujoco3d.rows import MujocoRows
-from nmes.errors import WorldError
-from nmes.evaluation import Environments, Result, Task
+from nmes.errors import RecordingError, WorldError
+from nmes.evaluation import Environments, Result, Task, prove
 from nmes.evaluation.episode import Episode
 from nmes.genome import Genome
+from nmes.playback import replay
+from nmes.recording import Recording
 from nmes.world import World
 
 MOST = 2  # episodes of each row that are run again in worlds
@@ -237,3 +240,121 @@ def test_who_cannot_begin_is_refused() -> None:
     for rows, seeds in ((0, [1]), (1, [])):
         with pytest.raises(ValueError, match="1 row and 1 seed or more"):
             Environments(Genome(snake()), task(), rows, seeds=seeds)
+
+
+def run(environments: Environments, ticks: int, seed: Any = 3) -> list[tuple[Array, ...]]:
+    """Returns copies of what each step returns, with actions that depend on nothing but the tick."""
+    environments.reset(seed)
+    shape = len(environments.results), len(environments.motors)
+    steps = []
+    for tick in range(ticks):
+        steps.append(tuple(array.copy() for array in environments.step(np.full(shape, np.sin(0.3 * tick)))))
+    return steps
+
+
+def test_a_row_has_the_seed_of_its_number_and_is_the_same_among_others() -> None:
+    def one(seed: Any, rows: int, row: int) -> list[list[bytes]]:
+        environments = Environments(Genome(snake()), task(duration=0.1), rows, seeds=range(20, 30))
+        return [[array[row].tobytes() for array in step] for step in run(environments, 30, seed)]
+
+    assert one(5, 4, 2) == one(7, 1, 0) == one([1, 7], 2, 1) != one(8, 1, 0)
+
+
+def test_next_step_begins_an_episode_in_the_step_after_its_end() -> None:
+    same, late = (
+        run(Environments(Genome(snake()), task(duration=0.1), 2, seeds=range(20, 30), autoreset=mode), ticks)
+        for mode, ticks in (("same_step", 12), ("next_step", 14))
+    )
+    for step in range(5):
+        assert all((a == b).all() for a, b in zip(same[step], late[step], strict=True))
+    observations, rewards, terminated, truncated = late[6]  # what begins now has not been driven yet
+    assert late[5][3].all() and not (truncated.any() or terminated.any() or rewards.any())
+    assert (observations == same[5][0]).all() and (late[5][0] != observations).any()
+
+
+def test_a_row_whose_episode_is_over_waits_until_it_is_reset() -> None:
+    ends = [{"name": "high", "when": "time > 0.05"}]
+    environments = Environments(Genome(snake()), task(ends=ends), 3, autoreset="disabled", seeds=range(20, 30))
+    for _ in range(2):
+        last = run(environments, 4)[-1]
+        assert last[2].all() and (last[0] == environments.last_observations).all()
+        with pytest.raises(ValueError, match="the episode of row 0 is over"):
+            environments.step(np.zeros((3, 3)))
+    before = environments.observations.copy()
+    environments.reset(None, np.array([True, False, True]))
+    with pytest.raises(ValueError, match="the episode of row 1 is over"):
+        environments.step(np.zeros((3, 3)))
+    assert (environments.observations[1] == before[1]).all() and (environments.observations[0] != before[0]).any()
+    environments.reset([None, 4, None], np.array([False, True, False]))
+    environments.step(np.zeros((3, 3)))
+    assert not environments.terminated.any()
+
+
+def test_the_first_reset_of_a_row_needs_a_seed_and_there_are_as_many_as_rows() -> None:
+    environments = Environments(Genome(snake()), task(), 2)
+    for seed, message in ((None, "needs a seed"), ([1, None], "needs a seed"), ([1], "there are 2 rows, not 1")):
+        with pytest.raises(ValueError, match=message):
+            environments.reset(seed)
+    with pytest.raises(ValueError, match="autoreset is one of"):
+        Environments(Genome(snake()), task(), 2, autoreset="never")  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "text", ["velocity.x - 0.01 * energy", "max.height * 2", 'cube("c1").speed + contacts', "time < 0.1 ? 1 : 1 / 0"]
+)
+def test_a_reward_of_ones_own_is_what_its_expression_is_worth_at_each_tick(text: str) -> None:
+    document = task(duration=0.3, seeds=[2], limits={"energy": 1000})
+    scored = Task({**document.document, "objective": text})
+    environments, actions = Environments(Genome(snake()), document, 2, reward=text), np.full((18, 3), 0.4)
+    environments.reset(0)
+    rewards = np.array([environments.step(np.repeat(action[None], 2, axis=0))[1].copy() for action in actions])
+    worth = in_a_world(Genome(snake()), scored, 2, actions)[2][1:]
+    assert (rewards == np.where(np.isfinite(worth), worth, 0.0)[:, None]).all() and rewards.any()
+
+
+@pytest.mark.parametrize("text", ["", "speed > 1", 'cube("nobody").height', "velocity"])
+def test_a_reward_that_cannot_be_is_refused(text: str) -> None:
+    with pytest.raises(WorldError, match="reward") as refused:
+        Environments(Genome(snake()), task(), 1, reward=text)
+    assert refused.value.code == "bad_expression"
+
+
+@pytest.mark.parametrize("autoreset", ["same_step", "next_step", "disabled"])
+@pytest.mark.parametrize("case", ["it lasts", "a limit", "an end", "a prop", "another engine", "a fault"])
+def test_each_episode_can_be_recorded_and_proved(case: str, autoreset: Any, tmp_path: Path) -> None:
+    genome, asked = CASES[case]
+    environments, path = Environments(genome, asked, 2, autoreset=autoreset), tmp_path / "episode.mcap"
+    environments.reset(0)
+    with pytest.raises(ValueError, match="nothing to record"):
+        environments.record(1, path)
+    draw = np.random.default_rng(1)
+    while environments.results[1] is None:
+        environments.step(draw.uniform(-1.0, 1.0, (2, len(environments.motors))))
+        if autoreset == "disabled" and environments.results[1] is None and environments.results[0] is not None:
+            environments.reset(None, np.array([True, False]))
+    environments.record(1, path)
+    assert replay(Recording(path)).verdict == "reproduced"
+    assert prove(path).result == environments.results[1]
+    if autoreset != "disabled":  # one that goes on can be recorded as far as it has come
+        for _ in range(3):
+            environments.step(np.zeros((2, len(environments.motors))))
+        environments.record(1, path)
+        report = replay(Recording(path))
+        assert report.verdict == "reproduced"
+
+
+def test_an_episode_of_a_creature_without_a_brain_can_be_proved_too(tmp_path: Path) -> None:
+    genome = Genome({key: value for key, value in snake().items() if key != "brain"})
+    environments, path = Environments(genome, task(duration=0.3), 1), tmp_path / "episode.mcap"
+    run(environments, 18)
+    environments.record(0, path)
+    assert [prove(path).result] == environments.results
+
+
+def test_a_recording_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
+    environments = Environments(Genome(snake()), task(), 1)
+    environments.reset(0)
+    environments.step(np.zeros((1, 3)))
+    with pytest.raises(RecordingError):
+        environments.record(0, tmp_path / "nowhere" / "episode.mcap")
+    assert not list(tmp_path.iterdir())
