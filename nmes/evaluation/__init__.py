@@ -6,10 +6,11 @@ from nmes.evaluation.environments import Environments
 from nmes.evaluation.episode import Episode, Result, brain_of
 from nmes.evaluation.evaluator import Evaluation, Job, evaluate, evaluate_all, evaluate_population
 from nmes.evaluation.parallel import Workers
-from nmes.evaluation.proof import Proof, prove, scores_so_far
+from nmes.evaluation.proof import Course, Proof, prove, retrace, scores_so_far
 from nmes.evaluation.task import Limits, Task
 
 __all__ = [
+    "Course",
     "Environments",
     "Episode",
     "Evaluation",
@@ -24,5 +25,6 @@ __all__ = [
     "evaluate_all",
     "evaluate_population",
     "prove",
+    "retrace",
     "scores_so_far",
 ]

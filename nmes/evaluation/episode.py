@@ -254,6 +254,26 @@ class Episode:
         values = self._observer.judge.trajectory.values_so_far(self._task.objective)
         return np.stack([(self._start + np.arange(len(values))) / self._task.tick_rate, values], axis=1)
 
+    @property
+    def driven_ticks(self) -> int:
+        """How many ticks it had: those that it is scored for, and one at which it was beyond a limit or failed.
+
+        What was done after its end, until that was noticed, does not count.
+        """
+        if self._observer is None:
+            return 0
+        trajectory = self._observer.judge.trajectory
+        last = trajectory.rows - 1
+        if self._ended is None:
+            return last + (self._world.fault is not None)
+        held = [trajectory.first(condition, max(last, 1), last + 1) for _, condition in self._task.ends]
+        return last + all(row is None for row in held)  # nothing held at the last tick: a limit ended the next
+
+    @property
+    def lasted(self) -> bool:
+        """Whether it went on to its last tick, neither ended nor failed."""
+        return self._ended is None and self._world.fault is None
+
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Handover:

@@ -29,7 +29,9 @@ from nmes.recording import Kind, Recording
 from nmes.schemas.documents import parse_document
 from nmes.world import World
 
-__all__ = ["Proof", "prove", "recorded_genome", "scores_so_far"]
+__all__ = ["Course", "Proof", "prove", "recorded_genome", "retrace", "scores_so_far"]
+
+_MOST = 2**26  # numbers of a course that is kept: half a gigabyte
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,11 +114,79 @@ def scores_so_far(recording: Recording) -> Array:
         RecordingError, ProofError, DocumentError: As by `prove`.
     """
     checker, _task, _genome = _check(recording, False)
-    return checker.scores_so_far()
+    return checker.episode.scores_so_far()
 
 
-def _check(recording: Recording, brain: bool) -> tuple[_Checker, Task, Genome]:
+@dataclass(frozen=True, eq=False, slots=True)
+class Course:
+    """What an episode was for its creature, tick by tick.
+
+    Attributes:
+        genome: The creature.
+        task: The task.
+        result: How the episode came out.
+        sensed: Array (ticks + 1, sensors): what the sensors read before each tick and after the last. After a tick at
+            which the world failed, what they read before it.
+        controls: Array (ticks, motors): what the creature was driven with.
+        worth: Array (ticks,): the score that the episode would have had at its start and after each tick but the last,
+            had it ended there; NaN where there is none.
+        lasted: Whether it lasted its time, and was neither ended nor failed.
+    """
+
+    genome: Genome
+    task: Task
+    result: Result
+    sensed: Array
+    controls: Array
+    worth: Array
+    lasted: bool
+
+
+def retrace(recording: str | os.PathLike[str]) -> Course:
+    """Runs a recorded episode again, and tells what its creature sensed and did.
+
+    Args:
+        recording: The file. Its commands are checked as by `prove`; the controls may come from anywhere.
+
+    Raises:
+        RecordingError, ProofError, DocumentError: As by `prove`; or there is nothing to tell, since the creature never
+            came to rest or nobody drove it (`nothing_to_export`), or more than half a gigabyte (`too_long`).
+    """
+    source, log = Recording(recording), _Log()
+    task, genome, _seed = _recorded_episode(source)
+    numbers = task.ticks * (len(genome.body.sensors) + len(genome.body.motors))
+    if numbers > _MOST:
+        what = f"{recording}: its task's episodes have up to {numbers:,} readings and controls"
+        raise RecordingError("too_long", f"{what}, and at most {_MOST:,} can be kept")
+    checker, _, _ = _check(source, False, log)
+    episode, result = checker.episode, checker.result()
+    ticks = episode.driven_ticks
+    if not ticks:
+        raise ProofError("nothing_to_export", f"{recording}: the episode has no tick: {result.fault}")
+    sensed = np.array(log.sensed[: ticks + 1]).reshape(ticks + 1, len(genome.body.sensors))
+    controls = np.array(log.controls[:ticks], float).reshape(ticks, len(genome.body.motors))
+    return Course(genome, task, result, sensed, controls, episode.scores_so_far()[:ticks, 1], episode.lasted)
+
+
+class _Log:
+    """What the creature of an episode sensed, and was driven with."""
+
+    def __init__(self) -> None:
+        self.sensed: list[Array] = []
+        self.controls: list[list[float]] = []
+
+    def note(self, world: World) -> None:
+        """Notes what is sensed now, before a tick or after the last; of a world that failed, what was sensed before."""
+        self.sensed += self.sensed[-1:] if world.fault is not None else [world.creature(CREATURE).sense()]
+
+
+def _check(recording: Recording, brain: bool, log: _Log | None = None) -> tuple[_Checker, Task, Genome]:
     """Runs a recorded episode again; returns the checker that followed it to its end without finding fault.
+
+    Args:
+        recording: The episode's.
+        brain: As for `prove`.
+        log: Where to write what the creature senses and does.
 
     Raises:
         ProofError, DocumentError, MissingPackage: As by `prove`.
@@ -125,8 +195,8 @@ def _check(recording: Recording, brain: bool) -> tuple[_Checker, Task, Genome]:
     if recording.config != protocol.complete_config(task.world_config(seed)):
         raise ProofError("diverged", f"{recording.path}, frame 0: the world is not the task's")
     driver = brain_of(genome) if brain else None
-    logged = not brain and ("brain" in genome.document or _driven(recording))
-    checker = _Checker(lambda world: Episode(world, genome, driver, task, seed, logged=logged))
+    still = "brain" not in genome.document
+    checker = _Checker(lambda world: Episode(world, genome, driver, task, seed, logged=not brain), still, log)
     try:
         report = replay(recording, watch=checker)
         if report.verdict == "not_comparable":
@@ -143,12 +213,6 @@ def _check(recording: Recording, brain: bool) -> tuple[_Checker, Task, Genome]:
         code = "not_comparable" if beyond else error.code
         raise ProofError(code, f"{recording.path}: {error.message}") from error
     return checker, task, genome
-
-
-def _driven(recording: Recording) -> bool:
-    """Whether anybody drives, as in an environment's episode, a creature that has no brain."""
-    commands = (protocol.parse(record.data) for record in recording if record.kind is Kind.COMMAND)
-    return any(command.type == "drive" for command in commands)
 
 
 def _computes_otherwise(recording: Recording, genome: Genome) -> bool:
@@ -180,8 +244,9 @@ def _recorded_episode(recording: Recording) -> tuple[Task, Genome, int]:
 class _Checker:
     """Follows a replay, and compares each of its inputs with the episode's next step."""
 
-    def __init__(self, make: Callable[[World], Episode]) -> None:
-        self._make = make
+    def __init__(self, make: Callable[[World], Episode], still: bool, log: _Log | None) -> None:
+        """Takes what makes the episode, whether its creature may be left alone, and where to write what it does."""
+        self._make, self._still, self._log = make, still, log
         self._episode: Episode | None = None
         self._steps: Iterator[Step] = iter(())
         self._next: Step = None
@@ -192,18 +257,32 @@ class _Checker:
         if self._episode is None:
             self._episode = self._make(world)
             self._steps = self._episode.steps()
-            self._advance()
+            self._advance(world)
         if self._over:
             raise _divergence(world, f"{_input(request)} after the end of the episode")
+        if self._next is ANY_CONTROLS and request is None and self._still:
+            self._leave_alone(world)
         if not _agree(self._next, request):
             raise _divergence(world, f"{_input(request)} where there should be {_expected(self._next)}")
-        self._advance()
+        driven = request.command if request is not None and self._next is ANY_CONTROLS else None
+        if self._log is not None and driven is not None:
+            self._log.controls.append(driven["controls"])
+        self._advance(world)
 
-    def _advance(self) -> None:
+    def _leave_alone(self, world: World) -> None:
+        """Goes on to the tick of a creature that has no brain and is not driven."""
+        if self._log is not None:
+            what = f"nobody drives the creature at frame {world.frame - 1}, so that there is no action"
+            raise RecordingError("nothing_to_export", what)
+        self._advance(world)
+
+    def _advance(self, world: World) -> None:
         try:
             self._next = next(self._steps)
         except StopIteration:
             self._over = True
+        if self._log is not None and (self._over or self._next is ANY_CONTROLS):
+            self._log.note(world)
 
     def result(self) -> Result:
         """Returns the episode's result.
@@ -215,10 +294,11 @@ class _Checker:
             raise ProofError("damaged", "the recording ends before the episode does")
         return self._episode.result()
 
-    def scores_so_far(self) -> Array:
-        """Returns the objective's value at the start and after each tick, array (n, 2); see `Episode.scores_so_far`."""
+    @property
+    def episode(self) -> Episode:
+        """The episode, once it is over."""
         assert self._episode is not None
-        return self._episode.scores_so_far()
+        return self._episode
 
 
 def _agree(step: Step, request: Request | None) -> bool:
