@@ -28,7 +28,7 @@ SUBCOMMANDS = {
     "diff": "Compare two recordings.",
     "eval": "Score creatures on a task.",
     "evolve": "Evolve creatures, in runs that anyone can repeat.",
-    "export": "Write a recording as data for other programs.",
+    "export": "Write recordings as data for other programs.",
     "fork": "Take the world out of a recording as it was at a frame.",
     "genome": "Check, show and vary genomes.",
     "info": "Show what a recording holds.",

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import click
 
-__all__ = ["check_output", "whole_file"]
+__all__ = ["check_output", "whole_file", "whole_folder"]
 
 
 def check_output(output: Path | None, *inputs: str | os.PathLike[str]) -> None:
@@ -59,3 +59,24 @@ def whole_file(output: Path, *inputs: str | os.PathLike[str]) -> Iterator[Path]:
     finally:
         if unfinished != target:
             unfinished.unlink(missing_ok=True)
+
+
+@contextmanager
+def whole_folder(output: Path) -> Iterator[Path]:
+    """Gives the path of a new, empty folder beside `output`, which takes its place once it is whole.
+
+    Raises:
+        UsageError: There is something of that name already, and it is no empty folder.
+        ClickException: It cannot be written.
+    """
+    if output.is_symlink() or (output.exists() and not (output.is_dir() and not any(output.iterdir()))):
+        raise click.UsageError(f"there is {output} already: name a folder that is not there yet")
+    unfinished = output.absolute().with_name(f".{secrets.token_hex(8)}")
+    try:
+        unfinished.mkdir(parents=True)
+        yield unfinished
+        unfinished.replace(output)  # an empty folder is replaced too
+    except OSError as error:
+        raise click.ClickException(f"cannot write {output}: {error.strerror or error}") from error
+    finally:
+        shutil.rmtree(unfinished, ignore_errors=True)

@@ -1,4 +1,4 @@
-"""`nmes export`: a recording as data for other programs."""
+"""`nmes export`: recordings as data for other programs."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import IO
 
 import click
 
-from nmes.cli._output import whole_file
+from nmes.cli._output import whole_file, whole_folder
 from nmes.cli.info import open_recording
 from nmes.errors import visible
 from nmes.playback import states
@@ -20,23 +20,37 @@ from nmes.recording import Recording
 __all__ = ["command"]
 
 
+_DATASETS = ("minari", "lerobot")
+
+
+def _open(context: click.Context, parameter: click.Parameter, values: tuple[str, ...]) -> list[Recording]:
+    return [open_recording(context, parameter, value) for value in values]
+
+
 @click.command("export")
-@click.argument("recording", metavar="FILE", callback=open_recording)
-@click.option("--to", "kind", type=click.Choice(["jsonl", "csv", "parquet"]), required=True, help="The format.")
+@click.argument("recordings", metavar="FILE...", nargs=-1, required=True, callback=_open)
+@click.option(
+    "--to", "kind", type=click.Choice(["jsonl", "csv", "parquet", *_DATASETS]), required=True, help="The format."
+)
 @click.option(
     "--what",
     type=click.Choice(["messages", "states"]),
     help="Commands, replies and what happened; or each cube after each tick.  "
     "[default: messages in jsonl, states in csv and parquet]",
 )
-@click.option("-o", "--output", type=click.Path(dir_okay=False, path_type=Path), help="The file; else standard output.")
+@click.option(
+    "-o", "--output", type=click.Path(path_type=Path), help="The file, or the dataset's folder; else standard output."
+)
 @click.option("--keep-going", is_flag=True, help="States: go on where a tick does not come out as recorded.")
 @click.option("--anyway", "keep_going", is_flag=True, hidden=True)  # its old name
-def command(recording: Recording, kind: str, what: str | None, output: Path | None, keep_going: bool) -> None:
-    """Write a recording as data for other programs.
+def command(recordings: list[Recording], kind: str, what: str | None, output: Path | None, keep_going: bool) -> None:
+    """Write recordings as data for other programs.
 
-    States are not in a recording: they are made by running it again, and each tick is compared with its recorded
-    digest. Of a recording that is cut or damaged, what comes before is written.
+    A recording as a table (jsonl, csv, parquet); or recordings of `nmes eval` as a dataset that others learn from
+    (minari, lerobot), each an episode: what the creature sensed, did and earned in each tick.
+
+    Neither states nor senses are in a recording: they are made by running it again, and each tick is compared with its
+    recorded digest. Of a recording that is cut or damaged, a table holds what comes before, a dataset nothing.
 
     Exit status: 0 all of it is written; 1 what comes before the damage, or nothing; 2 wrong usage, or no
     recording.
@@ -46,9 +60,39 @@ def command(recording: Recording, kind: str, what: str | None, output: Path | No
     \b
         nmes export run.mcap --to jsonl
         nmes export run.mcap --to parquet -o states.parquet
+        nmes export proofs/walker-*.mcap --to minari -o datasets/walker-v0
+        nmes export proofs/walker-*.mcap --to lerobot -o walker
     """
+    if kind in _DATASETS:
+        if what is not None or keep_going:
+            raise click.UsageError(f"--what and --keep-going are for tables, not for {kind}")
+        _write_dataset(recordings, kind, output)
+    elif len(recordings) > 1:
+        raise click.UsageError(f"{kind} is made of one recording; of several, --to minari or lerobot")
+    else:
+        _write_table(recordings[0], kind, what, output, keep_going)
+
+
+def _write_dataset(recordings: list[Recording], kind: str, output: Path | None) -> None:
+    if output is None:
+        raise click.UsageError(f"{kind} needs --output")
+    # Their imports take long, and all commands import this.
+    from nmes.learning.lerobot import write_lerobot
+    from nmes.learning.minari import check_name, write_minari
+
+    paths, name = [recording.path for recording in recordings], output.absolute().name
+    if kind == "minari":
+        check_name(name)
+    with whole_folder(output) as unfinished:
+        counts = write_minari(paths, unfinished, name) if kind == "minari" else write_lerobot(paths, unfinished)
+    click.echo(f"wrote {visible(str(output))}: {counts[0]:,} episodes, {counts[1]:,} ticks")
+
+
+def _write_table(recording: Recording, kind: str, what: str | None, output: Path | None, keep_going: bool) -> None:
     if kind == "parquet" and output is None:
         raise click.UsageError("parquet needs --output")
+    if output is not None and output.is_dir():
+        raise click.UsageError(f"{output} is a folder: {kind} is a file")
     as_messages = what == "messages" if what is not None else kind == "jsonl"
     rows = messages(recording) if as_messages else state_rows(states(recording, keep_going=keep_going))
     if kind == "parquet":

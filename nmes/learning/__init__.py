@@ -6,13 +6,14 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from nmes.learning.episodes import RecordedEpisode, read_episode
+    from nmes.learning.episodes import RecordedEpisode, read_episode, read_episodes
 
-__all__ = ["RecordedEpisode", "read_episode"]
+__all__ = ["RecordedEpisode", "read_episode", "read_episodes"]
 
 _HOMES = {
     "RecordedEpisode": "nmes.learning.episodes",
     "read_episode": "nmes.learning.episodes",
+    "read_episodes": "nmes.learning.episodes",
 }
 
 

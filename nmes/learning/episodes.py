@@ -12,16 +12,18 @@ for bit.
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from nmes.backend import Array
+from nmes.errors import RecordingError, visible
 from nmes.evaluation import Course, Result, Task, retrace
 from nmes.genome import Genome
 from nmes.objective.trajectory import Flags
 
-__all__ = ["RecordedEpisode", "read_episode"]
+__all__ = ["RecordedEpisode", "read_episode", "read_episodes"]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -29,6 +31,7 @@ class RecordedEpisode:
     """An episode of one creature on one task, tick by tick.
 
     Attributes:
+        path: The recording.
         observations: Array (ticks + 1, sensors): what the sensors read before each tick and after the last, in the
             units of the genome's sensors.
         actions: Array (ticks, motors): controls from -1 to 1.
@@ -40,6 +43,7 @@ class RecordedEpisode:
         task: The task.
     """
 
+    path: str
     observations: Array
     actions: Array
     rewards: Array
@@ -73,6 +77,7 @@ def read_episode(recording: str | os.PathLike[str]) -> RecordedEpisode:
     course = retrace(recording)
     last = np.arange(len(course.controls)) == len(course.controls) - 1
     return RecordedEpisode(
+        str(recording),
         course.sensed,
         course.controls,
         _rewards(course),
@@ -82,6 +87,39 @@ def read_episode(recording: str | os.PathLike[str]) -> RecordedEpisode:
         course.genome,
         course.task,
     )
+
+
+def read_episodes(recordings: Iterable[str | os.PathLike[str]]) -> Iterator[RecordedEpisode]:
+    """Reads recordings of creatures that sense and do the same things: what a dataset holds, or a brain learns from.
+
+    Args:
+        recordings: The files; each is run again when its episode is asked for.
+
+    Raises:
+        RecordingError: One has other sensors, other motors or another tick rate than the first (`not_alike`), or none
+            (`nothing_to_export`).
+        RecordingError, ProofError, DocumentError: As by `read_episode`.
+    """
+    first: RecordedEpisode | None = None
+    for recording in recordings:
+        episode = read_episode(recording)
+        if not episode.sensors or not episode.motors:
+            what = f"{episode.genome.name} has {len(episode.sensors)} sensors and {len(episode.motors)} motors"
+            raise RecordingError("nothing_to_export", visible(f"{recording}: {what}: there must be one of each"))
+        first = first or episode
+        for what, mine, others in (
+            ("sensors", episode.sensors, first.sensors),
+            ("motors", episode.motors, first.motors),
+            ("ticks a second", (str(episode.task.tick_rate),), (str(first.task.tick_rate),)),
+        ):
+            if mine != others:
+                unlike = f"{episode.path} and {first.path} have different {what}: {_few(mine)}, and {_few(others)}"
+                raise RecordingError("not_alike", visible(f"{unlike}; episodes that are used together have the same"))
+        yield episode
+
+
+def _few(names: tuple[str, ...]) -> str:
+    return ", ".join(names[:8]) + (f" and {len(names) - 8} more" if len(names) > 8 else "")
 
 
 def _rewards(course: Course) -> Array:
