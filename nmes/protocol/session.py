@@ -106,8 +106,16 @@ class FrameSplitter:
             del self._buffer[: self._start]
             self._scanned -= self._start
             self._start = 0
-        self._buffer += data
         frames: list[bytes] = []
+        if not self._buffer and most is None and len(data) <= self.limit:  # as nearly always: nothing can be too long
+            *pieces, rest = data.split(DELIMITER)
+            self._buffer += rest
+            self._scanned = max(0, len(rest) - len(DELIMITER) + 1)
+            for piece in pieces:
+                if frame := piece.strip(_WHITE):
+                    frames.append(frame)
+            return frames
+        self._buffer += data
         while len(frames) != most:
             end = self._buffer.find(DELIMITER, self._scanned)
             if end < 0:
