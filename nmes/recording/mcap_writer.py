@@ -12,11 +12,11 @@ from __future__ import annotations
 
 import os
 import sys
-import zlib
 from array import array
 from collections.abc import Mapping
 from errno import ENOENT
 from pathlib import Path
+from zlib import crc32
 
 import zstandard
 from mcap.opcode import Opcode
@@ -38,6 +38,7 @@ from nmes.recording.mcap_summary import MESSAGE_INDEX, Contents
 __all__ = ["MAX_CHANNELS", "Writer"]
 
 MAX_CHANNELS = 0xFFFF
+_pack = MESSAGE.pack
 _LEVEL = 1  # of zstd: digests do not compress, and what does is already small at the fastest level
 
 
@@ -48,6 +49,7 @@ class Writer:
 
     Attributes:
         open_chunk: The bytes of the open chunk so far; others may read them.
+        checksums: The CRC-32 of each of its messages' records.
     """
 
     def __init__(self, path: str | os.PathLike[str], *, profile: str, library: str) -> None:
@@ -65,6 +67,7 @@ class Writer:
         self._channels: list[bytes] = []
         self._defined: list[Schema | Channel] = []  # in the open chunk
         self.open_chunk = bytearray()
+        self.checksums: list[int] = []
         self._index: dict[int, array[int]] = {}  # its messages by channel: log time, offset, log time, offset...
         self._end = 0  # where the data section ends so far, and its checksum
         self._crc = 0
@@ -120,8 +123,9 @@ class Writer:
             index = self._index[channel] = array("Q")
         index.append(log_time)
         index.append(len(chunk))
-        chunk += MESSAGE.pack(OPCODE_MESSAGE, len(data) + MESSAGE_FIELDS, channel, sequence, log_time, publish_time)
-        chunk += data
+        record = _pack(OPCODE_MESSAGE, len(data) + MESSAGE_FIELDS, channel, sequence, log_time, publish_time) + data
+        self.checksums.append(crc32(record))
+        chunk += record
 
     def flush(self) -> None:
         """Hands the open chunk to the operating system; nothing to do when it has no message."""
@@ -142,7 +146,7 @@ class Writer:
                 message_start_time=first,
                 message_end_time=last,
                 uncompressed_size=len(self.open_chunk),
-                uncompressed_crc=zlib.crc32(self.open_chunk),
+                uncompressed_crc=crc32(self.open_chunk),
                 compression=compression,
                 data=data,
             )
@@ -164,7 +168,7 @@ class Writer:
             self._contents.define(record)
         self._contents.add_chunk(index, counts)
         self._defined.clear()
-        self.open_chunk, self._index = bytearray(), {}
+        self.open_chunk, self.checksums, self._index = bytearray(), [], {}
 
     def _message_indexes(self, offset: int) -> tuple[dict[int, int], bytes]:
         """Returns the index of the open chunk's messages, one record a channel, and where each is if they begin so."""
@@ -184,7 +188,7 @@ class Writer:
         self.flush()
         self._unseal()
         last = encode_records(Metadata(name=name, metadata=dict(values)))
-        data_end = encode_records(DataEnd(data_section_crc=zlib.crc32(last, self._crc)))
+        data_end = encode_records(DataEnd(data_section_crc=crc32(last, self._crc)))
         self._contents.add_metadata(name, self._end, len(last))
         self._sealed = True
         self._write(last + data_end + self._contents.ending(self._end + len(last) + len(data_end)))
@@ -221,7 +225,7 @@ class Writer:
         self._unseal()
         self._write(data)
         self._end += len(data)
-        self._crc = zlib.crc32(data, self._crc)
+        self._crc = crc32(data, self._crc)
 
     def _unseal(self) -> None:
         if self._sealed:

@@ -44,7 +44,6 @@ from nmes.recording.channels import (
     TICKS,
     Channels,
 )
-from nmes.recording.mcap_format import message_checksums
 from nmes.recording.mcap_writer import Writer
 from nmes.recording.records import END, FORMAT, PROFILE, REFUSED_LIMIT, SEQUENCE_MASK, next_head, said_by
 from nmes.recording.viewer_messages import Painter, Snapshot
@@ -310,7 +309,7 @@ class Recorder:
             self._writer.flush()
 
     def _checksums(self) -> bytes:
-        sums = list(message_checksums(self._writer.open_chunk))
+        sums = self._writer.checksums
         return struct.pack(f"<{len(sums)}I", *sums)
 
     def _link(self) -> bytes:
