@@ -95,7 +95,7 @@ class Environments:
         if reasons:
             raise WorldError("invalid", "; ".join(reasons))
         paid = None if reward is None else _reward(reward, genome, task)
-        touchy = any(quantity.name == "contacts" for quantity in (*task.needs, *(() if paid is None else paid.needs)))
+        touchy = task.touchy or (paid is not None and any(quantity.name == "contacts" for quantity in paid.needs))
         self._scenes = [Scene.of(genome, task, seed, touchy=touchy) for seed in seeds]
         first = self._scenes[0]
         self.sensors = tuple(sensor.id for sensor in first.creature.sensors)

@@ -6,6 +6,7 @@ Invariant: each episode comes out, to the last bit, as a `Judge` says who is tol
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -15,7 +16,7 @@ from nmes.evaluation.driven import Parts, Scene
 from nmes.evaluation.episode import MEASURED, Result, result_of
 from nmes.evaluation.task import Task
 from nmes.objective import Objective, Quantity
-from nmes.objective.trajectory import Flags, QuantityRows, beyond
+from nmes.objective.trajectory import Flags, QuantityRows, beyond, duty_of
 
 __all__ = ["JudgeRows"]
 
@@ -51,6 +52,7 @@ class JudgeRows:
         )
         self._filled = 0  # ticks of the block
         self._touches: Flags = np.zeros((count, *first.start.touches.shape), np.bool_)
+        self._feet = np.zeros((count, bodies.body), np.intp)  # at how many ticks each cube touched what is no part
         self._scenes = [first] * count
         self._watts = np.zeros((count, len(first.watched.motors)))
         self._given = self._settled = np.zeros(count)  # in all so far, and before the last tick
@@ -70,7 +72,7 @@ class JudgeRows:
         block.positions[past, place] = start.positions
         self._balance.begin(place, start.energy)
         self._scenes[place], self.ticks[place] = scene, 0
-        self._watts[place], self._given[place] = 0.0, 0.0
+        self._watts[place], self._given[place], self._feet[place] = 0.0, 0.0, 0
 
     @property
     def parts(self) -> Parts:
@@ -97,6 +99,8 @@ class JudgeRows:
         self.ticks += going
         self._watts += parts.powers[:, 1]
         work = self._watts / task.tick_rate
+        if task.duty:
+            self._feet += self._touching
         self._before, self._now = self._now, self._quantities.add(parts.states, work, self._touches)
         self._limits = beyond(self._bodies, parts.states, work, **task.bounds)
         self._ends = [(name, condition.flags(self._now, self._count)) for name, condition in task.ends]
@@ -135,7 +139,8 @@ class JudgeRows:
             columns = self._before if place in late else self._now
             values = {quantity: float(column[place]) for quantity, column in columns.items()}
             told = int(self.ticks[place]) - (place in late), names[place], faults.get(place), excesses.get(place)
-            results.append(result_of(self._task, self._scenes[place].start.seed, values, *told))
+            result = result_of(self._task, self._scenes[place].start.seed, values, *told)
+            results.append(replace(result, duty=self._duty(place, late=place in late)) if self._task.duty else result)
             self._settle(place, results[-1], faulted=place in faults)
         return results
 
@@ -143,6 +148,15 @@ class JudgeRows:
         """Returns which limit or condition ended an episode: a limit, then the condition that is named first."""
         named = [*self._limits.items(), *self._ends]
         return next((name for name, flags in named if flags[place]), None)
+
+    @property
+    def _touching(self) -> Flags:
+        """Whether each cube touches something outside the body, array (count, cubes)."""
+        return self._touches[:, : self._bodies.body, 1]
+
+    def _duty(self, place: int, *, late: bool) -> float:
+        counts = self._feet[place] - (self._touching[place] if late else 0)
+        return duty_of(counts.tolist(), int(self.ticks[place]) - late)
 
     def _settle(self, place: int, result: Result, *, faulted: bool) -> None:
         """Has the rewards of an episode that is over come to its score; one's own stay what they are."""

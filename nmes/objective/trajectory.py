@@ -32,6 +32,7 @@ __all__ = [
     "RunningQuantities",
     "Trajectory",
     "beyond",
+    "duty_of",
     "touches",
 ]
 
@@ -151,9 +152,7 @@ class Trajectory:
         Of its cubes that touch something outside it at all, the part of the rows after the start in which each does,
         and of these parts the mean; 0 where none does. What a leg's duty factor is in works on gaits, of all feet.
         """
-        counts: list[int] = self.touches[1 : self.rows, : self.bodies.body, 1].sum(axis=0).tolist()
-        feet = [count for count in counts if count]
-        return fsum(feet) / (len(feet) * (self.rows - 1)) if feet else 0.0
+        return duty_of(self.touches[1 : self.rows, : self.bodies.body, 1].sum(axis=0).tolist(), self.rows - 1)
 
     def value(self, objective: Objective) -> float:
         """Returns an objective's value over all rows that are written.
@@ -371,6 +370,12 @@ class QuantityRows:
         elif quantity.fold == "max":
             np.maximum(fold, now, out=fold)
         return fold.copy()
+
+
+def duty_of(counts: Sequence[int], ticks: int) -> float:
+    """Returns the duty factor where each cube of a body touched something outside it at so many of the ticks."""
+    feet = [count for count in counts if count]
+    return fsum(feet) / (len(feet) * ticks) if feet else 0.0
 
 
 class HasContacts(Protocol):

@@ -122,6 +122,7 @@ CASES: dict[str, tuple[Genome, Task]] = {
         task(target={"distance": [0.5, 2], "bearing": [-1, 1]}, objective="start.distance - distance"),
     ),
     "contacts": (Genome(snake()), task(objective="contacts + mean.contacts")),
+    "a duty factor": (Genome(snake()), task(limits={"energy": 3.0}).with_duty()),
     "a prop": (Genome.load("juggler"), Task({**Task.load("pole").document, "duration": 0.7, "seeds": [1, 2]})),
     "another engine": (Genome(snake()), task(world={"backend": "pymunk"})),
     "a fault": (Genome(exploding()), task()),
@@ -135,7 +136,13 @@ def test_every_episode_has_the_bits_of_a_world_that_is_driven_so(case: str) -> N
     assert len(watcher.ended) >= 2
     ends = {result.ended or (result.fault or "").partition(":")[0] for result in watcher.ended}
     assert watcher.seen_last or case not in ("a limit", "an end", "a prop")
-    assert {"a limit": "energy", "an end": "gone", "a prop": "fallen", "a fault": "diverged"}.get(case, "") in ends
+    assert {
+        "a limit": "energy",
+        "a duty factor": "energy",
+        "an end": "gone",
+        "a prop": "fallen",
+        "a fault": "diverged",
+    }.get(case, "") in ends
 
 
 def test_an_episode_without_a_score_was_worth_nothing_in_all() -> None:
