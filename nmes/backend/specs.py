@@ -7,12 +7,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from math import cos, radians, sin
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from nmes.backend.rotation import rotate
+from nmes.backend.rotation import quaternion_from_euler, rotate
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]  # x, y, z, w
@@ -272,3 +273,33 @@ class CameraSpec:
     position: Vector
     quaternion: Quaternion
     shadows: bool = False
+
+    @classmethod
+    def looking_at(
+        cls,
+        middle: Vector,
+        radius: float,
+        size: tuple[int, int],
+        *,
+        fov: float = radians(40.0),
+        elevation: float = radians(20.0),
+        turn: float = radians(30.0),
+        shadows: bool = False,
+    ) -> CameraSpec:
+        """Returns a view in which a ball is seen whole.
+
+        Args:
+            middle: Of the ball, m.
+            radius: Of the ball, m.
+            size: Width and height of the image, pixels.
+            fov: Vertical field of view, rad.
+            elevation: How high the camera stands above the middle, rad.
+            turn: How far it has gone around the middle from the front, towards x, rad.
+            shadows: As the attribute.
+        """
+        width, height = size
+        distance = radius / sin(fov / 2.0) * max(1.0, 0.75 * height / width)
+        x, y, z = middle
+        aside, front = cos(elevation) * sin(turn), cos(elevation) * cos(turn)
+        position = (x + distance * aside, y + distance * sin(elevation), z + distance * front)
+        return cls(width, height, fov, position, quaternion_from_euler(-elevation, turn, 0.0), shadows)

@@ -5,6 +5,7 @@ Hides how a scene is set, how it is handed over to an engine as a row, and what 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -12,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from nmes import protocol
-from nmes.backend import Array, Places, Row
+from nmes.backend import Array, CameraSpec, Image, Places, Row
 from nmes.errors import WorldError
 from nmes.evaluation.balance import Balance
 from nmes.evaluation.cohort import PlaceOfRows
@@ -150,9 +151,24 @@ class DrivenWorld:
         """Returns what touches what, as `Trajectory.touches`."""
         return touches(self._world.simulation, self.watched.bodies, self._judge.trajectory.bodies.body)
 
-    def poses(self) -> tuple[World, Array]:
-        """Returns the world, for whoever draws it, and the poses of its cubes, array (n, 7)."""
-        return self._world, self._world.poses()[1][:, :7]
+    def picture(self, size: tuple[int, int]) -> Image:
+        """Returns a picture of the creature and what is around it, array (height, width, 3) of bytes.
+
+        Args:
+            size: Width and height, pixels.
+
+        Raises:
+            WorldError: `unsupported`: the engine draws none, or no OpenGL works here.
+        """
+        entities = self._world.entities
+        entities.require("camera", "cameras")
+        states = [entities.simulation.body_state(body) for body in self.watched.bodies]
+        places = np.array([state.position for state in states])
+        low, high = places.min(axis=0), places.max(axis=0)
+        arms = [math.hypot(*cube.size) / 2.0 for cube in self.creature.body.cubes]
+        radius = float(np.linalg.norm(high - low)) / 2.0 + max(arms)
+        camera = CameraSpec.looking_at(tuple(((low + high) / 2.0).tolist()), radius, size)
+        return entities.simulation.draw(camera, {cube.body: cube.color for cube in entities.cubes.values()})
 
     def leave(self) -> None:
         """Has the client that drives it leave, as at the end of an evaluation."""

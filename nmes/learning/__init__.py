@@ -3,26 +3,66 @@
 from __future__ import annotations
 
 import importlib
+import sys
 from typing import TYPE_CHECKING, Any
 
-if TYPE_CHECKING:
-    from nmes.learning.episodes import RecordedEpisode, read_episode, read_episodes
+from nmes.errors import MissingPackage
 
-__all__ = ["RecordedEpisode", "read_episode", "read_episodes"]
+if TYPE_CHECKING:
+    from nmes.learning.determinism import check_determinism
+    from nmes.learning.dm import dm_environment
+    from nmes.learning.environment import CreatureEnv, TaskEnv
+    from nmes.learning.episodes import RecordedEpisode, read_episode, read_episodes
+    from nmes.learning.registration import register
+    from nmes.learning.vector import CreatureVectorEnv, TaskVectorEnv
+
+__all__ = [
+    "CreatureEnv",
+    "CreatureVectorEnv",
+    "RecordedEpisode",
+    "TaskEnv",
+    "TaskVectorEnv",
+    "check_determinism",
+    "dm_environment",
+    "read_episode",
+    "read_episodes",
+    "register",
+]
 
 _HOMES = {
+    "CreatureEnv": "nmes.learning.environment",
+    "CreatureVectorEnv": "nmes.learning.vector",
     "RecordedEpisode": "nmes.learning.episodes",
+    "TaskEnv": "nmes.learning.environment",
+    "TaskVectorEnv": "nmes.learning.vector",
+    "check_determinism": "nmes.learning.determinism",
+    "dm_environment": "nmes.learning.dm",
     "read_episode": "nmes.learning.episodes",
     "read_episodes": "nmes.learning.episodes",
+    "register": "nmes.learning.registration",
 }
+
+_EXTRAS = {"dm_env": "gym", "gymnasium": "gym"}  # packages of others, and which extra of ours brings them
 
 
 def __getattr__(name: str) -> Any:
     # Loaded when first used: learners in numpy need none of the packages that environments do.
-    if name in _HOMES:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    try:
         return getattr(importlib.import_module(_HOMES[name]), name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if package not in _EXTRAS:
+            raise
+        raise MissingPackage(f"{name} needs {package}: pip install 'nmes[{_EXTRAS[package]}]'") from error
 
 
 def __dir__() -> list[str]:
     return sorted([*__all__, *(name for name in globals() if name.startswith("__"))])
+
+
+if (
+    sys.modules.get("gymnasium") is not None
+):  # who imports both gets the environments by their names; nobody else pays for it
+    importlib.import_module("nmes.learning.registration")

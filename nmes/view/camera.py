@@ -6,13 +6,12 @@ It hides what is worth looking at, and how a camera follows it without shaking.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import cos, hypot, pi, radians, sin
+from math import hypot, pi, radians
 from typing import Literal
 
 import numpy as np
 
 from nmes.backend import Array, CameraSpec
-from nmes.backend.rotation import quaternion_from_euler
 from nmes.errors import FilmError
 from nmes.view.moments import Moment
 
@@ -55,14 +54,11 @@ def cameras(
     else:
         middles, radii = _smooth(middles, fps), _smooth(radii[:, None], fps)[:, 0]
     elevation, azimuth = (_FRONT, 0.0) if planar else (_ELEVATION, _AZIMUTH)
-    width, height = size
     specs = []
-    for i, (middle, radius) in enumerate(zip(middles, radii.tolist(), strict=True)):
+    for i, (middle, radius) in enumerate(zip(middles.tolist(), radii.tolist(), strict=True)):
         turn = azimuth + (2.0 * pi * i / (_ROUND * fps) if way == "orbit" else 0.0)
-        distance = max(radius, _NEAREST) / sin(_FOV / 2.0) * max(1.0, 0.75 * height / width)
-        away = (cos(elevation) * sin(turn), sin(elevation), cos(elevation) * cos(turn))
-        x, y, z = (float(m) + distance * a for m, a in zip(middle, away, strict=True))
-        specs.append(CameraSpec(width, height, _FOV, (x, y, z), quaternion_from_euler(-elevation, turn, 0.0), True))
+        around = (middle[0], middle[1], middle[2]), max(radius, _NEAREST)
+        specs.append(CameraSpec.looking_at(*around, size, fov=_FOV, elevation=elevation, turn=turn, shadows=True))
     return specs
 
 
