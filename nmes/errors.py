@@ -21,6 +21,7 @@ __all__ = [
     "MachineError",
     "MissingPackage",
     "NmesError",
+    "NotDeterministic",
     "ProofError",
     "RecordingError",
     "RejectedMessage",
@@ -119,6 +120,14 @@ class VariationError(NmesError):
 
 class RunError(NmesError):
     """A run of evolution that cannot be begun, read, gone on with, or written."""
+
+
+class NotDeterministic(NmesError):
+    """An environment that does not do the same from the same seed and actions; `problems` says where and in what."""
+
+    def __init__(self, problems: Iterable[str]) -> None:
+        self.problems = tuple(problems)
+        super().__init__("not_deterministic", "\n".join(self.problems))
 
 
 class FilmError(NmesError):

@@ -15,6 +15,7 @@ from typing import Any, ClassVar
 import gymnasium
 import numpy as np
 
+import nmes.learning.registration  # noqa: F401  its names are known to whoever has one of these
 from nmes.backend import Array, Image, load_backend
 from nmes.errors import WorldError
 from nmes.evaluation import Environments, Task

@@ -38,7 +38,7 @@ def codes(tree: ast.Module, known: set[str]) -> Iterator[tuple[str, int]]:
             yield from ((code, node.lineno) for code in values(node.args[0], tree))
 
 
-OWN = {"DocumentError", "BackendNotFound", "DamagedFile", "MissingPackage"}
+OWN = {"DocumentError", "BackendNotFound", "DamagedFile", "MissingPackage", "NotDeterministic"}
 """Classes that set their code themselves."""
 
 
