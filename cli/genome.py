@@ -1,4 +1,4 @@
-"""`nmes genome`: check, show, expand, mutate, cross and compare the files of creatures."""
+"""`nmes genome`: check, show, expand, mutate, cross and compare the files of creatures, and give them brains."""
 
 from __future__ import annotations
 
@@ -352,6 +352,50 @@ def diff(context: click.Context, first: str, second: str, as_json: bool) -> None
     if not found and not as_json:
         click.echo("the same creature")
     context.exit(1 if found else 0)
+
+
+@command.command("from-sb3")
+@click.argument("model", metavar="MODEL", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option("--genome", "file", metavar="GENOME", required=True, help="The creature: a file, or one that ships.")
+@click.option(
+    "--vec-normalize",
+    "statistics",
+    metavar="FILE",
+    type=click.Path(exists=True, dir_okay=False, path_type=Path),
+    help="What VecNormalize saved, if the policy was trained on observations that were normalised so.",
+)
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="PATH",
+    help="Write to a file. Else it is printed.",
+)
+def from_sb3(model: Path, file: str, statistics: Path | None, output: Path | None) -> None:
+    """Give a creature the policy of a Stable-Baselines3 model for its brain.
+
+    MODEL is the zip file that `model.save` wrote, of PPO, A2C, SAC, TD3 or DDPG. The brain does what the policy does
+    where it draws no numbers. Neither Stable-Baselines3 nor torch is needed, and nothing in the file is run.
+
+    For example:
+
+    \b
+        nmes genome from-sb3 model.zip --genome walker -o trained.json
+        nmes genome from-sb3 model.zip --genome walker --vec-normalize vec_normalize.pkl -o trained.json
+    """
+    from nmes.learning.stable_baselines import with_policy
+
+    check_output(output, model, file, *([] if statistics is None else [statistics]))
+    creature = _load(file)
+    try:
+        trained = with_policy(creature, model, statistics)
+    except DocumentError as error:
+        raise click.ClickException(visible(error.message, keep="\n")) from error
+    if output is None:
+        print_json(trained.document)
+    else:
+        _write_document(output, trained.document)
+        click.echo(f"wrote {visible(str(output))}: {visible(trained.name)} with the policy of {visible(str(model))}")
 
 
 def _load_task(name: str | None) -> Task | None:
