@@ -148,11 +148,16 @@ def plain(value: Any) -> Any:
 
 @dataclass(frozen=True, slots=True)
 class CompiledSchema:
-    """The shape of one kind of message or document, free of references, and its compiled validator."""
+    """The shape of one kind of message or document, free of references, and its compiled validator.
+
+    Attributes:
+        conditional: Whether there are fields in it with `x-when`.
+    """
 
     type: str
     schema: Schema
     validator: jsonschema_rs.Draft202012Validator = field(repr=False)
+    conditional: bool
 
 
 def compile_schema(path: str) -> CompiledSchema:
@@ -166,7 +171,9 @@ def compile_folder(folder: str) -> dict[str, CompiledSchema]:
 
 
 def _compiled(kind: str, schema: Schema) -> CompiledSchema:
-    return CompiledSchema(kind, schema, jsonschema_rs.Draft202012Validator(schema))
+    return CompiledSchema(
+        kind, schema, jsonschema_rs.Draft202012Validator(schema), b'"x-when":' in orjson.dumps(schema)
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,7 +214,8 @@ def problems(schema: CompiledSchema, value: Any) -> Iterator[Problem]:
     no others.
     """
     if schema.validator.is_valid(value):
-        yield from _misplaced(schema.schema, value, ())
+        if schema.conditional:
+            yield from _misplaced(schema.schema, value, ())
         return
     within = True
     for problem in _too_long(schema.schema, value, ()):

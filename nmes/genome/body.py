@@ -16,7 +16,6 @@ from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from nmes.backend import Array, Quaternion, Vector
 from nmes.backend.rotation import normalize, quaternion_from_euler, rotate, total
@@ -27,7 +26,6 @@ from nmes.schemas.documents import did_you_mean, fits
 __all__ = ["PALETTE", "Body", "BodyCube", "BodyJoint", "Motor", "Sensor", "corners", "read_body", "read_cube"]
 
 JsonObject = Mapping[str, Any]
-Indices = npt.NDArray[np.intp]
 
 PALETTE = ((0.36, 0.55, 0.75), (0.85, 0.62, 0.31), (0.45, 0.65, 0.45), (0.72, 0.42, 0.42), (0.58, 0.49, 0.7))
 """Colours for parts that are given none, in turn."""
@@ -272,13 +270,14 @@ class _Reader:
         centres = np.array([cube.position for cube in cubes])
         axes = np.array([_axes(cube) for cube in cubes])
         halves = np.array([cube.size for cube in cubes]) / 2.0
-        one, other = _near_pairs(centres, halves)
-        depths = _depths(centres[other] - centres[one], axes[one], axes[other], halves[one], halves[other])
-        for i, j, depth in zip(one.tolist(), other.tolist(), depths.tolist(), strict=True):
-            if depth <= _TOUCHING or frozenset((cubes[i].id, cubes[j].id)) in pairs:
-                continue
-            message = f"{cubes[i].id!r} and {cubes[j].id!r} overlap by {depth:.3g} m, and no joint joins them"
-            self.note(f"body/cubes/{j}", message)
+        near = [pair for pair in _near_pairs(centres, halves) if frozenset(cubes[i].id for i in pair) not in pairs]
+        if near:  # of most bodies only cubes that are joined
+            one, other = np.array(near).T
+            depths = _depths(centres[other] - centres[one], axes[one], axes[other], halves[one], halves[other])
+            for (i, j), depth in zip(near, depths.tolist(), strict=True):
+                if depth > _TOUCHING:
+                    message = f"{cubes[i].id!r} and {cubes[j].id!r} overlap by {depth:.3g} m, and no joint joins them"
+                    self.note(f"body/cubes/{j}", message)
         lowest = centres[:, 1] - (halves * abs(axes[:, :, 1])).sum(axis=1)
         for i, low in enumerate(lowest.tolist()):
             if low < -_TOUCHING:
@@ -409,13 +408,13 @@ def _axes(cube: BodyCube) -> Array:
     return np.array([rotate(q, (1.0, 0.0, 0.0)), rotate(q, (0.0, 1.0, 0.0)), rotate(q, (0.0, 0.0, 1.0))])
 
 
-def _near_pairs(centres: Array, halves: Array) -> tuple[Indices, Indices]:
+def _near_pairs(centres: Array, halves: Array) -> list[tuple[int, int]]:
     """Returns the pairs (i < j) whose bounding spheres meet, in order."""
     reach = np.sqrt((halves * halves).sum(axis=1))
     arms = centres[:, None] - centres[None]
     close = (arms * arms).sum(axis=2) < (reach[:, None] + reach[None]) ** 2
     one, other = np.nonzero(np.triu(close, 1))
-    return one, other
+    return list(zip(one.tolist(), other.tolist(), strict=True))
 
 
 def _depths(arms: Array, axes1: Array, axes2: Array, halves1: Array, halves2: Array) -> Array:

@@ -135,6 +135,7 @@ def _command(compiled: CompiledSchema) -> CommandSchema:
         compiled.type,
         schema,
         compiled.validator,
+        compiled.conditional,
         reply=schema["x-reply"],
         required=schema["x-required"],
         silent=schema["x-silent"],
