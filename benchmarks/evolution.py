@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from measure import Figure
-from nmes.evaluation import Evaluation, Result, Workers
+from nmes.evaluation import Evaluation, Result
+from nmes.evaluation.parallel import Here
 from nmes.evolution.algorithm import Candidate
 from nmes.evolution.run import Run
 from nmes.evolution.run_entry import told
@@ -24,12 +25,12 @@ CANDIDATES = 150
 SETTINGS = {"format": "nmes-run/1", "task": "walk", "algorithm": "ga", "budget": CANDIDATES}
 
 
-class Timed(Workers):
-    """Workers in this process, whose CPU time is counted."""
+class Timed(Here):
+    """This process, whose CPU time is counted."""
 
     def __init__(self) -> None:
         """Begins at no time at all."""
-        super().__init__(1)
+        super().__init__()
         self.seconds = 0.0
 
     def take(self) -> list[tuple[int, Any]]:

@@ -20,6 +20,7 @@ import orjson
 from nmes.cli._interruptions import interruptions
 from nmes.cli._progress import progress_bars
 from nmes.evaluation import Evaluation, Job, Workers, evaluate_all
+from nmes.evaluation.parallel import Here
 
 __all__ = ["run_jobs"]
 
@@ -39,7 +40,7 @@ def run_jobs(work: list[Job], jobs: int, ray: str | None, resume: Path | None) -
             with (
                 progress_bars(len(work) > 1) as progress,
                 interruptions(signal.SIGINT) as interrupted,
-                Workers(jobs) as workers,
+                Workers(jobs) if jobs > 1 else Here() as workers,
             ):
                 progress("evaluating", len(done), len(work))
                 for place, evaluation in evaluate_all([work[i] for i in left], workers=workers, ray=ray):

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 __all__ = ["JOBS", "JSON", "RAY", "check_pool", "go_on", "open_pool", "tell"]
 
+_SHOWN: Final = 50  # candidates of the log after which the progress is shown again
 _RECENT: Final = 100  # candidates of which the progress tells the mean and the diversity
 
 JOBS = click.option("--jobs", type=click.IntRange(1), help="How many processes.  [default: one a core]")
@@ -74,8 +75,18 @@ def _advance(run: Run, pool: Workers | Cluster, interrupted: Callable[[], bool])
     begin, first = time.monotonic(), len(run)
     total = run.settings.budget
     with progress_bars() as progress:
-        progress("evolving", first, total)
-        for record in run.advance(pool):
+
+        def tell_log(done: int, known: int) -> None:
+            nonlocal begin
+            begin = time.monotonic()
+            if done % _SHOWN == 0 or done == known:
+                progress("reading the log", done, known)
+            if interrupted():
+                raise KeyboardInterrupt
+
+        if not first:
+            progress("evolving", first, total)
+        for record in run.advance(pool, tell_log):
             recent.append(record)
             if record.score is not None and (best is None or record.score > (best.score or 0.0)):
                 best = record

@@ -34,7 +34,7 @@ from nmes.backend.fingerprint import decisive, fingerprint
 from nmes.brain import Brain
 from nmes.errors import DocumentError, NmesError, RecordingError
 from nmes.evaluation.episode import METADATA, Episode, Result
-from nmes.evaluation.parallel import Lost, Workers, on_ray
+from nmes.evaluation.parallel import Here, Lost, Pool, on_ray
 from nmes.evaluation.population import Outcome, admit, guarded, run_alone, run_population
 from nmes.evaluation.portions import cut
 from nmes.evaluation.task import Task
@@ -348,7 +348,7 @@ class Job:
 
 
 def evaluate_population(
-    genomes: Sequence[Genome], task: Task, *, seeds: Sequence[int] | None = None, workers: Workers | None = None
+    genomes: Sequence[Genome], task: Task, *, seeds: Sequence[int] | None = None, workers: Pool | None = None
 ) -> list[Evaluation]:
     """Runs many creatures on a task: every figure is that which `evaluate` gives of the creature alone.
 
@@ -371,7 +371,7 @@ def evaluate_population(
 
 
 def evaluate_all(
-    work: Sequence[Job], *, workers: Workers | None = None, ray: str | None = None
+    work: Sequence[Job], *, workers: Pool | None = None, ray: str | None = None
 ) -> Iterator[tuple[int, Evaluation]]:
     """Evaluates many genomes; their scores do not depend on where, in which order and beside which others they ran.
 
@@ -387,7 +387,7 @@ def evaluate_all(
     Raises:
         RecordingError: A recording cannot be written.
     """
-    workers = Workers(1) if workers is None else workers
+    workers = Here() if workers is None else workers
     run = workers.run if ray is None else partial(on_ray, address=ray)
     portions = _cut(work, workers.jobs if ray is None else _CLUSTER)
     while portions:

@@ -27,11 +27,11 @@ from itertools import islice
 from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 from nmes.errors import MachineError, MissingPackage
 
-__all__ = ["Cluster", "Lost", "Pool", "Workers", "in_processes", "on_ray"]
+__all__ = ["Cluster", "Here", "Lost", "Pool", "Workers", "in_processes", "on_ray"]
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -51,7 +51,19 @@ class Lost:
 
 
 class Pool(ABC):
-    """Where functions are called: a few at once, each result as it is ready."""
+    """Where functions are called: a few at once, each result as it is ready. Leaving its context ends it.
+
+    Attributes:
+        jobs: How many at most are at work at once.
+    """
+
+    jobs: int
+
+    def __enter__(self) -> Self:
+        return self
+
+    @abstractmethod
+    def __exit__(self, *_: object) -> None: ...
 
     @property
     @abstractmethod
@@ -109,23 +121,54 @@ class Pool(ABC):
             self.stop()
 
 
+class Here(Pool):
+    """This process: functions are called one at a time, while somebody waits for a result. What kills it kills all."""
+
+    jobs = 1
+
+    def __init__(self) -> None:
+        self._given: list[tuple[int, Callable[[Any], Any], object]] = []
+
+    def __exit__(self, *_: object) -> None:
+        self.stop()
+
+    @property
+    def free(self) -> int:
+        """As `Pool.free`."""
+        return self.jobs - len(self._given)
+
+    @property
+    def busy(self) -> bool:
+        """As `Pool.busy`."""
+        return bool(self._given)
+
+    def give(self, number: int, function: Callable[[Any], Any], item: object) -> None:
+        """As `Pool.give`."""
+        self._given.append((number, function, item))
+
+    def take(self) -> list[tuple[int, Any]]:
+        """As `Pool.take`; what a function raises comes out as it is."""
+        number, function, item = self._given.pop()
+        return [(number, function(item))]
+
+    def stop(self) -> None:
+        """As `Pool.stop`."""
+        self._given.clear()
+
+
 class Workers(Pool):
     """Processes that stay, so that call after call of a function finds them started; leaving the context ends them.
 
     They are started when the first call has work for them. Only one call runs at a time.
 
     Args:
-        jobs: How many at most. With 1, or for a single item of `run`, functions are called in this process.
+        jobs: How many at most. For a single item of `run`, functions are called in this process.
     """
 
     def __init__(self, jobs: int) -> None:
         self.jobs = jobs
         self._idle: list[_Worker] = []
         self._busy: dict[Connection, _Worker] = {}
-        self._here: list[tuple[int, Callable[[Any], Any], object]] = []  # with one job: what it was given
-
-    def __enter__(self) -> Workers:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self.stop()
@@ -135,12 +178,12 @@ class Workers(Pool):
     @property
     def free(self) -> int:
         """As `Pool.free`."""
-        return self.jobs - len(self._busy) - len(self._here)
+        return self.jobs - len(self._busy)
 
     @property
     def busy(self) -> bool:
         """As `Pool.busy`."""
-        return bool(self._busy or self._here)
+        return bool(self._busy)
 
     def run(
         self, function: Callable[[Item], Result], items: Sequence[Item]
@@ -153,9 +196,6 @@ class Workers(Pool):
 
     def give(self, number: int, function: Callable[[Any], Any], item: object) -> None:
         """As `Pool.give`: to a process that is idle and has not died since, or a new one."""
-        if self.jobs == 1:
-            self._here.append((number, function, item))
-            return
         worker = self._idle.pop() if self._idle else _Worker()
         if not worker.alive:
             worker.end()
@@ -165,9 +205,6 @@ class Workers(Pool):
 
     def take(self) -> list[tuple[int, Any]]:
         """As `Pool.take`."""
-        if self._here:
-            number, function, item = self._here.pop()
-            return [(number, function(item))]
         return [self._taken(pipe) for pipe in wait(list(self._busy)) if isinstance(pipe, Connection)]
 
     def _taken(self, pipe: Connection) -> tuple[int, Any]:
@@ -183,7 +220,6 @@ class Workers(Pool):
 
     def stop(self) -> None:
         """As `Pool.stop`."""
-        self._here.clear()
         while self._busy:
             self._busy.popitem()[1].end()
 
@@ -191,9 +227,12 @@ class Workers(Pool):
 def in_processes(
     function: Callable[[Item], Result], items: Sequence[Item], jobs: int
 ) -> Generator[tuple[int, Result | Lost], None, None]:
-    """Calls a function with every item, in so many processes at once, for whoever does so but once: see `Workers`."""
-    with Workers(jobs) as workers:
-        yield from workers.run(function, items)
+    """Calls a function with every item, in so many processes at once, for whoever does so but once.
+
+    With one job that is this process.
+    """
+    with Workers(jobs) if jobs > 1 else Here() as pool:
+        yield from pool.run(function, items)
 
 
 class _Worker:
@@ -304,9 +343,6 @@ class Cluster(Pool):
         self._ray = ray
         self.jobs = max(1, int(ray.cluster_resources().get("CPU", 1)))  # type: ignore[no-untyped-call]
         self._running: dict[Any, int] = {}
-
-    def __enter__(self) -> Cluster:
-        return self
 
     def __exit__(self, *_: object) -> None:
         self._ray.shutdown()

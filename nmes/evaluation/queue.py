@@ -14,7 +14,7 @@ import orjson
 
 from nmes.errors import MachineError
 from nmes.evaluation.evaluator import Evaluation, Job, evaluate_portion
-from nmes.evaluation.parallel import Cluster, Lost, Workers
+from nmes.evaluation.parallel import Lost, Pool
 from nmes.evaluation.portions import kind_of, portion_size
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
@@ -35,7 +35,7 @@ class EvaluationQueue:
         pool: Who does it.
     """
 
-    def __init__(self, task: Task, seeds: Sequence[int], pool: Workers | Cluster) -> None:
+    def __init__(self, task: Task, seeds: Sequence[int], pool: Pool) -> None:
         self._task, self._seeds, self._pool = orjson.dumps(task.document), tuple(seeds), pool
         self._duty = task.duty
         self._waiting: dict[Hashable, deque[tuple[int, Job]]] = {}  # by their kind

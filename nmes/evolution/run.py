@@ -30,7 +30,7 @@ import orjson
 from nmes.backend.fingerprint import differences
 from nmes.errors import DocumentError, RunError
 from nmes.evaluation.evaluator import Evaluation
-from nmes.evaluation.parallel import Cluster, Workers
+from nmes.evaluation.parallel import Pool
 from nmes.evaluation.queue import EvaluationQueue
 from nmes.evolution.algorithm import Algorithm, Candidate, Score
 from nmes.evolution.run_entry import Entry, told
@@ -41,6 +41,8 @@ from nmes.genome import Genome
 from nmes.schemas.documents import JsonObject, canonical_hash
 
 __all__ = ["Order", "Run"]
+
+Telling = Callable[[int, int], None]
 
 _INDEXED: Final = 32  # records that are put into the index at once
 
@@ -282,11 +284,13 @@ class Run:
         ours = {name: (then.get(name, ""), now[name]) for name in ("draws", "algorithm")}
         return differences(then, now) | {name: pair for name, pair in ours.items() if pair[0] != pair[1]}
 
-    def advance(self, pool: Workers | Cluster) -> Generator[Record, None, None]:
+    def advance(self, pool: Pool, telling: Telling | None = None) -> Generator[Record, None, None]:
         """Goes on until the budget is spent. Whoever takes no more records interrupts the run.
 
         Args:
             pool: Who evaluates.
+            telling: Called while the algorithm is told what the log has, with how much it was told and how much it
+                will be.
 
         Yields:
             The record of each candidate once it is told.
@@ -315,7 +319,7 @@ class Run:
                 writer.resume(0, self._log.origin)
             index = self._index.write(anew=not self._indexed)
             try:
-                yield from self._advance(pool, writer, index)
+                yield from self._advance(pool, writer, index, telling)
             finally:
                 index.close()
         except sqlite3.Error as error:
@@ -325,7 +329,7 @@ class Run:
             pool.stop()
             writer.close()
 
-    def _advance(self, pool: Workers | Cluster, writer: RunWriter, index: IndexWriter) -> Iterator[Record]:
+    def _advance(self, pool: Pool, writer: RunWriter, index: IndexWriter, telling: Telling | None) -> Iterator[Record]:
         order = Order(self.settings.begin(), self.settings.budget, len(self))
         queue = EvaluationQueue(self.settings.task, self.settings.seeds, pool)
         asked: dict[int, Candidate] = {}
@@ -336,8 +340,9 @@ class Run:
                 asked[number] = candidate
                 queue.put(number, candidate.genome)
 
-        for _ in self.replay(order, ask):
-            pass
+        for record in self.replay(order, ask):
+            if telling is not None:
+                telling(record.index + 1, len(self))
         try:
             while order.told < self.settings.budget:
                 ask()

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Final, Literal
 
 from nmes.errors import DocumentError, RunError, VariationError
-from nmes.evaluation.parallel import Cluster, Workers
+from nmes.evaluation.parallel import Pool
 from nmes.evaluation.queue import EvaluationQueue
 from nmes.evolution.algorithm import Candidate
 from nmes.evolution.draw import Draw
@@ -50,7 +50,7 @@ class RunVerdict:
     digest: str
 
 
-def verify_run(folder: Path, pool: Workers | Cluster, sample: int | None, progress: Progress) -> RunVerdict:
+def verify_run(folder: Path, pool: Pool, sample: int | None, progress: Progress) -> RunVerdict:
     """Verifies a run.
 
     Args:
@@ -132,7 +132,7 @@ class _Verification:
             chosen.add(left.pop())
         return sorted(chosen)
 
-    def evaluate_again(self, chosen: list[int], pool: Workers | Cluster) -> Iterator[str]:
+    def evaluate_again(self, chosen: list[int], pool: Pool) -> Iterator[str]:
         """Evaluates candidates; yields what comes out otherwise."""
         run, expressions = self._run, self._run.settings.expressions()
         queue = EvaluationQueue(run.settings.task, run.settings.seeds, pool)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pty
 import resource
 import shutil
 import signal
@@ -19,7 +20,6 @@ import pytest
 from click.testing import CliRunner, Result
 
 from nmes.cli import main
-from nmes.evaluation import Workers
 from nmes.evolution.run import Run
 from nmes.evolution.run_index import Record
 from nmes.genome import Genome
@@ -199,13 +199,30 @@ def test_a_run_that_is_stopped_says_how_to_go_on(
         assert resumed["digest"] == told(nmes("resume", whole, "--jobs", "1", "--json"))["digest"]
 
 
+def test_on_a_terminal_a_run_that_is_gone_on_with_shows_how_much_of_its_log_was_read(
+    whole: Path, tmp_path: Path
+) -> None:
+    run = shutil.copytree(whole, tmp_path / "run")
+    terminal, end = pty.openpty()
+    arguments = [NMES, "evolve", "resume", str(run), "--budget", "25", "--jobs", "1"]
+    with subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=end) as resumed:
+        os.close(end)
+        shown = b""
+        with suppress(OSError):  # as Linux says that nobody has the other end any more
+            while text := os.read(terminal, 4096):
+                shown += text
+    os.close(terminal)
+    assert resumed.returncode == 0
+    assert b"reading the log" in shown and b"evolving" in shown
+
+
 def test_a_signal_whose_exception_is_lost_stops_a_run_too(
     task: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     advance = Run.advance
 
-    def losing(self: Run, pool: Workers) -> Iterator[Record]:
-        for record in advance(self, pool):
+    def losing(self: Run, *arguments: Any) -> Iterator[Record]:
+        for record in advance(self, *arguments):
             if record.index == 3:
                 with suppress(KeyboardInterrupt):  # as an extension does that drops errors
                     signal.raise_signal(signal.SIGTERM)

@@ -13,6 +13,7 @@ import orjson
 import pytest
 
 from nmes.evaluation import Workers
+from nmes.evaluation.parallel import Here
 from nmes.evolution.run import Run
 from processes import NMES
 from runs import SETTINGS, begin, finish
@@ -34,7 +35,7 @@ ALGORITHMS: dict[str, dict[str, Any]] = {
 
 
 def advance(folder: Path, jobs: int) -> None:
-    with Workers(jobs) as workers:
+    with Workers(jobs) if jobs > 1 else Here() as workers:
         for _ in Run.open(folder).advance(workers):
             pass
 

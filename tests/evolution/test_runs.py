@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import random
 import shutil
+import signal
 import sqlite3
 from collections.abc import Callable, Iterator, Sequence
 from itertools import islice
@@ -14,7 +16,9 @@ import orjson
 import pytest
 
 from nmes.errors import DocumentError, RunError
-from nmes.evaluation import Task, Workers, evaluate
+from nmes.evaluation import Job, Task, Workers, evaluate, queue
+from nmes.evaluation.evaluator import evaluate_portion
+from nmes.evaluation.parallel import Here
 from nmes.evolution.algorithm import Algorithm, Candidate, Score
 from nmes.evolution.run import Order, Run
 from nmes.evolution.run_log import RunLog, RunWriter
@@ -66,6 +70,35 @@ def test_workers_do_not_show_in_the_log(whole: Path, tmp_path: Path) -> None:
     assert log(tmp_path / "run") == log(whole)
 
 
+def deadly(portion: Sequence[Job]) -> list[Any]:
+    if any(job.name == "random-5" for job in portion):
+        os.kill(os.getpid(), signal.SIGSEGV)
+    return evaluate_portion(portion)
+
+
+def test_a_creature_that_crashes_the_only_worker_is_an_error_of_its_own(
+    whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(queue, "evaluate_portion", deadly)
+    with Workers(1) as workers:
+        records = list(begin(tmp_path / "run", budget=8).advance(workers))
+    crashed = records.pop(5)
+    assert crashed.genome == "random-5" and "SIGSEGV" in str(crashed.error)
+    others = [record for record in Run.open(whole).records[:8] if record.index != 5]
+    assert [(each.genome_hash, each.score) for each in records] == [(each.genome_hash, each.score) for each in others]
+
+
+def test_who_goes_on_with_a_run_hears_how_much_of_its_log_was_told(tmp_path: Path) -> None:
+    finish(begin(tmp_path / "run", budget=12))
+    run, heard = Run.open(tmp_path / "run"), list[tuple[int, int]]()
+    run.extend(13)
+    with Here() as here:
+        records = run.advance(here, lambda done, known: heard.append((done, known)))
+        assert next(records).index == 12
+        assert heard == [(done, 12) for done in range(1, 13)]
+        assert list(records) == [] and len(heard) == 12
+
+
 def test_another_seed_or_option_is_another_history(whole: Path, tmp_path: Path) -> None:
     digests = {Run.open(whole).digest}
     others: list[dict[str, Any]] = [{"seed": 4}, {"seeds": [2]}, {"options": {"crossover": 0.0}}]
@@ -80,7 +113,7 @@ def test_a_run_that_is_interrupted_again_and_again_comes_out_the_same(whole: Pat
     told: list[int] = []
     for take in (0, 1, 5, 2, 11, 100):
         run = Run.open(tmp_path / "run")
-        with Workers(1) as workers:
+        with Here() as workers:
             records = run.advance(workers)
             told += [record.index for record in islice(records, take)]
             records.close()
@@ -246,7 +279,7 @@ def test_an_index_follows_from_the_log_whatever_became_of_it(
 
 def test_a_run_is_read_beside_who_goes_on_with_it_and_who_goes_on_is_one(tmp_path: Path) -> None:
     run = begin(tmp_path / "run")
-    with Workers(1) as workers:
+    with Here() as workers:
         records = run.advance(workers)
         first = list(islice(records, 12))
         other = Run.open(tmp_path / "run")

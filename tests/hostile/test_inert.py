@@ -10,6 +10,7 @@ from itertools import count, islice
 import pytest
 
 from nmes.evaluation import Evaluation, Task, Workers, evaluate_population
+from nmes.evaluation.parallel import Here
 from nmes.genome import Genome
 from random_bodies import INERT, still, valid_genomes
 
@@ -29,7 +30,7 @@ def test_a_creature_that_does_nothing_scores_nothing(
     outcomes: Counter[str] = Counter()
     drawn = valid_genomes(count(Task.names().index(name) * 1_000_000), Counter(), planar=name.startswith("planar"))
     inert = ((seed, still(document, INERT[place % len(INERT)])) for place, (seed, document) in enumerate(drawn))
-    with Workers(jobs) as workers:
+    with Workers(jobs) if jobs > 1 else Here() as workers:
         for done in range(0, bodies, CHUNK):
             by_seed: dict[int, list[tuple[int, Genome]]] = {}
             for seed, document in islice(inert, min(CHUNK, bodies - done)):

@@ -9,7 +9,7 @@ from typing import Any
 
 import orjson
 
-from nmes.evaluation import Workers
+from nmes.evaluation.parallel import Here
 from nmes.evolution.run import Run
 from nmes.evolution.run_settings import RunSettings
 from nmes.schemas.documents import canonical_hash
@@ -44,8 +44,8 @@ def begin(folder: Path, **settings: Any) -> Run:
 
 def finish(run: Run) -> Run:
     """Goes on with a run to its end, in this process."""
-    with Workers(1) as workers:
-        for _ in run.advance(workers):
+    with Here() as here:
+        for _ in run.advance(here):
             pass
     return run
 
