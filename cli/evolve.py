@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import click
-import orjson
 from click.core import ParameterSource
 
 from nmes.cli import _evolve_best, _evolve_film, _evolve_resume, _evolve_show, _evolve_verify
 from nmes.cli._evolve_run import JOBS, JSON, RAY, check_pool, go_on
 from nmes.cli._genomes import find_genomes
+from nmes.cli._options import BeginningGroup, read_values
 from nmes.cli._seeds import read_seeds
 from nmes.errors import DocumentError
 
@@ -26,22 +26,7 @@ _CELLS = 50
 _BESIDE = {"settings", "output", "jobs", "ray", "as_json"}  # options that are not of the run itself
 
 
-class _Evolve(click.Group):
-    """A group in which what is no subcommand begins a run."""
-
-    def resolve_command(
-        self, ctx: click.Context, args: list[str]
-    ) -> tuple[str | None, click.Command | None, list[str]]:
-        if args[0] in self.commands and args[0]:
-            return super().resolve_command(ctx, args)
-        return "", self.commands[""], args
-
-    def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        self.commands[""].format_help(ctx, formatter)
-        self.format_commands(ctx, formatter)
-
-
-@click.group("evolve", cls=_Evolve, context_settings={"ignore_unknown_options": True})
+@click.group("evolve", cls=BeginningGroup, context_settings={"ignore_unknown_options": True})
 def command() -> None:
     """Evolve creatures, in runs that anyone can repeat."""
 
@@ -139,7 +124,7 @@ def _from_options(options: dict[str, Any]) -> dict[str, Any]:
         "format": _FORMAT,
         "task": options["task"],
         "algorithm": options["algorithm"],
-        "options": _options(options["options"]),
+        "options": read_values(options["options"]),
         "starts": [] if "random" in what else find_genomes(what),
         "seed": options["seed"],
         "budget": options["budget"],
@@ -147,21 +132,6 @@ def _from_options(options: dict[str, Any]) -> dict[str, Any]:
         "measures": [_measure(text) for text in options["measures"]],
     }
     return document if options["seeds"] is None else {**document, "seeds": list(options["seeds"])}
-
-
-def _options(texts: Iterable[str]) -> dict[str, Any]:
-    """Reads `NAME=VALUE`, whose value is a number, true or false."""
-    values: dict[str, Any] = {}
-    for text in texts:
-        name, _, value = text.partition("=")
-        if name in values:
-            raise click.BadParameter(f"{name} is set twice", param_hint="--set")
-        try:
-            values[name] = orjson.loads(value)
-        except orjson.JSONDecodeError:
-            message = f"{text!r} is not of the form NAME=VALUE, with a number, true or false"
-            raise click.BadParameter(message, param_hint="--set") from None
-    return values
 
 
 def _measure(text: str) -> dict[str, Any]:

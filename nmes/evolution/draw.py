@@ -13,6 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 import orjson
+from numpy.typing import NDArray
 
 from nmes.backend import Array
 from nmes.backend.rotation import total
@@ -53,6 +54,10 @@ class Draw:
     def normals(self, count: int) -> Array:
         """Returns normally distributed numbers with mean 0 and standard deviation 1, shape (count,)."""
         return self._generator.standard_normal(count)
+
+    def order(self, count: int) -> NDArray[np.intp]:
+        """Returns the numbers from 0 to below `count` in any order, all orders alike; shape (count,)."""
+        return np.argsort(self._generator.random(count), kind="stable")
 
     def factor(self, spread: float) -> float:
         """Returns a positive factor whose logarithm has this standard deviation: x and 1 / x are as likely."""

@@ -17,10 +17,9 @@ Hides the order of asking and telling, what waits for its turn, and how log and 
 from __future__ import annotations
 
 import os
-import secrets
 import sqlite3
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
 from typing import Final
@@ -35,7 +34,7 @@ from nmes.evaluation.queue import EvaluationQueue
 from nmes.evolution.algorithm import Algorithm, Candidate, Score
 from nmes.evolution.run_entry import Entry, told
 from nmes.evolution.run_index import IndexWriter, Record, RunIndex, State
-from nmes.evolution.run_log import Line, RunLog, RunWriter
+from nmes.evolution.run_log import Line, RunLog, RunWriter, write_whole
 from nmes.evolution.run_settings import FORMAT, RunSettings, read_settings
 from nmes.genome import Genome
 from nmes.schemas.documents import JsonObject, canonical_hash
@@ -110,7 +109,7 @@ class Run:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise RunError("cannot_write", f"cannot make the folder {path}: {error.strerror}") from error
-        _write_document(path / "run.json", document, new=True)
+        write_whole(path / "run.json", _text(document), new=True)
         return cls(path, document)
 
     @classmethod
@@ -312,7 +311,7 @@ class Run:
             self._read()  # another process may have gone on since
             if self._document["budget"] != self.settings.budget:
                 self._document = {**self._document, "budget": self.settings.budget}
-                _write_document(self.folder / "run.json", self._document)
+                write_whole(self.folder / "run.json", _text(self._document))
             if self.records:
                 writer.resume(self.records[-1].end, self.records[-1].digest)
             else:
@@ -369,31 +368,5 @@ class Run:
         self._indexed = len(self)
 
 
-def _write_document(path: Path, document: JsonObject, *, new: bool = False) -> None:
-    """Writes a file whole, or not at all.
-
-    Args:
-        path: The file.
-        document: What to write.
-        new: Whether it must not be there yet.
-
-    Raises:
-        RunError: It is there (`run_exists`), or cannot be written (`cannot_write`).
-    """
-    part = path.with_name(f".{secrets.token_hex(8)}.part")
-    try:
-        with part.open("xb") as file:
-            file.write(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
-            file.flush()
-            os.fsync(file.fileno())
-        if new:
-            os.link(part, path)
-        else:
-            part.replace(path)
-    except FileExistsError as error:
-        raise RunError("run_exists", f"another process has begun a run in {path.parent}") from error
-    except OSError as error:
-        raise RunError("cannot_write", f"cannot write {path}: {error.strerror}") from error
-    finally:
-        with suppress(OSError):
-            part.unlink(missing_ok=True)
+def _text(document: JsonObject) -> bytes:
+    return orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)

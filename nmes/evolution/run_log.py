@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import fcntl
 import os
+import secrets
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -20,7 +21,7 @@ from typing import Any, Final
 from nmes.errors import RunError
 from nmes.schemas.documents import write_json
 
-__all__ = ["Line", "RunLog", "RunWriter"]
+__all__ = ["Line", "RunLog", "RunWriter", "write_whole"]
 
 _BEFORE, _AFTER = b',"digest":"', b'"}\n'  # the digest, at the end of a line
 _DIGITS: Final = 32
@@ -167,6 +168,36 @@ class RunWriter:
             raise _unwritten(self._log.path, error) from error
         finally:
             os.close(self._file)
+
+
+def write_whole(path: Path, text: bytes, *, new: bool = False) -> None:
+    """Writes a file of a run whole, or not at all.
+
+    Args:
+        path: The file.
+        text: What to write.
+        new: Whether it must not be there yet.
+
+    Raises:
+        RunError: It is there (`run_exists`), or cannot be written (`cannot_write`).
+    """
+    part = path.with_name(f".{secrets.token_hex(8)}.part")
+    try:
+        with part.open("xb") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+        if new:
+            os.link(part, path)
+        else:
+            part.replace(path)
+    except FileExistsError as error:
+        raise RunError("run_exists", f"another process has begun a run in {path.parent}") from error
+    except OSError as error:
+        raise _unwritten(path, error) from error
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
 
 
 def _write(file: int, text: bytes) -> None:

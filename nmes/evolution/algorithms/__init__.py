@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict
 from importlib import import_module
-from typing import Any, Final, get_type_hints
+from typing import Any, Final
 
 from nmes.errors import DocumentError
 from nmes.evolution.algorithm import Algorithm, Problem
+from nmes.evolution.algorithms.bounds import read_options
 from nmes.schemas.documents import did_you_mean
 
 __all__ = ["ALGORITHMS", "algorithm_options", "load_algorithm"]
@@ -66,17 +67,5 @@ def load_algorithm(name: str, problem: Problem, options: Mapping[str, Any] | Non
         MissingPackage: The algorithm needs a package that is not installed.
     """
     kind = _load(name)
-    types, known, problems = get_type_hints(kind.Options), algorithm_options(name), []
-    given = dict(options or {})
-    for option, value in given.items():
-        if option not in known:
-            hint = did_you_mean(option, known) or f": there are {', '.join(known)}"
-            problems.append((f"options.{option}", f"{name!r} has no such option{hint}"))
-        elif types[option] is float and type(value) is int:
-            given[option] = float(value)
-        elif type(value) is not types[option]:
-            problems.append((f"options.{option}", f"must be of type {types[option].__name__}, not {value!r}"))
-    if problems:
-        raise DocumentError(problems)
-    algorithm: Algorithm = kind(problem, kind.Options(**given))
+    algorithm: Algorithm = kind(problem, read_options(name, kind.Options, options or {}))
     return algorithm

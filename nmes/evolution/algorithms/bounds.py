@@ -3,10 +3,37 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any, get_type_hints
 
 from nmes.errors import DocumentError
+from nmes.schemas.documents import did_you_mean
 
-__all__ = ["within_bounds"]
+__all__ = ["read_options", "within_bounds"]
+
+
+def read_options(name: str, kind: type[Any], given: Mapping[str, Any]) -> Any:
+    """Returns the options of an algorithm, of which some are given.
+
+    Args:
+        name: The algorithm's.
+        kind: A dataclass, each of whose fields has a type and a default.
+        given: Values by name; a whole number may stand for a float.
+
+    Raises:
+        DocumentError: There is no such option, or it is not what it must be; each problem has its place.
+    """
+    types, problems, values = get_type_hints(kind), [], dict(given)
+    for option, value in given.items():
+        if option not in types:
+            hint = did_you_mean(option, types) or f": there are {', '.join(types)}"
+            problems.append((f"options.{option}", f"{name!r} has no such option{hint}"))
+        elif types[option] is float and type(value) is int:
+            values[option] = float(value)
+        elif type(value) is not types[option]:
+            problems.append((f"options.{option}", f"must be of type {types[option].__name__}, not {value!r}"))
+    if problems:
+        raise DocumentError(problems)
+    return kind(**values)
 
 
 def within_bounds(options: object, bounds: Mapping[str, tuple[float, float]]) -> None:
