@@ -33,6 +33,7 @@ SUBCOMMANDS = {
     "genome": "Check, show and vary genomes.",
     "info": "Show what a recording holds.",
     "leaderboard": "Keep a list of scores that are proved.",
+    "learn": "Train a creature's brain, in runs that anyone can repeat.",
     "render": "Make a film or a picture of recordings.",
     "replay": "Run a recording again and compare.",
     "serve": "Host worlds that clients drive over TCP.",

@@ -31,7 +31,7 @@ from nmes.genome import Genome
 from nmes.objective import Objective
 from nmes.objective.trajectory import Flags
 
-__all__ = ["AUTORESET", "Autoreset", "Environments"]
+__all__ = ["AUTORESET", "Autoreset", "Environments", "read_reward"]
 
 Autoreset = Literal["same_step", "next_step", "disabled"]
 AUTORESET: Final[tuple[Autoreset, ...]] = ("same_step", "next_step", "disabled")
@@ -94,7 +94,7 @@ class Environments:
         reasons = task.check(genome.body)
         if reasons:
             raise WorldError("invalid", "; ".join(reasons))
-        paid = None if reward is None else _reward(reward, genome, task)
+        paid = None if reward is None else read_reward(reward, genome, task)
         touchy = task.touchy or (paid is not None and any(quantity.name == "contacts" for quantity in paid.needs))
         self._scenes = [Scene.of(genome, task, seed, touchy=touchy) for seed in seeds]
         first = self._scenes[0]
@@ -324,7 +324,7 @@ class _Row:
         self.last: tuple[Scene, int] | None = None  # the scene and the ticks of the episode that was over last
 
 
-def _reward(text: str, genome: Genome, task: Task) -> Objective:
+def read_reward(text: str, genome: Genome, task: Task) -> Objective:
     """Reads the expression of a reward.
 
     Raises:

@@ -9,34 +9,58 @@ from typing import TYPE_CHECKING, Any
 from nmes.errors import MissingPackage
 
 if TYPE_CHECKING:
+    from nmes.learning.cloning import Cloning
     from nmes.learning.determinism import check_determinism
     from nmes.learning.dm import dm_environment
     from nmes.learning.environment import CreatureEnv, TaskEnv
     from nmes.learning.episodes import RecordedEpisode, read_episode, read_episodes
+    from nmes.learning.novelty import ForwardModel
+    from nmes.learning.pca import principal_components
+    from nmes.learning.ppo import Ppo
+    from nmes.learning.q_learning import QLearning
     from nmes.learning.registration import register
+    from nmes.learning.reinforce import Reinforce
+    from nmes.learning.run import LearningRun
+    from nmes.learning.settings import LearningSettings
     from nmes.learning.vector import CreatureVectorEnv, TaskVectorEnv
 
 __all__ = [
+    "Cloning",
     "CreatureEnv",
     "CreatureVectorEnv",
+    "ForwardModel",
+    "LearningRun",
+    "LearningSettings",
+    "Ppo",
+    "QLearning",
     "RecordedEpisode",
+    "Reinforce",
     "TaskEnv",
     "TaskVectorEnv",
     "check_determinism",
     "dm_environment",
+    "principal_components",
     "read_episode",
     "read_episodes",
     "register",
 ]
 
 _HOMES = {
+    "Cloning": "nmes.learning.cloning",
     "CreatureEnv": "nmes.learning.environment",
     "CreatureVectorEnv": "nmes.learning.vector",
+    "ForwardModel": "nmes.learning.novelty",
+    "LearningRun": "nmes.learning.run",
+    "LearningSettings": "nmes.learning.settings",
+    "Ppo": "nmes.learning.ppo",
+    "QLearning": "nmes.learning.q_learning",
     "RecordedEpisode": "nmes.learning.episodes",
+    "Reinforce": "nmes.learning.reinforce",
     "TaskEnv": "nmes.learning.environment",
     "TaskVectorEnv": "nmes.learning.vector",
     "check_determinism": "nmes.learning.determinism",
     "dm_environment": "nmes.learning.dm",
+    "principal_components": "nmes.learning.pca",
     "read_episode": "nmes.learning.episodes",
     "read_episodes": "nmes.learning.episodes",
     "register": "nmes.learning.registration",

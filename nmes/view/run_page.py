@@ -14,7 +14,7 @@ from nmes.view.chart import STYLE, Picture, number, text
 from nmes.view.run_pictures import Portraits
 from nmes.view.run_summary import RunSummary
 
-__all__ = ["write_page"]
+__all__ = ["facts_list", "figure", "page", "write_page"]
 
 _WIDE, _HIGH = 200, 150  # of a portrait of the ten best, pixels
 _PAGE = """<!doctype html>
@@ -71,25 +71,30 @@ def write_page(summary: RunSummary, path: Path, pictures: Iterable[Picture], por
         pictures: The run's, as `nmes.view.run_pictures.draw_run` gives them.
         portraits: Of its candidates.
     """
-    parts = [_facts(summary.facts()), *map(_figure, pictures), _top(summary.top, portraits)]
-    parts += ["<h2>Operators</h2>", _operators(summary.history), "<h2>Settings</h2>", _facts(summary.settings())]
-    page = _PAGE.format(title=text(summary.title), style=STYLE, parts="\n".join(parts))
-    path.write_text(page, encoding="utf-8")
+    parts = [facts_list(summary.facts()), *map(figure, pictures), _top(summary.top, portraits)]
+    parts += ["<h2>Operators</h2>", _operators(summary.history), "<h2>Settings</h2>", facts_list(summary.settings())]
+    path.write_text(page(summary.title, parts), encoding="utf-8")
 
 
-def _facts(facts: Sequence[tuple[str, str]]) -> str:
+def page(title: str, parts: Sequence[str]) -> str:
+    """Returns a whole page of some parts, which are HTML; the title is text."""
+    return _PAGE.format(title=text(title), style=STYLE, parts="\n".join(parts))
+
+
+def facts_list(facts: Sequence[tuple[str, str]]) -> str:
+    """Returns names and values as a list on a page."""
     rows = "\n".join(f"<dt>{text(name)}</dt><dd>{text(value)}</dd>" for name, value in facts)
     return f"<dl>\n{rows}\n</dl>"
 
 
-def _figure(picture: Picture) -> str:
+def figure(picture: Picture) -> str:
     """Returns a picture with its title and what can be seen in it; small things can be enlarged."""
-    head, figure = f"<h2>{text(picture.title)}</h2>", f"{picture.element()}\n<figcaption>{text(picture.description)}"
+    head, shown = f"<h2>{text(picture.title)}</h2>", f"{picture.element()}\n<figcaption>{text(picture.description)}"
     if not picture.fine:
-        return f"{head}\n<figure>{figure}</figcaption></figure>"
+        return f"{head}\n<figure>{shown}</figcaption></figure>"
     box = f'<input type="checkbox" class="large" id="large-{picture.name}">'
     label = f'<label for="large-{picture.name}">large, to be moved about</label>'
-    return f'<section>{head}\n{box}{label}\n<figure class="map">{figure}</figcaption></figure></section>'
+    return f'<section>{head}\n{box}{label}\n<figure class="map">{shown}</figcaption></figure></section>'
 
 
 def _top(rows: Sequence[Origin], portraits: Portraits) -> str:

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from nmes.evolution.draw import Draw
 from nmes.learning.experience import Collector
-from nmes.learning.rows import Spaces
+from nmes.learning.learner import ActorCritic
+from nmes.learning.rows import Spaces, Step
 
 __all__ = ["SPACES", "Follow", "mean_returns"]
 
@@ -31,7 +33,7 @@ class Follow:
         self._steps[...] = 0
         return self._see()
 
-    def step(self, actions: NDArray[np.float64], /) -> tuple[NDArray[np.float64], ...]:
+    def step(self, actions: NDArray[np.float64], /) -> Step:
         if self.spaces.choices:
             rewards = ((self._goal > 0) == (actions[:, 0] == 1)).astype(float)
         else:
@@ -48,12 +50,8 @@ class Follow:
         return np.stack([100.0 + 10.0 * self._goal, self._draw.normal(size=len(self._steps))], axis=1)
 
 
-def mean_returns(learner: object, rows: Follow, blocks: int, ticks: int) -> list[float]:
+def mean_returns(learner: ActorCritic, rows: Follow, blocks: int, ticks: int) -> list[float]:
     """Lets a learner learn from rows; returns the mean return of each block."""
-    from nmes.evolution.draw import Draw
-    from nmes.learning.learner import ActorCritic
-
-    assert isinstance(learner, ActorCritic)
     collector = Collector(rows, 1)
     reports = [learner.learn(collector, ticks, Draw(1, block), 1.0 - block / blocks) for block in range(blocks)]
     return [float(np.mean(report.returns)) for report in reports]
