@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any
 from nmes.errors import MissingPackage
 
 if TYPE_CHECKING:
-    from nmes.learning.cloning import Cloning
     from nmes.learning.determinism import check_determinism
     from nmes.learning.dm import dm_environment
     from nmes.learning.environment import CreatureEnv, TaskEnv
     from nmes.learning.episodes import RecordedEpisode, read_episode, read_episodes
-    from nmes.learning.novelty import ForwardModel
-    from nmes.learning.pca import principal_components
-    from nmes.learning.ppo import Ppo
-    from nmes.learning.q_learning import QLearning
+    from nmes.learning.learners.cloning import Cloning
+    from nmes.learning.learners.novelty import ForwardModel
+    from nmes.learning.learners.pca import principal_components
+    from nmes.learning.learners.ppo import Ppo
+    from nmes.learning.learners.q_learning import QLearning
+    from nmes.learning.learners.reinforce import Reinforce
     from nmes.learning.registration import register
-    from nmes.learning.reinforce import Reinforce
     from nmes.learning.run import LearningRun
     from nmes.learning.settings import LearningSettings
     from nmes.learning.vector import CreatureVectorEnv, TaskVectorEnv
@@ -46,21 +46,21 @@ __all__ = [
 ]
 
 _HOMES = {
-    "Cloning": "nmes.learning.cloning",
+    "Cloning": "nmes.learning.learners.cloning",
     "CreatureEnv": "nmes.learning.environment",
     "CreatureVectorEnv": "nmes.learning.vector",
-    "ForwardModel": "nmes.learning.novelty",
+    "ForwardModel": "nmes.learning.learners.novelty",
     "LearningRun": "nmes.learning.run",
     "LearningSettings": "nmes.learning.settings",
-    "Ppo": "nmes.learning.ppo",
-    "QLearning": "nmes.learning.q_learning",
+    "Ppo": "nmes.learning.learners.ppo",
+    "QLearning": "nmes.learning.learners.q_learning",
     "RecordedEpisode": "nmes.learning.episodes",
-    "Reinforce": "nmes.learning.reinforce",
+    "Reinforce": "nmes.learning.learners.reinforce",
     "TaskEnv": "nmes.learning.environment",
     "TaskVectorEnv": "nmes.learning.vector",
     "check_determinism": "nmes.learning.determinism",
     "dm_environment": "nmes.learning.dm",
-    "principal_components": "nmes.learning.pca",
+    "principal_components": "nmes.learning.learners.pca",
     "read_episode": "nmes.learning.episodes",
     "read_episodes": "nmes.learning.episodes",
     "register": "nmes.learning.registration",

@@ -25,13 +25,13 @@ from nmes.errors import DocumentError, RunError
 from nmes.evaluation import Environments, evaluate
 from nmes.evolution.draw import Draw
 from nmes.genome import Genome
-from nmes.learning.arithmetic import average
-from nmes.learning.cloning import Cloning
-from nmes.learning.experience import Collector
-from nmes.learning.learner import ActorCritic, Report
-from nmes.learning.ppo import Ppo
-from nmes.learning.reinforce import Reinforce
-from nmes.learning.rows import Spaces
+from nmes.learning.learners.actor_critic import ActorCritic, Report
+from nmes.learning.learners.arithmetic import average
+from nmes.learning.learners.cloning import Cloning
+from nmes.learning.learners.experience import Collector
+from nmes.learning.learners.ppo import Ppo
+from nmes.learning.learners.reinforce import Reinforce
+from nmes.learning.learners.rows import Spaces
 from nmes.learning.settings import LearningSettings, read_lessons
 from nmes.learning.state import State, state_digest
 

@@ -21,11 +21,11 @@ from nmes.evaluation.environments import read_reward
 from nmes.evolution.algorithms.bounds import read_options
 from nmes.evolution.draw import Draw
 from nmes.genome import Genome
-from nmes.learning.cloning import Cloning
 from nmes.learning.episodes import RecordedEpisode, read_episode
-from nmes.learning.networks import Network, read_layers
-from nmes.learning.ppo import Ppo
-from nmes.learning.reinforce import Reinforce
+from nmes.learning.learners.cloning import Cloning
+from nmes.learning.learners.networks import Network, read_layers
+from nmes.learning.learners.ppo import Ppo
+from nmes.learning.learners.reinforce import Reinforce
 from nmes.schemas.documents import JsonObject, check, compile_schema, complete, did_you_mean, plain
 
 __all__ = ["ALGORITHMS", "FORMAT", "LearningSettings", "Lessons", "read_lessons"]

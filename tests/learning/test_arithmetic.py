@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from nmes.learning.arithmetic import average, dot, exp, gathered, spread, tanh, weighed
+from nmes.learning.learners.arithmetic import average, dot, exp, gathered, spread, tanh, weighed
 
 NUMBERS = np.concatenate([np.linspace(-40.0, 40.0, 4001), [0.0, -0.0, 1e-9, -1e-300, 1e300, -1e300]])
 

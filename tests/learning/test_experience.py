@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nmes.learning.experience import Collector, Experience, Scale, advantages, discounted
+from nmes.learning.learners.experience import Collector, Experience, Scale, advantages, discounted
 
 
 class Counting:

@@ -7,7 +7,7 @@ import pytest
 
 from nmes.brain import load_brain
 from nmes.evolution.draw import Draw
-from nmes.learning.networks import Adam, Network, clipped, read_layers
+from nmes.learning.learners.networks import Adam, Network, clipped, read_layers
 from slopes import slopes
 
 NETWORK = Network((5, 7, 6, 3))

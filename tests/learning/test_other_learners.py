@@ -7,13 +7,13 @@ import pytest
 
 from nmes.brain import load_brain
 from nmes.evolution.draw import Draw
-from nmes.learning.cloning import Cloning, squares
-from nmes.learning.cube import TargetCube, arrivals, learn_to_arrive
-from nmes.learning.networks import Network
-from nmes.learning.novelty import ForwardModel
-from nmes.learning.pca import principal_components
-from nmes.learning.q_learning import QLearning
-from nmes.learning.rows import Spaces
+from nmes.learning.learners.cloning import Cloning, squares
+from nmes.learning.learners.cube import TargetCube, arrivals, learn_to_arrive
+from nmes.learning.learners.networks import Network
+from nmes.learning.learners.novelty import ForwardModel
+from nmes.learning.learners.pca import principal_components
+from nmes.learning.learners.q_learning import QLearning
+from nmes.learning.learners.rows import Spaces
 from slopes import slopes
 
 # -- cloning ----------------------------------------------------------------------------------------------------------

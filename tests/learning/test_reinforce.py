@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from nmes.evolution.draw import Draw
-from nmes.learning.reinforce import Reinforce, policy_loss
-from nmes.learning.rows import Spaces
+from nmes.learning.learners.reinforce import Reinforce, policy_loss
+from nmes.learning.learners.rows import Spaces
 from slopes import slopes
 from teaching import Follow, mean_returns
 

@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from nmes.evolution.draw import Draw
-from nmes.learning.experience import Collector
-from nmes.learning.learner import ActorCritic
-from nmes.learning.rows import Spaces, Step
+from nmes.learning.learners.actor_critic import ActorCritic
+from nmes.learning.learners.experience import Collector
+from nmes.learning.learners.rows import Spaces, Step
 
 __all__ = ["SPACES", "Follow", "mean_returns"]
 

@@ -17,7 +17,7 @@ from typing import Final
 
 from nmes.errors import WorldError
 from nmes.evolution.draw import Draw
-from nmes.learning.q_learning import QLearning
+from nmes.learning.learners.q_learning import QLearning
 from nmes.schemas.documents import JsonObject
 from nmes.world import World
 

@@ -23,7 +23,7 @@ import numpy as np
 
 from nmes.brain.base import Array, JsonObject
 from nmes.evolution.draw import Draw
-from nmes.learning.arithmetic import dot, gathered, spread, tanh, weighed
+from nmes.learning.learners.arithmetic import dot, gathered, spread, tanh, weighed
 
 __all__ = ["Adam", "Network", "Pass", "clipped", "read_layers", "together"]
 

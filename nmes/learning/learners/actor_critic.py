@@ -12,10 +12,10 @@ import numpy as np
 from nmes.backend import Array
 from nmes.brain.base import JsonObject
 from nmes.evolution.draw import Draw
-from nmes.learning.experience import Collector, Experience, Scale
-from nmes.learning.networks import Network, Pass, together
-from nmes.learning.policies import Likelihood, policy_of
-from nmes.learning.rows import Spaces
+from nmes.learning.learners.experience import Collector, Experience, Scale
+from nmes.learning.learners.networks import Network, Pass, together
+from nmes.learning.learners.policies import Likelihood, policy_of
+from nmes.learning.learners.rows import Spaces
 
 __all__ = ["ActorCritic", "Report"]
 

@@ -18,11 +18,11 @@ from nmes.backend import Array
 from nmes.brain.base import JsonObject
 from nmes.evolution.algorithms.bounds import within_bounds
 from nmes.evolution.draw import Draw
-from nmes.learning.arithmetic import average
-from nmes.learning.experience import Scale
-from nmes.learning.learner import Report
-from nmes.learning.networks import Adam, Network, together
-from nmes.learning.rows import Spaces
+from nmes.learning.learners.actor_critic import Report
+from nmes.learning.learners.arithmetic import average
+from nmes.learning.learners.experience import Scale
+from nmes.learning.learners.networks import Adam, Network, together
+from nmes.learning.learners.rows import Spaces
 from nmes.objective.trajectory import Flags
 
 __all__ = ["Cloning"]

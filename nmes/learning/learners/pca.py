@@ -18,7 +18,7 @@ from math import sqrt
 import numpy as np
 
 from nmes.backend import Array
-from nmes.learning.arithmetic import gathered, weighed
+from nmes.learning.learners.arithmetic import gathered, weighed
 
 __all__ = ["Components", "principal_components"]
 

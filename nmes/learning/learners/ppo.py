@@ -25,12 +25,12 @@ from nmes.backend import Array
 from nmes.brain.base import Indices
 from nmes.evolution.algorithms.bounds import within_bounds
 from nmes.evolution.draw import Draw
-from nmes.learning.arithmetic import average, exp
-from nmes.learning.experience import Collector, Experience, Scale, advantages, discounted
-from nmes.learning.learner import ActorCritic, Report
-from nmes.learning.networks import Adam, Network, clipped, together
-from nmes.learning.novelty import ForwardModel
-from nmes.learning.rows import Spaces
+from nmes.learning.learners.actor_critic import ActorCritic, Report
+from nmes.learning.learners.arithmetic import average, exp
+from nmes.learning.learners.experience import Collector, Experience, Scale, advantages, discounted
+from nmes.learning.learners.networks import Adam, Network, clipped, together
+from nmes.learning.learners.novelty import ForwardModel
+from nmes.learning.learners.rows import Spaces
 
 __all__ = ["Batch", "Ppo", "losses"]
 

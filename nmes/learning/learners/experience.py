@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from nmes.backend import Array
-from nmes.learning.rows import Rows
+from nmes.learning.learners.rows import Rows
 from nmes.objective.trajectory import Flags
 
 __all__ = ["Collector", "Experience", "Scale", "advantages", "discounted"]

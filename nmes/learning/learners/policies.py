@@ -17,7 +17,7 @@ from nmes.brain.arithmetic import each
 from nmes.brain.base import Array
 from nmes.evolution.draw import Draw
 from nmes.learning import arithmetic
-from nmes.learning.rows import Spaces
+from nmes.learning.learners.rows import Spaces
 
 __all__ = ["Choices", "Controls", "Likelihood", "Policy", "policy_of"]
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from nmes.backend import Array
 from nmes.evolution.draw import Draw
-from nmes.learning.experience import Scale
-from nmes.learning.networks import Adam, Network, together
-from nmes.learning.rows import Spaces
+from nmes.learning.learners.experience import Scale
+from nmes.learning.learners.networks import Adam, Network, together
+from nmes.learning.learners.rows import Spaces
 
 __all__ = ["ForwardModel"]
 
