@@ -23,7 +23,7 @@ import numpy as np
 from nmes.evaluation import Environments, Task
 from nmes.evolution.draw import Draw
 from nmes.genome import Genome
-from nmes.learning import arithmetic
+from nmes.learning.learners import arithmetic
 from nmes.learning.learners.cube import TargetCube, arrivals, learn_to_arrive
 from nmes.learning.learners.experience import Collector
 from nmes.learning.learners.networks import Network
@@ -92,13 +92,15 @@ def peer(name: str, seed: int) -> float:
     from stable_baselines3.common.env_util import make_vec_env
 
     torch.set_num_threads(1)
-    settings: dict[str, Any] = {
+    settings: dict[str, dict[str, Any]] = {
         "CartPole-v1": {"n_steps": 32, "batch_size": 256, "gae_lambda": 0.8, "gamma": 0.98, "n_epochs": 20}
         | {"learning_rate": lambda rest: rest * 0.001, "clip_range": lambda rest: rest * 0.2},
         "Pendulum-v1": {"n_steps": 1024, "gae_lambda": 0.95, "gamma": 0.9, "n_epochs": 10}
         | {"learning_rate": 1e-3, "clip_range": 0.2, "use_sde": True, "sde_sample_freq": 4},
-    }[name]
-    model = PPO("MlpPolicy", make_vec_env(name, OPTIONS[name].rows, seed=seed), seed=seed, device="cpu", **settings)
+    }
+    model = PPO(
+        "MlpPolicy", make_vec_env(name, OPTIONS[name].rows, seed=seed), seed=seed, device="cpu", **settings[name]
+    )
     model.learn(STEPS)
     environment = vector(name, TRIED)
     seen, _ = environment.reset(seed=1000 + seed)
@@ -151,7 +153,7 @@ def blas() -> Iterator[tuple[str, Callable[..., Any]]]:
 
 def costs() -> None:
     """Prints what a pass forwards and backwards costs, with sums in one order and with BLAS, and a tick of a walker."""
-    from nmes.learning import networks
+    from nmes.learning.learners import networks
 
     network, draw = Network((26, 64, 64, 8)), Draw(1)
     parameters, rows = network.initial(draw, 1.0), draw.normals(26 * 512).reshape(512, 26)

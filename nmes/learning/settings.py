@@ -21,7 +21,7 @@ from nmes.evaluation.environments import read_reward
 from nmes.evolution.algorithms.bounds import read_options
 from nmes.evolution.draw import Draw
 from nmes.genome import Genome
-from nmes.learning.episodes import RecordedEpisode, read_episode
+from nmes.learning.episodes import read_episodes
 from nmes.learning.learners.cloning import Cloning
 from nmes.learning.learners.networks import Network, read_layers
 from nmes.learning.learners.ppo import Ppo
@@ -63,27 +63,17 @@ def read_lessons(recordings: tuple[str, ...]) -> Lessons:
     """Reads recordings of episodes, which are run again for it.
 
     Raises:
-        RecordingError, ProofError: One of them cannot be read, or does not come out as recorded.
-        DocumentError: They are not of one body with the same sensors, or it has neither sensors nor motors.
+        RecordingError, ProofError, DocumentError: As `nmes.learning.read_episodes`: one of them cannot be read or does
+            not come out as recorded, or they do not go together.
     """
-    episodes = [read_episode(path) for path in recordings]
+    episodes = list(read_episodes(recordings))
     first = episodes[0]
-    for index, episode in enumerate(episodes):
-        if not _alike(first, episode):
-            words = f"is of {episode.genome.name!r}, whose body or sensors are not those of {first.genome.name!r}"
-            raise DocumentError([(f"recordings/{index}", words)])
     observations = np.concatenate([episode.observations[:-1] for episode in episodes])
     actions = np.concatenate([episode.actions for episode in episodes])
     digest = blake2b(digest_size=16)
     for array in (observations, actions):
         digest.update(np.ascontiguousarray(array).tobytes())
     return Lessons(first.genome, first.task, observations, actions, digest.hexdigest())
-
-
-def _alike(one: RecordedEpisode, other: RecordedEpisode) -> bool:
-    """Whether two episodes are of one body with the same sensors."""
-    documents = [episode.genome.document for episode in (one, other)]
-    return documents[0]["body"] == documents[1]["body"] and one.sensors == other.sensors
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,7 @@ import numpy as np
 from nmes.brain.arithmetic import each
 from nmes.brain.base import Array
 from nmes.evolution.draw import Draw
-from nmes.learning import arithmetic
+from nmes.learning.learners import arithmetic
 from nmes.learning.learners.rows import Spaces
 
 __all__ = ["Choices", "Controls", "Likelihood", "Policy", "policy_of"]

@@ -65,7 +65,7 @@ class Ppo(ActorCritic):
             novelty: What is new is worth so much beside the reward: of the mean error of a forward model.
         """
 
-        rows: int = 32
+        rows: int = 16
         ticks: int = 0
         units: int = 64
         rate: float = 3e-4

@@ -50,7 +50,7 @@ class Reinforce(ActorCritic):
             longest: The greatest length of a gradient.
         """
 
-        rows: int = 32
+        rows: int = 16
         ticks: int = 0
         units: int = 64
         rate: float = 3e-3
