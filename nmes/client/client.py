@@ -146,6 +146,34 @@ class Client(ClientBase, BlockingCommands):
         self._exchange([pending])
         return pending.result()
 
+    def post(self, message: Mapping[str, Any]) -> Pending[Any]:
+        """Sends a command given as a dict, and does not wait for its reply: for whoever talks to many worlds at once.
+
+        Args:
+            message: The command with its `type`; it needs no `id`, which the client adds.
+
+        Returns:
+            The reply to come, for `wait`.
+
+        Raises:
+            Disconnected: The connection was lost.
+        """
+        pending: Pending[Any] = Pending(dict(message))
+        self._unsent += self._conversation.request([pending])
+        self._send()
+        return pending
+
+    def wait(self, pending: Pending[Any]) -> Any:
+        """Waits for the reply to a command that was posted, and returns it, as `request` does.
+
+        Raises:
+            CommandFailed: The server refused it; `code` says why.
+            Disconnected: The connection was lost.
+            TimeoutError: No reply came in time.
+        """
+        self._wait(lambda: pending.done, self.timeout)
+        return pending.result()
+
     @contextmanager
     def pipeline(self) -> Iterator[Pipeline]:
         """Collects commands; when the block ends, sends them in one write and waits for all replies.
@@ -196,14 +224,7 @@ class Client(ClientBase, BlockingCommands):
         assert self._socket is not None
         deadline = None if timeout is None else time.monotonic() + timeout
         while not done():
-            try:
-                if self._unsent:
-                    self._unsent = self._unsent[self._socket.send(self._unsent) :]
-            except _WOULD_BLOCK:
-                pass
-            except OSError:
-                # The server closed; what it said before is still to be read.
-                self._unsent = b""
+            self._send()
             self._selector.modify(self._socket, selectors.EVENT_READ | (selectors.EVENT_WRITE if self._unsent else 0))
             left = None if deadline is None else max(deadline - time.monotonic(), 0.0)
             if not self._selector.select(left):
@@ -219,3 +240,15 @@ class Client(ClientBase, BlockingCommands):
                 self.deliver()
             else:
                 self._conversation.end()
+
+    def _send(self) -> None:
+        """Hands to the socket what it takes now."""
+        assert self._socket is not None
+        try:
+            if self._unsent:
+                self._unsent = self._unsent[self._socket.send(self._unsent) :]
+        except _WOULD_BLOCK:
+            pass
+        except OSError:
+            # The server closed; what it said before is still to be read.
+            self._unsent = b""

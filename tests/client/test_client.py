@@ -7,7 +7,8 @@ import socket
 import threading
 import typing
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -354,6 +355,36 @@ def test_a_pipeline_may_be_larger_than_all_buffers(client: Client) -> None:
             many.spawn_cube(color=color, position=[0.123456789] * 3, list=False)
             many.get_cube_state()
     assert many.calls[-1].result()["cube_name"] == many.calls[-2].result()["spawned"]
+
+
+# -- commands that nobody waits for yet -------------------------------------------------------------------------------
+
+
+def test_commands_may_be_posted_to_many_before_the_first_reply_is_waited_for() -> None:
+    with ExitStack() as stack:
+        heard = [threading.Event() for _ in range(2)]
+
+        def script(end: Scripted, mine: threading.Event, other: threading.Event) -> None:
+            message = end.hear()
+            mine.set()
+            assert other.wait(PATIENCE), "the other has not been asked"
+            end.say({"type": "pong", "id": message["id"], "of": message["type"]})
+
+        ports = [stack.enter_context(scripted(partial(script, mine=heard[n], other=heard[1 - n]))) for n in range(2)]
+        clients = [stack.enter_context(Client(port=port, password="x", timeout=PATIENCE)) for port in ports]
+        posted = [client.post({"type": "ping"}) for client in clients]
+        assert [client.wait(call)["of"] for client, call in zip(clients, posted, strict=True)] == ["ping", "ping"]
+
+
+def test_what_was_posted_is_answered_in_order_and_may_be_refused(client: Client) -> None:
+    first, second = client.post({"type": "spawn_cube", "cube_name": "a"}), client.post({"type": "nonsense"})
+    assert client.get_cube_list()["cubes"] == ["a"]  # the others are there by then
+    with pytest.raises(CommandFailed, match="nonsense"):
+        client.wait(second)
+    assert client.wait(first)["spawned"] == "a"
+    client.close()
+    with pytest.raises(Disconnected, match="closed"):
+        client.post({"type": "ping"})
 
 
 # -- what may go wrong ------------------------------------------------------------------------------------------------
