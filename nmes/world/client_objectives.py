@@ -32,6 +32,7 @@ __all__ = ["ClientObjectives", "metric"]
 logger = logging.getLogger(__name__)
 
 _MOST_OBJECTIVES = 16  # objectives of one client: each may cost something at every tick
+_ANYWHERE = frozenset({"cubes", "energy", "mass", "time"})  # quantities that are the same wherever the cubes are
 
 
 class _ClientObjective:
@@ -65,6 +66,7 @@ class _ClientObjective:
         masses = np.array([cube.mass for cube in self._cubes])
         self._observed = ObservedBodies((*cubes, *others), len(cubes), sizes, masses, entities.tick_rate, aim)
         self._uses_contacts = any(quantity.name == "contacts" for quantity in objective.needs)
+        self._uses_states = any(quantity.name not in _ANYWHERE for quantity in objective.needs)
         self._uses_energy = any(quantity.name == "energy" for quantity in objective.needs)
         # The motors of its body, also those that came later or are gone, and the sums of their powers.
         self._motors: list[int] = []
@@ -81,7 +83,9 @@ class _ClientObjective:
             contacts = touches(simulation, numbers, self._observed.body)
         else:
             contacts = np.zeros((len(numbers), 2), np.bool_)
-        return simulation.states(numbers), self._watts / entities.tick_rate, contacts
+        # To read where cubes are costs as much as all the rest.
+        states = simulation.states(numbers) if self._uses_states else np.zeros((len(numbers), 13))
+        return states, self._watts / entities.tick_rate, contacts
 
     def missing(self, entities: Entities) -> str | None:
         """Returns the name of one of its cubes that is gone, or None."""
