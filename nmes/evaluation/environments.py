@@ -26,12 +26,12 @@ from nmes.evaluation.driven import DrivenWorld, EngineRows, Scene
 from nmes.evaluation.episode import Result
 from nmes.evaluation.evaluator import recorded
 from nmes.evaluation.judging import JudgeRows
+from nmes.evaluation.progress import drawn, read_reward
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
-from nmes.objective import Objective
 from nmes.objective.trajectory import Flags
 
-__all__ = ["AUTORESET", "Autoreset", "Environments", "read_reward"]
+__all__ = ["AUTORESET", "Autoreset", "Environments"]
 
 Autoreset = Literal["same_step", "next_step", "disabled"]
 AUTORESET: Final[tuple[Autoreset, ...]] = ("same_step", "next_step", "disabled")
@@ -293,8 +293,8 @@ class Environments:
         rows = []
         for place in places:
             row = self._rows[place]
-            draw = np.random.SeedSequence(row.seed, spawn_key=(row.number,))
-            row.scene = scene = self._scenes[int(draw.generate_state(1)[0]) % len(self._scenes)]
+            assert row.seed is not None
+            row.scene = scene = drawn(self._scenes, row.seed, row.number)
             row.number += 1
             self._judge.begin(place, scene)
             self.observations[place] = scene.senses
@@ -322,17 +322,3 @@ class _Row:
         self.number = 0
         self.scene = scene
         self.last: tuple[Scene, int] | None = None  # the scene and the ticks of the episode that was over last
-
-
-def read_reward(text: str, genome: Genome, task: Task) -> Objective:
-    """Reads the expression of a reward.
-
-    Raises:
-        WorldError: `bad_expression`, also where it names a cube that is not there.
-    """
-    reward = Objective(text, "reward")
-    known = {*(cube.id for cube in genome.body.cubes), *task.prop_ids()}
-    strangers = sorted({quantity.cube for quantity in reward.needs if quantity.cube is not None} - known)
-    if strangers:
-        raise WorldError("bad_expression", f"reward: there is no cube {strangers[0]!r}", "reward")
-    return reward

@@ -325,11 +325,8 @@ def set_scene(
     ]
     while world.frame < task.settle_ticks or not all(rest.reached for rest in rests):
         if world.frame == task.settle_limit_ticks:
-            after = f"not yet at rest after {world.frame / task.tick_rate:g} s"
-            late = {c.name: rest for c, rest in zip(creatures, rests, strict=True) if not rest.reached}
-            return [], {
-                name: f"restless: {after}: a corner moved at {rest.speed:.2g} m/s" for name, rest in late.items()
-            }
+            late = zip(creatures, rests, strict=True)
+            return [], {creature.name: rest.why(world.frame) for creature, rest in late if not rest.reached}
         yield None
         if world.fault is not None:
             return [], {}
@@ -358,7 +355,8 @@ class Rest:
         self._arms = np.array([math.hypot(*cube.size) / 2.0 for cube in body.cubes])
         low, high = body.bounds
         self._limit = _REST_SPEED * max(b - a for a, b in zip(low, high, strict=True))
-        self._ticks, self._still = max(1, round(_REST_TIME * task.tick_rate)), 0
+        self._rate, self._still = task.tick_rate, 0
+        self._ticks = max(1, round(_REST_TIME * task.tick_rate))
         self.states: Array = np.zeros((len(body.cubes), 13))
         self.speed = 0.0
 
@@ -366,6 +364,10 @@ class Rest:
     def reached(self) -> bool:
         """Whether it has been at rest for long enough."""
         return self._still >= self._ticks
+
+    def why(self, ticks: int) -> str:
+        """Returns, where it is not at rest after so many ticks, why, in words."""
+        return f"restless: not yet at rest after {ticks / self._rate:g} s: a corner moved at {self.speed:.2g} m/s"
 
     def look(self, states: Array) -> None:
         """Takes the states of the tick that has just ended."""

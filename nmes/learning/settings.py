@@ -17,7 +17,7 @@ from nmes.backend import Array, load_backend
 from nmes.backend.fingerprint import fingerprint
 from nmes.errors import DocumentError, NmesError
 from nmes.evaluation import Task
-from nmes.evaluation.environments import read_reward
+from nmes.evaluation.progress import read_reward
 from nmes.evolution.algorithms.bounds import read_options
 from nmes.evolution.draw import Draw
 from nmes.genome import Genome
