@@ -22,12 +22,14 @@ if TYPE_CHECKING:
     from nmes.learning.registration import register
     from nmes.learning.run import LearningRun
     from nmes.learning.settings import LearningSettings
+    from nmes.learning.several import CreaturesEnv, parallel_env
     from nmes.learning.vector import CreatureVectorEnv, TaskVectorEnv
 
 __all__ = [
     "Cloning",
     "CreatureEnv",
     "CreatureVectorEnv",
+    "CreaturesEnv",
     "ForwardModel",
     "LearningRun",
     "LearningSettings",
@@ -39,6 +41,7 @@ __all__ = [
     "TaskVectorEnv",
     "check_determinism",
     "dm_environment",
+    "parallel_env",
     "principal_components",
     "read_episode",
     "read_episodes",
@@ -49,6 +52,7 @@ _HOMES = {
     "Cloning": "nmes.learning.learners.cloning",
     "CreatureEnv": "nmes.learning.environment",
     "CreatureVectorEnv": "nmes.learning.vector",
+    "CreaturesEnv": "nmes.learning.several",
     "ForwardModel": "nmes.learning.learners.novelty",
     "LearningRun": "nmes.learning.run",
     "LearningSettings": "nmes.learning.settings",
@@ -60,13 +64,14 @@ _HOMES = {
     "TaskVectorEnv": "nmes.learning.vector",
     "check_determinism": "nmes.learning.determinism",
     "dm_environment": "nmes.learning.dm",
+    "parallel_env": "nmes.learning.several",
     "principal_components": "nmes.learning.learners.pca",
     "read_episode": "nmes.learning.episodes",
     "read_episodes": "nmes.learning.episodes",
     "register": "nmes.learning.registration",
 }
 
-_EXTRAS = {"dm_env": "gym", "gymnasium": "gym"}  # packages of others, and which extra of ours brings them
+_EXTRAS = {"dm_env": "gym", "gymnasium": "gym", "pettingzoo": "gym"}  # packages of others, and the extra that brings them
 
 
 def __getattr__(name: str) -> Any:
@@ -86,7 +91,6 @@ def __dir__() -> list[str]:
     return sorted([*__all__, *(name for name in globals() if name.startswith("__"))])
 
 
-if (
-    sys.modules.get("gymnasium") is not None
-):  # who imports both gets the environments by their names; nobody else pays for it
+# Who imports both gets the environments by their names; nobody else pays for it.
+if sys.modules.get("gymnasium") is not None:
     importlib.import_module("nmes.learning.registration")

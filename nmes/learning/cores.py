@@ -19,7 +19,7 @@ from nmes.evaluation import Result, Task
 from nmes.genome import Genome
 from nmes.objective.trajectory import Flags
 
-__all__ = ["Core", "GenomeLike", "Records", "TaskLike", "genome_of", "task_of", "told"]
+__all__ = ["Core", "GenomeLike", "Records", "TaskLike", "folder_of", "genome_of", "task_of", "told"]
 
 GenomeLike = Genome | Mapping[str, Any] | str | os.PathLike[str]
 """A genome: itself, its document, its file, or the name of one that ships."""
@@ -89,6 +89,20 @@ def told(result: Result) -> dict[str, Any]:
     return result.to_json()
 
 
+def folder_of(path: str | os.PathLike[str]) -> Path:
+    """Returns a folder for recordings, which is made where there is none.
+
+    Raises:
+        RecordingError: It cannot be made.
+    """
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RecordingError("recording_failed", f"cannot make the folder {folder}: {error.strerror}") from error
+    return folder
+
+
 class Records:
     """A folder in which each episode of an environment is recorded; the same episode has the same file.
 
@@ -101,13 +115,8 @@ class Records:
     """
 
     def __init__(self, folder: str | os.PathLike[str], rows: int) -> None:
-        self._folder = Path(folder)
+        self._folder = folder_of(folder)
         self._done = [blake2b(digest_size=8) for _ in range(rows)]  # of the actions of each row's episode
-        try:
-            self._folder.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            message = f"cannot make the folder {self._folder}: {error.strerror}"
-            raise RecordingError("recording_failed", message) from error
 
     def begin(self, row: int) -> None:
         """Tells that an episode begins in a row."""
