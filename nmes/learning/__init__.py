@@ -20,6 +20,8 @@ if TYPE_CHECKING:
     from nmes.learning.learners.q_learning import QLearning
     from nmes.learning.learners.reinforce import Reinforce
     from nmes.learning.registration import register
+    from nmes.learning.remote import RemoteEnvironments
+    from nmes.learning.remote_env import Remote, RemoteVector
     from nmes.learning.run import LearningRun
     from nmes.learning.settings import LearningSettings
     from nmes.learning.several import CreaturesEnv, parallel_env
@@ -37,6 +39,9 @@ __all__ = [
     "QLearning",
     "RecordedEpisode",
     "Reinforce",
+    "Remote",
+    "RemoteEnvironments",
+    "RemoteVector",
     "TaskEnv",
     "TaskVectorEnv",
     "check_determinism",
@@ -60,6 +65,9 @@ _HOMES = {
     "QLearning": "nmes.learning.learners.q_learning",
     "RecordedEpisode": "nmes.learning.episodes",
     "Reinforce": "nmes.learning.learners.reinforce",
+    "Remote": "nmes.learning.remote_env",
+    "RemoteEnvironments": "nmes.learning.remote",
+    "RemoteVector": "nmes.learning.remote_env",
     "TaskEnv": "nmes.learning.environment",
     "TaskVectorEnv": "nmes.learning.vector",
     "check_determinism": "nmes.learning.determinism",

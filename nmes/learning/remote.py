@@ -14,6 +14,7 @@ judged: no balance of energy is drawn.
 
 from __future__ import annotations
 
+import os
 import ssl
 from collections.abc import Sequence
 from contextlib import suppress
@@ -252,8 +253,8 @@ class RemoteEnvironments:
         self._connect()
 
     @property
-    def seeds(self) -> list[int | None]:
-        """Of each row, the seed of the scene that its episode has; None where none has begun."""
+    def seeds(self) -> list[int]:
+        """Of each row, the seed of the scene that its episode has, or had."""
         return [row.scene for row in self._rows]
 
     def reset(self, seed: int | Sequence[int | None] | None = None, rows: Flags | None = None) -> Array:
@@ -316,9 +317,7 @@ class RemoteEnvironments:
         self.truncated &= going & ~self.terminated
         over = np.flatnonzero(self.terminated | self.truncated).tolist()
         for place in over:
-            scene = self._rows[place].scene
-            assert scene is not None
-            self.results[place] = progress.result(place, scene, faults.get(place))
+            self.results[place] = progress.result(place, self._rows[place].scene, faults.get(place))
         self.last_observations[over] = self.observations[over]
         self._waits[over] = True
         due = over if self._autoreset == "same_step" else begin
@@ -326,7 +325,7 @@ class RemoteEnvironments:
             self._begin(due)
         return self.observations, self.rewards, self.terminated, self.truncated
 
-    def record(self, row: int, path: object) -> None:
+    def record(self, row: int, path: str | os.PathLike[str]) -> None:
         """Refuses: what happens in a world is recorded by its host."""
         raise WorldError("unsupported", "the host records a remote episode, if it was started with --record; not this")
 
@@ -345,7 +344,7 @@ class RemoteEnvironments:
             raise
 
     def _check(self, actions: Array) -> None:
-        if any(row.scene is None for row in self._rows):
+        if not all(row.begun for row in self._rows):
             raise ValueError("no episodes have begun: reset comes first")
         if self._waits.any() and self._autoreset == "disabled":
             raise ValueError(f"the episode of row {int(self._waits.argmax())} is over: reset it first")
@@ -381,7 +380,7 @@ class RemoteEnvironments:
     def _abandon(self) -> None:
         """Ends all episodes where they are, and hangs up."""
         for row, world in zip(self._rows, self._worlds, strict=True):
-            row.scene = None
+            row.begun = False
             world.close()
 
     def _begin(self, places: Sequence[int]) -> None:
@@ -393,7 +392,7 @@ class RemoteEnvironments:
                 world.connect()
                 row.scene = drawn(self._seeds, row.seed, row.number)
                 moment = world.begin(row.scene)
-                row.number += 1
+                row.number, row.begun = row.number + 1, True
                 self._read(place, moment)
                 self._progress.begin(place, moment.states, moment.touches, self.task.target(row.scene))
                 self._waits[place] = False
@@ -403,12 +402,12 @@ class RemoteEnvironments:
 
 
 class _Row:
-    """One row: its seed, the number of episodes that it has begun, and the seed of its scene."""
+    """One row: its seed, the number of episodes that it has begun, the seed of its scene, and whether it has one."""
 
     def __init__(self) -> None:
         self.seed: int | None = None
-        self.scene: int | None = None
-        self.number = 0
+        self.number = self.scene = 0
+        self.begun = False
 
 
 def _host_and_port(address: str) -> tuple[str, int]:

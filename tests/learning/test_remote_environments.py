@@ -8,13 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from gymnasium.utils import env_checker
+from gymnasium.utils.env_checker import data_equivalence
+from gymnasium.vector import AutoresetMode
 
 from creatures import snake
 from nmes.backend import Array
 from nmes.errors import CommandFailed, Disconnected, WorldError
 from nmes.evaluation import Environments, Task
 from nmes.genome import Genome
-from nmes.learning.remote import RemoteEnvironments
+from nmes.learning import Remote, RemoteEnvironments, RemoteVector, TaskEnv, TaskVectorEnv
 from nmes.playback import replay
 from servers import PASSWORD, Served, served, until
 
@@ -248,7 +251,8 @@ def test_a_creature_that_somebody_takes_away_is_missed(server: Served) -> None:
 def test_a_reset_connects_anew_when_the_connection_is_lost(server: Served) -> None:
     core = remote(server, asked(), count=2, worlds=["b", "c"])
     first = core.reset(4).copy()
-    server.call(lambda: [connection.hang_up() for connection in [*server.host._connections]])
+    for connection in server.call(lambda: [*server.host._connections]):
+        server.call(connection.hang_up)
     with pytest.raises(Disconnected):
         core.step(np.zeros((2, 3)))
     with pytest.raises(ValueError, match="reset comes first"):
@@ -347,3 +351,52 @@ def test_resets_need_seeds_as_environments_do(server: Served) -> None:
     core.close()
     with pytest.raises(ValueError, match="1 row and 1 seed or more, not 0 and 3"):
         remote(server, asked(), count=0)
+
+
+# -- as Gymnasium has them --------------------------------------------------------------------------------------------
+
+
+def settings(server: Served, **changes: Any) -> dict[str, Any]:
+    common = {"address": f"127.0.0.1:{server.port}", "password": PASSWORD}
+    return {**common, "task": asked(duration=0.3), "genome": snake(), **changes}
+
+
+def test_gymnasium_finds_nothing_wrong_with_a_remote_environment(server: Served) -> None:
+    env = Remote(**settings(server, world="b"))
+    env_checker.check_env(env, skip_render_check=True)
+    env.close()
+
+
+def test_a_remote_environment_is_the_local_one_in_another_place(server: Served) -> None:
+    env, local = Remote(**settings(server, render_mode="rgb_array")), TaskEnv(snake(), asked(duration=0.3))
+    local.action_space.seed(1)
+    for seed in (5, None):
+        assert data_equivalence(env.reset(seed=seed), local.reset(seed=seed))
+        over, infos = False, {}
+        while not over:
+            action = local.action_space.sample()
+            step = env.step(action)
+            assert data_equivalence(step, local.step(action))
+            over, infos = step[2] or step[3], step[4]
+        assert infos["result"]["seed"] in asked().seeds
+    with pytest.raises(ValueError, match="the episode of row 0 is over"):
+        env.step(local.action_space.sample())
+    env.close()
+    assert data_equivalence(env.reset(seed=5), local.reset(seed=5))
+    env.close()
+
+
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_a_remote_vector_is_the_local_one_in_other_places(server: Served, mode: AutoresetMode) -> None:
+    envs = RemoteVector(count=2, worlds=["b", "c"], autoreset_mode=mode, **settings(server))
+    local = TaskVectorEnv(snake(), asked(duration=0.3), 2, autoreset_mode=mode)
+    local.action_space.seed(1)
+    assert data_equivalence(envs.reset(seed=3), local.reset(seed=3))
+    for _ in range(40):
+        actions = local.action_space.sample()
+        one, other = envs.step(actions), local.step(actions)
+        assert data_equivalence(one, other)
+        if mode is AutoresetMode.DISABLED and (over := one[2] | one[3]).any():
+            options = {"reset_mask": over}
+            assert data_equivalence(envs.reset(options=options), local.reset(options=options))
+    envs.close()
