@@ -1,0 +1,48 @@
+"""Trains a creature with Stable-Baselines3's SAC, one environment of Gymnasium, and writes a genome.
+
+pip install 'nmes[gym,rl]'
+python examples/train_sb3_sac.py --genome walker --task walk --steps 100000 -o trained.json
+nmes eval trained.json --task walk
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from pathlib import Path
+
+import gymnasium
+import torch
+from stable_baselines3 import SAC
+
+from nmes.evaluation import Task, evaluate
+from nmes.genome import Genome
+from nmes.learning.stable_baselines import with_policy
+
+
+def main() -> None:
+    """Trains, writes the genome, and scores it."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--genome", default="walker", help="a file, or the name of one that ships")
+    parser.add_argument("--task", default="walk", help="the name of a task that ships")
+    parser.add_argument("--steps", type=int, default=100_000)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("-o", "--output", type=Path, default=Path("trained.json"))
+    options = parser.parse_args()
+
+    torch.set_num_threads(1)  # for layers as small as these, others only get in the way
+    environment = gymnasium.make(f"nmes/{options.task}-v0", genome=options.genome)
+    layers = {"net_arch": [64, 64]}
+    model = SAC("MlpPolicy", environment, seed=options.seed, device="cpu", policy_kwargs=layers, verbose=1)
+    model.learn(options.steps)
+
+    with tempfile.TemporaryDirectory() as folder:
+        model.save(f"{folder}/model.zip")
+        trained = with_policy(Genome.load(options.genome), f"{folder}/model.zip")
+    options.output.write_text(json.dumps(trained.document))
+    print(f"wrote {options.output}, which scores {evaluate(trained, Task.load(options.task)).score}")
+
+
+if __name__ == "__main__":
+    main()
