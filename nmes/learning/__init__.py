@@ -79,7 +79,8 @@ _HOMES = {
     "register": "nmes.learning.registration",
 }
 
-_EXTRAS = {"dm_env": "gym", "gymnasium": "gym", "pettingzoo": "gym"}  # packages of others, and the extra that brings them
+# Packages of others, and the extra that brings them.
+_EXTRAS = {"dm_env": "gym", "gymnasium": "gym", "pettingzoo": "gym"}
 
 
 def __getattr__(name: str) -> Any:
