@@ -136,7 +136,11 @@ class MujocoRows(Rows):
 
     def set_motor_targets(self, places: Places, joints: Sequence[int], targets: Array) -> None:
         """Sets the controls of motors."""
-        at = places[:, None], self._located(tuple(joints)).driven
+        motors = self._located(tuple(joints))
+        if len(places) == self.count:  # the common case, in which nothing need be gathered
+            self._ctrl[:, motors.motors] = np.where(self._strong[:, motors.motors], targets, 0.0)
+            return
+        at = places[:, None], motors.driven
         self._ctrl[at] = np.where(self._strong[at], targets, 0.0)
 
     def step(self, places: Places, substeps: int) -> list[int]:

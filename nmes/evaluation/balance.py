@@ -109,21 +109,28 @@ class Balance:
 
     def energy(self, states: Array, positions: Array) -> Array:
         """Returns the mechanical energy in each row, shape (k,), J; the arguments are those of `excess`."""
-        energy = self._kinetic(states) + self._potential(states)
+        # Of rows of some size, numbers that lie side by side are computed with several times faster.
+        columns = np.ascontiguousarray(np.moveaxis(states, 2, 0))
+        energy = self._kinetic(columns) + self._potential(columns)
         return np.asarray(energy + (self.stiffnesses * positions * positions).sum(axis=1) / 2.0)
 
-    def _kinetic(self, states: Array) -> Array:
-        velocity, masses = states[:, :, 7:10], self.bodies.masses
+    def _kinetic(self, columns: Array) -> Array:
+        masses = self.bodies.masses
         a, b, c = (self.bodies.sizes * self.bodies.sizes).T
         moments = np.stack([b + c, a + c, a + b], axis=1) * masses[:, None] / 12.0
-        spin = _own(states)
-        return np.asarray(((masses[:, None] * velocity * velocity) + moments * spin * spin).sum(axis=(1, 2)) / 2.0)
+        each = np.empty((*columns.shape[1:], 3))
+        for axis, (velocity, spin) in enumerate(zip(columns[7:10], _own(columns), strict=True)):
+            np.add(masses * velocity * velocity, moments[:, axis] * spin * spin, out=each[..., axis])
+        return np.asarray(each.sum(axis=(1, 2)) / 2.0)
 
-    def _potential(self, states: Array) -> Array:
+    def _potential(self, columns: Array) -> Array:
         """Returns the energy of the bodies' weight: gravity's, or that of the nearest planet, which pulls evenly."""
-        gravity, masses, places = self.gravity, self.bodies.masses, states[:, :, 0:3]
+        gravity, masses, places = self.gravity, self.bodies.masses, np.moveaxis(columns[0:3], 0, 2)
         if not len(self.planets):
-            return np.asarray(-(masses[:, None] * places * gravity).sum(axis=(1, 2)))
+            each = np.empty((*columns.shape[1:], 3))
+            for axis in range(3):
+                np.multiply(masses * columns[axis], gravity[axis], out=each[..., axis])
+            return np.asarray(-each.sum(axis=(1, 2)))
         away = places[:, :, None] - self.planets
         nearest = np.sqrt((away * away).sum(axis=3)).min(axis=2)
         return np.asarray((masses * nearest).sum(axis=1) * np.sqrt((gravity * gravity).sum()))
@@ -206,17 +213,15 @@ def _sums(powers: Array) -> Array:
     return np.add.accumulate(powers, axis=-1)[..., -1] if powers.shape[-1] else np.zeros(powers.shape[:-1])
 
 
-def _own(states: Array) -> Array:
-    """Returns the angular velocities along the boxes' own axes, shape (k, n, 3)."""
-    x, y, z, w = (states[:, :, i] for i in range(3, 7))
-    a, b, c = (states[:, :, i] for i in range(10, 13))
-    return np.stack(
-        [
-            a * (1.0 - 2.0 * (y * y + z * z)) + b * (2.0 * (x * y + w * z)) + c * (2.0 * (x * z - w * y)),
-            a * (2.0 * (x * y - w * z)) + b * (1.0 - 2.0 * (x * x + z * z)) + c * (2.0 * (y * z + w * x)),
-            a * (2.0 * (x * z + w * y)) + b * (2.0 * (y * z - w * x)) + c * (1.0 - 2.0 * (x * x + y * y)),
-        ],
-        axis=2,
+def _own(columns: Array) -> tuple[Array, Array, Array]:
+    """Returns the angular velocities along the boxes' own axes, each of shape (k, n), from states, shape (13, k, n)."""
+    x, y, z, w = columns[3:7]
+    a, b, c = columns[10:13]
+    xx, yy, zz, xy, xz, yz, wx, wy, wz = x * x, y * y, z * z, x * y, x * z, y * z, w * x, w * y, w * z
+    return (
+        a * (1.0 - 2.0 * (yy + zz)) + b * (2.0 * (xy + wz)) + c * (2.0 * (xz - wy)),
+        a * (2.0 * (xy - wz)) + b * (1.0 - 2.0 * (xx + zz)) + c * (2.0 * (yz + wx)),
+        a * (2.0 * (xz + wy)) + b * (2.0 * (yz - wx)) + c * (1.0 - 2.0 * (xx + yy)),
     )
 
 

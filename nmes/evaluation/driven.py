@@ -8,12 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from nmes import protocol
-from nmes.backend import Array, CameraSpec, Image, Places, Row
+from nmes.backend import Array, BodyState, CameraSpec, Image, Places, Row
 from nmes.errors import WorldError
 from nmes.evaluation.balance import Balance
 from nmes.evaluation.cohort import PlaceOfRows
@@ -232,6 +233,7 @@ class EngineRows:
         self._rows = first.row.rows(count, threads=threads, contacts=feels or touchy)
         self._creatures = CreatureRows(self._rows, first.creature)
         self._track = self._rows.track(*first.watched, 1, task.substeps)
+        self._columns = {body: column for column, body in enumerate(first.watched.bodies)}
 
     def takes(self, scene: Scene) -> bool:
         """Whether a scene can be one of the rows."""
@@ -250,7 +252,7 @@ class EngineRows:
 
     def step(self, places: Places, actions: Array) -> list[int]:
         """Drives some places, and goes one tick on; returns those that cannot go on as rows."""
-        self._creatures.drive(places, actions[places])
+        self._creatures.drive(places, actions if len(places) == self._rows.count else actions[places])
         return self._rows.step(places, self._substeps)
 
     def read(self, places: Places, observations: Array, parts: Parts) -> None:
@@ -258,10 +260,16 @@ class EngineRows:
         track = self._track
         track.note()
         every = slice(None) if len(places) == self._rows.count else places  # the common case, and half the time
-        observations[every] = self._creatures.sense()[every]
-        parts.states[every] = track.states()[every, 0]
+        states = track.states()[:, 0]
+        observations[every] = self._creatures.sense(partial(self._body_state, states))[every]
+        parts.states[every] = states[every]
         parts.powers[every], parts.positions[every] = track.powers()[every, 0], track.positions()[every, 0]
         track.clear()
+
+    def _body_state(self, states: Array, body: int) -> BodyState:
+        """Returns the pose and velocity of a body, each number an array (places,), from the states of all."""
+        columns = np.ascontiguousarray(states[:, self._columns[body]].T)
+        return BodyState(tuple(columns[0:3]), tuple(columns[3:7]), tuple(columns[7:10]), tuple(columns[10:13]))
 
     def touch(self, places: Places, out: Flags) -> None:
         """Writes what touches what in some places."""

@@ -315,6 +315,7 @@ class QuantityRows:
         self._starts: Array = np.zeros((count, n, 13))
         self._targets: Array | str | None = np.zeros((count, 3)) if isinstance(bodies.target, tuple) else bodies.target
         self._ticks, self._upright = np.zeros(count), np.zeros(count)
+        self._origins: dict[str | None, Array] = {}
         self._folds = {quantity: np.zeros(count) for quantity in self._quantities if quantity.fold != "final"}
 
     def begin(
@@ -329,6 +330,7 @@ class QuantityRows:
             target: As in `ObservedBodies`.
         """
         self._starts[place], self._ticks[place], self._upright[place] = states, 0.0, 0.0
+        self._origins.clear()
         if isinstance(self._targets, np.ndarray):
             self._targets[place] = target
         rows = states[np.newaxis], np.zeros(1), touches[np.newaxis]
@@ -350,7 +352,8 @@ class QuantityRows:
             touches: Array (count, n, 2), or (count, 0, 2); as in `Trajectory`.
         """
         self._ticks += 1.0
-        block = _Block(self.bodies, self._starts, self._targets, self._ticks, states, _in_order(work), touches)
+        rows = states, _in_order(work), touches
+        block = _Block(self.bodies, self._starts, self._targets, self._ticks, *rows, self._origins)
         if any(quantity.name == "time_upright" for quantity in self._quantities):
             self._upright += block.series(Quantity("uprightness")) >= UPRIGHT
         values = {}
@@ -450,6 +453,7 @@ class _Block:
     states: Array
     work: Array
     touches: Flags
+    origins: dict[str | None, Array] = field(default_factory=dict)  # of cubes and the body, at the start
     _centres: dict[str | None, Array] = field(default_factory=dict)
 
     def series(self, quantity: Quantity) -> Array:
@@ -485,7 +489,9 @@ class _Block:
                 vectors = self._centre(quantity.cube)
                 aim = self.target if name == "distance" else None
                 if aim is None:
-                    vectors = vectors - self._mean(self.start, columns, 0)
+                    if quantity.cube not in self.origins:
+                        self.origins[quantity.cube] = self._mean(self.start, columns, 0)
+                    vectors = vectors - self.origins[quantity.cube]
                 else:
                     vectors = vectors - (self._centre(aim) if isinstance(aim, str) else np.array(aim))
             case _:
@@ -511,8 +517,8 @@ class _Block:
 
     def _extent(self, name: str, columns: slice, cube: str | None) -> Array:
         states, half = self.states[:, columns], self.bodies.sizes[columns] / 2.0
-        x, y, z, w = (states[:, :, i] for i in range(3, 7))
         if name != "reach":
+            x, y, z, w = (states[:, :, i] for i in range(3, 7))
             # How far a turned box reaches up and down from its centre: its half edges along the world's y axis.
             up = np.abs(2.0 * (x * y + w * z)) * half[:, 0]
             up += np.abs(1.0 - 2.0 * (x * x + z * z)) * half[:, 1]
@@ -520,12 +526,12 @@ class _Block:
             middle = states[:, :, 1]
             end: Array = np.min(middle - up, axis=1) if name == "lowest" else np.max(middle + up, axis=1)
             return end
-        arm = states[:, :, 0:3] - self._centre(cube)[:, np.newaxis]
-        a, b, c = (arm[:, :, i] for i in range(3))
-        # The arm in the box's own axes; its farthest corner lies beyond its centre along each of them.
-        own = np.empty_like(arm)
-        own[:, :, 0] = a * (1.0 - 2.0 * (y * y + z * z)) + b * (2.0 * (x * y + w * z)) + c * (2.0 * (x * z - w * y))
-        own[:, :, 1] = a * (2.0 * (x * y - w * z)) + b * (1.0 - 2.0 * (x * x + z * z)) + c * (2.0 * (y * z + w * x))
-        own[:, :, 2] = a * (2.0 * (x * z + w * y)) + b * (2.0 * (y * z - w * x)) + c * (1.0 - 2.0 * (x * x + y * y))
-        farthest: Array = np.max(_length(np.abs(own) + half), axis=1)
+        # The arm from the centre in the box's own axes; its farthest corner lies beyond its centre along each of them.
+        a, b, c = (states[:, :, i] - self._centre(cube)[:, i : i + 1] for i in range(3))
+        x, y, z, w = np.ascontiguousarray(np.moveaxis(states[:, :, 3:7], 2, 0))
+        xx, yy, zz, xy, xz, yz, wx, wy, wz = x * x, y * y, z * z, x * y, x * z, y * z, w * x, w * y, w * z
+        u = np.abs(a * (1.0 - 2.0 * (yy + zz)) + b * (2.0 * (xy + wz)) + c * (2.0 * (xz - wy))) + half[:, 0]
+        v = np.abs(a * (2.0 * (xy - wz)) + b * (1.0 - 2.0 * (xx + zz)) + c * (2.0 * (yz + wx))) + half[:, 1]
+        t = np.abs(a * (2.0 * (xz + wy)) + b * (2.0 * (yz - wx)) + c * (1.0 - 2.0 * (xx + yy))) + half[:, 2]
+        farthest: Array = np.max(np.sqrt(u * u + v * v + t * t), axis=1)
         return farthest

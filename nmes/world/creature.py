@@ -10,7 +10,7 @@ would, in order; `sense` changes nothing; creatures are in order of creation.
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Callable, Hashable
 from math import sqrt
 from typing import Any
 
@@ -295,19 +295,25 @@ class CreatureRows:
 
     def _aims(self, places: Places, controls: Array) -> Array:
         targets: Array = controls + 1.0
-        targets *= self._half[places]
-        targets += self._low[places]
+        every = slice(None) if len(places) == self._rows.count else places  # the common case, which copies nothing
+        targets *= self._half[every]
+        targets += self._low[every]
         return targets
 
-    def sense(self) -> Array:
-        """Returns the readings of `Creature.sense` in each place: a new array, shape (places, s)."""
+    def sense(self, body_state: Callable[[int], BodyState] | None = None) -> Array:
+        """Returns the readings of `Creature.sense` in each place: a new array, shape (places, s).
+
+        Args:
+            body_state: Returns what `Rows.body_state` would, for whoever knows it already.
+        """
         plan, rows = self._plan, self._rows
+        body_state = body_state or rows.body_state
         out = np.empty((rows.count, len(plan.sensors)))
         if plan._read:
             readings = rows.joint_readings(plan._read).reshape(rows.count, -1)
             out[:, plan._joint_rows] = readings[:, plan._picked] * self._scale
         for read, body, columns, picked in plan._felt:
-            felt = read(rows.body_state(body))
+            felt = read(body_state(body))
             out[:, columns] = np.array(felt if picked is None else [felt[i] for i in picked]).T
         if plan._touch_bodies:
             out[:, plan._touch_rows] = rows.touching(plan._touch_bodies)
