@@ -28,6 +28,7 @@ import evolution
 import filming
 import hostile
 import hosting
+import learning
 import population
 import recorded
 import roundtrip
@@ -45,6 +46,7 @@ SUITES = {
     "evolution": evolution.figures,
     "filming": filming.figures,
     "hosting": hosting.figures,
+    "learning": learning.figures,
     "hostile": hostile.figures,
     "population": population.figures,
     "survival": survival.figures,
