@@ -22,6 +22,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from copy import deepcopy
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final
 
 import gymnasium
@@ -141,7 +142,7 @@ class _Player:
         episode = total = 0
         while total < self._steps or episode < _EPISODES:
             episode += 1
-            observation, info = self._env.reset(**({"seed": self._seed} if episode == 1 else {}))
+            observation, info = self._env.reset(seed=self._seed) if episode == 1 else self._env.reset()
             self._take(episode, 0, {"observation": observation, "info": info})
             for step in range(1, _LONGEST + 1):
                 values = dict(zip(_FIELDS, self._env.step(self._action(episode, step)), strict=True))
@@ -323,8 +324,8 @@ def _another_clock() -> Iterator[None]:
 def _restarted(env: Environment) -> list[str]:
     """Finds a reset without a seed that begins the stream of random numbers anew."""
     states = []
-    for options in ({"seed": _SEED}, {}):
-        env.reset(**options)
+    for reset in (partial(env.reset, seed=_SEED), env.reset):
+        reset()
         states.append(_bits(env.unwrapped.np_random.bit_generator.state))
     fresh = _bits(gymnasium.utils.seeding.np_random(_SEED)[0].bit_generator.state)
     if states[0] == states[1] != fresh:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -72,7 +72,7 @@ class CreatureEnv(gymnasium.Env[Array, Array]):
         units: The unit in which each sensor reads, by its id.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(_MODES), "render_fps": 60}
+    metadata: dict[str, Any] = {"render_modes": list(_MODES), "render_fps": 60}  # noqa: RUF012  as its base has it
 
     def __init__(
         self, core: Core, *, render_mode: str | None = None, record: str | os.PathLike[str] | None = None
@@ -159,7 +159,7 @@ class CreatureEnv(gymnasium.Env[Array, Array]):
         """
         self._core.record(0, path)
 
-    def render(self) -> Image | None:  # type: ignore[override]
+    def render(self) -> Image | None:
         """Returns a picture of the creature now, an array (480, 640, 3) of bytes; None where `render_mode` is None.
 
         Raises:

@@ -16,14 +16,15 @@ _TASKS = Path(__file__).parents[1] / "evaluation" / "tasks"
 
 def register() -> None:
     """Registers an environment for each task that ships, and `nmes/creature-v0` for any other; again does nothing."""
-    points = {
-        "entry_point": "nmes.learning.environment:TaskEnv",
-        "vector_entry_point": "nmes.learning.vector:TaskVectorEnv",
-    }
     names = {path.stem: {"task": path.stem} for path in sorted(_TASKS.glob("*.json"))}
     for name, settings in {**names, "creature": {}}.items():
         if f"nmes/{name}-v0" not in gymnasium.registry:
-            gymnasium.register(f"nmes/{name}-v0", **points, kwargs=settings)
+            gymnasium.register(
+                f"nmes/{name}-v0",
+                entry_point="nmes.learning.environment:TaskEnv",
+                vector_entry_point="nmes.learning.vector:TaskVectorEnv",
+                kwargs=dict(settings),
+            )
 
 
 register()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from gymnasium import spaces
@@ -31,7 +31,7 @@ _UNITS: Final = {
 }
 
 
-def of(genome: Genome) -> tuple[spaces.Box, spaces.Box]:
+def of(genome: Genome) -> tuple[spaces.Box[Any], spaces.Box[Any]]:
     """Returns the space of observations, float64 as worlds compute them, and that of actions, float32 from -1 to 1.
 
     Raises:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Sequence
-from typing import Any, ClassVar, Final
+from typing import Any, Final
 
 import gymnasium
 import numpy as np
@@ -46,7 +46,7 @@ class CreatureVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Any]):
         units: The unit in which each sensor reads, by its id.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": []}
+    metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012  as its base has it
 
     def __init__(
         self,
@@ -218,8 +218,15 @@ class TaskVectorEnv(CreatureVectorEnv):
             RecordingError: The folder cannot be made.
         """
         mode = AutoresetMode(autoreset_mode)
-        settings = {"seeds": seeds, "threads": threads, "reward": reward}
-        core = Environments(genome_of(genome), task_of(task), num_envs, **settings, autoreset=AUTORESET[mode])
+        core = Environments(
+            genome_of(genome),
+            task_of(task),
+            num_envs,
+            seeds=seeds,
+            threads=threads,
+            reward=reward,
+            autoreset=AUTORESET[mode],
+        )
         super().__init__(core, mode, record=record, copy=copy)
 
 
