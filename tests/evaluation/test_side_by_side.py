@@ -14,6 +14,7 @@ from nmes.backend import Array, Places
 from nmes.backends.mujoco3d.rows import MujocoRows
 from nmes.errors import RecordingError, WorldError
 from nmes.evaluation import Environments, Result, Task, prove
+from nmes.evaluation.environments import Autoreset
 from nmes.evaluation.episode import Episode
 from nmes.genome import Genome
 from nmes.playback import replay
@@ -249,7 +250,7 @@ def test_who_cannot_begin_is_refused() -> None:
             Environments(Genome(snake()), task(), rows, seeds=seeds)
 
 
-def run(environments: Environments, ticks: int, seed: Any = 3) -> list[tuple[Array, ...]]:
+def run(environments: Environments, ticks: int, seed: Any = 3) -> list[tuple[Any, ...]]:
     """Returns copies of what each step returns, with actions that depend on nothing but the tick."""
     environments.reset(seed)
     shape = len(environments.results), len(environments.motors)
@@ -268,9 +269,10 @@ def test_a_row_has_the_seed_of_its_number_and_is_the_same_among_others() -> None
 
 
 def test_next_step_begins_an_episode_in_the_step_after_its_end() -> None:
+    modes: tuple[tuple[Autoreset, int], ...] = ("same_step", 12), ("next_step", 14)
     same, late = (
         run(Environments(Genome(snake()), task(duration=0.1), 2, seeds=range(20, 30), autoreset=mode), ticks)
-        for mode, ticks in (("same_step", 12), ("next_step", 14))
+        for mode, ticks in modes
     )
     for step in range(5):
         assert all((a == b).all() for a, b in zip(same[step], late[step], strict=True))
@@ -337,8 +339,9 @@ def test_each_episode_can_be_recorded_and_proved(case: str, autoreset: Any, tmp_
     draw = np.random.default_rng(1)
     while environments.results[1] is None:
         environments.step(draw.uniform(-1.0, 1.0, (2, len(environments.motors))))
-        if autoreset == "disabled" and environments.results[1] is None and environments.results[0] is not None:
-            environments.reset(None, np.array([True, False]))
+        over = environments.terminated | environments.truncated
+        if autoreset == "disabled" and over.tolist() == [True, False]:
+            environments.reset(None, over)
     environments.record(1, path)
     assert replay(Recording(path)).verdict == "reproduced"
     assert prove(path).result == environments.results[1]

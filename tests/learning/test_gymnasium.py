@@ -14,9 +14,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 
-import nmes.learning
 from creatures import snake
-from nmes.errors import DocumentError, NmesError, RecordingError, WorldError
+from nmes.errors import DocumentError, RecordingError, WorldError
 from nmes.evaluation import Task, prove
 from nmes.genome import Genome
 from nmes.learning import TaskEnv, TaskVectorEnv
@@ -114,7 +113,7 @@ def test_spaces_have_names_units_and_bounds() -> None:
 
 def episode(env: Any, seed: int | None, ticks: int = 12) -> list[Any]:
     observation, info = env.reset(seed=seed)
-    steps = [(observation.tobytes(), json.dumps(info))]
+    steps: list[Any] = [(observation.tobytes(), json.dumps(info))]
     for tick in range(ticks):
         observation, reward, terminated, truncated, info = env.step(np.full(3, np.sin(0.7 * tick)))
         steps.append((observation.tobytes(), reward, terminated, truncated, json.dumps(info)))
@@ -263,7 +262,7 @@ def same(ours: Any, theirs: Any) -> bool:
         return len(ours) == len(theirs) and all(same(a, b) for a, b in zip(ours, theirs, strict=True))
     if isinstance(ours, np.ndarray):
         return ours.dtype == theirs.dtype and ours.tobytes() == theirs.tobytes()
-    return type(ours) is type(theirs) and bool(ours == theirs)
+    return type(ours) is type(theirs) and (ours == theirs) is True
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
@@ -277,7 +276,8 @@ def test_rows_are_what_gymnasiums_own_vector_makes_of_single_environments(mode: 
     assert ours.metadata["autoreset_mode"] is mode and ours.single_observation_space == theirs.single_observation_space
     assert (ours.observation_space, ours.action_space) == (theirs.observation_space, theirs.action_space)
     draw, over = np.random.default_rng(0), 0
-    for start in (4, [7, 5, 6], None):
+    starts: tuple[Any, ...] = 4, [7, 5, 6], None
+    for start in starts:
         assert same(dict(enumerate(ours.reset(seed=start))), dict(enumerate(theirs.reset(seed=start))))
         for _ in range(30):
             actions = draw.uniform(-1, 1, (3, 3)).astype(np.float32)
@@ -291,7 +291,8 @@ def test_rows_are_what_gymnasiums_own_vector_makes_of_single_environments(mode: 
                 again = [env.reset(options={"reset_mask": done.copy()}) for env in (ours, theirs)]
                 assert same(*(dict(enumerate(each)) for each in again))
     assert over > 6
-    ours.close(), theirs.close()
+    ours.close()
+    theirs.close()
 
 
 def test_what_a_vector_returns_is_the_callers_unless_it_wants_the_arrays_themselves() -> None:
@@ -328,12 +329,9 @@ def test_a_mask_that_is_none_is_refused(mask: Any) -> None:
     envs = TaskVectorEnv(snake(), task(), 2)
     with pytest.raises(ValueError, match="reset_mask is an array"):
         envs.reset(seed=1, options={"reset_mask": mask})
-    for call in (lambda: envs.reset(seed=[1, 2, 3]), lambda: envs.reset(options={"x": 1})):
-        with pytest.raises(ValueError, match=r"there are 2 rows|not 'x'"):
-            call()
+    with pytest.raises(ValueError, match="there are 2 rows"):
+        envs.reset(seed=[1, 2, 3])
+    with pytest.raises(ValueError, match="not 'x'"):
+        envs.reset(options={"x": 1})
     with pytest.raises(ValueError):
         TaskVectorEnv(snake(), task(), 2, autoreset_mode="Sometimes")
-
-
-def test_every_error_of_ours_is_one_of_ours() -> None:
-    assert nmes.learning.TaskEnv is TaskEnv and issubclass(RecordingError, NmesError)

@@ -206,8 +206,10 @@ class TheOrderOfASet(Good):
     """It is another in each process, and the same in all of one."""
 
     def move(self, action: Any) -> None:
-        names = list({f"part {i}" for i in range(20)})
-        self.state = 0.9 * self.state + 0.1 * action * (1.0 + names.index("part 7"))
+        total = 0.0
+        for part in {f"{i}" for i in range(20)}:  # no two orders have the same total
+            total = total / 21.0 + float(part)
+        self.state = 0.9 * self.state + 0.1 * action * total
 
 
 @fault(r"in another process: episode 1, step 1: reward")
