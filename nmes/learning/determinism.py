@@ -52,7 +52,8 @@ def check_determinism(env: Environment | Source, *, steps: int = 600, **settings
     Args:
         env: A factory, or a name or spec that `gymnasium.make` takes; or an environment, of which others are made by
             its spec. Without one, and where a factory cannot be sent to another process (pickled), less is tried.
-        steps: How many steps each run has at least, over several episodes.
+        steps: How many steps each run has at least, over several episodes, each of which is given up after so many or
+            250: what shows later is not found.
         settings: For `gymnasium.make`, where `env` is a name.
 
     Returns:
@@ -144,7 +145,7 @@ class _Player:
             episode += 1
             observation, info = self._env.reset(seed=self._seed) if episode == 1 else self._env.reset()
             self._take(episode, 0, {"observation": observation, "info": info})
-            for step in range(1, _LONGEST + 1):
+            for step in range(1, min(_LONGEST, self._steps) + 1):
                 values = dict(zip(_FIELDS, self._env.step(self._action(episode, step)), strict=True))
                 self._checked_action(episode, step)
                 self._take(episode, step, values)

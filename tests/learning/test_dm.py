@@ -79,7 +79,7 @@ def bits(step: dm_env.TimeStep) -> list[bytes]:
 
 
 def test_an_episode_is_that_of_gymnasiums_environment() -> None:
-    asked = task(seeds=list(range(20, 40)))
+    asked = task(seeds=list(range(20, 24)))
     environment, env = dm_environment(asked, snake(), random=5), TaskEnv(snake(), asked)
     for seed in (5, None):
         steps = play(environment, 12)
@@ -98,15 +98,15 @@ def test_an_episode_is_that_of_gymnasiums_environment() -> None:
 
 
 def test_a_seed_gives_the_same_episodes_and_what_was_given_stays_as_it_was() -> None:
-    asked = task(seeds=list(range(20, 40)))
+    asked = task(seeds=list(range(20, 24)))
     first, second = (dm_environment(asked, snake(), random=5) for _ in range(2))
     steps = play(first, 5)
     kept = [bits(step) for step in steps]
     assert [bits(step) for step in play(second, 5)] == kept
     play(first, 5)
     assert [bits(step) for step in steps] == kept
-    starts = {bits(dm_environment(asked, snake()).reset())[0] for _ in range(8)}
-    assert len(starts) > 1
+    unseeded = [dm_environment(asked, snake()) for _ in range(2)]
+    assert len({tuple(bits(environment.reset())[0] for _ in range(40)) for environment in unseeded}) == 2
 
 
 @pytest.mark.parametrize("action", [np.zeros(2), np.array([0, np.nan, 0]), np.array([0, 0, 1.01])])
