@@ -222,13 +222,13 @@ class Task:
             end: The row after the last.
         """
         beyond = trajectory.first_beyond(begin, end, **self.bounds)
-        stops = [] if beyond is None else [beyond]
+        stops = []
         for name, condition in self.ends:
             row = trajectory.first(condition, begin, end)
             if row is not None:
                 stops.append((row + 1, name))
-        # Of two with as many rows, a limit, then the condition that comes first in the document.
-        return min(stops, key=lambda stop: stop[0], default=None)
+        # Of two with as many rows, the condition that comes first in the document; a limit was met a row later.
+        return min(stops if beyond is None else [*stops, beyond], key=lambda stop: stop[0], default=None)
 
     @property
     def needs(self) -> tuple[Quantity, ...]:

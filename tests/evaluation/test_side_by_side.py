@@ -368,3 +368,18 @@ def test_a_recording_that_cannot_be_written_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(RecordingError):
         environments.record(0, tmp_path / "nowhere" / "episode.mcap")
     assert not list(tmp_path.iterdir())
+
+
+def test_what_ends_an_episode_is_what_came_first() -> None:
+    """A condition holds at one tick, and at the next the creature would be beyond a limit."""
+    actions = np.full((30, 3), 0.8)
+    worths = in_a_world(Genome(snake()), task(objective="energy", duration=0.5, seeds=[1]), 1, actions)[2]
+    limit = float(worths[10] + worths[11]) / 2.0
+    ends = [{"name": "soon", "when": "time > 9.5 / 60"}]
+    asked = task(duration=0.5, seeds=[1], ends=ends, limits={"energy": limit})
+    environments = Environments(Genome(snake()), asked, 1)
+    environments.reset(0)
+    for action in actions[:10]:
+        environments.step(action[None])
+    expected = in_a_world(Genome(snake()), asked, 1, actions)[0]
+    assert environments.results == [expected] and (expected.ended, expected.ticks) == ("soon", 10)

@@ -225,14 +225,15 @@ def test_an_episode_ends_at_the_first_tick_at_which_a_condition_holds_or_a_limit
     trajectory.touches[33] = True
     ends = [{"name": "touched", "when": "contacts > 0"}]
     assert Task({**PLAIN, "ends": ends}).ended(trajectory, 0, 101) == (34, "touched")
-    # Of as many rows, a limit comes before an end, energy before speed before spin.
+    # Of as many rows, an end was there a row before a limit; of limits energy comes before speed before spin.
     trajectory.states[30, 0, 7:13] = 5.0
-    ends = [{"name": "slow", "when": "time >= 29 / 60"}]
-    for limits, stop in (
-        ({"speed": 8.0, "spin": 8.0}, (30, "speed")),
-        ({"spin": 8.0}, (30, "spin")),
-        ({"spin": 8.7}, (30, "slow")),
-        ({"energy": 6, "spin": 8.0}, (29, "energy")),
+    slow, late = ([{"name": name, "when": f"time >= {row} / 60"}] for name, row in (("slow", 29), ("late", 30)))
+    for ends, limits, stop in (
+        (slow, {"speed": 8.0, "spin": 8.0}, (30, "slow")),
+        (late, {"speed": 8.0, "spin": 8.0}, (30, "speed")),
+        (late, {"spin": 8.0}, (30, "spin")),
+        (late, {"spin": 8.7}, (31, "late")),
+        (slow, {"energy": 6, "spin": 8.0}, (29, "energy")),
     ):
         assert Task({**PLAIN, "ends": ends, "limits": limits}).ended(trajectory, 0, 101) == stop
 
