@@ -29,6 +29,7 @@ import filming
 import hostile
 import hosting
 import learning
+import learning_remote
 import population
 import recorded
 import roundtrip
@@ -48,6 +49,7 @@ SUITES = {
     "hosting": hosting.figures,
     "learning": learning.figures,
     "hostile": hostile.figures,
+    "learning-remote": learning_remote.figures,
     "population": population.figures,
     "survival": survival.figures,
     "recorded": recorded.figures,
