@@ -67,7 +67,7 @@ class RemoteWorld:
         self._frame = 0
 
     def connect(self) -> None:
-        """Connects, if it is not connected, and makes the world tick by steps alone.
+        """Connects, if it is not connected, and makes the world tick by steps alone; who fails to do so must `close`.
 
         Raises:
             Disconnected, TimeoutError: The host cannot be reached.
@@ -76,15 +76,10 @@ class RemoteWorld:
         """
         if self._mode is not None:
             return
-        client = self._client
-        client.connect()
-        try:
-            info = client.get_world_info()
-            require_world(info, self._task)
-            client.set_mode("lockstep")
-        except BaseException:
-            client.close()
-            raise
+        self._client.connect()
+        info = self._client.get_world_info()
+        require_world(info, self._task)
+        self._client.set_mode("lockstep")
         self._mode = info["mode"]
 
     def close(self) -> None:

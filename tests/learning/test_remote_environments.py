@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +14,7 @@ from gymnasium.vector import AutoresetMode
 
 from creatures import snake
 from nmes.backend import Array
+from nmes.client import Client
 from nmes.errors import CommandFailed, Disconnected, WorldError
 from nmes.evaluation import Environments, Task
 from nmes.genome import Genome
@@ -40,7 +41,7 @@ def remote(
 def server() -> Iterator[Served]:
     """A host of three worlds as tasks have them, the first of which ticks by itself."""
     with served(
-        {**MUJOCO, "name": "a", "mode": "realtime", "friction": 0.3}, *[{**MUJOCO, "name": n} for n in "bc"]
+        {**MUJOCO, "name": "a", "mode": "realtime", "friction": 3.0}, *[{**MUJOCO, "name": n} for n in "bc"]
     ) as s:
         yield s
 
@@ -110,6 +111,25 @@ def test_rows_are_worlds_of_one_host(server: Served) -> None:
         for action, parts in zip(actions, seen, strict=True):
             for mine, its in zip(parts, local.step(action[row : row + 1]), strict=True):
                 assert np.array_equal(mine[row], its[0])
+
+
+def test_all_worlds_are_asked_before_the_first_answer_is_waited_for(
+    server: Served, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    core = remote(server, asked(), count=2, worlds=["b", "c"])
+    core.reset(1)
+    order: list[str] = []
+    for name in ("post", "wait"):
+        method = getattr(Client, name)
+
+        def noted(*arguments: Any, method: Callable[..., Any] = method, name: str = name) -> Any:
+            order.append(name)
+            return method(*arguments)
+
+        monkeypatch.setattr(Client, name, noted)
+    core.step(np.zeros((2, 3)))
+    assert order == ["post", "post", "wait", "wait"]
+    core.close()
 
 
 def test_what_happens_is_recorded_by_the_host(tmp_path: Path) -> None:
