@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import os
 import ssl
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -77,10 +77,11 @@ class RemoteWorld:
         if self._mode is not None:
             return
         self._client.connect()
-        info = self._client.get_world_info()
-        require_world(info, self._task)
-        self._client.set_mode("lockstep")
-        self._mode = info["mode"]
+        with _understood():
+            info = self._client.get_world_info()
+            require_world(info, self._task)
+            self._client.set_mode("lockstep")
+            self._mode = info["mode"]
 
     def close(self) -> None:
         """Disconnects; the world is left in the mode in which it was, if it can be reached."""
@@ -98,6 +99,10 @@ class RemoteWorld:
             CommandFailed: It refuses the creature, or another command.
             WorldError: The creature does not come to rest; or `unsupported`.
         """
+        with _understood():
+            return self._begin(seed)
+
+    def _begin(self, seed: int) -> Moment:
         scene, settled = self._scene, self._settled.get(seed)
         if settled is None:
             self._scene.require_parts(self._ask(scene.set_down(seed))[1])
@@ -145,6 +150,10 @@ class RemoteWorld:
             CommandFailed: It refuses a command.
             WorldError: `disturbed`: somebody else steps or resets the world.
         """
+        with _understood():
+            return self._take(call)
+
+    def _take(self, call: Pending[Any]) -> Moment | str:
         replies = self._client.wait(call)["results"]
         stepped = replies[1]
         if stepped["type"] == "error" and stepped["code"] == "world_faulted":
@@ -158,6 +167,16 @@ class RemoteWorld:
             if reply["type"] == "error":
                 raise CommandFailed(reply["code"], reply["message"], reply.get("field"))
         return self._scene.moment(*replies[2:])
+
+
+@contextmanager
+def _understood() -> Iterator[None]:
+    """Raises Disconnected (`bad_reply`) where what a server answers is not what the protocol says."""
+    try:
+        yield
+    except (LookupError, TypeError, ValueError) as error:
+        what = f"{type(error).__name__}: {error}"
+        raise Disconnected("bad_reply", f"the server sent what is no answer: {what}") from error
 
 
 class RemoteEnvironments:

@@ -18,6 +18,7 @@ import math
 import os
 import secrets
 from collections.abc import Iterator, Mapping, Sequence
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any, ClassVar, Final, NamedTuple
 
@@ -64,7 +65,7 @@ def parallel_env(
         task: What each of them is asked to do: the name of a task that ships, a file, a document, or a `Task`.
         genomes: The creatures, likewise, by the names of their agents.
         seeds: Of the scenes that episodes take; the task's if left out.
-        record: A folder in which every episode is recorded; None: none is.
+        record: A folder in which every episode is recorded, the same one in the same file; None: none is.
 
     Raises:
         ValueError: There are no genomes, or no seeds.
@@ -292,6 +293,9 @@ class _Episode:
         self._world = World(task.world_config(seed))
         self._recorder: Recorder | None = None
         self._agents: dict[str, _Agent] = {}
+        self._done = blake2b(digest_size=8)  # who takes part, and what is done: the same episode has the same file
+        for name, genome in genomes.items():
+            self._done.update(f"{name}:{genome.hash}\n".encode())
         places = _places({name: genome.body for name, genome in genomes.items()}, flat=self._world.backend.dims == 2)
         self._entrants = {place.creature: Entrant(genomes[place.creature], place) for place in places}
         try:
@@ -313,7 +317,7 @@ class _Episode:
             "seed": str(self._seed),
             "creatures": orjson.dumps(creatures).decode(),
         }
-        part = folder / f"{self._task.name}-{self._seed}.{secrets.token_hex(8)}.part"
+        part = folder / f"{secrets.token_hex(8)}.part"
         return Recorder(part, self._world, pose_rate=_POSE_RATE, about={METADATA: about})
 
     def _begin(self) -> None:
@@ -348,8 +352,13 @@ class _Episode:
 
     def move(self, controls: Mapping[str, Array]) -> None:
         """Drives creatures, and goes one tick on."""
-        for name, values in controls.items():
-            self._world.drive(self._client, name, values)
+        try:
+            for name, values in controls.items():
+                self._done.update(values.tobytes())
+                self._world.drive(self._client, name, values)
+        except WorldError:
+            self._fault()  # what cannot be recorded is told as that
+            raise
         self._world.tick()
 
     def judge(self, name: str) -> _Standing:
@@ -384,7 +393,8 @@ class _Episode:
         try:
             self._recorder.close()
             self._fault()
-            path = part.with_name(f"{part.name.partition('.')[0]}.mcap")
+            task = self._task
+            path = part.with_name(f"{task.name}-{task.hash[:16]}-{self._seed}-{self._done.hexdigest()}.mcap")
             part.replace(path)
         finally:
             part.unlink(missing_ok=True)

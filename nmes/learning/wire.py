@@ -32,13 +32,13 @@ class Moment(NamedTuple):
     """What a world told of a tick.
 
     Attributes:
-        senses: What the creature's sensors read, (s,).
+        senses: What the creature's sensors read, array (s,).
         states: Of its cubes and the props, array (n, 13).
         touches: As `Trajectory.touches`, array (n, 2); without rows where nobody asks.
         energy: What the creature's motors have worked since the start, J.
     """
 
-    senses: Sequence[float]
+    senses: Array
     states: Array
     touches: Flags
     energy: float
@@ -122,11 +122,22 @@ class WireScene:
         )
 
     def moment(self, senses: Mapping[str, Any], states: Mapping[str, Any], reward: Mapping[str, Any]) -> Moment:
-        """Returns what the replies to `look` tell."""
+        """Returns what the replies to `look` tell.
+
+        Raises:
+            KeyError, TypeError, ValueError: They are none.
+        """
         cubes = states["cubes"]
         touches = [self._touch(cube["contacts"]) for cube in cubes] if self._touchy else []
-        flags = np.array(touches, np.bool_).reshape(-1, 2)
-        return Moment(senses["values"], self.states(cubes), flags, float(reward["value"]))
+        moment = Moment(
+            np.array(senses["values"], np.float64),
+            self.states(cubes),
+            np.array(touches, np.bool_).reshape(-1, 2),
+            float(reward["value"]),
+        )
+        if moment.senses.shape != (len(self.body.sensors),) or moment.states.shape != (len(self.bodies.cubes), 13):
+            raise ValueError(f"senses of the shape {moment.senses.shape}, states of {moment.states.shape}")
+        return moment
 
     def _touch(self, contacts: Sequence[Mapping[str, Any]]) -> tuple[bool, bool]:
         return bool(contacts), any(contact["cube_name"] not in self._own for contact in contacts)
@@ -141,23 +152,20 @@ def require_world(info: Mapping[str, Any], task: Task) -> None:
     skipped = {*_GIVEN, *_OF_HOST}
     if stated.get("backend") != wanted["backend"]:
         skipped |= {*_OF_ENGINE}
-    compared = [name for name in wanted if name not in skipped]
-    different = [line for name in compared for line in _different(name, wanted[name], stated, name)]
+    names = [name for name in (*wanted, "damping") if name in stated and name not in skipped]
+    different = [line for name in names for line in _different(name, wanted.get(name), stated[name])]
     if different:
         reason = f"world {info['world']!r} is not one of task {task.name!r}: {'; '.join(different)}"
         raise WorldError("wrong_world", f"{reason}. Serve it with `nmes serve --config FILE`, with the task's `world`")
 
 
-def _different(name: str, wanted: Any, stated: Mapping[str, Any], path: str) -> Iterator[str]:
+def _different(path: str, wanted: Any, stated: Any) -> Iterator[str]:
     """Yields what a world states otherwise than is wanted; what it does not state may be anything."""
-    if name not in stated:
-        return
-    value = stated[name]
-    if isinstance(wanted, dict) and isinstance(value, dict):
-        for key in wanted:
-            yield from _different(key, wanted[key], value, f"{path}/{key}")
-    elif value != wanted:
-        yield f"{path} is {_short(value)}, not {_short(wanted)}"
+    if isinstance(wanted, dict) and isinstance(stated, dict):
+        for key, value in stated.items():
+            yield from _different(f"{path}/{key}", wanted.get(key), value)
+    elif stated != wanted:
+        yield f"{path} is {_short(stated)}, not {_short(wanted)}"
 
 
 def _short(value: Any) -> str:

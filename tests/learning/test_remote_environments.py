@@ -20,6 +20,7 @@ from nmes.evaluation import Environments, Task
 from nmes.genome import Genome
 from nmes.learning import Remote, RemoteEnvironments, RemoteVector, TaskEnv, TaskVectorEnv
 from nmes.playback import replay
+from nmes.world.commands import COMMANDS
 from servers import PASSWORD, Served, served, until
 
 MUJOCO = {"backend": "mujoco"}
@@ -178,6 +179,7 @@ def test_worlds_may_be_named(server: Served) -> None:
         ({"gravity": [0, -1.62, 0]}, r"gravity is \[0,-1.62,0\], not \[0,-9.81,0\]"),
         ({"substeps": 2}, "substeps is 2, not 4"),
         ({"scene": {"type": "planets"}}, 'scene/type is "planets", not "flat"'),
+        ({"damping": {"linear": 0.5}}, r'damping is {"linear":0.5,"angular":0}, not null'),
     ],
 )
 def test_a_world_that_is_not_of_the_task_is_refused(config: dict[str, Any], words: str) -> None:
@@ -186,6 +188,27 @@ def test_a_world_that_is_not_of_the_task_is_refused(config: dict[str, Any], word
             remote(host, asked())
         assert refused.value.code == "wrong_world" and "nmes serve --config" in str(refused.value)
         until(lambda: host.call(lambda: host.hosted.clients) == 0)
+
+
+def test_a_landscape_of_another_seed_is_refused() -> None:
+    task = asked("rough")
+    scene = task.world_config(1)["scene"]
+    with served({**MUJOCO, "scene": {**scene, "heightfield": {**scene["heightfield"], "seed": 5}}}) as host:
+        with pytest.raises(WorldError, match="scene/heightfield/seed is 5, not null"):
+            remote(host, task)
+
+
+def test_a_server_that_answers_something_else_is_no_traceback(server: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    core = remote(server, asked(), worlds=["b"])
+    first = core.reset(1).copy()
+    for answer in ({"values": [0.0]}, {"values": None}, {}):
+        with monkeypatch.context() as patched:
+            patched.setitem(COMMANDS, "sense", lambda *_, answer=answer: {"type": "senses", **answer})
+            with pytest.raises(Disconnected, match="the server sent what is no answer") as lost:
+                core.step(np.zeros((1, 3)))
+            assert lost.value.code == "bad_reply"
+        assert np.array_equal(core.reset(1), first)
+    core.close()
 
 
 def test_another_engine_gives_numbers_of_its_own() -> None:

@@ -22,7 +22,7 @@ from nmes.genome import Genome
 from nmes.learning.cores import GenomeLike
 from nmes.learning.several import METADATA, CreaturesEnv, parallel_env
 from nmes.playback import replay
-from nmes.recording import Recording
+from nmes.recording import Recorder, Recording
 from nmes.recording.records import Kind
 
 Actions = dict[str, np.ndarray]
@@ -212,10 +212,34 @@ def test_a_reset_in_the_middle_of_an_episode_keeps_what_was(tmp_path: Path) -> N
     env.reset(seed=0)
     env.step(still(env))
     env.reset(seed=0)
-    assert env.recording == tmp_path / "dash-7.mcap"
-    assert replay(env.recording).verdict == "reproduced"
+    broken_off = env.recording
+    assert broken_off is not None and broken_off.name.startswith("dash-") and "-7-" in broken_off.name
+    assert replay(broken_off).verdict == "reproduced"
+    env.step(still(env))
     env.close()
-    assert [path.name for path in tmp_path.iterdir()] == ["dash-7.mcap"]
+    assert env.recording == broken_off  # the same episode, the same file
+    env.reset(seed=0)
+    env.step({"a": np.full(3, 0.5)})
+    env.close()
+    assert env.recording != broken_off and len(list(tmp_path.iterdir())) == 2
+
+
+def test_what_can_no_longer_be_recorded_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    env = parallel_env(short(), {"a": snake()}, record=tmp_path)
+    env.reset(seed=1)
+
+    def full(*_: object) -> None:
+        raise RecordingError("recording_failed", "the disk is full")
+
+    monkeypatch.setattr(Recorder, "received", full)
+    with pytest.raises(RecordingError, match="the disk is full"):
+        env.step(still(env))
+    with pytest.raises(RecordingError, match="the disk is full"):
+        env.close()
+    monkeypatch.undo()
+    assert env.reset(seed=1)[0]["a"].shape == (len(env.genomes["a"].body.sensors),)
+    env.close()
+    assert len(list(tmp_path.iterdir())) == 1
 
 
 def test_agents_come_and_go_with_resets() -> None:
