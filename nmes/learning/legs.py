@@ -82,9 +82,13 @@ class Learning:
         self.champion: Champion | None = None
 
     def go(self) -> JsonObject:
-        """Goes on for a leg; returns what the log says of it (`schemas/learning_record.json`)."""
+        """Goes on for a leg; returns what the log says of it (`schemas/learning_record.json`).
+
+        Raises:
+            RunError: Learning came to numbers that are too large (`not_finite`).
+        """
         settings, number = self._settings, self.leg + 1
-        report = self._pupil.go(settings.draw("leg", number), 1.0 - self.leg / self.legs)
+        report = self._learn(number)
         self.leg = number
         scored = self._genome() if number % settings.every == 0 or number == self.legs else None
         score = None if scored is None else evaluate(scored, settings.task).score
@@ -101,6 +105,19 @@ class Learning:
             "genome_hash": None if scored is None else scored.hash,
             "state": state_digest(self.state()),
         }
+
+    def _learn(self, number: int) -> Report:
+        try:
+            with np.errstate(over="raise", invalid="raise", divide="raise"):
+                report = self._pupil.go(self._settings.draw("leg", number), 1.0 - (number - 1) / self.legs)
+            if not all(np.isfinite(array).all() for array in self._pupil.arrays().values()):
+                raise FloatingPointError("what was learned is no number")  # sums raise nothing
+        except ArithmeticError as error:
+            what = f"in leg {number} learning came to numbers that are too large ({error})"
+            raise RunError(
+                "not_finite", f"{what}: begin another run, with a smaller rate or smaller rewards"
+            ) from error
+        return report
 
     def _genome(self) -> Genome | None:
         """Returns the creature with the brain that was learned; None where its numbers are too large for one."""

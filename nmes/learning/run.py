@@ -254,8 +254,8 @@ class LearningRun:
         Raises:
             RunError: Another process goes on with the run (`run_busy`), other numbers would come out here
                 (`not_comparable`), what is done again comes out otherwise (`diverged`), the log is damaged
-                (`log_damaged`), recordings have changed (`recordings_changed`), or the folder cannot be written
-                (`cannot_write`). What was done before is kept.
+                (`log_damaged`), recordings have changed (`recordings_changed`), learning comes to numbers that are too
+                large (`not_finite`), or the folder cannot be written (`cannot_write`). What was done before is kept.
             WorldError, RecordingError, ProofError: As `Learning`.
         """
         if different := self.differences():

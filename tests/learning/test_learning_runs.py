@@ -84,10 +84,24 @@ def test_another_seed_is_another_run_and_threads_do_not_show(whole: LearningRun,
     assert finish(begin(tmp_path / "other", seed=6, steps=60)).digest != whole.legs[0].digest
 
 
+def test_each_leg_draws_anew(tmp_path: Path) -> None:
+    run = finish(begin(tmp_path / "run", steps=180, options={**OPTIONS, "rate": 1e-9}))
+    returned = [leg.returned or 0.0 for leg in run.legs]
+    assert min(abs(a - b) for a, b in zip(returned, returned[1:], strict=False)) > 1e-6
+
+
 def test_a_run_with_a_reward_of_its_own_earns_it(tmp_path: Path) -> None:
     run = finish(begin(tmp_path / "paid", reward="3", steps=2 * 36, options={**OPTIONS, "ticks": 12}))
     assert [leg.returned for leg in run.legs] == [36.0, 36.0]
     assert begin(tmp_path / "unpaid").digest != run.digest
+
+
+def test_numbers_that_are_too_large_end_a_run_with_words(tmp_path: Path) -> None:
+    run = begin(tmp_path / "run", reward="1e308 * (1 + time)")
+    with pytest.raises(RunError, match="in leg 1 learning came to numbers that are too large") as caught:
+        finish(run)
+    assert caught.value.code == "not_finite"
+    assert LearningRun.open(run.folder).digest == run.digest
 
 
 def test_learning_goes_on_from_a_brain_that_was_learned(whole: LearningRun, tmp_path: Path) -> None:

@@ -117,7 +117,7 @@ def test_q_learning_finds_the_values_of_a_corridor() -> None:
         while place < 3:
             action = learner.choose(place, 0.3, draw)
             after = max(0, place + (1 if action else -1))
-            learner.learn(place, action, float(after == 3), after, after == 3)
+            learner.learn(place, action, float(after == 3), after % 3, after == 3)  # then it begins anew
             place = after
     np.testing.assert_allclose(learner.values[:3, 1], [0.81, 0.9, 1.0], atol=1e-3)
     np.testing.assert_allclose(learner.values[1:3, 0], [0.729, 0.81], atol=1e-2)
