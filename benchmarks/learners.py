@@ -36,7 +36,9 @@ T95 = 2.262  # Student's t for 10 seeds
 Z95 = 1.96
 # Those of RL Baselines3 Zoo, which Stable-Baselines3's policies are tuned with.
 OPTIONS = {
-    "CartPole-v1": Ppo.Options(rows=8, ticks=32, rate=1e-3, epochs=20, batch=256, gamma=0.98, decay=0.8),
+    "CartPole-v1": Ppo.Options(
+        rows=8, ticks=32, rate=1e-3, epochs=20, batch=256, gamma=0.98, decay=0.8, normalise=False
+    ),
     "Pendulum-v1": Ppo.Options(rows=4, ticks=1024, rate=1e-3, epochs=10, batch=64, gamma=0.9, spread=1.0),
 }
 

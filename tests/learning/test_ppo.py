@@ -101,6 +101,13 @@ def test_it_goes_on_from_a_brain_that_does_the_same_after_the_scale_has_changed(
     np.testing.assert_allclose(pupil.best(seen), teacher.best(seen), atol=1e-5)
 
 
+def test_observations_are_normalised_unless_told_otherwise() -> None:
+    for normalise in (True, False):
+        learner = Ppo(SPACES, replace(SMALL, normalise=normalise), Draw(1))
+        mean_returns(learner, Follow(SMALL.rows), 1, SMALL.ticks)
+        assert learner.scale.means[0] == (pytest.approx(100.0, abs=1.0) if normalise else 0.0)
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [({"gamma": 1.5}, "options.gamma: must be from 0 to 1"), ({"rows": 0}, "options.rows: must be from 1 to 4,096")],
@@ -112,7 +119,9 @@ def test_options_out_of_bounds_are_refused(options: dict[str, float], words: str
 
 # -- Gymnasium --------------------------------------------------------------------------------------------------------
 
-CARTPOLE = Ppo.Options(rows=8, ticks=32, units=64, rate=1e-3, epochs=20, batch=256, gamma=0.98, decay=0.8, longest=0.5)
+CARTPOLE = Ppo.Options(
+    rows=8, ticks=32, units=64, rate=1e-3, epochs=20, batch=256, gamma=0.98, decay=0.8, normalise=False
+)
 PENDULUM = Ppo.Options(rows=4, ticks=1024, units=64, rate=1e-3, epochs=10, batch=64, gamma=0.9, spread=1.0)
 
 
@@ -175,6 +184,6 @@ def test_rows_that_reset_otherwise_are_refused() -> None:
 def test_ten_seeds_learn_what_stable_baselines_learns(
     name: str, options: Ppo.Options, steps: int, least: float
 ) -> None:
-    """The bounds are the lower ends of the intervals that benchmarks/learners.py measured for Stable-Baselines3."""
+    """What benchmarks/learners.py measures, beside Stable-Baselines3's; here, that each mean is that of who can do it."""
     scores = [evaluated(name, trained(name, options, steps, seed), seed) for seed in range(10)]
     assert np.mean(scores) > least, scores

@@ -62,6 +62,8 @@ class Ppo(ActorCritic):
             entropy: What a nat of the policy's entropy is worth.
             spread: The standard deviation of controls at first.
             longest: The greatest length of a gradient.
+            normalise: Whether observations are normalised by what was seen so far. Where a few blocks are all that is seen
+                at first, that changes what the policy does more than learning does.
             novelty: What is new is worth so much beside the reward: of the mean error of a forward model.
         """
 
@@ -77,6 +79,7 @@ class Ppo(ActorCritic):
         entropy: float = 0.0
         spread: float = 0.5
         longest: float = 0.5
+        normalise: bool = True
         novelty: float = 0.0
 
         def __post_init__(self) -> None:
@@ -121,7 +124,8 @@ class Ppo(ActorCritic):
                 gradient, told = losses(self, self.parameters, batch, options.clip, options.entropy)
                 rounds.append(told)
                 self._adam.step(self.parameters, clipped(gradient, options.longest), rest * options.rate)
-        self.scale_by(experience)
+        if options.normalise:
+            self.scale_by(experience)
         figures |= {name: average(np.array([each[name] for each in rounds])) for name in rounds[0]}
         return Report(experience.rewards.size, experience.returns, experience.lengths, figures)
 
