@@ -122,7 +122,7 @@ def test_options_out_of_bounds_are_refused(options: dict[str, float], words: str
 CARTPOLE = Ppo.Options(
     rows=8, ticks=32, units=64, rate=1e-3, epochs=20, batch=256, gamma=0.98, decay=0.8, normalise=False
 )
-PENDULUM = Ppo.Options(rows=4, ticks=1024, units=64, rate=1e-3, epochs=10, batch=64, gamma=0.9, spread=1.0)
+PENDULUM = Ppo.Options(rows=4, ticks=1024, rate=1e-3, epochs=10, batch=64, gamma=0.9, spread=1.0)
 
 
 def vector(name: str, count: int) -> GymnasiumRows:
@@ -184,6 +184,6 @@ def test_rows_that_reset_otherwise_are_refused() -> None:
 def test_ten_seeds_learn_what_stable_baselines_learns(
     name: str, options: Ppo.Options, steps: int, least: float
 ) -> None:
-    """What benchmarks/learners.py measures, beside Stable-Baselines3's; here, that each mean is that of who can do it."""
+    """The same as benchmarks/learners.py, which measures Stable-Baselines3's beside it."""
     scores = [evaluated(name, trained(name, options, steps, seed), seed) for seed in range(10)]
     assert np.mean(scores) > least, scores

@@ -62,8 +62,8 @@ class Ppo(ActorCritic):
             entropy: What a nat of the policy's entropy is worth.
             spread: The standard deviation of controls at first.
             longest: The greatest length of a gradient.
-            normalise: Whether observations are normalised by what was seen so far. Where a few blocks are all that is seen
-                at first, that changes what the policy does more than learning does.
+            normalise: Whether observations are normalised by what was seen so far. Where blocks are short, that changes
+                what the policy does more than learning does.
             novelty: What is new is worth so much beside the reward: of the mean error of a forward model.
         """
 
