@@ -22,6 +22,7 @@ from nmes.learning.episodes import RecordedEpisode, read_episodes
 
 __all__ = ["check_name", "write_minari"]
 
+_BODY: Final = ("body", "sensors")  # what of a genome is there without its brain
 _NAME: Final = re.compile(r"[A-Za-z0-9_][-A-Za-z0-9_]{0,99}-v[0-9]{1,6}")
 
 
@@ -57,30 +58,30 @@ def write_minari(
     """
     try:
         import minari.dataset._storages.arrow_storage  # noqa: F401 (that pyarrow is there too)
+        from gymnasium.envs.registration import EnvSpec
+        from gymnasium.spaces import Box
         from minari import __version__
         from minari.dataset.minari_storage import MinariStorage
+
+        from nmes.learning import spaces
     except ImportError as error:
         raise MissingPackage("datasets of Minari need minari and pyarrow: pip install 'nmes[gym]'") from error
     check_name(name)
     episodes = _Episodes(read_episodes(recordings))
-    first = episodes.first
-    observation_space, action_space = _spaces(first)
+    # Observations are the environment's; actions too, but in the 64 bits in which a recording has them.
+    observations, _ = spaces.of(episodes.first.genome)
+    actions = Box(-1.0, 1.0, (len(episodes.first.motors),), np.float64)
     data = Path(folder, "data")
     data.mkdir(parents=True)
-    storage = MinariStorage.new(data, observation_space, action_space, data_format="arrow")
+    storage = MinariStorage.new(data, observations, actions, data_format="arrow")
     storage.update_metadata({"dataset_id": name, "minari_version": __version__})
     storage.update_episodes(episodes)
     storage.update_episode_metadata(episodes.about)
     storage.update_metadata(episodes.summary())
+    if episodes.environment is not None:
+        entry = "nmes.learning.environment:TaskEnv"
+        storage.update_metadata({"env_spec": EnvSpec("nmes/creature-v0", entry, kwargs=episodes.environment).to_json()})
     return len(episodes.about), storage.total_steps
-
-
-def _spaces(episode: RecordedEpisode) -> tuple[Any, Any]:
-    """Returns the spaces of observations and actions."""
-    from gymnasium.spaces import Box
-
-    sensors, motors = (len(episode.sensors),), (len(episode.motors),)
-    return Box(-np.inf, np.inf, sensors, np.float64), Box(-1.0, 1.0, motors, np.float64)
 
 
 class _Episodes:
@@ -124,6 +125,15 @@ class _Episodes:
             terminations=episode.terminated,
             truncations=episode.truncated,
         )
+
+    @property
+    def environment(self) -> dict[str, Any] | None:
+        """Of what the environment of all episodes is made: a task, and a creature; None where there are several."""
+        task, genome = self.first.task, self.first.genome
+        bodies = [{key: value for key, value in each.items() if key in _BODY} for each in self._genomes.values()]
+        if len(self._tasks) > 1 or any(body != bodies[0] for body in bodies):
+            return None
+        return {"task": task.document, "genome": genome.document}
 
     def summary(self) -> dict[str, Any]:
         """Returns what is told of the dataset as a whole."""

@@ -24,7 +24,7 @@ from driven import record_driven
 from nmes.cli import main
 from nmes.evaluation import Task, evaluate
 from nmes.genome import Genome
-from nmes.learning import RecordedEpisode, lerobot, read_episodes
+from nmes.learning import RecordedEpisode, lerobot, read_episodes, spaces
 from processes import NMES
 
 SEEDS = (4, 2, 7)
@@ -44,7 +44,17 @@ def run_process(*arguments: str | Path, **environment: str) -> None:
 
 def task(**changes: Any) -> Task:
     ends = [{"name": "far", "when": "displacement.horizontal > 0.09"}]
-    return Task({**Task.load("walk").document, "name": "dash", "duration": 1.0, "ends": ends, "limits": {}, **changes})
+    return Task(
+        {
+            **Task.load("walk").document,
+            "name": "dash",
+            "duration": 1.0,
+            "ends": ends,
+            "limits": {},
+            "seeds": [*SEEDS],
+            **changes,
+        }
+    )
 
 
 @pytest.fixture(scope="module")
@@ -82,7 +92,7 @@ def test_a_dataset_of_minari_equals_the_replay(
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
     dataset = minari.load_dataset("snake-v0")
     assert (dataset.total_episodes, dataset.total_steps, dataset.id) == (4, ticks, "snake-v0")
-    assert dataset.observation_space == Box(-np.inf, np.inf, (len(episodes[0].sensors),), np.float64)
+    assert dataset.observation_space == spaces.of(episodes[0].genome)[0]
     assert dataset.action_space == Box(-1.0, 1.0, (3,), np.float64)
     read = list(dataset.iterate_episodes())
     assert [each.id for each in read] == [0, 1, 2, 3]
@@ -112,6 +122,24 @@ def test_a_dataset_of_minari_says_where_it_is_from(
         assert (found["score"], found["ended"]) == (episode.result.score, episode.result.ended)
         assert Task(about["nmes"]["tasks"][found["task"]]).hash == episode.task.hash
         assert Genome(about["nmes"]["genomes"][found["genome"]]).hash == episode.genome.hash
+
+
+def test_the_environment_of_a_dataset_of_minari_is_recovered(proofs: list[Path], tmp_path: Path) -> None:
+    assert run("export", *proofs[:3], "--to", "minari", "-o", tmp_path / "snake-v0")[0] == 0
+    program = "import sys, minari\n"
+    program += "dataset = minari.MinariDataset(sys.argv[1])\nenv = dataset.recover_environment()\n"
+    program += "assert env.observation_space == dataset.observation_space\n"
+    program += "observation, info = env.reset(seed=0)\n"
+    program += "while info['seed'] != 4:\n    observation, info = env.reset()\n"
+    program += "assert (observation == dataset[0].observations[0]).all()\n"
+    program += "observation = env.step(dataset[0].actions[0])[0]\n"
+    program += "assert (observation == dataset[0].observations[1]).all()\n"
+    program += "print(env.unwrapped.task.name, env.unwrapped.genome.hash)"
+    arguments = [sys.executable, "-W", "error", "-c", program, str(tmp_path / "snake-v0" / "data")]
+    process = subprocess.run(arguments, capture_output=True, text=True)
+    assert process.stdout.split() == ["dash", Genome(snake(mlp(4, seed=2))).hash], process.stderr
+    assert run("export", *proofs, "--to", "minari", "-o", tmp_path / "both-v0")[0] == 0
+    assert minari.MinariDataset(str(tmp_path / "both-v0" / "data")).env_spec is None  # two tasks are no environment
 
 
 # -- LeRobot ----------------------------------------------------------------------------------------------------------
