@@ -6,7 +6,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, TYPE_CHECKING
 
 import click
 
@@ -17,9 +17,13 @@ from nmes.playback import states
 from nmes.playback.export import messages, state_rows, write_csv, write_jsonl, write_parquet
 from nmes.recording import Recording
 
+if TYPE_CHECKING:
+    from nmes.learning import RecordedEpisode
+
 __all__ = ["command"]
 
 
+_VIDEO_SIZE = 320, 240
 _DATASETS = ("minari", "lerobot")
 
 
@@ -42,8 +46,11 @@ def _open(context: click.Context, parameter: click.Parameter, values: tuple[str,
     "-o", "--output", type=click.Path(path_type=Path), help="The file, or the dataset's folder; else standard output."
 )
 @click.option("--keep-going", is_flag=True, help="States: go on where a tick does not come out as recorded.")
+@click.option("--videos", is_flag=True, help="LeRobot: a video of each episode, too.")
 @click.option("--anyway", "keep_going", is_flag=True, hidden=True)  # its old name
-def command(recordings: list[Recording], kind: str, what: str | None, output: Path | None, keep_going: bool) -> None:
+def command(
+    recordings: list[Recording], kind: str, what: str | None, output: Path | None, keep_going: bool, videos: bool
+) -> None:
     """Write recordings as data for other programs.
 
     A recording as a table (jsonl, csv, parquet); or recordings of `nmes eval` as a dataset that others learn from
@@ -61,19 +68,21 @@ def command(recordings: list[Recording], kind: str, what: str | None, output: Pa
         nmes export run.mcap --to jsonl
         nmes export run.mcap --to parquet -o states.parquet
         nmes export proofs/walker-*.mcap --to minari -o datasets/walker-v0
-        nmes export proofs/walker-*.mcap --to lerobot -o walker
+        nmes export proofs/walker-*.mcap --to lerobot --videos -o walker
     """
+    if videos and kind != "lerobot":
+        raise click.UsageError(f"--videos are a part of --to lerobot, not of {kind}")
     if kind in _DATASETS:
         if what is not None or keep_going:
             raise click.UsageError(f"--what and --keep-going are for tables, not for {kind}")
-        _write_dataset(recordings, kind, output)
+        _write_dataset(recordings, kind, output, videos)
     elif len(recordings) > 1:
         raise click.UsageError(f"{kind} is made of one recording; of several, --to minari or lerobot")
     else:
         _write_table(recordings[0], kind, what, output, keep_going)
 
 
-def _write_dataset(recordings: list[Recording], kind: str, output: Path | None) -> None:
+def _write_dataset(recordings: list[Recording], kind: str, output: Path | None, videos: bool) -> None:
     if output is None:
         raise click.UsageError(f"{kind} needs --output")
     # Their imports take long, and all commands import this.
@@ -84,8 +93,21 @@ def _write_dataset(recordings: list[Recording], kind: str, output: Path | None) 
     if kind == "minari":
         check_name(name)
     with whole_folder(output) as unfinished:
-        counts = write_minari(paths, unfinished, name) if kind == "minari" else write_lerobot(paths, unfinished)
+        if kind == "minari":
+            counts = write_minari(paths, unfinished, name)
+        else:
+            counts = write_lerobot(paths, unfinished, _film if videos else None)
     click.echo(f"wrote {visible(str(output))}: {counts[0]:,} episodes, {counts[1]:,} ticks")
+
+
+def _film(episode: RecordedEpisode, path: Path) -> None:
+    """Writes a video of an episode, with a picture for each of its ticks, as it was before it."""
+    from nmes.view.film import Cut, film
+
+    rate = episode.task.tick_rate
+    first = round(episode.begin * rate)
+    last = first + len(episode.actions) - 1
+    film([Recording(episode.path)], path, Cut(begin=first / rate, end=last / rate), fps=rate, size=_VIDEO_SIZE)
 
 
 def _write_table(recording: Recording, kind: str, what: str | None, output: Path | None, keep_going: bool) -> None:

@@ -131,6 +131,7 @@ class Course:
         worth: Array (ticks,): the score that the episode would have had at its start and after each tick but the last,
             had it ended there; NaN where there is none.
         lasted: Whether it lasted its time, and was neither ended nor failed.
+        begin: When it began, s since the recording did.
     """
 
     genome: Genome
@@ -140,6 +141,7 @@ class Course:
     controls: Array
     worth: Array
     lasted: bool
+    begin: float
 
 
 def retrace(recording: str | os.PathLike[str]) -> Course:
@@ -165,7 +167,8 @@ def retrace(recording: str | os.PathLike[str]) -> Course:
         raise ProofError("nothing_to_export", f"{recording}: the episode has no tick: {result.fault}")
     sensed = np.array(log.sensed[: ticks + 1]).reshape(ticks + 1, len(genome.body.sensors))
     controls = np.array(log.controls[:ticks], float).reshape(ticks, len(genome.body.motors))
-    return Course(genome, task, result, sensed, controls, episode.scores_so_far()[:ticks, 1], episode.lasted)
+    times, worth = episode.scores_so_far()[:ticks].T
+    return Course(genome, task, result, sensed, controls, worth, episode.lasted, float(times[0]))
 
 
 class _Log:

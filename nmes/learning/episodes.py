@@ -41,6 +41,7 @@ class RecordedEpisode:
         result: How it came out, with its seed.
         genome: The creature.
         task: The task.
+        begin: When it began, s since the recording did: until then its creature came to rest.
     """
 
     path: str
@@ -52,6 +53,7 @@ class RecordedEpisode:
     result: Result
     genome: Genome
     task: Task
+    begin: float
 
     @property
     def sensors(self) -> tuple[str, ...]:
@@ -86,6 +88,7 @@ def read_episode(recording: str | os.PathLike[str]) -> RecordedEpisode:
         course.result,
         course.genome,
         course.task,
+        course.begin,
     )
 
 

@@ -3,7 +3,7 @@
 Hides the folders, tables and statistics of that format. A frame of the dataset is a tick: what the sensors read before
 it (`observation.state`), what was done (`action`), and what it earned (`next.reward`, `next.done`, `next.truncated`),
 as floats of 32 bits, which is what is learned from. What is sensed after the last tick has no place in the format.
-The same recordings make the same bytes.
+The same recordings make the same bytes, but for videos, which depend on what draws them.
 
 Source: R. Cadene et al., "LeRobot" (2024), its dataset format v3.0: `meta/info.json`, `meta/stats.json`,
 `meta/tasks.parquet`, and tables of episodes and frames in files of at most about 100 MB, 1,000 of which are a folder.
@@ -12,7 +12,7 @@ Source: R. Cadene et al., "LeRobot" (2024), its dataset format v3.0: `meta/info.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -30,22 +30,30 @@ _FILES: Final = 1000  # in a folder
 _PLACE: Final = "chunk-{chunk_index:03d}/file-{file_index:03d}"
 _QUANTILES: Final = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 
+_CAMERA: Final = "observation.images.follow"
+_SEEN: Final = 100  # pictures of an episode of which the statistics are
+
 Numbers = npt.NDArray[Any]
+Film = Callable[[RecordedEpisode, Path], None]
+"""Writes an .mp4 of an episode: for each tick, in its turn, a picture of what was before it."""
 Stats = Mapping[str, Mapping[str, Numbers]]
 
 
-def write_lerobot(recordings: Iterable[str | os.PathLike[str]], folder: str | os.PathLike[str]) -> tuple[int, int]:
+def write_lerobot(
+    recordings: Iterable[str | os.PathLike[str]], folder: str | os.PathLike[str], film: Film | None = None
+) -> tuple[int, int]:
     """Writes recordings of episodes as a dataset.
 
     Args:
         recordings: The files, of creatures with the same sensors and motors; each becomes an episode, in their order.
         folder: Where to write it: an empty folder, or one that is not there yet.
+        film: Called for a video of each episode; None: there are none.
 
     Returns:
         How many episodes and how many ticks there are.
 
     Raises:
-        MissingPackage: pyarrow is not installed.
+        MissingPackage: pyarrow is not installed; or PyAV, where there are videos.
         RecordingError, ProofError, DocumentError: As by `nmes.learning.read_episodes`; or there are no recordings
             (`nothing_to_export`).
     """
@@ -53,7 +61,7 @@ def write_lerobot(recordings: Iterable[str | os.PathLike[str]], folder: str | os
         import pyarrow.parquet  # noqa: F401 (before the work, not after it)
     except ImportError as error:
         raise MissingPackage("datasets of LeRobot need pyarrow: pip install 'nmes[arrow]'") from error
-    dataset = _Dataset(Path(folder))
+    dataset = _Dataset(Path(folder), film)
     for episode in read_episodes(recordings):
         dataset.add(episode)
     return dataset.close()
@@ -62,8 +70,9 @@ def write_lerobot(recordings: Iterable[str | os.PathLike[str]], folder: str | os
 class _Dataset:
     """A dataset that is being written, an episode at a time."""
 
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
+    def __init__(self, folder: Path, film: Film | None) -> None:
+        self._folder, self._film = folder, film
+        self._video: dict[str, Any] = {}  # what the feature is, if there is one
         self._first: RecordedEpisode | None = None
         self._tasks: dict[str, int] = {}
         self._rows: list[dict[str, Any]] = []  # of the table of episodes
@@ -81,6 +90,15 @@ class _Dataset:
             self._flush()
         self._frames.append(frames)
         self._bytes += size
+        place: dict[str, Any] = {}
+        if self._film is not None:
+            path = self._folder / "videos" / _CAMERA / _at(len(self._rows), "mp4")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self._film(episode, path)
+            self._video, stats[_CAMERA] = _watch(path, episode.task.tick_rate)
+            ends = {"from_timestamp": 0.0, "to_timestamp": ticks / episode.task.tick_rate}
+            file = _place(f"videos/{_CAMERA}", len(self._rows))
+            place = file | {f"videos/{_CAMERA}/{name}": time for name, time in ends.items()}
         result = episode.result
         self._rows.append(
             {
@@ -90,6 +108,7 @@ class _Dataset:
                 **_place("data", self._file),
                 "dataset_from_index": self._ticks,
                 "dataset_to_index": self._ticks + ticks,
+                **place,
                 "nmes/recording": Path(episode.path).name,
                 "nmes/task": episode.task.hash,
                 "nmes/genome": episode.genome.hash,
@@ -130,7 +149,7 @@ class _Dataset:
         """Writes what is left, and what is told of the whole; returns how many episodes and ticks there are."""
         if self._first is None:
             raise RecordingError("nothing_to_export", "there are no recordings")
-        features = _features(self._first, self._frames[0])
+        features = _features(self._first, self._frames[0]) | ({_CAMERA: self._video} if self._video else {})
         self._flush()
         meta = self._folder / "meta"
         columns = {key: [_plain(row[key]) for row in self._rows] for key in self._rows[0]}
@@ -157,7 +176,7 @@ class _Dataset:
             "fps": first.task.tick_rate,
             "splits": {"train": f"0:{len(self._rows)}"},
             "data_path": f"data/{_PLACE}.parquet",
-            "video_path": None,
+            "video_path": f"videos/{{video_key}}/{_PLACE}.mp4" if self._video else None,
             "features": features,
         }
 
@@ -188,9 +207,52 @@ def _describe(values: Numbers) -> dict[str, Numbers]:
     return stats | dict(zip(_QUANTILES, quantiles, strict=True))
 
 
+def _watch(path: Path, rate: int) -> tuple[dict[str, Any], dict[str, Numbers]]:
+    """Returns what a video is, and the statistics of its colours, from 0 to 1: `count` (1,), all others (3, 1, 1)."""
+    import av
+
+    with av.open(str(path)) as container:
+        stream = container.streams.video[0]
+        every = max(1, stream.frames // _SEEN)
+        seen = np.zeros((3, 256), np.int64)
+        for number, frame in enumerate(container.decode(stream)):
+            if number % every == 0:
+                pixels = frame.to_ndarray(format="rgb24")
+                seen += [np.bincount(pixels[:, :, color].ravel(), minlength=256) for color in range(3)]
+        height, width, _ = pixels.shape
+        about = {"height": height, "width": width, "codec": "h264", "pix_fmt": "yuv420p", "is_depth_map": False}
+        about |= {"fps": rate, "channels": 3}
+        info = {f"video.{name}": value for name, value in about.items()} | {"has_audio": False}
+        feature = {
+            "dtype": "video",
+            "shape": [height, width, 3],
+            "names": ["height", "width", "channels"],
+            "info": info,
+        }
+        return feature, _describe_colors(seen, -(-stream.frames // every))
+
+
+def _describe_colors(seen: Numbers, pictures: int) -> dict[str, Numbers]:
+    """Returns the statistics of colours, of which it was counted how often each value was there: array (3, 256)."""
+    values = np.arange(256) / 255.0
+    total = seen.sum(axis=1)
+    mean = (seen * values).sum(axis=1) / total
+    below = seen.cumsum(axis=1)
+    there = [values[np.flatnonzero(each)] for each in seen]
+    stats = {
+        "min": np.array([each[0] for each in there]),
+        "max": np.array([each[-1] for each in there]),
+        "mean": mean,
+        "std": np.sqrt((seen * (values - mean[:, np.newaxis]) ** 2).sum(axis=1) / total),
+    }
+    for name, part in _QUANTILES.items():
+        stats[name] = values[(below >= part * total[:, np.newaxis]).argmax(axis=1)]
+    return {name: value.reshape(3, 1, 1) for name, value in stats.items()} | {"count": np.array([pictures])}
+
+
 def _aggregate(parts: Sequence[Mapping[str, Numbers]]) -> dict[str, Numbers]:
     """Returns the statistics of a dataset; its quantiles are, as LeRobot's own, the means of those of its episodes."""
-    counts = np.array([part["count"] for part in parts])
+    counts = np.array([part["count"] for part in parts], float).reshape(-1, *[1] * parts[0]["mean"].ndim)
     total = counts.sum(axis=0)
 
     def mean(values: Iterator[Numbers]) -> Numbers:
@@ -204,7 +266,7 @@ def _aggregate(parts: Sequence[Mapping[str, Numbers]]) -> dict[str, Numbers]:
         "max": np.max([part["max"] for part in parts], axis=0),
         "mean": middle,
         "std": np.sqrt(spread),
-        "count": total,
+        "count": np.array([int(counts.sum())]),
         **{name: mean(part[name] for part in parts) for name in _QUANTILES},
     }
 
@@ -217,8 +279,8 @@ def _place(what: str, file: int) -> dict[str, int]:
     return {f"{what}/chunk_index": file // _FILES, f"{what}/file_index": file % _FILES}
 
 
-def _at(file: int) -> str:
-    return f"{_PLACE.format(chunk_index=file // _FILES, file_index=file % _FILES)}.parquet"
+def _at(file: int, ending: str = "parquet") -> str:
+    return f"{_PLACE.format(chunk_index=file // _FILES, file_index=file % _FILES)}.{ending}"
 
 
 def _plain(value: Any) -> Any:

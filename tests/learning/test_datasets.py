@@ -11,6 +11,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import av
 import minari
 import numpy as np
 import orjson
@@ -273,6 +274,43 @@ def test_a_creature_with_one_sensor_and_one_motor_has_plain_columns(tmp_path: Pa
     loaded = Loaded(tmp_path / "d")
     assert loaded.frames.schema.field("action").type == pyarrow.float32()
     assert loaded.info["features"]["observation.state"]["shape"] == [1] and {*loaded.column("action")[:, 0]} == {0.5}
+
+
+def test_videos_of_lerobot_have_a_picture_for_each_tick(proofs: list[Path], tmp_path: Path) -> None:
+    paths = []
+    for number, duration in enumerate((0.1, 0.15)):  # pictures cost much where no graphics card draws them
+        paths.append(tmp_path / f"{number}.mcap")
+        record_driven(paths[-1], Genome(snake()), task(duration=duration), 2, iter([np.ones(3)] * 9))
+    code, output = run("export", *paths, "--to", "lerobot", "--videos", "-o", tmp_path / "d")
+    assert code == 0, output
+    episodes = list(read_episodes(paths))
+    filmed, key = Loaded(tmp_path / "d"), "observation.images.follow"
+    feature = filmed.info["features"][key]
+    assert (feature["dtype"], feature["shape"]) == ("video", [240, 320, 3]) and key not in filmed.frames.column_names
+    told = {"video.fps": 60, "video.codec": "h264", "video.pix_fmt": "yuv420p", "has_audio": False}
+    assert told.items() <= feature["info"].items()
+    colors = np.zeros((0, 3))
+    for row, episode in zip(filmed.episodes, episodes, strict=True):
+        place = {name: row[f"videos/{key}/{name}"] for name in ("chunk_index", "file_index")}
+        with av.open(str(tmp_path / "d" / filmed.info["video_path"].format(video_key=key, **place))) as video:
+            frames = list(video.decode(video=0))
+            assert video.streams.video[0].codec_context.name == "h264"
+        times = [frame.time for frame in frames]
+        assert times == pytest.approx([number / 60 for number in range(len(episode.actions))], abs=1e-4)
+        ends = row[f"videos/{key}/from_timestamp"], row[f"videos/{key}/to_timestamp"]
+        assert ends == (0.0, len(episode.actions) / 60)
+        pixels = np.array([frame.to_ndarray(format="rgb24") for frame in frames]).reshape(-1, 3) / 255
+        for name in ("mean", "std", "min", "max"):
+            there = np.array(row[f"stats/{key}/{name}"])
+            assert there.shape == (3, 1, 1) and there.ravel() == pytest.approx(getattr(pixels, name)(axis=0), abs=1e-9)
+        medians = np.array(row[f"stats/{key}/q50"]).ravel()
+        assert medians == pytest.approx(np.quantile(pixels, 0.5, axis=0, method="inverted_cdf"), abs=1e-9)
+        assert row[f"stats/{key}/count"] == [len(frames)]
+        colors = np.concatenate([colors, pixels])
+    stats = filmed.stats[key]
+    assert np.array(stats["mean"]).ravel() == pytest.approx(colors.mean(axis=0), abs=1e-9)
+    assert np.array(stats["std"]).ravel() == pytest.approx(colors.std(axis=0), abs=1e-9)
+    assert run("export", proofs[0], "--to", "csv", "--videos")[0] == 2
 
 
 # -- both -------------------------------------------------------------------------------------------------------------

@@ -19,6 +19,7 @@ from nmes.errors import ProofError, RecordingError
 from nmes.evaluation import Environments, Task, evaluate, prove
 from nmes.genome import Genome
 from nmes.learning import RecordedEpisode, read_episode
+from nmes.recording import Recording
 from recordings import Line, commands_of, rewrite
 
 
@@ -101,6 +102,7 @@ def test_rewards_of_an_evaluation_add_up_to_its_score(tmp_path: Path) -> None:
         episode = read_episode(path)
         assert episode.result == result and len(episode.rewards) == result.ticks == asked.ticks
         assert np.add.accumulate(episode.rewards)[-1] == pytest.approx(result.score, rel=1e-12)
+        assert Recording(path).summary().ticks == episode.begin * asked.tick_rate + asked.ticks
         assert [*np.flatnonzero(episode.truncated)] == [asked.ticks - 1] and not episode.terminated.any()
     assert (read_episode(evaluation.recordings[0]).observations != episode.observations).any()
 
