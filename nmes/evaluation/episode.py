@@ -323,6 +323,7 @@ def set_scene(
         world.track([creature.cubes[cube.id] for cube in creature.body.cubes], [], [], task.settle_limit_ticks)
         for creature in creatures
     ]
+    looked = 0  # ticks
     while world.frame < task.settle_ticks or not all(rest.reached for rest in rests):
         if world.frame == task.settle_limit_ticks:
             late = zip(creatures, rests, strict=True)
@@ -330,9 +331,12 @@ def set_scene(
         yield None
         if world.fault is not None:
             return [], {}
-        for rest, track in zip(rests, tracks, strict=True):
+        for track in tracks:
             track.note()
-            rest.look(track.states(track.rows - 1, track.rows)[0])
+        if world.frame >= task.settle_ticks:  # the ticks before are looked at all at once
+            for rest, track in zip(rests, tracks, strict=True):
+                rest.look(track.states(looked, track.rows))
+            looked = world.frame
     for entrant, rest in zip(entrants, rests, strict=True):
         for command in task.props(seed, entrant.genome.body, rest.states[0], entrant.place):
             yield protocol.encode(command)
@@ -370,15 +374,16 @@ class Rest:
         return f"restless: not yet at rest after {ticks / self._rate:g} s: a corner moved at {self.speed:.2g} m/s"
 
     def look(self, states: Array) -> None:
-        """Takes the states of the tick that has just ended."""
-        self.states = states
-        squares = states[:, 7:13] * states[:, 7:13]
-        speeds, spins = (np.sqrt(squares[:, i] + squares[:, i + 1] + squares[:, i + 2]) for i in (0, 3))
-        speed = float((speeds + spins * self._arms).max())
-        if speed <= self._limit:
-            self._still += 1
-        else:
-            self._still, self.speed = 0, speed
+        """Takes the states of the tick that has just ended, array (n, 13), or of several, array (ticks, n, 13)."""
+        ticks = states.reshape(-1, len(self._arms), 13)
+        self.states = ticks[-1]
+        squares = ticks[:, :, 7:13] * ticks[:, :, 7:13]
+        speeds, spins = (np.sqrt(squares[:, :, i] + squares[:, :, i + 1] + squares[:, :, i + 2]) for i in (0, 3))
+        for speed in (speeds + spins * self._arms).max(axis=1).tolist():
+            if speed <= self._limit:
+                self._still += 1
+            else:
+                self._still, self.speed = 0, speed
 
 
 class Observer:

@@ -11,9 +11,10 @@ import pytest
 from creatures import SINE, cpg, exploding, mlp, snake
 from layout import ROOT
 from nmes.errors import ProofError
-from nmes.evaluation import Evaluation, Task, evaluate, prove
+from nmes.evaluation import Episode, Evaluation, Task, evaluate, prove
 from nmes.genome import Genome
 from nmes.playback import replay
+from nmes.world import World
 
 DASH = {
     "format": "nmes-task/1",
@@ -42,6 +43,16 @@ def test_a_recording_proves_the_score_that_evaluating_gave(brain: dict[str, Any]
         assert prove(path).result == prove(path, brain=True).result == result
     assert len(list(tmp_path.iterdir())) == 2
     assert Evaluation.from_json(json.loads(json.dumps(first.to_json()))) == first
+
+
+@pytest.mark.parametrize(("drop", "settle", "begins"), [(0.0, 0.5, 30), (0.0, 0.1, 15), (0.02, 0.1, 19)])
+def test_an_episode_begins_where_a_creature_has_been_at_rest_for_a_quarter_of_a_second_and_settling_is_over(
+    drop: float, settle: float, begins: int
+) -> None:
+    still = task(vary={"drop": [drop, drop]}, settle=settle, settle_limit=4.0, duration=0.1)
+    world = World(still.world_config(3))
+    result = Episode(world, Genome(snake()), None, still, 3).run()
+    assert result.ticks == 6 and world.frame - result.ticks == begins
 
 
 def test_seeds_may_be_chosen() -> None:
