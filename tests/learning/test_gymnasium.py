@@ -263,7 +263,7 @@ def same(ours: Any, theirs: Any) -> bool:
         return len(ours) == len(theirs) and all(same(a, b) for a, b in zip(ours, theirs, strict=True))
     if isinstance(ours, np.ndarray):
         return ours.dtype == theirs.dtype and ours.tobytes() == theirs.tobytes()
-    return type(ours) is type(theirs) and (ours == theirs) is True
+    return type(ours) is type(theirs) and bool(ours == theirs)
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))

@@ -23,10 +23,14 @@ IMPORT_ALL = """
 import importlib, json, pkgutil
 import nmes
 names = [module.name for module in pkgutil.walk_packages(nmes.__path__, "nmes.")]
+without = {}
 for name in names:
     if not name.rpartition(".")[2].startswith("test_"):  # pytest comes with who wants to run those
-        importlib.import_module(name)
-print(json.dumps({"modules": ["nmes", *names], "root": nmes.__file__}))
+        try:
+            importlib.import_module(name)
+        except ModuleNotFoundError as error:
+            without[name] = error.name
+print(json.dumps({"modules": ["nmes", *names], "without": without, "root": nmes.__file__}))
 """
 
 DRIVE = """
@@ -105,6 +109,10 @@ def test_every_module_is_in_the_wheel_and_can_be_imported(environment: Path, tmp
             parts = file.relative_to(ROOT / folder).with_suffix("").parts
             expected.add(".".join((package, *(part for part in parts if part != "__init__"))))
     assert set(installed["modules"]) == expected
+    # Classes of environments are those of packages that an extra brings; nothing else may miss anything.
+    assert set(installed["without"].values()) <= {"gymnasium", "pettingzoo"}
+    assert all(name.startswith("nmes.learning.") for name in installed["without"])
+    assert "nmes.learning.run" not in installed["without"]
 
 
 def test_an_installed_wheel_serves_and_replays(environment: Path, tmp_path: Path) -> None:
