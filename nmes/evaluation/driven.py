@@ -167,7 +167,7 @@ class DrivenWorld:
         places = np.array([state.position for state in states])
         low, high = places.min(axis=0), places.max(axis=0)
         arms = [math.hypot(*cube.size) / 2.0 for cube in self.creature.body.cubes]
-        radius = float(np.linalg.norm(high - low)) / 2.0 + max(arms)
+        radius = math.dist(high.tolist(), low.tolist()) / 2.0 + max(arms)
         camera = CameraSpec.looking_at(tuple(((low + high) / 2.0).tolist()), radius, size)
         return entities.simulation.draw(camera, {cube.body: cube.color for cube in entities.cubes.values()})
 

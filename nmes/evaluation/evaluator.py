@@ -18,7 +18,7 @@ import secrets
 import statistics
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from hashlib import sha256
@@ -276,7 +276,8 @@ def recorded(genome: Genome, task: Task, seed: int, path: Path) -> Iterator[Call
                 recorder.close()
         part.replace(path)
     finally:
-        part.unlink(missing_ok=True)
+        with suppress(OSError):  # where there is no such folder either; the error on its way says so
+            part.unlink(missing_ok=True)
 
 
 @dataclass(frozen=True, slots=True)
