@@ -132,13 +132,17 @@ class Environments:
             `observations`.
 
         Raises:
-            ValueError: A row has never had a seed, or there are not as many seeds as rows; nothing has begun.
+            ValueError: A row has never had a seed, or there are not as many seeds as rows, or one is below 0; nothing
+                has begun.
         """
         count = len(self._rows)
         if not isinstance(seed, Sequence):
             seed = [None if seed is None else seed + row for row in range(count)]
         if len(seed) != count:
             raise ValueError(f"there are {count} rows, not {len(seed)}")
+        wrong = [given for given in seed if given is not None and given < 0]
+        if wrong:
+            raise ValueError(f"a seed is 0 or more, not {wrong[0]}")
         places = self._all[slice(None) if rows is None else rows].tolist()
         if any(seed[place] is None and self._rows[place].seed is None for place in places):
             raise ValueError("the first reset of a row needs a seed")

@@ -96,6 +96,7 @@ class CreatureVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Any]):
         """
         check_options(options, ["reset_mask"])
         mask = np.ones(self.num_envs, np.bool_) if not options else _mask(options["reset_mask"], self.num_envs)
+        seed = int(seed) if isinstance(seed, np.integer) else seed
         super().reset(seed=seed if isinstance(seed, int) else None)
         observations = self._core.reset(self._seeds(seed), mask)
         self._begun |= mask
@@ -151,7 +152,11 @@ class CreatureVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Any]):
     def _seeds(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:
         """Returns the seed of each row; None where it goes on with the one it has, which it has had then."""
         count = self.num_envs
-        seeds = [seed + row for row in range(count)] if isinstance(seed, int) else list(seed or [None] * count)
+        if isinstance(seed, int):
+            return [seed + row for row in range(count)]
+        seeds: list[int | None] = (
+            [None] * count if seed is None else [None if given is None else int(given) for given in seed]
+        )
         for row in np.flatnonzero(~self._begun).tolist() if len(seeds) == count else ():
             if seeds[row] is None:
                 seeds[row] = int(self.np_random.integers(2**63))

@@ -262,8 +262,8 @@ def same(ours: Any, theirs: Any) -> bool:
     if isinstance(ours, np.ndarray) and ours.dtype == object:
         return len(ours) == len(theirs) and all(same(a, b) for a, b in zip(ours, theirs, strict=True))
     if isinstance(ours, np.ndarray):
-        return ours.dtype == theirs.dtype and ours.tobytes() == theirs.tobytes()
-    return type(ours) is type(theirs) and bool(ours == theirs)
+        return bool(ours.dtype == theirs.dtype and ours.tobytes() == theirs.tobytes())
+    return type(ours) is type(theirs) and (ours == theirs) is True
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
@@ -332,6 +332,13 @@ def test_a_mask_that_is_none_is_refused(mask: Any) -> None:
         envs.reset(seed=1, options={"reset_mask": mask})
     with pytest.raises(ValueError, match="there are 2 rows"):
         envs.reset(seed=[1, 2, 3])
+    first, _ = envs.reset(seed=1)
+    with pytest.raises(ValueError, match="a seed is 0 or more, not -1"):
+        envs.reset(seed=[7, -1])
+    goes_on, _ = envs.reset()  # as if nobody had asked
+    envs.reset(seed=np.array([1, 2]))  # type: ignore[arg-type]
+    assert envs.reset()[0].tobytes() == goes_on.tobytes()
+    assert envs.reset(seed=np.int64(1))[0].tobytes() == first.tobytes()  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="not 'x'"):
         envs.reset(options={"x": 1})
     with pytest.raises(ValueError):
