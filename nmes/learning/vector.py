@@ -81,7 +81,10 @@ class CreatureVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Any]):
         self._begun: Flags = np.zeros(self.num_envs, np.bool_)
 
     def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+        self,
+        *,
+        seed: int | np.integer[Any] | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
     ) -> tuple[Array, dict[str, Any]]:
         """Begins an episode in every row, or in those of a mask.
 

@@ -338,7 +338,7 @@ def test_a_mask_that_is_none_is_refused(mask: Any) -> None:
     goes_on, _ = envs.reset()  # as if nobody had asked
     envs.reset(seed=np.array([1, 2]))  # type: ignore[arg-type]
     assert envs.reset()[0].tobytes() == goes_on.tobytes()
-    assert envs.reset(seed=np.int64(1))[0].tobytes() == first.tobytes()  # type: ignore[arg-type]
+    assert envs.reset(seed=np.int64(1))[0].tobytes() == first.tobytes()
     with pytest.raises(ValueError, match="not 'x'"):
         envs.reset(options={"x": 1})
     with pytest.raises(ValueError):
