@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import ssl
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import trustme
 from gymnasium.utils import env_checker
 from gymnasium.utils.env_checker import data_equivalence
 from gymnasium.vector import AutoresetMode
@@ -18,7 +20,14 @@ from nmes.client import Client
 from nmes.errors import CommandFailed, Disconnected, WorldError
 from nmes.evaluation import Environments, Task
 from nmes.genome import Genome
-from nmes.learning import Remote, RemoteEnvironments, RemoteVector, TaskEnv, TaskVectorEnv
+from nmes.learning import (
+    Remote,
+    RemoteEnvironments,
+    RemoteVector,
+    TaskEnv,
+    TaskVectorEnv,
+    check_determinism,
+)
 from nmes.playback import replay
 from nmes.world.commands import COMMANDS
 from servers import PASSWORD, Served, served, until
@@ -408,6 +417,25 @@ def test_gymnasium_finds_nothing_wrong_with_a_remote_environment(server: Served)
     env = Remote(**settings(server, world="b"))
     env_checker.check_env(env, skip_render_check=True)
     env.close()
+
+
+def test_a_remote_environment_does_the_same_again(server: Served) -> None:
+    env = Remote(**settings(server, world="b"))
+    assert check_determinism(env, steps=60) == ("again",)
+    env.close()
+
+
+def test_tls_is_spoken_with_a_host_that_is_trusted() -> None:
+    authority = trustme.CA()
+    identity, trust = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH), ssl.create_default_context()
+    authority.issue_cert("127.0.0.1").configure_cert(identity)
+    authority.configure_trust(trust)
+    with served(MUJOCO, {**MUJOCO, "name": "other"}, tls=identity) as host:
+        envs = RemoteVector(count=2, **settings(host, tls=trust))
+        assert envs.reset(seed=1)[0].shape == (2, len(envs.sensors))
+        envs.close()
+        with pytest.raises(Disconnected, match="certificate"):
+            Remote(**settings(host, tls=True))
 
 
 def test_a_remote_environment_is_the_local_one_in_another_place(server: Served) -> None:
