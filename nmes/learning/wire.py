@@ -21,7 +21,19 @@ from nmes.schemas.documents import JsonObject
 
 __all__ = ["Moment", "WireScene", "require_world"]
 
-_NEEDED: Final = ("batch", "compute_reward", "drive", "reset", "sense", "set_objective", "spawn_creature", "step")
+_NEEDED: Final = (
+    "batch",
+    "compute_reward",
+    "drive",
+    "get_world_state",
+    "reset",
+    "sense",
+    "set_cube_state",
+    "set_mode",
+    "set_objective",
+    "spawn_creature",
+    "step",
+)  # of what a server may leave out
 _GIVEN: Final = ("friction", "restitution")  # of the world's config: said with each cube instead
 _OF_HOST: Final = ("name", "seed", "mode", "rate", "keyframes", "limits")  # that change no number
 _OF_ENGINE: Final = ("backend", "substeps", "engine")  # that another engine has otherwise
@@ -145,7 +157,7 @@ class WireScene:
 
 def require_world(info: Mapping[str, Any], task: Task) -> None:
     """Raises WorldError (`unsupported`, `wrong_world`) unless a world, by its `world_info`, can be one of a task."""
-    missing = [name for name in _NEEDED if name not in info["capabilities"] and not protocol.COMMANDS[name].required]
+    missing = [name for name in _NEEDED if name not in info["capabilities"]]
     if missing:
         raise WorldError("unsupported", f"the server lacks what an environment needs: {', '.join(missing)}")
     wanted, stated = task.world_config(0), info["config"]

@@ -207,6 +207,30 @@ def test_a_landscape_of_another_seed_is_refused() -> None:
             remote(host, task)
 
 
+def test_a_server_that_lacks_what_is_needed_is_refused(server: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    tell, spawn = COMMANDS["get_world_info"], COMMANDS["spawn_creature"]
+
+    def poorer(*arguments: Any) -> dict[str, Any]:
+        info = tell(*arguments)
+        return {**info, "capabilities": [name for name in info["capabilities"] if name not in ("batch", "sense")]}
+
+    def otherwise(*arguments: Any) -> dict[str, Any]:
+        spawned = spawn(*arguments)
+        return {**spawned, "sensors": spawned["sensors"][::-1]}
+
+    with monkeypatch.context() as patched:
+        patched.setitem(COMMANDS, "get_world_info", poorer)
+        with pytest.raises(WorldError, match="the server lacks what an environment needs: batch, sense") as refused:
+            remote(server, asked(), worlds=["b"])
+        assert refused.value.code == "unsupported"
+    core = remote(server, asked(), worlds=["b"])
+    with monkeypatch.context() as patched:
+        patched.setitem(COMMANDS, "spawn_creature", otherwise)
+        with pytest.raises(WorldError, match="other sensors of this creature, or in another order"):
+            core.reset(1)
+    core.close()
+
+
 def test_a_server_that_answers_something_else_is_no_traceback(server: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     core = remote(server, asked(), worlds=["b"])
     first = core.reset(1).copy()
