@@ -40,7 +40,7 @@ FORBIDDEN = {
 WHOLE = re.compile(r"len\(|len,|size\(|ticks|steps|!=|is not None|i \* i|command_cost")
 JUDGED = (
     *("nmes/backend", "nmes/brain", "nmes/world", "nmes/genome", "nmes/objective", "nmes/evaluation", "nmes/evolution"),
-    "backends",
+    *("nmes/learning/learners", "backends"),
 )
 EXCEPTIONS = {
     "nmes/genome/preview.py": "draws a picture",

@@ -53,7 +53,9 @@ class Network:
     def __init__(self, sizes: Sequence[int]) -> None:
         self.sizes = tuple(sizes)
         shapes = list(zip(self.sizes[1:], self.sizes[:-1], strict=True))
-        self.count = sum(units * (inputs + 1) for units, inputs in shapes)
+        self.count = 0
+        for units, inputs in shapes:
+            self.count += units * (inputs + 1)
         self._shapes = shapes
 
     def initial(self, draw: Draw, last: float) -> Array:
