@@ -119,7 +119,7 @@ class VariationError(NmesError):
 
 
 class RunError(NmesError):
-    """A run of evolution that cannot be begun, read, gone on with, or written."""
+    """A run of evolution or of learning that cannot be begun, read, gone on with, or written."""
 
 
 class NotDeterministic(NmesError):

@@ -31,7 +31,6 @@ class Experience:
         rewards: Array (steps, n).
         terminated: Array (steps, n).
         over: Array (steps, n): terminated or truncated.
-        begun: Array (n, sensors): what is seen after the last step, where an episode was over at the start of the next.
         returns: The sums of rewards of the episodes that were over, in their order.
         lengths: Their numbers of steps.
     """
@@ -42,7 +41,6 @@ class Experience:
     rewards: Array
     terminated: Flags
     over: Flags
-    begun: Array
     returns: tuple[float, ...]
     lengths: tuple[int, ...]
 
@@ -90,9 +88,7 @@ class Collector:
                 returns.append(float(self._gained[row]))
                 lengths.append(int(self._lasted[row]))
                 self._gained[row], self._lasted[row] = 0.0, 0
-        return Experience(
-            observations, following, actions, rewards, ended, over, self._seen, tuple(returns), tuple(lengths)
-        )
+        return Experience(observations, following, actions, rewards, ended, over, tuple(returns), tuple(lengths))
 
 
 def advantages(
