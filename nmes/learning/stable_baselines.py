@@ -31,6 +31,7 @@ __all__ = ["read_policy", "with_policy"]
 _MOST_FILE: Final = 1 << 28  # bytes of a model, with its critics and its optimizers
 _MOST_DATA: Final = 1 << 25  # bytes of its settings
 _MOST_STATISTICS: Final = 1 << 20
+_LONGEST: Final = 200  # characters of a text that is looked at
 _ACTIVATIONS: Final = {"Tanh": "tanh", "ReLU": "relu", "Sigmoid": "sigmoid", "Identity": "identity"}
 _EXTRACTORS: Final = {"FlattenExtractor"}
 _NUMBERED: Final = re.compile(r"([0-9]{1,3})\.(weight|bias)")
@@ -124,27 +125,31 @@ def _settings(archive: Archive, what: str) -> Mapping[str, Any]:
         raise DocumentError([("", f"{what} does not say what it is")])
     home = _part(settings, "policy_class", "__module__")
     if home is not None and not str(home).startswith("stable_baselines3."):
-        raise DocumentError([("", f"{what} has a policy of its own, from {home}: what it does cannot be read")])
+        raise DocumentError(
+            [("", f"{what} has a policy of its own, from {str(home)[:_LONGEST]}, which cannot be read")]
+        )
     extractor = _name(_part(settings, "policy_kwargs", "features_extractor_class"))
     if extractor is not None and extractor not in _EXTRACTORS:
         raise DocumentError([("", f"{what} looks through {extractor} first, which no brain has")])
     for name, bound in (("low", -1.0), ("high", 1.0)):
-        told = _part(settings, "action_space", name)
+        bounds = settings.get("action_space")
+        told = bounds.get(name) if isinstance(bounds, dict) else None
         if told is not None and set(str(told).strip("[]").split()) - {"...", f"{bound:g}.", f"{bound:g}", f"{bound}"}:
-            words = f"{what} acts within {name} {str(told)[:100]}, and motors are driven from -1 to 1"
+            words = f"{what} acts within {name} {str(told)[:_LONGEST]}, and motors are driven from -1 to 1"
             raise DocumentError([("", f"{words}: train it on actions of these bounds")])
     return settings
 
 
 def _part(settings: Mapping[str, Any], name: str, part: str) -> Any:
-    """Returns a part of a setting; None if it is not told."""
+    """Returns a part of a setting, of a text its beginning; None if it is not told."""
     setting = settings.get(name)
-    return setting.get(part) if isinstance(setting, dict) else None
+    told = setting.get(part) if isinstance(setting, dict) else None
+    return told[:_LONGEST] if isinstance(told, str) else told
 
 
 def _name(text: Any) -> str | None:
     """Returns the name of a class whose text is `<class 'module.Name'>`; None if there is none."""
-    return None if text is None else str(text).removesuffix("'>").rpartition(".")[2]
+    return None if text is None else str(text)[:_LONGEST].removesuffix("'>").rpartition(".")[2]
 
 
 def _activation(settings: Mapping[str, Any], usual: str, what: str) -> str:

@@ -15,8 +15,8 @@ import math
 import pickle
 import struct
 import zipfile
-from collections.abc import Callable, Mapping
-from typing import Any, Final
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, ClassVar, Final
 from zlib import error as ZlibError
 
 import numpy as np
@@ -27,8 +27,10 @@ from nmes.errors import DocumentError
 __all__ = ["Archive", "Thing", "array_of", "read_pickle", "read_tensors"]
 
 _MOST_PICKLE: Final = 1 << 20  # bytes: a few hundred names and shapes, and statistics of 4,096 sensors
-_MOST_STORAGE: Final = 1 << 26  # bytes of one array
+_MOST_STORAGE: Final = 1 << 26  # bytes of all arrays that are read, and numbers of one
 _MOST_NAMES: Final = 1000  # different classes and functions of a pickle
+_LONGEST_NAME: Final = 200  # of a tensor
+_SHOWN: Final = 200  # characters of what a reader says of bytes that are wrong
 _MOST_ENTRIES: Final = 5000  # of a zip file
 _ENTRY: Final = b"PK\x01\x02"  # with which each begins in its table
 _STORAGES: Final = {"FloatStorage": "<f4", "DoubleStorage": "<f8", "HalfStorage": "<f2"}
@@ -75,11 +77,14 @@ class Archive:
         """
         if name not in self.names:
             raise _wrong(self._what, f"has no {name}")
+        entry = self._zip.getinfo(name)
+        if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED) or entry.flag_bits & 1:
+            raise _wrong(self._what, f"has {name} packed in a way that such files are not")
         try:
             with self._zip.open(name) as file:
                 data = file.read(most + 1)
         except (zipfile.BadZipFile, ZlibError, *_DAMAGE) as error:
-            raise _wrong(self._what, f"is damaged in {name}: {error}") from error
+            raise _wrong(self._what, f"is damaged in {name}: {str(error)[:_SHOWN]}") from error
         if len(data) > most:
             raise _wrong(self._what, f"has more than {most:,} bytes in {name}")
         return data
@@ -145,6 +150,11 @@ class _Table(dict[Any, Any]):
 
 # The reader in Python: that in C makes room for as many remembered values as a pickle says there are.
 class _Reader(pickle._Unpickler):
+    dispatch: ClassVar[dict[int, Callable[[Any], None]]] = {**pickle._Unpickler.dispatch}
+    stack: list[Any]
+    append: Callable[[Any], None]
+    pop_mark: Callable[[], list[Any]]
+
     def __init__(self, data: bytes, persistent: Callable[[Any], Any]) -> None:
         super().__init__(io.BytesIO(data))
         self._persistent = persistent
@@ -165,9 +175,39 @@ class _Reader(pickle._Unpickler):
         """Refuses names by number: which they are, the program that reads decides."""
         raise pickle.UnpicklingError(f"it names a thing by the number {code}")
 
+    # A key of tuples within tuples, thousands deep, would end the process where it is hashed.
+
+    def _set_items(self) -> None:
+        items = self.pop_mark()
+        _check_keys(items[::2])
+        for key, value in zip(items[::2], items[1::2], strict=True):
+            self.stack[-1][key] = value
+
+    def _set_item(self) -> None:
+        value, key = self.stack.pop(), self.stack.pop()
+        _check_keys([key])
+        self.stack[-1][key] = value
+
+    def _make_dict(self) -> None:
+        items = self.pop_mark()
+        _check_keys(items[::2])
+        self.append(dict(zip(items[::2], items[1::2], strict=True)))
+
+    def _refuse_set(self) -> None:
+        raise pickle.UnpicklingError("it has a set, which no such file has")
+
+    dispatch |= {pickle.SETITEMS[0]: _set_items, pickle.SETITEM[0]: _set_item, pickle.DICT[0]: _make_dict}
+    dispatch |= dict.fromkeys([pickle.ADDITEMS[0], pickle.FROZENSET[0]], _refuse_set)
+
     def persistent_load(self, pid: Any) -> Any:
         """Returns what stands outside of the pickle."""
         return self._persistent(pid)
+
+
+def _check_keys(keys: Iterable[Any]) -> None:
+    for key in keys:
+        if type(key) not in (str, int):
+            raise pickle.UnpicklingError(f"it has a key that is neither text nor number, but {type(key).__name__}")
 
 
 def read_pickle(data: bytes, what: str, persistent: Callable[[Any], Any] = lambda pid: None) -> Any:
@@ -186,7 +226,7 @@ def read_pickle(data: bytes, what: str, persistent: Callable[[Any], Any] = lambd
     try:
         return _Reader(data, persistent).load()
     except _DAMAGE as error:
-        raise _wrong(what, f"is no sound pickle: {error}") from error
+        raise _wrong(what, f"is no sound pickle: {str(error)[:_SHOWN]}") from error
 
 
 def array_of(value: Any, what: str) -> Array:
@@ -204,21 +244,24 @@ def array_of(value: Any, what: str) -> Array:
         raw, dtype, shape, _ = value.args
     kind = _kind(dtype)
     if kind in _NUMPY_TYPES and isinstance(raw, bytes | bytearray) and _is_shape(shape):
-        assert isinstance(shape, tuple) and isinstance(kind, str)
+        assert isinstance(shape, tuple) and kind is not None
         if math.prod(shape) * np.dtype(kind).itemsize == len(raw):
             return np.frombuffer(raw, f"<{kind}").reshape(shape).astype(np.float64)
     raise _wrong(what, "is no array of plain numbers")
 
 
-def _kind(dtype: Any) -> Any:
+def _kind(dtype: Any) -> str | None:
     """Returns numpy's short name of a type of numbers that lie with the lowest byte first; else None."""
     told = isinstance(dtype, Thing) and dtype.name == "numpy.dtype" and isinstance(dtype.state, tuple)
-    return dtype.args[0] if told and dtype.args and dtype.state[1:2] == ("<",) else None
+    kind = dtype.args[0] if told and dtype.args and dtype.state[1:2] == ("<",) else None
+    return kind if isinstance(kind, str) else None
 
 
 def _is_shape(value: Any) -> bool:
     """Whether it is a shape of not more numbers than anybody has."""
-    sizes = isinstance(value, tuple) and len(value) <= 4 and all(type(size) is int and 0 <= size for size in value)
+    if not isinstance(value, tuple) or len(value) > 4:
+        return False
+    sizes = all(type(size) is int and 0 <= size <= _MOST_STORAGE for size in value)
     return sizes and math.prod(value) <= _MOST_STORAGE
 
 
@@ -246,11 +289,22 @@ def read_tensors(data: bytes, what: str, wanted: Callable[[str], bool]) -> dict[
         raise _wrong(what, "was written on a machine of the other order of bytes")
     if not isinstance(table, Mapping) or not all(isinstance(name, str) for name in table):
         raise _wrong(what, "holds no dictionary of tensors")
-    return {name: _tensor(archive, folder, value, f"{what}: {name}") for name, value in table.items() if wanted(name)}
+    found: dict[str, Array] = {}
+    left = _MOST_STORAGE
+    for name, value in table.items():
+        if wanted(name):
+            if len(name) > _LONGEST_NAME:
+                raise _wrong(what, f"has a name of {len(name):,} characters")
+            found[name], size = _tensor(archive, folder, value, f"{what}: {name}", left)
+            left -= size
+    return found
 
 
-def _tensor(archive: Archive, folder: str, value: Any, what: str) -> Array:
-    """Returns a tensor as an array; `value` is what the pickle says of it."""
+def _tensor(archive: Archive, folder: str, value: Any, what: str, most: int) -> tuple[Array, int]:
+    """Returns a tensor as an array, and how many bytes were read for it: at most so many.
+
+    What the pickle says of it is `value`. Tensors may be parts of one storage, which is read for each of them.
+    """
     if not isinstance(value, Thing) or value.name != "torch._utils._rebuild_tensor_v2" or len(value.args) < 4:
         raise _wrong(what, "is no plain tensor")
     storage, offset, shape, strides = value.args[:4]
@@ -269,7 +323,7 @@ def _tensor(archive: Archive, folder: str, value: Any, what: str) -> Array:
     if count and strides != in_rows:
         raise _wrong(what, "does not lie row by row: save a contiguous copy of it")
     size = np.dtype(kind).itemsize
-    raw = archive.read(f"{folder}data/{storage[2]}", _MOST_STORAGE)
+    raw = archive.read(f"{folder}data/{storage[2]}", most)
     if len(raw) < (offset + count) * size:
         raise _wrong(what, f"has {len(raw):,} bytes, and its shape needs {(offset + count) * size:,}")
-    return np.frombuffer(raw, kind, count, offset * size).reshape(shape).astype(np.float64)
+    return np.frombuffer(raw, kind, count, offset * size).reshape(shape).astype(np.float64), len(raw)

@@ -225,6 +225,13 @@ def tensor(shape: bytes, strides: bytes, offset: bytes = b"K\x00", **of: bytes) 
     return b"\x80\x02}" + name + built + b"s."
 
 
+def many(count: int) -> bytes:
+    """Returns tensors by many names, each of which is a number of one storage of a megabyte."""
+    one = b"ctorch._utils\n_rebuild_tensor_v2\n(" + storage(key=b"0") + b"K\x00K\x01\x85K\x01\x85\x89NtR"
+    named = b"".join(b"X\x0a\0\0\0actor.%04d" % index + one + b"s" for index in range(count))
+    return zipped({"m/data.pkl": b"\x80\x02}" + named + b".", "m/data/0": bytes(2**20)}, zipfile.ZIP_DEFLATED)
+
+
 HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
     "no pickle": (lambda: tensors(b"what is this"), "is no sound pickle"),
     "an empty pickle": (lambda: tensors(b""), "is no sound pickle"),
@@ -242,6 +249,17 @@ HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
     "thousands of names": (
         lambda: tensors(b"".join(b"cm\nn%d\n0" % index for index in range(2000)) + b"N."),
         "names more than 1,000 things",
+    ),
+    "tuples within tuples": (lambda: tensors(b"\x80\x02})" + b"\x85" * 900_000 + b"Ns."), "neither text nor number"),
+    "a set of tuples": (lambda: tensors(b"\x80\x04\x8f()" + b"\x85" * 900_000 + b"\x90."), "it has a set"),
+    "a name of thousands": (lambda: tensors(pickle.dumps({"actor." * 1000: 1})), "a name of 6,000 characters"),
+    "one storage for thousands": (
+        lambda: zipped({**entries("ppo"), "policy.pth": many(2000)}, zipfile.ZIP_DEFLATED),
+        "more than",
+    ),
+    "a locked entry": (
+        lambda: tensors().replace(b"PK\x01\x02\x14\x03\x14\0\0", b"PK\x01\x02\x14\x03\x14\0\1"),
+        "packed",
     ),
     "a pickle of megabytes": (lambda: tensors(b"]" * 2**21), "more than 1,048,576 bytes"),
     "a tensor of exabytes": (
@@ -309,6 +327,7 @@ def test_statistics_that_are_none_are_refused(tmp_path: Path) -> None:
         (good.replace(b"obs_rms", b"obs_xyz"), "does not say how"),
         (good.replace(b"\x8c\x04mean", b"\x8c\x04meat"), "mean is no array of plain numbers"),
         (good[:mean] + good[mean:].replace(b"K\x08\x85", b"K\x07\x85"), "is no array of plain numbers"),
+        (good.replace(b"\x8c\x02f8\x94", b"]]a\x94N0\x94"), "is no"),
         (good.replace(b"epsilon", b"epsilot"), "epsilon is no positive number"),
         (good.replace(b"clip_obsq", b"clip_obtq").replace(b"clip_obs\x94", b"clip_obt\x94"), "clip_obs is no positive"),
     ):
