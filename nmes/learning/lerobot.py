@@ -83,43 +83,50 @@ class _Dataset:
     def add(self, episode: RecordedEpisode) -> None:
         """Takes the next episode."""
         self._first = self._first or episode
-        frames, ticks = self._table(episode), len(episode.actions)
+        frames = self._table(episode)
         stats = {key: _describe(values) for key, values in frames.items()}
         size = sum(values.nbytes for values in frames.values())
         if self._frames and self._bytes + size > _FRAMES:
             self._flush()
         self._frames.append(frames)
         self._bytes += size
-        place: dict[str, Any] = {}
+        video: dict[str, Any] = {}
         if self._film is not None:
-            path = self._folder / "videos" / _CAMERA / _at(len(self._rows), "mp4")
-            path.parent.mkdir(parents=True, exist_ok=True)
-            self._film(episode, path)
-            self._video, stats[_CAMERA] = _watch(path, episode.task.tick_rate)
-            ends = {"from_timestamp": 0.0, "to_timestamp": ticks / episode.task.tick_rate}
-            file = _place(f"videos/{_CAMERA}", len(self._rows))
-            place = file | {f"videos/{_CAMERA}/{name}": time for name, time in ends.items()}
-        result = episode.result
-        self._rows.append(
-            {
-                "episode_index": len(self._rows),
-                "tasks": [episode.task.document["description"]],
-                "length": ticks,
-                **_place("data", self._file),
-                "dataset_from_index": self._ticks,
-                "dataset_to_index": self._ticks + ticks,
-                **place,
-                "nmes/recording": Path(episode.path).name,
-                "nmes/task": episode.task.hash,
-                "nmes/genome": episode.genome.hash,
-                "nmes/seed": result.seed,
-                "nmes/score": result.score,
-                **{f"stats/{key}/{name}": value for key, each in stats.items() for name, value in each.items()},
-                **_place("meta/episodes", 0),
-            }
-        )
+            video, stats[_CAMERA] = self._shoot(self._film, episode)
+        self._rows.append(self._row(episode, video, stats))
         self._stats.append(stats)
-        self._ticks += ticks
+        self._ticks += len(episode.actions)
+
+    def _shoot(self, film: Film, episode: RecordedEpisode) -> tuple[dict[str, Any], dict[str, Numbers]]:
+        """Films an episode; returns the columns that say where the video is, and its statistics."""
+        number, rate = len(self._rows), episode.task.tick_rate
+        path = self._folder / "videos" / _CAMERA / _at(number, "mp4")
+        path.parent.mkdir(parents=True, exist_ok=True)
+        film(episode, path)
+        self._video, stats = _watch(path, rate)
+        what = f"videos/{_CAMERA}"
+        ends = {f"{what}/from_timestamp": 0.0, f"{what}/to_timestamp": len(episode.actions) / rate}
+        return {**_place(what, number), **ends}, stats
+
+    def _row(self, episode: RecordedEpisode, video: Mapping[str, Any], stats: Stats) -> dict[str, Any]:
+        """Returns the row of the table of episodes."""
+        ticks, result = len(episode.actions), episode.result
+        return {
+            "episode_index": len(self._rows),
+            "tasks": [episode.task.document["description"]],
+            "length": ticks,
+            **_place("data", self._file),
+            "dataset_from_index": self._ticks,
+            "dataset_to_index": self._ticks + ticks,
+            **video,
+            "nmes/recording": Path(episode.path).name,
+            "nmes/task": episode.task.hash,
+            "nmes/genome": episode.genome.hash,
+            "nmes/seed": result.seed,
+            "nmes/score": result.score,
+            **{f"stats/{key}/{name}": value for key, each in stats.items() for name, value in each.items()},
+            **_place("meta/episodes", 0),
+        }
 
     def _table(self, episode: RecordedEpisode) -> dict[str, Numbers]:
         """Returns the columns of an episode's frames."""
