@@ -323,7 +323,7 @@ def set_scene(
         world.track([creature.cubes[cube.id] for cube in creature.body.cubes], [], [], task.settle_limit_ticks)
         for creature in creatures
     ]
-    looked = 0  # ticks
+    looked = 0  # rows
     while world.frame < task.settle_ticks or not all(rest.reached for rest in rests):
         if world.frame == task.settle_limit_ticks:
             late = zip(creatures, rests, strict=True)
@@ -336,7 +336,7 @@ def set_scene(
         if world.frame >= task.settle_ticks:  # the ticks before are looked at all at once
             for rest, track in zip(rests, tracks, strict=True):
                 rest.look(track.states(looked, track.rows))
-            looked = world.frame
+            looked = tracks[0].rows
     for entrant, rest in zip(entrants, rests, strict=True):
         for command in task.props(seed, entrant.genome.body, rest.states[0], entrant.place):
             yield protocol.encode(command)
