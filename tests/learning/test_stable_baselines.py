@@ -250,8 +250,8 @@ HOSTILE: dict[str, tuple[Callable[[], bytes], str]] = {
         lambda: tensors(b"".join(b"cm\nn%d\n0" % index for index in range(2000)) + b"N."),
         "names more than 1,000 things",
     ),
-    "tuples within tuples": (lambda: tensors(b"\x80\x02})" + b"\x85" * 900_000 + b"Ns."), "neither text nor number"),
-    "a set of tuples": (lambda: tensors(b"\x80\x04\x8f()" + b"\x85" * 900_000 + b"\x90."), "it has a set"),
+    "tuples within tuples": (lambda: tensors(b"\x80\x02})" + b"\x85" * 300_000 + b"Ns."), "neither text nor number"),
+    "a set of tuples": (lambda: tensors(b"\x80\x04\x8f()" + b"\x85" * 300_000 + b"\x90."), "it has a set"),
     "a name of thousands": (lambda: tensors(pickle.dumps({"actor." * 1000: 1})), "a name of 6,000 characters"),
     "one storage for thousands": (
         lambda: zipped({**entries("ppo"), "policy.pth": many(2000)}, zipfile.ZIP_DEFLATED),
@@ -358,7 +358,7 @@ def test_damaged_files_never_do_worse_than_be_refused(tmp_path: Path) -> None:
     """Of bytes that were changed here and there, what is read is a policy of that form, or none."""
     draw, path, refused = random.Random(1), tmp_path / "model.zip", 0
     pickled, shapes = table(), [(each[0].shape, each[2]) for each in read_policy(POLICIES / "ppo.zip")]
-    for _ in range(400):
+    for _ in range(200):
         changed = bytearray(pickled)
         for _ in range(draw.choice((1, 1, 2, 8))):
             changed[draw.randrange(len(changed))] = draw.randrange(256)
@@ -378,9 +378,9 @@ def test_damaged_files_never_do_worse_than_be_refused(tmp_path: Path) -> None:
             [f"s{index}" for index in range(layers[0][0].shape[1])],
             [f"m{index}" for index in range(layers[-1][0].shape[0])],
         )
-    assert 100 < refused < 400
+    assert 50 < refused < 200
     whole = (POLICIES / "ppo-normalised.pkl").read_bytes()
-    for _ in range(200):
+    for _ in range(100):
         changed = bytearray(whole)
         changed[draw.randrange(len(changed))] = draw.randrange(256)
         path.write_bytes(changed)
