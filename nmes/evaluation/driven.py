@@ -149,7 +149,7 @@ class DrivenWorld:
         parts.positions[place] = track.positions(*rows)[0]
 
     def touches(self) -> Flags:
-        """Returns what touches what, as `Trajectory.touches`."""
+        """Returns which bodies are touched now, array (n, 2), as a row of `Trajectory.touches`."""
         return touches(self._world.simulation, self.watched.bodies, self._judge.trajectory.bodies.body)
 
     def picture(self, size: tuple[int, int]) -> Image:

@@ -120,11 +120,11 @@ class DmEnvironment(dm_env.Environment):  # type: ignore[misc]
         return {name: row[columns] for name, columns in self._columns.items()}
 
     def observation_spec(self) -> dict[str, specs.BoundedArray]:
-        """Returns what each observation is like, by its name."""
+        """Returns the shapes, types and bounds of the observations, by name."""
         return dict(self._observations)
 
     def action_spec(self) -> specs.BoundedArray:
-        """Returns what an action is like; its name is the motors' ids, with tabs between them, as dm-control has it."""
+        """Returns the shape, type and bounds of actions; its name is the motors' ids with tabs between, as dm-control's."""
         return self._actions
 
     def control_timestep(self) -> float:
