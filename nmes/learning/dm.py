@@ -124,7 +124,7 @@ class DmEnvironment(dm_env.Environment):  # type: ignore[misc]
         return dict(self._observations)
 
     def action_spec(self) -> specs.BoundedArray:
-        """Returns the shape, type and bounds of actions; its name is the motors' ids with tabs between, as dm-control's."""
+        """Returns the shape and bounds of actions; its name has the motors' ids with tabs between, as dm-control's."""
         return self._actions
 
     def control_timestep(self) -> float:
