@@ -29,7 +29,7 @@ class BeginningGroup(click.Group):
 
 
 def read_values(texts: Iterable[str]) -> dict[str, Any]:
-    """Reads `NAME=VALUE`, of which the value is a number, true or false."""
+    """Reads `NAME=VALUE`, whose value is a number, true or false."""
     values: dict[str, Any] = {}
     for text in texts:
         name, _, value = text.partition("=")

@@ -424,7 +424,7 @@ class Observer:
         self._track.note()
 
     def latest(self) -> tuple[Array, Array, Flags]:
-        """Returns what was noted last: states (1, n, 13), what each motor gave (1, m), W, and touches (1, n or 0, 2).
+        """Returns the last note: states (1, n, 13), each motor's power (1, m), W, and touches (1, n or 0, 2).
 
         What motors gave is the mean size of their power in the tick.
         """

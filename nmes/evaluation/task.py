@@ -65,7 +65,7 @@ class Place:
     z: float = 0.0
 
     def prop(self, name: str) -> str:
-        """Returns what a prop is called in the world: each creature has props of its own."""
+        """Returns a prop's name in the world: each creature has props of its own."""
         return name if self.creature == CREATURE else f"{self.creature}.{name}"
 
     def shifted(self, point: Sequence[float]) -> list[float]:

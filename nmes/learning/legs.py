@@ -130,7 +130,7 @@ class Learning:
         return genome
 
     def best(self, observations: Array) -> Array:
-        """Returns what the learner does without chance (n, motors) where this is observed (n, sensors)."""
+        """Returns the learner's actions without chance (n, motors) at observations (n, sensors)."""
         return self._pupil.best(observations)
 
     def state(self) -> State:
@@ -189,10 +189,10 @@ class _Pupil(Protocol):
         """Learns for a leg; `draw` gives all that is drawn, and `rest` is how much is still to be done, from 1 to 0."""
 
     def best(self, observations: Array) -> Array:
-        """Returns what it does without chance (n, motors) where this is observed (n, sensors)."""
+        """Returns its actions without chance (n, motors) at observations (n, sensors)."""
 
     def brain(self) -> JsonObject:
-        """Returns what it has learned."""
+        """Returns the learned brain."""
 
     def arrays(self) -> dict[str, Array]:
         """Returns all that it knows, which whoever goes on with it writes into."""

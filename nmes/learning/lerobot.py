@@ -189,7 +189,7 @@ class _Dataset:
 
 
 def _features(episode: RecordedEpisode, frames: Mapping[str, Numbers]) -> dict[str, Any]:
-    """Returns what each column of the frames is."""
+    """Returns the description of each column of the frames."""
     names = {"observation.state": episode.sensors, "action": episode.motors}
     return {
         key: {"dtype": str(values.dtype), "shape": [values.shape[1]], "names": names.get(key)}
@@ -215,7 +215,7 @@ def _describe(values: Numbers) -> dict[str, Numbers]:
 
 
 def _watch(path: Path, rate: int) -> tuple[dict[str, Any], dict[str, Numbers]]:
-    """Returns what a video is, and the statistics of its colours, from 0 to 1: `count` (1,), all others (3, 1, 1)."""
+    """Returns a video's description, and the statistics of its colours, from 0 to 1: `count` (1,), all others (3, 1, 1)."""
     import av
 
     with av.open(str(path)) as container:
@@ -240,7 +240,7 @@ def _watch(path: Path, rate: int) -> tuple[dict[str, Any], dict[str, Numbers]]:
 
 
 def _describe_colors(seen: Numbers, pictures: int) -> dict[str, Numbers]:
-    """Returns the statistics of colours, of which it was counted how often each value was there: array (3, 256)."""
+    """Returns the statistics of colours, given how often each value was there: array (3, 256)."""
     values = np.arange(256) / 255.0
     total = seen.sum(axis=1)
     mean = (seen * values).sum(axis=1) / total

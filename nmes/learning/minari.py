@@ -136,7 +136,7 @@ class _Episodes:
         return {"task": task.document, "genome": genome.document}
 
     def summary(self) -> dict[str, Any]:
-        """Returns what is told of the dataset as a whole."""
+        """Returns the metadata of the dataset as a whole."""
         first = self.first
         names = " and ".join(sorted({task["name"] for task in self._tasks.values()}))
         told: dict[str, Any] = {

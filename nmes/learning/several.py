@@ -366,7 +366,7 @@ class _Episode:
         return self._agents[name].tick(self._fault())
 
     def senses(self, names: Sequence[str]) -> dict[str, Array]:
-        """Returns what creatures sense, each an array (sensors,)."""
+        """Returns the readings of creatures' sensors, each an array (sensors,)."""
         return {name: self._agents[name].observer.creature.sense() for name in names}
 
     def states(self, names: Sequence[str]) -> dict[str, Array]:

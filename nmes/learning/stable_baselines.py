@@ -112,7 +112,7 @@ def _read(path: Path, most: int) -> bytes:
 
 
 def _settings(archive: Archive, what: str) -> Mapping[str, Any]:
-    """Returns what a model says of itself, of which only texts and numbers are looked at.
+    """Returns a model's own settings; only texts and numbers of them are read.
 
     Raises:
         DocumentError: It cannot be read, or says that its policy is more than layers.

@@ -161,7 +161,7 @@ class _Reader(pickle._Unpickler):
         self._types: dict[str, type[Thing]] = {}
 
     def find_class(self, module: str, name: str) -> Any:
-        """Returns what stands for a name; nothing is imported."""
+        """Returns the stand-in for a name; nothing is imported."""
         full = f"{module}.{name}"
         if full == "collections.OrderedDict":
             return _Table
@@ -200,7 +200,7 @@ class _Reader(pickle._Unpickler):
     dispatch |= dict.fromkeys([pickle.ADDITEMS[0], pickle.FROZENSET[0]], _refuse_set)
 
     def persistent_load(self, pid: Any) -> Any:
-        """Returns what stands outside of the pickle."""
+        """Returns the storage that a pickle refers to."""
         return self._persistent(pid)
 
 

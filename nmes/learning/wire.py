@@ -134,7 +134,7 @@ class WireScene:
         )
 
     def moment(self, senses: Mapping[str, Any], states: Mapping[str, Any], reward: Mapping[str, Any]) -> Moment:
-        """Returns what the replies to `look` tell.
+        """Returns the moment that the replies to `look` describe.
 
         Raises:
             KeyError, TypeError, ValueError: They are none.

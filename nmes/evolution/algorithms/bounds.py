@@ -12,7 +12,7 @@ __all__ = ["read_options", "within_bounds"]
 
 
 def read_options(name: str, kind: type[Any], given: Mapping[str, Any]) -> Any:
-    """Returns the options of an algorithm, of which some are given.
+    """Returns the options of an algorithm: some as given, the others at their defaults.
 
     Args:
         name: The algorithm's.

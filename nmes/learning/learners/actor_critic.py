@@ -91,7 +91,7 @@ class ActorCritic(ABC):
         return collector.collect(ticks, self.policy.width, choose, self.policy.act)
 
     def normalised(self, experience: Experience) -> tuple[Array, Array]:
-        """Returns what was seen before each step and after it, normalised, shapes (n, sensors)."""
+        """Returns the observations before and after each step, normalised, shapes (n, sensors)."""
         columns = experience.observations.shape[-1]
         seen, following = self.scale.apply(experience.observations), self.scale.apply(experience.following)
         return seen.reshape(-1, columns), following.reshape(-1, columns)
@@ -109,7 +109,7 @@ class ActorCritic(ABC):
             self._actor.rescaled(self._parts(self.parameters)[0], ratios, shifts)
 
     def best(self, observations: Array) -> Array:
-        """Returns what is done without chance (n, width) where this is observed (n, sensors)."""
+        """Returns the actions without chance (n, width) at observations (n, sensors)."""
         rows = self._actor.forward(self._parts(self.parameters)[0], self.scale.apply(observations))
         return self.policy.best(rows.outputs)
 
@@ -118,7 +118,7 @@ class ActorCritic(ABC):
         return self._actor.document(self._parts(self.parameters)[0], self.scale.means, self.scale.deviations)
 
     def values(self, seen: Array) -> Array:
-        """Returns what the critic expects where this is seen (n, sensors), normalised; shape (n,)."""
+        """Returns the critic's values, shape (n,), of normalised observations (n, sensors)."""
         return self.expected(self.parameters, seen).outputs[:, 0]
 
     # -- slopes: parameters may be others than the learner's own ---------------------------------------------------

@@ -34,7 +34,7 @@ def weighed(rows: Array, weights: Array) -> Array:
 
 
 def spread(sums: Array, weights: Array) -> Array:
-    """Returns what sums of each row make of the inputs: shape (n, inputs) from (n, units) and (units, inputs)."""
+    """Returns the gradient of inputs (n, inputs), given that of sums (n, units) and weights (units, inputs)."""
     return np.asarray(c_einsum("bo,oi->bi", sums, weights))
 
 

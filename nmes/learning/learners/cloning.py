@@ -94,7 +94,7 @@ class Cloning:
         return count - int(np.count_nonzero(_held(count)))
 
     def best(self, observations: Array) -> Array:
-        """Returns what the clone does (n, motors) where this is observed (n, sensors)."""
+        """Returns the clone's actions (n, motors) at observations (n, sensors)."""
         outputs = self._network.forward(self._parameters, self._scale.apply(observations)).outputs
         return np.minimum(np.maximum(outputs, -1.0), 1.0)
 

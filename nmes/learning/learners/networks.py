@@ -138,7 +138,7 @@ def read_layers(document: JsonObject, sensors: int) -> tuple[Network, Array] | N
 
 
 def _orthogonal(units: int, inputs: int, draw: Draw) -> Array:
-    """Returns a matrix whose rows, or whose columns where there are fewer, are at right angles and of length 1."""
+    """Returns an orthogonal matrix: rows, or columns where there are fewer, at right angles and of length 1."""
     few, many = sorted((units, inputs))
     rows = draw.normals(few * many).reshape(few, many)
     for number, row in enumerate(rows):  # Gram and Schmidt, one after the other; twice is enough (Giraud et al. 2005)

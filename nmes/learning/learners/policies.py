@@ -64,7 +64,7 @@ class Policy(ABC):
 
     @abstractmethod
     def best(self, outputs: Array) -> Array:
-        """Returns what is done without chance, shape (n, width)."""
+        """Returns the actions without chance, shape (n, width)."""
 
     @abstractmethod
     def likelihood(self, outputs: Array, own: Array, actions: Array) -> Likelihood:
@@ -98,7 +98,7 @@ class Controls(Policy):
         return outputs + _exps(own) * draw.normals(outputs.size).reshape(outputs.shape)
 
     def best(self, outputs: Array) -> Array:
-        """Returns what is done without chance, shape (n, width)."""
+        """Returns the actions without chance, shape (n, width)."""
         return self.act(outputs)
 
     def likelihood(self, outputs: Array, own: Array, actions: Array) -> Likelihood:
@@ -146,7 +146,7 @@ class Choices(Policy):
         return np.asarray(np.minimum(chosen, self.outputs - 1), np.float64)[:, None]
 
     def best(self, outputs: Array) -> Array:
-        """Returns what is done without chance, shape (n, width)."""
+        """Returns the actions without chance, shape (n, width)."""
         return np.asarray(np.argmax(outputs, axis=1), np.float64)[:, None]
 
     def likelihood(self, outputs: Array, own: Array, actions: Array) -> Likelihood:
