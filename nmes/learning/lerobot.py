@@ -215,7 +215,7 @@ def _describe(values: Numbers) -> dict[str, Numbers]:
 
 
 def _watch(path: Path, rate: int) -> tuple[dict[str, Any], dict[str, Numbers]]:
-    """Returns a video's description, and the statistics of its colours, from 0 to 1: `count` (1,), all others (3, 1, 1)."""
+    """Returns a video's description, and the statistics of its colours, 0 to 1: `count` (1,), all others (3, 1, 1)."""
     import av
 
     with av.open(str(path)) as container:
