@@ -149,8 +149,18 @@ def served(tmp_path_factory: pytest.TempPathFactory) -> Iterator[dict[str, Any]]
         yield server
 
 
+README_PROGRAMS = re.findall(r"^```python\n(.*?)^```", README, flags=re.DOTALL | re.MULTILINE)
+
+
+def test_the_environments_of_the_readme_can_be_made() -> None:
+    _, code = README_PROGRAMS
+    shown = "print(env.reset(seed=1)[0].shape, envs.reset(seed=1)[0].shape)"
+    result = subprocess.run([sys.executable, "-c", code + shown], capture_output=True, text=True, check=True)
+    assert result.stdout == "(26,) (64, 26)\n"
+
+
 def test_the_python_of_the_readme_works(served: dict[str, Any]) -> None:
-    (code,) = re.findall(r"^```python\n(.*?)^```", README, flags=re.DOTALL | re.MULTILINE)
+    code, _ = README_PROGRAMS
     program = re.sub(r"password=\"[^\"]*\"", f"port={served['port']}, password={served['password']!r}", code)
     result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
     assert json.loads(result.stdout)[0] > 1.0
