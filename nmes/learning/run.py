@@ -104,10 +104,12 @@ class LearningRun:
 
         Raises:
             RunError: There is a run in it (`run_exists`), or it cannot be written (`cannot_write`).
+            WorldError, RecordingError, ProofError: It could not begin; see `Learning`. No folder is made.
         """
         path = Path(folder)
         if any((path / name).exists() for name in ("run.json", "log.jsonl")):
             raise RunError("run_exists", f"there is a run in {path}: resume it, or choose another folder")
+        Learning(settings).close()
         document = {**settings.document, "fingerprint": settings.fingerprint()}
         try:
             (path / "states").mkdir(parents=True, exist_ok=True)

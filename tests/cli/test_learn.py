@@ -218,6 +218,14 @@ def test_what_is_wrong_is_told_and_nothing_is_begun(arguments: tuple[str, ...], 
     assert not (tmp_path / "run").exists()
 
 
+def test_a_creature_that_cannot_begin_leaves_no_folder(tmp_path: Path) -> None:
+    task = tmp_path / "hasty.json"
+    task.write_bytes(orjson.dumps({**MOMENT, "vary": {"drop": [0.5, 0.5]}}))  # it is still falling
+    result = nmes("walker", "--task", task, "-o", tmp_path / "run")
+    assert result.exit_code == 1 and "not yet at rest" in result.output
+    assert list(tmp_path.iterdir()) == [task]
+
+
 def test_a_folder_of_something_else_is_told(whole: Path, tmp_path: Path) -> None:
     for command in ("resume", "show", "verify"):
         result = nmes(command, tmp_path)
