@@ -166,6 +166,9 @@ class Client(ClientBase, BlockingCommands):
     def wait(self, pending: Pending[Any]) -> Any:
         """Waits for the reply to a command that was posted, and returns it, as `request` does.
 
+        Args:
+            pending: What `post` returned.
+
         Raises:
             CommandFailed: The server refused it; `code` says why.
             Disconnected: The connection was lost.

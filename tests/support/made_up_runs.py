@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from functools import cache
 from pathlib import Path
 from random import Random
@@ -48,7 +47,7 @@ def candidates(count: int, *, objectives: int = 0, measures: int = 0, groups: in
                 "parents": list(parents[: 2 if operator.startswith("cross") else 1]),
                 "generation": index // 50,
                 "group": f"species {min(index * groups // count, groups - 1)}" if groups else "",
-                "results": [asdict(Result(1, score, 10.0, 0.5, 18, None, None if scored else "restless: it rocks"))],
+                "results": [Result(1, score, 10.0, 0.5, 18, None, None if scored else "restless: it rocks").to_json()],
                 "error": None,
                 "score": score,
                 "objectives": [draw.random() for _ in range(objectives)] if scored else [],
@@ -68,7 +67,7 @@ def real(genome: Genome, task: Task) -> dict[str, Any]:
         "group": "",
         "genome": genome.document,
         "genome_hash": genome.hash,
-        "results": [asdict(result) for result in found.results],
+        "results": [result.to_json() for result in found.results],
         "error": found.error,
         "score": found.score,
         "objectives": [],
