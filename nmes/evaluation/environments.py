@@ -26,7 +26,8 @@ from nmes.evaluation.driven import DrivenWorld, EngineRows, Scene
 from nmes.evaluation.episode import Result
 from nmes.evaluation.evaluator import recorded
 from nmes.evaluation.judging import JudgeRows
-from nmes.evaluation.progress import drawn, read_reward
+from nmes.evaluation.progress import read_reward
+from nmes.evaluation.seeding import RowSeeds, check_actions
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
 from nmes.objective.trajectory import Flags
@@ -107,7 +108,7 @@ class Environments:
         self._autoreset: Autoreset = autoreset
         self._waits: Flags = np.ones(count, np.bool_)  # rows that have no episode now
         self._actions = np.zeros((task.ticks, count, len(self.motors)))  # of the episodes so far
-        self._all, self._seeded = np.arange(count), False  # whether every row has had a seed
+        self._all, self._seeds = np.arange(count), RowSeeds(count)
         self.observations, self.last_observations = np.zeros((2, count, len(self.sensors)))
         self.rewards: Array = self._judge.rewards
         self.terminated: Flags = np.zeros(count, np.bool_)
@@ -135,23 +136,10 @@ class Environments:
             ValueError: A row has never had a seed, or there are not as many seeds as rows, or one is below 0; nothing
                 has begun.
         """
-        count = len(self._rows)
-        if not isinstance(seed, Sequence):
-            seed = [None if seed is None else seed + row for row in range(count)]
-        if len(seed) != count:
-            raise ValueError(f"there are {count} rows, not {len(seed)}")
-        wrong = [given for given in seed if given is not None and given < 0]
-        if wrong:
-            raise ValueError(f"a seed is 0 or more, not {wrong[0]}")
         places = self._all[slice(None) if rows is None else rows].tolist()
-        if any(seed[place] is None and self._rows[place].seed is None for place in places):
-            raise ValueError("the first reset of a row needs a seed")
+        self._seeds.take(seed, places)
         for place in places:
-            given, row = seed[place], self._rows[place]
             self.results[place] = None
-            if given is not None:
-                row.seed, row.number = given, 0
-        self._seeded = all(row.seed is not None for row in self._rows)
         self._begin(places)
         for place in places:
             self._rows[place].last = None
@@ -196,9 +184,10 @@ class Environments:
         for world in self._worlds.values():
             world.close()
         self._worlds.clear()
-        self._waits[:], self._seeded = True, False
+        self._waits[:] = True
+        self._seeds.forget()
         for row in self._rows:
-            row.seed = row.last = None
+            row.last = None
 
     def record(self, row: int, path: str | os.PathLike[str]) -> None:
         """Records the episode that a row's last step belonged to: in a world that is driven with its actions.
@@ -233,18 +222,11 @@ class Environments:
                 world.close()
 
     def _check(self, actions: Array) -> None:
-        if not self._seeded:
+        if not self._seeds.complete:
             raise ValueError("no episodes have begun: reset comes first")
         if self._autoreset == "disabled" and self._waits.any():
             raise ValueError(f"the episode of row {int(self._waits.argmax())} is over: reset it first")
-        shape = len(self._rows), len(self.motors)
-        if actions.shape != shape:
-            raise ValueError(f"actions have the shape {shape}, for each row and motor, not {actions.shape}")
-        kept = np.abs(actions) <= 1.0
-        if not kept.all():
-            row, motor = np.argwhere(~kept)[0].tolist()
-            value = actions[row, motor]
-            raise ValueError(f"actions are from -1 to 1; that of row {row} for {self.motors[motor]!r} is {value}")
+        check_actions(actions, len(self._rows), self.motors)
 
     # -- one tick -----------------------------------------------------------------------------------------------------
 
@@ -297,9 +279,8 @@ class Environments:
         rows = []
         for place in places:
             row = self._rows[place]
-            assert row.seed is not None
-            row.scene = scene = drawn(self._scenes, row.seed, row.number)
-            row.number += 1
+            row.scene = scene = self._seeds.draw(place, self._scenes)
+            self._seeds.count(place)
             self._judge.begin(place, scene)
             self.observations[place] = scene.senses
             self._release(place)
@@ -319,10 +300,8 @@ class Environments:
 
 
 class _Row:
-    """One row: its seed, the number of episodes that it has begun, its scene, and its last episode."""
+    """One row: its scene, and its last episode."""
 
     def __init__(self, scene: Scene) -> None:
-        self.seed: int | None = None
-        self.number = 0
         self.scene = scene
         self.last: tuple[Scene, int] | None = None  # the scene and the ticks of the episode that was over last

@@ -6,9 +6,8 @@ last bit, as a `Judge` has who is told all rows. It draws no balance of energy.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -21,22 +20,7 @@ from nmes.genome import Genome
 from nmes.objective import Objective, Quantity
 from nmes.objective.trajectory import Flags, ObservedBodies, QuantityRows, beyond, duty_of
 
-__all__ = ["Progress", "drawn", "read_reward"]
-
-
-T = TypeVar("T")
-
-
-def drawn(scenes: Sequence[T], seed: int, number: int) -> T:
-    """Returns the scene that an episode has.
-
-    Args:
-        scenes: Those that there are, or their seeds.
-        seed: That with which the environment was reset.
-        number: Of its episodes since, from 0.
-    """
-    draw = np.random.SeedSequence(seed, spawn_key=(number,))
-    return scenes[int(draw.generate_state(1)[0]) % len(scenes)]
+__all__ = ["Progress", "read_reward"]
 
 
 def read_reward(text: str, genome: Genome, task: Task) -> Objective:

@@ -28,8 +28,8 @@ from typing import Any, Final
 import gymnasium
 import numpy as np
 
-import nmes.learning.registration  # noqa: F401  so that a name can be checked, whatever was imported first
 from nmes.errors import NotDeterministic
+from nmes.learning.registration import register
 
 __all__ = ["check_determinism"]
 
@@ -82,6 +82,7 @@ def check_determinism(env: Environment | Source, *, steps: int = 600, **settings
 
 
 def _source(env: Environment | Source, settings: dict[str, Any]) -> Source | None:
+    register()  # so that a name of ours is known, whatever was imported first
     if isinstance(env, gymnasium.Env):
         return env.spec
     if isinstance(env, str) and settings:

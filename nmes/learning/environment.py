@@ -15,18 +15,20 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-import nmes.learning.registration  # noqa: F401  its names are known to whoever has one of these
 from nmes.backend import Array, Image, load_backend
 from nmes.errors import WorldError
 from nmes.evaluation import Environments, Task
 from nmes.evaluation.driven import DrivenWorld
 from nmes.learning import spaces
 from nmes.learning.cores import Core, GenomeLike, Records, TaskLike, genome_of, task_of, told
+from nmes.learning.registration import register
 
 __all__ = ["CreatureEnv", "TaskEnv", "check_options"]
 
 _MODES = ("rgb_array",)
 _SIZE = (640, 480)
+
+register()  # whoever has one of these may make others by name
 
 
 def _modes(mode: str | None, task: Task) -> list[str]:

@@ -28,7 +28,8 @@ from nmes.client import Client
 from nmes.errors import CommandFailed, Disconnected, WorldError
 from nmes.evaluation.environments import AUTORESET, Autoreset
 from nmes.evaluation.episode import Rest, Result
-from nmes.evaluation.progress import Progress, drawn, read_reward
+from nmes.evaluation.progress import Progress, read_reward
+from nmes.evaluation.seeding import RowSeeds, check_actions
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
 from nmes.learning.wire import Moment, WireScene, require_world
@@ -233,9 +234,9 @@ class RemoteEnvironments:
                 (`too_few_worlds`), or such as are not of the task (`wrong_world`, `unsupported`).
         """
         self.genome, self.task = genome, task
-        self._seeds = task.seeds if seeds is None else tuple(seeds)
-        if count < 1 or not self._seeds:
-            raise ValueError(f"there must be 1 row and 1 seed or more, not {count} and {len(self._seeds)}")
+        self._scenes = task.seeds if seeds is None else tuple(seeds)
+        if count < 1 or not self._scenes:
+            raise ValueError(f"there must be 1 row and 1 seed or more, not {count} and {len(self._scenes)}")
         if autoreset not in AUTORESET:
             raise ValueError(f"autoreset is one of {', '.join(AUTORESET)}, not {autoreset!r}")
         reasons = task.check(genome.body)
@@ -252,7 +253,7 @@ class RemoteEnvironments:
         self._states = np.zeros((count, len(bodies.cubes), 13))
         self._touches: Flags = np.zeros((count, len(bodies.cubes) if touchy else 0, 2), np.bool_)
         self._work = np.zeros((count, 1))
-        self._rows = [_Row() for _ in range(count)]
+        self._rows, self._seeds = [_Row() for _ in range(count)], RowSeeds(count)
         self._autoreset: Autoreset = autoreset
         self._all, self._waits = np.arange(count), np.ones(count, np.bool_)
         self.observations, self.last_observations = np.zeros((2, count, len(self.sensors)))
@@ -282,24 +283,16 @@ class RemoteEnvironments:
             `observations`.
 
         Raises:
-            ValueError: A row has never had a seed, or there are not as many seeds as rows; nothing has begun.
+            ValueError: A row has never had a seed, or there are not as many seeds as rows, or one is below 0; nothing
+                has begun.
             Disconnected, TimeoutError: The host is gone.
             CommandFailed: It refuses the creature.
             WorldError: The creature cannot begin.
         """
-        count = len(self._rows)
-        if not isinstance(seed, Sequence):
-            seed = [None if seed is None else seed + row for row in range(count)]
-        if len(seed) != count:
-            raise ValueError(f"there are {count} rows, not {len(seed)}")
         places = self._all[slice(None) if rows is None else rows].tolist()
-        if any(seed[place] is None and self._rows[place].seed is None for place in places):
-            raise ValueError("the first reset of a row needs a seed")
+        self._seeds.take(seed, places)
         for place in places:
-            given, row = seed[place], self._rows[place]
             self.results[place] = None
-            if given is not None:
-                row.seed, row.number = given, 0
         self._begin(places)
         self.rewards[places], self.terminated[places], self.truncated[places] = 0.0, False, False
         return self.observations
@@ -346,8 +339,7 @@ class RemoteEnvironments:
     def close(self) -> None:
         """Disconnects; the worlds are left in the modes in which they were."""
         self._abandon()
-        for row in self._rows:
-            row.seed = None
+        self._seeds.forget()
 
     def _connect(self) -> None:
         try:
@@ -362,14 +354,7 @@ class RemoteEnvironments:
             raise ValueError("no episodes have begun: reset comes first")
         if self._waits.any() and self._autoreset == "disabled":
             raise ValueError(f"the episode of row {int(self._waits.argmax())} is over: reset it first")
-        shape = len(self._rows), len(self.motors)
-        if actions.shape != shape:
-            raise ValueError(f"actions have the shape {shape}, for each row and motor, not {actions.shape}")
-        kept = np.abs(actions) <= 1.0
-        if not kept.all():
-            row, motor = np.argwhere(~kept)[0].tolist()
-            value = actions[row, motor]
-            raise ValueError(f"actions are from -1 to 1; that of row {row} for {self.motors[motor]!r} is {value}")
+        check_actions(actions, len(self._rows), self.motors)
 
     def _move(self, places: Sequence[int], actions: Array) -> dict[int, str]:
         """Goes one tick on in some rows, and reads them; returns of those that fault why."""
@@ -402,11 +387,11 @@ class RemoteEnvironments:
         try:
             for place in places:
                 row, world = self._rows[place], self._worlds[place]
-                assert row.seed is not None
                 world.connect()
-                row.scene = drawn(self._seeds, row.seed, row.number)
+                row.scene = self._seeds.draw(place, self._scenes)
                 moment = world.begin(row.scene)
-                row.number, row.begun = row.number + 1, True
+                self._seeds.count(place)
+                row.begun = True
                 self._read(place, moment)
                 self._progress.begin(place, moment.states, moment.touches, self.task.target(row.scene))
                 self._waits[place] = False
@@ -416,11 +401,10 @@ class RemoteEnvironments:
 
 
 class _Row:
-    """One row: its seed, the number of episodes that it has begun, the seed of its scene, and whether it has one."""
+    """One row: the seed of its scene, and whether an episode goes on in it."""
 
     def __init__(self) -> None:
-        self.seed: int | None = None
-        self.number = self.scene = 0
+        self.scene = 0
         self.begun = False
 
 

@@ -33,7 +33,8 @@ from nmes.backend import Array
 from nmes.backend.rotation import total
 from nmes.errors import RecordingError, WorldError
 from nmes.evaluation.episode import Entrant, Observer, Result, set_scene
-from nmes.evaluation.progress import Progress, drawn
+from nmes.evaluation.progress import Progress
+from nmes.evaluation.seeding import RowSeeds
 from nmes.evaluation.task import Place, Task
 from nmes.genome import Genome
 from nmes.genome.body import Body, corners
@@ -118,7 +119,7 @@ class CreaturesEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]
         self.recording: Path | None = None
         self._spaces = {name: spaces.of(genome) for name, genome in genomes.items()}
         self._seeds, self._record = tuple(seeds), None if record is None else folder_of(record)
-        self._seed, self._number = 0, 0  # the seed of the last reset that had one, and episodes since
+        self._draws = RowSeeds(1)
         self._episode: _Episode | None = None
 
     def observation_space(self, agent: str) -> gym_spaces.Box:
@@ -142,18 +143,17 @@ class CreaturesEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]
             Of each agent, what it senses, and an info with the `seed` of its scene.
 
         Raises:
-            ValueError: `agents` names somebody else, or nobody.
+            ValueError: `agents` names somebody else, or nobody; or the seed is below 0.
             WorldError: The creatures cannot begin.
             RecordingError: The recording cannot be written.
         """
         names = self._chosen((options or {}).get("agents", self.possible_agents))
-        if seed is not None:
-            self._seed, self._number = seed, 0
-        elif not self._number:
-            self._seed = secrets.randbits(63)
+        if seed is None and not self._draws.complete:
+            seed = secrets.randbits(63)
+        self._draws.take(seed, [0])
         self.close()
-        scene = drawn(self._seeds, self._seed, self._number)
-        self._number += 1
+        scene = self._draws.draw(0, self._seeds)
+        self._draws.count(0)
         self._episode = _Episode(self.task, {name: self.genomes[name] for name in names}, scene, self._record)
         self.agents = names
         return self._episode.senses(names), {name: {"seed": scene} for name in names}

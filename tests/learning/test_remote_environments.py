@@ -96,6 +96,16 @@ def test_worlds_of_tasks_with_scenes_are_served_by_their_config(task: str, genom
         core.close()
 
 
+def test_a_seed_below_0_is_refused_and_the_episode_goes_on(server: Served) -> None:
+    core, actions = remote(server, asked("walk"), Genome.load("walker"), seeds=[3]), np.zeros((1, 8))
+    core.reset(1)
+    core.step(actions)
+    with pytest.raises(ValueError, match="a seed is 0 or more, not -1"):
+        core.reset(-1)
+    core.step(actions)  # else it would ask for a reset
+    core.close()
+
+
 def test_a_limit_of_what_the_body_does_ends_an_episode_as_there(server: Served) -> None:
     creature = Genome.load("roller")
     for limits in ({"energy": 2.0}, {"speed": 0.2}, {"spin": 1.0}):

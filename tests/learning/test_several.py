@@ -43,6 +43,16 @@ def still(env: CreaturesEnv) -> Actions:
     return {name: np.zeros(env.action_space(name).shape) for name in env.agents}
 
 
+def test_a_seed_below_0_is_refused_and_the_episode_goes_on() -> None:
+    env = parallel_env("walk", {"a": "walker"}, seeds=[3])
+    env.reset(seed=1)
+    with pytest.raises(ValueError, match="a seed is 0 or more, not -1"):
+        env.reset(seed=-1)
+    env.step({"a": np.zeros(8)})
+    assert env.agents == ["a"]
+    env.close()
+
+
 @pytest.mark.parametrize(
     ("task", "genome"), [("walk", "walker"), ("pole", "juggler"), ("reach", "seeker"), ("carry", "roller")]
 )

@@ -1,0 +1,89 @@
+"""Rows that are driven from outside, wherever they are: the seeds of their episodes, and the actions that they take.
+
+Invariant: which scene an episode has follows from its row's seed and the number of the row's episodes before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TypeVar
+
+import numpy as np
+
+from nmes.backend import Array
+
+__all__ = ["RowSeeds", "check_actions"]
+
+T = TypeVar("T")
+
+
+class RowSeeds:
+    """The seed of each row, and how many episodes it has begun with it.
+
+    Args:
+        count: The number of rows, none of which has a seed yet.
+    """
+
+    def __init__(self, count: int) -> None:
+        self._seeds: list[int | None] = [None] * count
+        self._numbers = [0] * count
+
+    @property
+    def complete(self) -> bool:
+        """Whether every row has a seed."""
+        return None not in self._seeds
+
+    def take(self, seed: int | Sequence[int | None] | None, places: Sequence[int]) -> None:
+        """Gives some rows new seeds.
+
+        Args:
+            seed: A number, from 0, is that of the first of all rows, and each has one more than the row before; or one
+                for each. None: the row keeps its own.
+            places: Which rows.
+
+        Raises:
+            ValueError: A row would have none, there are not as many seeds as rows, or one is below 0; none has changed.
+        """
+        count = len(self._seeds)
+        if not isinstance(seed, Sequence):
+            seed = [None if seed is None else seed + row for row in range(count)]
+        if len(seed) != count:
+            raise ValueError(f"there are {count} rows, not {len(seed)}")
+        wrong = [given for given in seed if given is not None and given < 0]
+        if wrong:
+            raise ValueError(f"a seed is 0 or more, not {wrong[0]}")
+        if any(seed[place] is None and self._seeds[place] is None for place in places):
+            raise ValueError("the first reset of a row needs a seed")
+        for place in places:
+            if seed[place] is not None:
+                self._seeds[place], self._numbers[place] = seed[place], 0
+
+    def draw(self, place: int, scenes: Sequence[T]) -> T:
+        """Returns the scene of a row's next episode, until `count` says that this has begun."""
+        seed = self._seeds[place]
+        assert seed is not None
+        draw = np.random.SeedSequence(seed, spawn_key=(self._numbers[place],))
+        return scenes[int(draw.generate_state(1)[0]) % len(scenes)]
+
+    def count(self, place: int) -> None:
+        """Counts an episode that has begun."""
+        self._numbers[place] += 1
+
+    def forget(self) -> None:
+        """Takes the seeds of all rows away."""
+        self._seeds = [None] * len(self._seeds)
+
+
+def check_actions(actions: Array, count: int, motors: Sequence[str]) -> None:
+    """Returns if actions are for each row and motor, and each from -1 to 1.
+
+    Raises:
+        ValueError: They are not.
+    """
+    if actions.shape != (count, len(motors)):
+        raise ValueError(f"actions have the shape {(count, len(motors))}, for each row and motor, not {actions.shape}")
+    kept = np.abs(actions) <= 1.0
+    if not kept.all():
+        row, motor = np.argwhere(~kept)[0].tolist()
+        value = actions[row, motor]
+        raise ValueError(f"actions are from -1 to 1; that of row {row} for {motors[motor]!r} is {value}")
