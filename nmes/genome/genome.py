@@ -48,12 +48,16 @@ class Genome:
             `brain` does that.
 
     Attributes:
+        name: What people call it.
         body: The body, grown where the document has a graph.
     """
 
     def __init__(self, document: Mapping[str, Any]) -> None:
-        self._document: JsonObject = plain(document)
-        self._grown, self.body = _read(write_json(self._document))
+        copied: JsonObject = plain(document)
+        # As bytes, since a population is many genomes, and a document of dicts is ten times as large.
+        self._text = write_json(copied)
+        self.body = _read(self._text)
+        self.name = str(copied["name"])
 
     @classmethod
     def parse(cls, text: bytes) -> Genome:
@@ -81,18 +85,13 @@ class Genome:
     @property
     def document(self) -> JsonObject:
         """The document as it was given, nothing filled in: a new copy, plain JSON data."""
-        copied: JsonObject = plain(self._document)
-        return copied
-
-    @property
-    def name(self) -> str:
-        """What people call it."""
-        return str(self._document["name"])
+        document: JsonObject = orjson.loads(self._text)
+        return document
 
     @cached_property
     def hash(self) -> str:
         """SHA-256 of the document in canonical form, 64 hexadecimal digits; see `nmes.schemas.documents`."""
-        return canonical_hash(self._document)
+        return canonical_hash(self.document)
 
     def brain(self) -> Brain:
         """Returns the brain, for this body's sensors and motors: a new one at each call.
@@ -100,14 +99,17 @@ class Genome:
         Raises:
             DocumentError: There is none, or it is not a good one for this body; with everything that is wrong.
         """
-        if "brain" not in self._document:
+        document = self.document
+        if "brain" not in document:
             raise DocumentError([("brain", f"{self.name!r} has no brain: it is driven from outside")])
         inputs, outputs = [sensor.id for sensor in self.body.sensors], [motor.id for motor in self.body.motors]
-        return load_brain(self._document["brain"], inputs, outputs)
+        return load_brain(document["brain"], inputs, outputs)
 
     def expanded(self) -> Genome:
         """Returns the same creature with its cubes and joints written out in place of a graph."""
-        return Genome({**self._document, "body": self._document["body"] if self._grown is None else self._grown})
+        document = self.document
+        graph = document["body"].get("graph")
+        return self if graph is None else Genome({**document, "body": morphology.grow(graph)})
 
     def __repr__(self) -> str:
         return f"Genome({self.name!r}, {self.hash[:16]})"
@@ -115,8 +117,8 @@ class Genome:
 
 # A creature is read where it is evaluated, and in each of its worlds.
 @lru_cache(maxsize=32)
-def _read(text: bytes) -> tuple[JsonObject | None, Body]:
-    """Reads a genome's document: the cubes and joints that its graph grows into (None if it has none), and its body.
+def _read(text: bytes) -> Body:
+    """Reads the body of a genome's document, grown where it has a graph.
 
     Raises:
         DocumentError: It is not a good genome, with everything that is wrong.
@@ -126,9 +128,9 @@ def _read(text: bytes) -> tuple[JsonObject | None, Body]:
     body = document["body"]
     if ("cubes" in body) == ("graph" in body) or ("graph" in body and "joints" in body):
         raise DocumentError([("body", "must have either cubes (and joints between them) or a graph")])
-    grown: JsonObject | None = None
-    if "graph" in body:
-        grown = body = morphology.grow(body["graph"])
+    grown = "graph" in body
+    if grown:
+        body = morphology.grow(body["graph"])
         # Scales may have taken a size or a mass out of its bounds.
         outgrown = [
             ("body/graph", f"grows {_quantity(body, problem.pointer)} is out of range: {problem.message}")
@@ -136,7 +138,7 @@ def _read(text: bytes) -> tuple[JsonObject | None, Body]:
         ]
         if outgrown:
             raise DocumentError(outgrown)
-    return grown, _body(write_json([body, document.get("sensors"), None if grown is None else "body/graph"]))
+    return _body(write_json([body, document.get("sensors"), "body/graph" if grown else None]))
 
 
 # A population is of few bodies with many brains, or of one portion of bodies that are each read in their worlds again.
