@@ -7,6 +7,8 @@ from typing import Any
 from nmes.evaluation import Task
 from nmes.evolution.algorithm import Algorithm, Candidate, Problem, Score
 from nmes.evolution.algorithms import load_algorithm
+from nmes.evolution.draw import Draw
+from nmes.evolution.mutation import mutate
 from nmes.genome import Genome
 
 
@@ -87,17 +89,22 @@ def test_whoever_has_no_offspring_gives_way_to_a_random_creature() -> None:
     assert all(candidate.operator == "random" and not light.check(candidate.genome.body) for candidate in told[1:])
 
 
-def test_young_lineages_are_kept_from_better_ones_that_are_older() -> None:
+def test_new_bodies_are_kept_from_better_ones_that_are_older() -> None:
     algorithm = new("afpo", founders=12, population=12, window=1)
     told = run(algorithm, [50.0, *[0.0] * 11, 1.0])  # a good founder, eleven bad ones, and a newcomer
     assert told[12].operator == "random" and list(algorithm.elites())[:2] == [0, 12]
-    genome = told[0].genome
-    algorithm.tell(13, Candidate(genome, "weights", (0,)), Score(0.5))
-    assert 13 not in algorithm.elites()  # of the oldest lineage, where the first is better
-    algorithm.tell(14, Candidate(genome, "weights", (12,)), Score(0.5))
-    assert 14 in algorithm.elites() and algorithm.figures()["lineages"] == 11  # as bad, but of the youngest
-    algorithm.tell(15, Candidate(genome, "cross", (12, 0)), Score(0.25))
-    assert 15 not in algorithm.elites()  # a child is as old as the older of its lineages
+    best, newcomer = told[0].genome, told[12].genome
+    algorithm.tell(13, Candidate(best, "weights", (0,)), Score(0.5))
+    assert 13 not in algorithm.elites()  # with the oldest body, with which the first is better
+    algorithm.tell(14, Candidate(newcomer, "weights", (12,)), Score(0.5))
+    assert 14 in algorithm.elites() and algorithm.figures()["bodies"] == 11  # as bad, but with the newest
+    changed = mutate(best, Draw(1), kind="resize-part").genome
+    algorithm.tell(15, Candidate(changed, "resize-part", (0,)), Score(0.25))
+    assert 15 in algorithm.elites()  # its body is newer than any
+    bodies = algorithm.figures()["bodies"]
+    algorithm.tell(16, Candidate(changed, "weights", (15,)), Score(0.125))  # the same body again
+    algorithm.tell(17, Candidate(newcomer, "cross", (12, 15)), Score(0.125))
+    assert algorithm.figures()["bodies"] == bodies - 2  # for they take the places of two
 
 
 def test_one_random_creature_comes_with_each_generation() -> None:

@@ -18,17 +18,17 @@ from nmes.evolution.algorithms.bounds import within_bounds
 from nmes.evolution.algorithms.breeding import Parent, breed, found, newcomer
 from nmes.evolution.algorithms.requirements import check_problem
 from nmes.evolution.draw import Draw
+from nmes.schemas.documents import canonical_hash
 
 __all__ = ["AgeFitness", "Genetic", "SteadyStateOptions"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Member:
-    """A candidate of a population; `origin` is the index of the first ancestor of all."""
+    """A candidate of a population."""
 
     parent: Parent
     score: float
-    origin: int
 
 
 def _sorted(members: Iterable[_Member]) -> list[_Member]:
@@ -66,7 +66,6 @@ class _SteadyState(Algorithm):
         check_problem(problem)
         self._problem, self._options = problem, options
         self._members: Sequence[_Member] = ()
-        self._origins: list[int] = []  # of every candidate that was told, by index
 
     @abstractmethod
     def _with(self, newcomer: _Member) -> Sequence[_Member]:
@@ -98,10 +97,8 @@ class _SteadyState(Algorithm):
 
     def tell(self, index: int, candidate: Candidate, score: Score) -> None:
         """Takes a candidate's score in; see `Algorithm`. One without a score has no offspring."""
-        origin = min((self._origins[parent] for parent in candidate.parents), default=index)
-        self._origins.append(origin)
         if score.score is not None:
-            self._members = self._with(_Member(Parent(index, candidate.genome), score.score, origin))
+            self._members = self._with(_Member(Parent(index, candidate.genome), score.score))
 
     def elites(self) -> Sequence[int]:
         """Returns the population, the best first."""
@@ -150,11 +147,13 @@ class Genetic(_SteadyState):
 
 
 class AgeFitness(_SteadyState):
-    """Age-fitness Pareto optimisation: young lineages compete with the young, so that new bodies have time to learn.
+    """Age-fitness Pareto optimisation: new bodies compete with the new, so that their brains have time to learn.
 
-    After M. Schmidt and H. Lipson, "Age-Fitness Pareto Optimization" (2011): a lineage is as old as its first ancestor,
-    one random creature comes with each generation, and who is dominated, by somebody as young who is better, goes
-    first. Here the one who is dominated by the most goes, of equals the worst, and nothing is drawn for it.
+    After M. Schmidt and H. Lipson, "Age-Fitness Pareto Optimization" (2011): one random creature comes with each
+    generation, and who is dominated, by somebody as young who is better, goes first. As in N. Cheney et al.,
+    "Scalable co-optimization of morphology and control in embodied machines" (2018), a creature is as old as its
+    body: a child whose body is its first parent's is as old as that one, any other is new. Here the one who is
+    dominated by the most goes, of equals the worst, and nothing is drawn for it.
 
     Args:
         problem: What the run is about.
@@ -181,6 +180,8 @@ class AgeFitness(_SteadyState):
     def __init__(self, problem: Problem, options: Options) -> None:
         super().__init__(problem, options)
         self._newcomers = options.newcomers
+        self._bodies: list[str] = []  # digests, of every candidate that was told
+        self._births: list[int] = []  # of their bodies: the index of the candidate in which each was new
 
     def ask(self, index: int) -> Candidate:
         """Returns the candidate of this index; see `Algorithm`."""
@@ -189,21 +190,32 @@ class AgeFitness(_SteadyState):
             return newcomer(self._problem, index, self._generation(index))
         return super().ask(index)
 
+    def tell(self, index: int, candidate: Candidate, score: Score) -> None:
+        """Takes a candidate's score in, and how old its body is; see `Algorithm`."""
+        body = canonical_hash(candidate.genome.document["body"])
+        first = candidate.parents[0] if candidate.parents else None
+        self._births.append(self._births[first] if first is not None and self._bodies[first] == body else index)
+        self._bodies.append(body)
+        super().tell(index, candidate, score)
+
+    def _birth(self, member: _Member) -> int:
+        return self._births[member.parent.index]
+
     def _with(self, newcomer: _Member) -> Sequence[_Member]:
         members = [*self._members, newcomer]
         if len(members) > self._options.population:
-            del members[_least(members)]
+            del members[_least(members, [self._birth(member) for member in members])]
         return members
 
     def figures(self) -> Mapping[str, float]:
-        """Returns how many lineages there are, by their first ancestors."""
-        return {"lineages": len({member.origin for member in self._members})}
+        """Returns how many bodies there are."""
+        return {"bodies": len({self._birth(member) for member in self._members})}
 
 
-def _least(members: Sequence[_Member]) -> int:
+def _least(members: Sequence[_Member], births: Sequence[int]) -> int:
     """Returns the place of the member that is dominated by the most; of equals the worst, then the first told."""
     scores = np.array([member.score for member in members])
-    origins = np.array([member.origin for member in members])
-    dominated = (scores[:, np.newaxis] > scores) & (origins[:, np.newaxis] >= origins)
+    born = np.array(births)
+    dominated = (scores[:, np.newaxis] > scores) & (born[:, np.newaxis] >= born)
     dominators = dominated.sum(axis=0).tolist()
     return max(range(len(members)), key=lambda i: (dominators[i], -members[i].score, -members[i].parent.index))
