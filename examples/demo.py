@@ -1,6 +1,7 @@
-"""Serves, drives, records and reproduces the example worlds, one after the other, and prints a table of the results.
+"""Serves, drives, records and reproduces the example worlds, prints a table of the results, and draws a picture.
 
-Everything goes through the doors that users have: `nmes serve`, the example programs over TCP, `nmes replay`.
+Everything goes through the doors that users have: `nmes serve`, the example programs over TCP, `nmes replay` and
+`nmes render`.
 """
 
 from __future__ import annotations
@@ -9,12 +10,14 @@ import argparse
 import json
 import os
 import secrets
+import shlex
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -29,6 +32,7 @@ HERE = Path(__file__).parent
 EXAMPLES = ["tier1_target", "tier2_grid", "tier2_pole", "tier3_swarm", "tier3_creature"]
 NMES = [str(Path(sys.executable).parent / "nmes")]
 TIMEOUT = 60.0  # s, for any one step
+AT_ONCE = 2  # worlds: most of the time goes into starting programs, which need a core each
 
 
 class Failed(Exception):
@@ -65,7 +69,13 @@ def run(command: list[str], **environment: str) -> Any:
     try:
         return json.loads(process.stdout)
     except ValueError:
-        raise Failed(f"{' '.join(command)} (exit {process.returncode})\n{process.stdout}{process.stderr}") from None
+        raise failure(process) from None
+
+
+def failure(process: subprocess.CompletedProcess[str]) -> Failed:
+    """Returns the error that tells what a command said."""
+    command = " ".join(process.args)
+    return Failed(f"{command} (exit {process.returncode})\n{process.stdout}{process.stderr}")
 
 
 def drive(example: str, record_to: Path) -> tuple[Any, Path]:
@@ -93,6 +103,46 @@ def rows(example: str, figures: Any, recording: Path, report: Any) -> Iterator[t
     yield "  replayed", f"[{color}]{report['verdict']}[/]", "", f"{report['speed']:.0f} x real time"
 
 
+def reproduce(example: str, record_to: Path, progress: Callable[[str], None]) -> tuple[Any, Path, Any]:
+    """Drives an example and replays its recording; returns the figures, the recording and the replay's report."""
+    figures, recording = drive(example, record_to / example)
+    progress(f"{example}: served, driven, recorded")
+    report = replay(recording)
+    progress(f"{example}: {report['verdict']}")
+    return figures, recording, report
+
+
+def reproduce_all(record_to: Path, console: Console) -> list[tuple[Any, Path, Any]]:
+    """Reproduces all examples, a few at a time, under a progress bar; returns what came of each, in their order."""
+    columns = (TextColumn("{task.description:<42}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console) as bar, ThreadPoolExecutor(AT_ONCE) as pool:
+        task = bar.add_task("starting", total=2 * len(EXAMPLES))
+
+        def progress(what: str) -> None:
+            bar.update(task, advance=1, description=what)
+
+        return list(pool.map(lambda example: reproduce(example, record_to, progress), EXAMPLES))
+
+
+def draw(recording: Path, picture: Path) -> Path:
+    """Draws the last moment of a recording; returns where the picture is."""
+    command = [*NMES, "render", str(recording), "-o", str(picture), "--size", "800x450"]
+    process = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT, check=False)
+    if process.returncode:
+        raise failure(process)
+    return picture
+
+
+def next_steps(recording: Path) -> list[str]:
+    """Returns three commands to go on with, as they can be typed in the current folder."""
+    nmes = os.path.relpath(NMES[0])
+    return [
+        f"{nmes} render {shlex.quote(os.path.relpath(recording))} -o creature.mp4",
+        f"{nmes} eval walker --task walk --record proofs",
+        f"{nmes} evolve random --task walk --budget 100 --seed 1 -o runs/first",
+    ]
+
+
 def main() -> int:
     """Runs the demo; returns 1 if an aim was missed or a recording was not reproduced."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -100,26 +150,23 @@ def main() -> int:
     parser.add_argument("--record", type=Path, default=default, metavar="DIR", help="directory for the recordings")
     options = parser.parse_args()
     console = Console()
+    console.print("Five worlds: each is served, driven over TCP and recorded; then its recording is run again.")
+    began = time.monotonic()
+    results = reproduce_all(options.record, console)
     table = Table("", "measured", "", "aim")
     table.columns[1].justify = "right"
-    good = True
-    began = time.monotonic()
-    columns = (TextColumn("{task.description:<34}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console) as progress:
-        task = progress.add_task("", total=2 * len(EXAMPLES))
-        for example in EXAMPLES:
-            progress.update(task, description=f"{example}: served and driven")
-            figures, recording = drive(example, options.record / example)
-            progress.update(task, advance=1, description=f"{example}: replayed")
-            report = replay(recording)
-            progress.advance(task)
-            for row in rows(example, figures, recording, report):
-                table.add_row(*row)
-            table.add_section()
-            good &= figures["ok"] and report["verdict"] == "reproduced"
+    for example, (figures, recording, report) in zip(EXAMPLES, results, strict=True):
+        for row in rows(example, figures, recording, report):
+            table.add_row(*row)
+        table.add_section()
     console.print(table)
-    where = os.path.relpath(options.record)
-    console.print(f"{time.monotonic() - began:.1f} s. The recordings are in {where}: try nmes info, and nmes replay.")
+    creature = results[-1][1]
+    picture = draw(creature, options.record / "creature.png")
+    console.print(f"{time.monotonic() - began:.1f} s. The recordings are in {os.path.relpath(options.record)}.")
+    # As they are, not wrapped: they are to be copied.
+    print(f"The creature at its end: {os.path.relpath(picture)}", "A film of it, a score, and evolution:", sep="\n\n")
+    print(*(f"    {step}" for step in next_steps(creature)), sep="\n")
+    good = all(figures["ok"] and report["verdict"] == "reproduced" for figures, _, report in results)
     return 0 if good else 1
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 
 import demo
 from layout import ROOT
@@ -81,14 +83,57 @@ def test_an_example_without_a_server_gives_a_message() -> None:
     assert "unreachable" in result.stderr and "Traceback" not in result.stderr
 
 
-def test_the_demo_reproduces_everything(tmp_path: Path) -> None:
-    script = [sys.executable, str(ROOT / "examples" / "demo.py"), "--record", str(tmp_path)]
-    result = subprocess.run(script, capture_output=True, text=True, check=False)
+@pytest.fixture(scope="module")
+def demonstrated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """A folder in which the demo has run, and what it printed."""
+    folder = tmp_path_factory.mktemp("demo")
+    script = [sys.executable, str(ROOT / "examples" / "demo.py"), "--record", "recordings"]
+    result = subprocess.run(script, cwd=folder, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stdout + result.stderr
-    assert result.stdout.count("reproduced") == len(AIMS)
-    for recording in tmp_path.rglob("*.mcap"):
+    return folder, result.stdout
+
+
+def test_the_demo_reproduces_everything(demonstrated: tuple[Path, str]) -> None:
+    folder, output = demonstrated
+    table = output.partition("measured")[2]
+    assert table.count("reproduced") == len(AIMS)
+    assert [line.split()[1] for line in table.splitlines() if "│ tier" in line] == demo.EXAMPLES
+    for recording in folder.rglob("*.mcap"):
         info = subprocess.run(
             [*demo.NMES, "info", str(recording), "--json"], capture_output=True, text=True, check=True
         )
         assert json.loads(info.stdout)
-    assert len(list(tmp_path.rglob("*.mcap"))) == len(AIMS)
+    assert len(list(folder.rglob("*.mcap"))) == len(AIMS)
+
+
+def test_the_demo_ends_with_a_picture_of_something(demonstrated: tuple[Path, str]) -> None:
+    folder, output = demonstrated
+    (name,) = re.findall(r"^The creature at its end: (\S+\.png)$", output, flags=re.MULTILINE)
+    with Image.open(folder / name) as picture:
+        assert picture.size == (800, 450)
+        colors = picture.convert("RGB").quantize(64).getcolors()
+    assert max(count for count, _ in colors) < 0.8 * 800 * 450, "it is of one colour"
+
+
+def next_steps(output: str) -> list[str]:
+    return [line.strip() for line in output.splitlines() if line.startswith("    ")]
+
+
+def test_the_demo_ends_with_three_commands_and_the_quick_one_works(demonstrated: tuple[Path, str]) -> None:
+    folder, output = demonstrated
+    assert [step.split()[1] for step in next_steps(output)] == ["render", "eval", "evolve"]
+    subprocess.run(next_steps(output)[1], shell=True, cwd=folder, check=True, capture_output=True)
+    assert len(list(folder.glob("proofs/*.mcap"))) == 3
+
+
+@pytest.mark.long
+def test_the_commands_that_the_demo_ends_with_work(demonstrated: tuple[Path, str]) -> None:
+    folder, output = demonstrated
+    for step in next_steps(output):
+        subprocess.run(step, shell=True, cwd=folder, check=True, capture_output=True)
+    assert (folder / "creature.mp4").exists() and (folder / "runs/first").is_dir()
+
+
+def test_a_demo_that_cannot_draw_says_so(tmp_path: Path) -> None:
+    with pytest.raises(demo.Failed, match=r"render .*\(exit 2\)(.|\n)*No such file"):
+        demo.draw(tmp_path / "none.mcap", tmp_path / "none.png")
