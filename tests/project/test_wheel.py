@@ -1,4 +1,5 @@
-"""The wheel, installed elsewhere, holds all that it needs: it serves, is driven, records, and replays."""
+"""The source distribution is the whole repository; the wheel made of it, installed elsewhere, holds all that it needs:
+it serves, is driven, records, and replays."""
 
 from __future__ import annotations
 
@@ -9,7 +10,9 @@ import shutil
 import signal
 import subprocess
 import sys
+import tarfile
 import venv
+from fnmatch import fnmatch
 from importlib.metadata import distribution
 from pathlib import Path
 
@@ -44,21 +47,36 @@ with nmes.Client(port=int(sys.argv[1]), password="wheel") as client:
 """
 
 
+JUNK = (".*", "build", "dist", "*.egg-info", "__pycache__", "recordings", "runs", "proofs")
+
+
 @pytest.fixture(scope="module")
-def environment(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def unpacked(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of an unpacked source distribution."""
+    folder = tmp_path_factory.mktemp("sdist")
+    source = folder / "source"
+    shutil.copytree(ROOT, source, ignore=shutil.ignore_patterns(*JUNK))
+    build = f"from setuptools import build_meta; build_meta.build_sdist({str(folder)!r})"
+    subprocess.run([sys.executable, "-c", build], cwd=source, check=True, capture_output=True)
+    shutil.rmtree(source)
+    (archive,) = folder.glob("nmes-*.tar.gz")
+    with tarfile.open(archive) as packed:
+        packed.extractall(folder, filter="data")
+    return folder / archive.name.removesuffix(".tar.gz")
+
+
+@pytest.fixture(scope="module")
+def environment(unpacked: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The `bin` folder of a virtual environment that has the wheel and what a plain install of it brings, no more.
 
-    Dependencies are links to this environment's, so that nothing is fetched; nmes itself comes from the wheel.
+    The wheel is built from the source distribution. Dependencies are links to this environment's, so that nothing is
+    fetched; nmes itself comes from the wheel.
     """
     folder = tmp_path_factory.mktemp("wheel")
-    source = folder / "source"
-    junk = shutil.ignore_patterns(".*", "build", "dist", "*.egg-info", "__pycache__", "recordings")
-    shutil.copytree(ROOT, source, ignore=junk)
     pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
-    build = [*pip, "wheel", "-q", "--no-deps", "--no-build-isolation", "-w", str(folder), str(source)]
+    build = [*pip, "wheel", "-q", "--no-deps", "--no-build-isolation", "-w", str(folder), str(unpacked)]
     subprocess.run(build, check=True)
     (wheel,) = folder.glob("nmes-*.whl")
-    shutil.rmtree(source)
     home = folder / "environment"
     venv.create(home, with_pip=False)
     python = home / "bin" / "python"
@@ -98,6 +116,46 @@ def run(environment: Path, *command: str, cwd: Path) -> str:
     )
     assert result.returncode == 0, result.stdout + result.stderr
     return result.stdout
+
+
+def files(folder: Path) -> set[str]:
+    """Returns all files in a folder but those that are made anew, relative to it."""
+    found = set()
+    for inside, folders, names in os.walk(folder):
+        folders[:] = [name for name in folders if not any(fnmatch(name, pattern) for pattern in JUNK)]
+        found |= {str((Path(inside) / name).relative_to(folder)) for name in names if not name.startswith(".")}
+    return found
+
+
+def test_a_source_distribution_has_every_file(unpacked: Path) -> None:
+    assert files(unpacked) - {"PKG-INFO", "setup.cfg"} == files(ROOT) - {"PKG-INFO", "setup.cfg"}
+
+
+def test_tests_of_a_source_distribution_run_in_it(unpacked: Path) -> None:
+    result = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/schemas/test_documents.py"],
+        cwd=unpacked,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert result.returncode == 0, result.stdout
+    assert re.search(r"^\d{2,} passed in", result.stdout, flags=re.MULTILINE)
+
+
+def test_the_packaged_readme_has_no_relative_links_and_all_else(unpacked: Path) -> None:
+    described = (unpacked / "PKG-INFO").read_text().partition("\n\n")[2]
+    readme = (ROOT / "README.md").read_text()
+    targets = re.findall(r"\]\(([^)]*)\)", described)
+    assert targets and [target for target in targets if "://" not in target] == []
+    assert described.startswith("# NMES\n") and "![" not in described
+    blocks = re.compile(r"^```.*?^```", flags=re.DOTALL | re.MULTILINE)
+    assert blocks.findall(described) == blocks.findall(readme)
+    assert headings(described) == headings(readme)
+
+
+def headings(text: str) -> list[str]:
+    return re.findall(r"^#+ .*", text, flags=re.MULTILINE)
 
 
 def test_every_module_is_in_the_wheel_and_can_be_imported(environment: Path, tmp_path: Path) -> None:
