@@ -87,6 +87,6 @@ class _Group(click.Group):
 
 
 @click.group(cls=_Group, context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
-@click.version_option(package_name="nmes", message="%(prog)s %(version)s")
+@click.version_option(None, "-V", "--version", package_name="nmes", message="%(prog)s %(version)s")
 def main() -> None:
     """Deterministic worlds of cubes and joints, driven over TCP, recorded and reproduced."""

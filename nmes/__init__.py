@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from nmes.recording import Recorder, Recording
     from nmes.world import World
 
+    __version__: str
+
 __all__ = [
     "AsyncClient",
     "Client",
@@ -49,8 +51,10 @@ def __getattr__(name: str) -> Any:
     # Loaded when first used, so that `import nmes`, and with it `nmes --help`, costs nothing.
     if name in _HOMES:
         return getattr(importlib.import_module(_HOMES[name]), name)
+    if name == "__version__":
+        return importlib.import_module("importlib.metadata").version("nmes")
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:
-    return sorted([*__all__, *(name for name in globals() if name.startswith("__"))])
+    return sorted([*__all__, "__version__", *(name for name in globals() if name.startswith("__"))])

@@ -16,6 +16,7 @@ from typing import ClassVar
 import mujoco
 
 from nmes.backend import Backend, SceneSpec, Simulation
+from nmes.backends.mujoco3d import arenas
 from nmes.backends.mujoco3d.simulation import MujocoSimulation
 
 __all__ = ["MujocoBackend", "MujocoSimulation"]
@@ -45,13 +46,13 @@ class MujocoBackend(Backend):
             "sensors.inertial",
             "sensors.range",
             "camera",
-            "scene.arena",
             "scene.damping",
             "scene.heightfield",
             "scene.obstacles",
             "scene.planets",
             "sleep",
             "snapshot",
+            *(["scene.arena"] if arenas.installed() else []),
         }
     )
 

@@ -15,6 +15,7 @@ import functools
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib.util import find_spec
 from math import sqrt
 from types import SimpleNamespace
 from typing import Any
@@ -26,7 +27,7 @@ from nmes.backend import Arena, Array, Quaternion, Vector
 from nmes.backend.rotation import multiply
 from nmes.errors import WorldError
 
-__all__ = ["Part", "parts"]
+__all__ = ["Part", "installed", "parts"]
 
 _UP = (-sqrt(0.5), 0.0, 0.0, sqrt(0.5))  # from their frame (Z up) to ours: (x, y, z) becomes (x, z, -y)
 _CELL = 2.0  # m: a cell of a maze
@@ -43,6 +44,11 @@ class Part:
     quaternion: Quaternion
     color: tuple[float, ...]
     heights: Array | None = None
+
+
+def installed() -> bool:
+    """Returns whether this installation can make arenas: not all that they need has wheels for every Python."""
+    return all(find_spec(name) is not None for name in ("dm_control", "labmaze"))
 
 
 @functools.lru_cache(maxsize=16)

@@ -21,7 +21,7 @@ import programs
 import recordings
 from layout import ROOT, SUPPORT
 from nmes import World, protocol, schemas
-from nmes.backend import Arena, Array, Heightfield, SceneSpec
+from nmes.backend import Arena, Array, Heightfield, SceneSpec, load_backend
 from nmes.backends.mujoco3d import MujocoBackend, MujocoSimulation
 from nmes.backends.mujoco3d.arenas import parts
 from nmes.errors import RejectedMessage
@@ -515,3 +515,22 @@ def test_a_stack_stands_whatever_the_settings(engine: Reply) -> None:
     drive("despawn_cube", cube_name="c1")
     drive("step", ticks=90)
     assert drive.where("c2")[1] == pytest.approx(1.5, abs=0.03)
+
+
+@pytest.mark.parametrize("missing", ["dm_control", "labmaze"])  # labmaze has no wheels for Python 3.13
+def test_arenas_are_claimed_only_where_they_can_be_made(missing: str) -> None:
+    program = f"""
+import sys
+sys.modules[{missing!r}] = None
+from nmes import World
+from nmes.errors import RejectedMessage
+world = World({{"backend": "mujoco"}})
+print("scene.arena" in world.execute(world.join(), {{"type": "get_world_info"}})["capabilities"])
+try:
+    World({{"backend": "mujoco", "scene": {{"type": "arena"}}}})
+except RejectedMessage as error:
+    print(error.code, error.path)
+"""
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert result.stdout == "False\nunsupported scene/type\n"
+    assert "scene.arena" in load_backend("mujoco").capabilities

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import subprocess
 import sys
 
@@ -67,3 +68,21 @@ def test_a_name_that_is_not_there_is_an_attribute_error() -> None:
         run("import nmes\ntry: nmes.Clint\nexcept AttributeError as error: print(error)")
         == "module 'nmes' has no attribute 'Clint'"
     )
+
+
+def test_the_version_is_there_without_importing_anything_else() -> None:
+    version = run("import nmes; print(nmes.__version__)")
+    assert version == importlib.metadata.version("nmes")
+    assert "__version__" in run("import nmes; print(*dir(nmes))").split()
+
+
+@pytest.mark.parametrize("option", ["-V", "--version"])
+def test_python_m_nmes_is_the_command(option: str) -> None:
+    result = subprocess.run([sys.executable, "-m", "nmes", option], capture_output=True, text=True, check=False)
+    assert (result.returncode, result.stdout) == (0, f"nmes {importlib.metadata.version('nmes')}\n")
+
+
+def test_python_m_nmes_ends_as_the_command_does() -> None:
+    result = subprocess.run([sys.executable, "-m", "nmes", "fly"], capture_output=True, text=True, check=False)
+    assert result.returncode == 2
+    assert result.stderr.startswith("Usage: nmes ") and "No such command 'fly'" in result.stderr
