@@ -15,6 +15,7 @@ from typing import Any, cast
 try:
     import click
 
+    from nmes.cli._completion import complete_arguments, is_completing
     from nmes.errors import NmesError, visible
 except KeyboardInterrupt:  # later ones are click's to tell, in the same words
     sys.exit("Aborted!")
@@ -24,8 +25,10 @@ __all__ = ["main"]
 # Each subcommand with what `nmes --help` says of it (a test compares): importing them all takes seconds.
 SUBCOMMANDS = {
     "backends": "List the physics engines that are installed.",
+    "completion": "Print what makes a shell complete.",
     "conform": "Judge a server by the protocol.",
     "diff": "Compare two recordings.",
+    "doctor": "See whether everything is as it must be.",
     "eval": "Score creatures on a task.",
     "evolve": "Evolve creatures, in runs that anyone can repeat.",
     "export": "Write recordings as data for other programs.",
@@ -59,7 +62,10 @@ class _Group(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in SUBCOMMANDS:
             return None
-        return cast(click.Command, importlib.import_module(f"nmes.cli.{cmd_name}").command)
+        command = cast(click.Command, importlib.import_module(f"nmes.cli.{cmd_name}").command)
+        if is_completing():
+            complete_arguments(command)
+        return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         with formatter.section("Commands"):

@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 import orjson
+from click.shell_completion import CompletionItem
 
 __all__ = ["BeginningGroup", "read_values"]
 
@@ -21,6 +22,12 @@ class BeginningGroup(click.Group):
         if args[0] in self.commands and args[0]:
             return super().resolve_command(ctx, args)
         return "", self.commands[""], args
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Completes subcommands, and what the nameless one begins with."""
+        nameless = self.commands[""]
+        first = nameless if incomplete.startswith("-") else nameless.params[0]
+        return [*super().shell_complete(ctx, incomplete), *first.shell_complete(ctx, incomplete)]
 
     def format_help(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Shows the nameless command's help, and the subcommands."""

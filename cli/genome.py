@@ -33,7 +33,7 @@ def _files(_: click.Context, parameter: click.Parameter, values: Iterable[str]) 
     return find_genomes(values)
 
 
-_argument = click.argument("files", metavar="FILE...", nargs=-1, required=True, callback=_files)
+_argument = click.argument("files", metavar="GENOME...", nargs=-1, required=True, callback=_files)
 _json = click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
 
 
