@@ -8,7 +8,7 @@ DEMO := $(VENV)/.demo-ready
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-long conform-selftest lint format types editor imports layout bench docs figures goldens constraints clean
+.PHONY: help setup demo test test-long conform-selftest lint format types editor imports layout bench docs man figures goldens constraints clean
 
 help:
 	@echo "make demo              serve, drive, record and reproduce the example worlds, and draw one"
@@ -17,6 +17,7 @@ help:
 	@echo "make conform-selftest  show that the conformance suite finds what is wrong with broken servers"
 	@echo "make bench             print the benchmark table"
 	@echo "make docs              build the documentation as a site in build/site"
+	@echo "make man               write manual pages in build/man"
 	@echo "make figures           draw the figures in docs/pictures anew (with Graphviz)"
 	@echo "make goldens           record the corpus in replays/ anew"
 	@echo "make format            write anew what is written from the schemas, mend what the linter can mend"
@@ -91,6 +92,10 @@ bench: $(READY)
 
 docs: $(READY)
 	$(BIN)/mkdocs build --strict
+
+man: $(READY)
+	@$(BIN)/python tools/man.py build/man
+	@echo "Read one with: man -l build/man/nmes.1"
 
 figures: docs/pictures/architecture.svg
 
