@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 import json
+import random
 import secrets
 import socket
 import subprocess
@@ -24,7 +25,7 @@ from nmes.cli import main
 from nmes.conformance import CASES, Category, Options, Report, Target, Trial, Verdict, run, select, suite_hash
 from nmes.conformance.__main__ import page
 from nmes.conformance.clauses import CLAUSES, UNTESTED
-from nmes.protocol import DELIMITER
+from nmes.protocol import DELIMITER, Request, Session
 from nmes.world import World
 from nmes.world.commands import COMMANDS
 from servers import PASSWORD, Served, served
@@ -166,6 +167,23 @@ def test_the_search_finds_the_shortest_conversation(monkeypatch: pytest.MonkeyPa
         fixed = cli(address, "--replay", str(saved))
         assert (fixed.exit_code, "fixed" in fixed.output) == (0, True)
         assert server.call(server.hosted.world.cubes) == []
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_server_that_errs_now_and_then_fails_and_is_no_fault_of_the_suite(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Under load a server is late now and then: asked the same again, it answers as it should."""
+    reply, draw = Session.reply, random.Random(seed)
+
+    def err(session: Session, request: Request, encoded: bytes) -> bytes:
+        return reply(session, request, encoded if draw.random() > 0.02 else b'{"type":"pong"}')
+
+    monkeypatch.setattr(Session, "reply", err)
+    with served() as server:
+        report = judge(server, "17.*")
+    assert [(r.case.number, r.reason) for r in report.results if r.verdict is Verdict.FAULT] == []
+    assert report.exit_status == 1
 
 
 @pytest.mark.parametrize(

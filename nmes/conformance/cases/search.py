@@ -12,7 +12,7 @@ from typing import Any
 import hypothesis
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
-from hypothesis.errors import FlakyFailure
+from hypothesis.errors import Flaky
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule, run_state_machine_as_test
 
 from nmes.conformance.case import Category, Finding, Row, Scope
@@ -82,10 +82,13 @@ class Conversation(RuleBasedStateMachine):
     def __init__(self) -> None:
         super().__init__()
         self.wires: list[Wire] = []
-        for name in "ab":
-            wire = self.trial.target.connect(Log(), name)
-            self.wires.append(wire)
-            self.trial.target.enter(wire)
+        try:
+            for name in "ab":
+                self.wires.append(self.trial.target.connect(Log(), name))
+                self.trial.target.enter(self.wires[-1])
+        except Finding:
+            self.teardown()  # Hypothesis calls it only where there is something to tear down
+            raise
         self.player = Player(self.trial, self.wires)
         self.script: Script = []
 
@@ -236,7 +239,7 @@ def search(t: Trial, seed: int) -> tuple[Script, Finding] | None:
         )
         try:
             run_state_machine_as_test(factory, settings=profile)
-        except (Finding, FlakyFailure) as error:
+        except (Finding, Flaky) as error:  # Flaky: the server answered otherwise when it was asked the same again
             if not findings:  # it failed before anything was said
                 raise Finding("two connections", str(error)) from error
             return True
