@@ -45,6 +45,7 @@ STYLES = {
     Verdict.SKIPPED: "dim",
     Verdict.FAULT: "bold magenta",
 }
+SOME = 3  # cases that the summary names of those that failed of the same
 _FILE = click.Path(path_type=Path, dir_okay=False, writable=True)
 
 
@@ -57,6 +58,13 @@ _FILE = click.Path(path_type=Path, dir_okay=False, writable=True)
     default=5.0,
     show_default=True,
     help="How long one wait for the server may take, in s.",
+)
+@click.option("--fail-fast", is_flag=True, help="End at the first failure.")
+@click.option(
+    "--time-limit",
+    type=click.FloatRange(0, min_open=True),
+    metavar="S",
+    help="How long all of it may take, in s; what was not judged by then is skipped.",
 )
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), default=0, show_default=True, help="Of all that is drawn.")
 @click.option("--only", multiple=True, metavar="PATTERN", help="Only cases whose number fits, such as '4.*'.")
@@ -77,6 +85,8 @@ def command(
     password: str | None,
     password_file: Path | None,
     timeout: float,
+    fail_fast: bool,
+    time_limit: float | None,
     seed: int,
     only: tuple[str, ...],
     categories: tuple[str, ...],
@@ -93,7 +103,8 @@ def command(
     wrong is shrunk to the shortest conversation and saved as a file in this directory, for --replay. The server's world
     should be one for tests: cubes come and go, time is stopped and moved on, and a world in lockstep is reset.
 
-    Exit status: 0 conforming, 1 not, 2 unreachable, wrong usage or the suite's own fault.
+    Exit status: 0 conforming, 1 not, 2 unreachable, wrong usage, the suite's own fault, or a time limit that was over
+    before anything failed.
 
     For example:
 
@@ -101,9 +112,10 @@ def command(
         nmes conform 127.0.0.1:14000 --password-file secret --report out.html
         nmes conform --list --category physics
         nmes conform 127.0.0.1:14000 --only '1.*' --only 4.3:null
+        nmes conform 127.0.0.1:14000 --fail-fast --time-limit 60
         nmes conform 127.0.0.1:14000 --replay conform-17.1-0-0.json
     """
-    options = Options(only, categories, seed)
+    options = Options(only, categories, seed, fail_fast, time_limit)
     try:
         cases = select(options)
     except NoCase as error:
@@ -234,11 +246,15 @@ def _print(report: Report, scripts: dict[str, Path]) -> None:
     table.add_section()
     table.add_row("all", *(_count(report.counts[verdict], verdict) for verdict in Verdict))
     console.print(table)
+    for cause, results in report.causes.items():
+        numbers = ", ".join(result.case.number for result in results[:SOME])
+        more = f" and {len(results) - SOME} more" if len(results) > SOME else ""
+        console.print(f"{len(results):>5}  {escape(cause)}: {numbers}{more}")
     where = f"{report.target.host}:{report.target.port}"
     words = {0: "[green]conforms[/]", 1: "[bold red]does not conform[/]", 2: "[bold red]could not be judged[/]"}
     console.print(
         f"{where} {words[report.exit_status]}: {len(report.results)} cases in {report.seconds:.1f} s, "
-        f"seed {report.options.seed}"
+        f"seed {report.options.seed}" + (f"; {report.halted}" if report.halted else "")
     )
 
 

@@ -46,12 +46,19 @@ class Scope(Enum):
 
 
 class Finding(AssertionError):
-    """A difference between a server and the protocol: the answer expected, and the one received."""
+    """A difference between a server and the protocol: the answer expected, and the one received.
 
-    def __init__(self, expected: str, received: str) -> None:
+    Attributes:
+        expected: What should have happened.
+        received: What happened instead.
+        cause: What many cases may have found at once, in words that do not depend on the case.
+    """
+
+    def __init__(self, expected: str, received: str, cause: str | None = None) -> None:
         super().__init__(f"expected {expected}, received {received}")
         self.expected = expected
         self.received = received
+        self.cause = expected if cause is None else cause
 
 
 class Unimplemented(Exception):

@@ -38,6 +38,7 @@ def to_json(report: Report) -> dict[str, Any]:
                 "verdict": result.verdict,
                 "expected": result.expected,
                 "received": result.received,
+                "cause": result.cause,
                 "reason": result.reason,
                 "endings": result.endings,
                 "script": result.script,
@@ -63,7 +64,9 @@ def _head(report: Report) -> dict[str, Any]:
         "timeout": report.target.timeout,
         "started": report.started,
         "seconds": round(report.seconds, 3),
+        "halted": report.halted,
         "counts": {verdict.value: report.counts[verdict] for verdict in Verdict},
+        "causes": {cause: [each.case.number for each in results] for cause, results in report.causes.items()},
         "exit_status": report.exit_status,
     }
 
@@ -113,7 +116,9 @@ def to_junit(report: Report) -> str:
             attributes = {"classname": category, "name": f"{result.case.number} {result.case.title}"}
             element = ElementTree.SubElement(suite, "testcase", attributes, time=f"{result.seconds:.3f}")
             if result.verdict is Verdict.FAILED:
-                child = ElementTree.SubElement(element, "failure", message=_xml(f"expected {result.expected}"))
+                child = ElementTree.SubElement(
+                    element, "failure", type=_xml(result.cause or ""), message=_xml(f"expected {result.expected}")
+                )
                 child.text = _xml(describe(result))
             elif result.verdict is Verdict.FAULT:
                 ElementTree.SubElement(element, "error", message="the suite failed").text = _xml(describe(result))
@@ -175,6 +180,8 @@ def to_html(report: Report) -> str:
     }
     if report.probe.trouble:
         facts["Trouble"] = report.probe.trouble
+    if report.halted:
+        facts["Ended early"] = report.halted
     parts = [
         "<!doctype html><html lang='en'><meta charset='utf-8'>",
         f"<title>{_e(head['target'])} {words}</title><style>{_STYLE}</style>",
@@ -183,6 +190,13 @@ def to_html(report: Report) -> str:
         "</table><h2>Verdicts</h2>",
         _matrix(report),
     ]
+    if report.causes:
+        parts.append("<h2>Failures by cause</h2><table><tr><th>cases<th>cause<th>which")
+        parts += [
+            f"<tr><td class='n'>{len(results)}<td>{_e(cause)}<td>{' '.join(map(_link, results))}"
+            for cause, results in report.causes.items()
+        ]
+        parts.append("</table>")
     for title, results in (("Failures", failed), ("Not strict", loose)):
         if results:
             parts += [f"<h2>{title}</h2>", *(_case_section(result) for result in results)]
@@ -235,6 +249,11 @@ def _case_section(result: Result) -> str:
         f"<p>{_tag(result.verdict)} {case.level}, clause {_e(case.clause)}<blockquote>{_e(result.clause)}</blockquote>"
         f"{outcome}<p><b>Connections</b> {_e(endings)}<pre>{log}</pre></section>"
     )
+
+
+def _link(result: Result) -> str:
+    number = _e(result.case.number)
+    return f"<a href='#c{number}'>{number}</a>"
 
 
 def _tag(verdict: Verdict) -> str:

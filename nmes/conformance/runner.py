@@ -9,11 +9,13 @@ at once; the server is left in the mode in which it was found.
 from __future__ import annotations
 
 import hashlib
+import threading
 import time
 import traceback
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -26,7 +28,7 @@ from nmes.conformance.case import Case, Finding, Level, NotTried, Scope, Unimple
 from nmes.conformance.cases import CASES, CATEGORIES
 from nmes.conformance.clauses import sentence
 from nmes.conformance.model import Script, play_script
-from nmes.conformance.trial import Probe, Target, Trial
+from nmes.conformance.trial import Halt, Probe, Target, Trial
 from nmes.conformance.wire import Entry, Log, frame_of, read_json
 from nmes.errors import NmesError
 from nmes.protocol import DELIMITER
@@ -65,11 +67,15 @@ class Options:
         only: Patterns of case numbers (`3.*`, `4.12:mass*`); all cases if empty.
         categories: Names of categories; all if empty.
         seed: Of all that cases draw.
+        fail_fast: Whether the run ends at the first failure.
+        time_limit: How long the run may take, s; None: as long as it takes.
     """
 
     only: Sequence[str] = ()
     categories: Sequence[str] = ()
     seed: int = 0
+    fail_fast: bool = False
+    time_limit: float | None = None
 
 
 @dataclass(slots=True)
@@ -81,6 +87,7 @@ class Result:
         verdict: What was found out.
         expected: What should have happened, where the verdict is failed or non-strict.
         received: What happened instead.
+        cause: Where the verdict is failed or fault: what other cases may have failed of too.
         reason: Why it was skipped or is unimplemented; the traceback of a fault.
         endings: How each of its connections ended, by their names in the log.
         log: All that went over its wires.
@@ -92,6 +99,7 @@ class Result:
     verdict: Verdict = Verdict.FAILED
     expected: str | None = None
     received: str | None = None
+    cause: str | None = None
     reason: str | None = None
     endings: dict[str, str] = field(default_factory=dict)
     log: list[Entry] = field(default_factory=list)
@@ -106,7 +114,7 @@ class Result:
 
 @dataclass(slots=True)
 class Report:
-    """The results of a run against a server."""
+    """The results of a run against a server; `halted` says why it was ended early, if it was."""
 
     target: Target
     probe: Probe
@@ -114,6 +122,7 @@ class Report:
     results: list[Result]
     started: str
     seconds: float
+    halted: str | None = None
 
     @property
     def counts(self) -> Counter[Verdict]:
@@ -121,12 +130,23 @@ class Report:
         return Counter(result.verdict for result in self.results)
 
     @property
+    def causes(self) -> dict[str, list[Result]]:
+        """The failures by cause, the most frequent one first."""
+        groups: dict[str, list[Result]] = {}
+        for result in self.results:
+            if result.cause is not None:
+                groups.setdefault(result.cause, []).append(result)
+        return dict(sorted(groups.items(), key=lambda group: -len(group[1])))
+
+    @property
     def exit_status(self) -> int:
-        """0 conforming, 1 not, 2 where the suite has failed or found nothing that it could run."""
+        """0 conforming, 1 not, 2 where the suite has failed, was ended early, or found nothing that it could run."""
         counts = self.counts
         if counts[Verdict.FAULT] or len(self.results) == counts[Verdict.SKIPPED]:
             return 2
-        return 1 if counts[Verdict.FAILED] else 0
+        if counts[Verdict.FAILED]:
+            return 1
+        return 0 if self.halted is None else 2
 
 
 @cache
@@ -182,14 +202,17 @@ def run(target: Target, options: Options | None = None, on_result: Callable[[Res
     probe = examine(target)
     plots = {case.number: index for index, case in enumerate(CASES)}
     results: dict[str, Result] = {}
+    halt = Halt()
 
     def take(result: Result) -> None:
         results[result.case.number] = result
         if on_result is not None:
             on_result(result)
+        if options.fail_fast and result.cause is not None:
+            halt.now(f"ended at the first failure, {result.case.number}")
 
     def job(case: Case) -> Result:
-        return play(target, probe, case, plots[case.number], options.seed)
+        return play(target, probe, case, plots[case.number], options.seed, halt)
 
     playable: list[Case] = []
     for case in cases:
@@ -200,18 +223,19 @@ def run(target: Target, options: Options | None = None, on_result: Callable[[Res
             playable.append(case)
     by_scope = {scope: [case for case in playable if case.scope is scope] for scope in Scope}
     pool = ThreadPoolExecutor(SIDE_BY_SIDE, thread_name_prefix="case")
-    try:
+    with pool, _time_limit(halt, options.time_limit, began):
         together = sorted(by_scope[Scope.CONNECTION], key=lambda case: -case.wait)
         pending = {pool.submit(job, case): case for case in together}
         # Those that only wait for a time-out, and touch nothing, go on beside the cases that follow.
         _collect(pending, take, lambda case: case.wait < PATIENT)
         try:
             for case in by_scope[Scope.TIME]:
-                if case is by_scope[Scope.TIME][0]:
+                if halt.reason is None and case is by_scope[Scope.TIME][0]:
                     _stop_time(target, probe)
                 take(job(case))
             for case in by_scope[Scope.WORLD]:
-                _release(target, probe)
+                if halt.reason is None:
+                    _release(target, probe)
                 take(job(case))
         finally:
             if by_scope[Scope.TIME] or by_scope[Scope.WORLD]:
@@ -219,10 +243,28 @@ def run(target: Target, options: Options | None = None, on_result: Callable[[Res
         _collect(pending, take, lambda case: True)
         for case in by_scope[Scope.HOST]:
             take(job(case))
-    finally:
-        pool.shutdown(cancel_futures=True)
     ordered = [results[case.number] for case in cases]
-    return Report(target, probe, options, ordered, started, time.monotonic() - began)
+    halted = halt.reason if any(result.reason == halt.reason for result in ordered if result.reason) else None
+    return Report(target, probe, options, ordered, started, time.monotonic() - began, halted)
+
+
+@contextmanager
+def _time_limit(halt: Halt, seconds: float | None, began: float) -> Iterator[None]:
+    """Ends the run when its time is over, and where its block is left early, as on Ctrl-C."""
+    timer = None
+    if seconds is not None:
+        left = max(0.0, began + seconds - time.monotonic())
+        timer = threading.Timer(left, halt.now, [f"the time limit of {seconds:g} s was over"])
+        timer.daemon = True
+        timer.start()
+    try:
+        yield
+    except BaseException:
+        halt.now("the run was interrupted")
+        raise
+    finally:
+        if timer is not None:
+            timer.cancel()
 
 
 def replay(target: Target, script: Script) -> Result:
@@ -238,7 +280,7 @@ def replay(target: Target, script: Script) -> Result:
     )  # fmt: skip
     _stop_time(target, probe)
     try:
-        return play(target, probe, case, 0, 0)
+        return play(target, probe, case, 0, 0, Halt())
     finally:
         _release(target, probe)
 
@@ -340,12 +382,13 @@ def _set_time(target: Target, command: dict[str, Any]) -> None:
         log.add("clock", "note", str(finding).encode())
 
 
-def play(target: Target, probe: Probe, case: Case, plot: int, seed: int) -> Result:
-    """Plays one case."""
+def play(target: Target, probe: Probe, case: Case, plot: int, seed: int, halt: Halt) -> Result:
+    """Plays one case, unless the run was ended."""
     result = Result(case)
-    trial = Trial(target, probe, case, plot, seed)
+    trial = Trial(target, probe, case, plot, seed, halt)
     began = time.monotonic()
     try:
+        trial.sleep(0)
         case.run(trial)
         result.verdict = Verdict.OK
         if trial.remarks:
@@ -359,9 +402,13 @@ def play(target: Target, probe: Probe, case: Case, plot: int, seed: int) -> Resu
     except Finding as finding:
         result.verdict = Verdict.NON_STRICT if case.level is Level.SHOULD else Verdict.FAILED
         result.expected, result.received = finding.expected, finding.received
-    except Exception:
+        result.cause = finding.cause if result.verdict is Verdict.FAILED else None
+    except Exception as error:
         # Not the server's fault, whatever it sent: the report shows it, and the run ends with status 2.
         result.verdict, result.reason = Verdict.FAULT, traceback.format_exc()
+        result.cause = f"a fault of the suite: {type(error).__name__}"
+    if halt.reason is not None and result.verdict in (Verdict.FAILED, Verdict.NON_STRICT, Verdict.FAULT):
+        result = Result(case, Verdict.SKIPPED, reason=halt.reason)
     result.endings = trial.close_all()
     trial.clean_up()
     result.seconds = time.monotonic() - began

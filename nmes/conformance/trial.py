@@ -8,7 +8,7 @@ its own (12 m along x), what was spawned is despawned afterwards, and every wire
 from __future__ import annotations
 
 import random
-import time
+import threading
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +17,7 @@ from nmes.conformance.case import Case, Finding
 from nmes.conformance.wire import Log, Message, Wire, clip, read_json
 from nmes.protocol import COMMANDS, DELIMITER
 
-__all__ = ["ABSENT", "Probe", "Target", "Trial"]
+__all__ = ["ABSENT", "Halt", "Halted", "Probe", "Target", "Trial"]
 
 PLOT = 12.0  # m along x for each case
 FIRST_PLOT = 10  # the first ones, round the origin, are left to what is in the world already
@@ -125,15 +125,73 @@ class Probe:
         return None if self.claims(need) else f"not claimed: {need}"
 
 
+class Halted(Exception):
+    """The run was ended while the case was under way, or before it."""
+
+
+class Halt:
+    """Ends a run before its time: connections of cases that are under way are cut, none are made any more.
+
+    What a case meets then says nothing about the server. Those that clean up after a case still connect.
+
+    Attributes:
+        reason: Why the run was ended; None while it goes on.
+    """
+
+    def __init__(self) -> None:
+        self.reason: str | None = None
+        self._wires: set[Wire] = set()
+        self._lock = threading.Lock()
+        self._over = threading.Event()
+
+    def now(self, reason: str) -> None:
+        """Ends the run, once; may be called in any thread."""
+        with self._lock:
+            if self.reason is not None:
+                return
+            self.reason = reason
+            wires = list(self._wires)
+        self._over.set()
+        for wire in wires:
+            wire.cut()
+
+    def watch(self, wire: Wire) -> None:
+        """Has a wire cut when the run is ended.
+
+        Raises:
+            Halted: It was ended.
+        """
+        with self._lock:
+            self._wires.add(wire)
+            reason = self.reason
+        if reason is not None:
+            raise Halted(reason)
+
+    def forget(self, wire: Wire) -> None:
+        """Leaves a wire alone, which is about to be closed."""
+        with self._lock:
+            self._wires.discard(wire)
+
+    def sleep(self, seconds: float) -> None:
+        """Waits.
+
+        Raises:
+            Halted: The run was ended meanwhile.
+        """
+        if self._over.wait(seconds):
+            raise Halted(self.reason)
+
+
 class Trial:
     """The context of one case: ways to connect, to name, to wait and to judge."""
 
-    def __init__(self, target: Target, probe: Probe, case: Case, plot: int, seed: int) -> None:
+    def __init__(self, target: Target, probe: Probe, case: Case, plot: int, seed: int, halt: Halt) -> None:
         self.target = target
         self.probe = probe
         self.case = case
         self.log = Log()
         self.seed = seed
+        self.halt = halt
         self.script: list[dict[str, Any]] | None = None  # the shortest conversation that a search has found wrong
         self.random = random.Random(f"{seed}:{case.number}")
         self.remarks: list[Finding] = []
@@ -150,6 +208,7 @@ class Trial:
         number = len(self.wires)
         wire = self.target.connect(self.log, chr(ord("a") + number) if number < 26 else f"w{number}")
         self.wires.append(wire)
+        self.halt.watch(wire)
         return wire
 
     def join(self) -> Wire:
@@ -176,7 +235,8 @@ class Trial:
         wire.say({"type": "ping", "id": mark})
         reply = wire.reply("pong")
         if reply["type"] != "pong" or reply.get("id") != mark:
-            raise Finding(f"nothing before the pong to ping {mark}", clip(reply))
+            cause = f"{reply['type']} in reply to ping"
+            raise Finding(f"nothing before the pong to ping {mark}", clip(reply), cause)
 
     # -- names, places, cubes --------------------------------------------------------------------------------------
 
@@ -224,7 +284,8 @@ class Trial:
         reply = wire.ask(command)
         if reply["type"] == expected:
             return reply
-        raise Finding(f"{expected} in reply to {clip(command)}", clip(reply))
+        answer = f"error {reply['code']}" if reply["type"] == "error" else reply["type"]
+        raise Finding(f"{expected} in reply to {clip(command)}", clip(reply), f"{answer} in reply to {command['type']}")
 
     # -- time ------------------------------------------------------------------------------------------------------
 
@@ -234,7 +295,11 @@ class Trial:
             ticks = max(round(seconds * self.probe.tick_rate), 1)
             self.ask(wire, {"type": "step", "ticks": ticks}, "stepped")
         else:
-            time.sleep(seconds)
+            self.sleep(seconds)
+
+    def sleep(self, seconds: float) -> None:
+        """Waits by the clock."""
+        self.halt.sleep(seconds)
 
     def watch(self, wire: Wire, name: str, seconds: float) -> Iterator[Message]:
         """Yields a cube's info now and then while that much of the world's time passes, at its end too."""
@@ -263,14 +328,14 @@ class Trial:
     def equal(self, got: Any, expected: Any, what: str) -> None:
         """Makes sure that two values are the same, true and 1 not being so."""
         if got != expected or isinstance(got, bool) != isinstance(expected, bool):
-            raise Finding(f"{what}: {clip(expected)}", clip(got))
+            raise Finding(f"{what}: {clip(expected)}", clip(got), f"wrong: {what}")
 
     def close(self, got: Sequence[float] | float, expected: Sequence[float] | float, error: float, what: str) -> None:
         """Makes sure that numbers differ by no more than `error`."""
         ours = list(expected) if isinstance(expected, Sequence) else [expected]
         theirs = list(got) if isinstance(got, Sequence) else [got]
         if len(ours) != len(theirs) or not all(abs(a - b) <= error for a, b in zip(ours, theirs, strict=True)):
-            raise Finding(f"{what}: {expected}, {error:g} more or less", clip(got))
+            raise Finding(f"{what}: {expected}, {error:g} more or less", clip(got), f"wrong: {what}")
 
     def should(self, condition: bool, expected: str, received: Any) -> None:
         """Notes something that a strict server would do; the case goes on."""
@@ -282,7 +347,9 @@ class Trial:
         allowed = {codes} if isinstance(codes, str) else set(codes)
         expected = " or ".join(sorted(allowed))
         if reply["type"] != "error" or reply["code"] not in allowed:
-            raise Finding(f"error {expected}" + (f" with field {field}" if field else ""), clip(reply))
+            answer = f"error {reply['code']}" if reply["type"] == "error" else reply["type"]
+            words = f"error {expected}" + (f" with field {field}" if field else "")
+            raise Finding(words, clip(reply), f"{answer} in place of error {expected}")
         if field is not None:
             self.should(reply.get("field") == field, f"field {field!r}", reply)
         return reply
@@ -313,8 +380,8 @@ class Trial:
                     wire.say({"type": "reset", "seed": self.probe.info.get("seed", 0)})
                 else:
                     wire.say(*({"type": "despawn_cube", "cube_name": name} for name in names))
-                wire.say({"type": "ping", "id": "done"})
-                while read_json(wire.frame()).get("id") != "done":
+                wire.say({"type": "ping"})
+                while read_json(wire.frame()).get("type") != "pong":
                     pass
         except Finding as finding:
             self.log.add("cleaner", "note", f"could not clean up: {finding}".encode())
@@ -327,6 +394,7 @@ class Trial:
         """Closes the wires; returns how each of them had ended."""
         endings = {wire.name: wire.ending for wire in self.wires}
         for wire in self.wires:
+            self.halt.forget(wire)
             wire.close()
         return endings
 

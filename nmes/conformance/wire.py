@@ -12,6 +12,7 @@ import json
 import socket
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, NoReturn, Self
 
@@ -59,7 +60,7 @@ class Message(dict[str, Any]):
     """A JSON object of the server's. To read a field that is not there is a finding, not a mistake of the suite."""
 
     def __missing__(self, key: str) -> NoReturn:
-        raise Finding(f"a field {key!r}", clip(self))
+        raise Finding(f"a field {key!r}", clip(self), f"a message without {key!r}")
 
 
 class Wire:
@@ -81,7 +82,7 @@ class Wire:
             self._socket = socket.create_connection((host, port), timeout)
         except OSError as error:
             log.add(name, "note", f"cannot connect: {error}".encode())
-            raise Finding("a connection", str(error)) from error
+            raise Finding("a connection", str(error), "no connection") from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
 
     def __enter__(self) -> Self:
@@ -99,7 +100,8 @@ class Wire:
         try:
             self._socket.sendall(data)
         except TimeoutError:
-            raise Finding(f"a server that reads, within {self.timeout:g} s", "nothing is read") from None
+            expected = f"a server that reads, within {self.timeout:g} s"
+            raise Finding(expected, "nothing is read", "the server does not read") from None
         except OSError as error:
             self._end("reset by the server", f"sending failed: {error}")
 
@@ -146,6 +148,11 @@ class Wire:
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, b"\1\0\0\0\0\0\0\0")
         self.close()
 
+    def cut(self) -> None:
+        """Ends the connection for whoever waits on it in another thread."""
+        with suppress(OSError):  # it has ended already
+            self._socket.shutdown(socket.SHUT_RDWR)
+
     def close(self) -> None:
         """Closes the connection."""
         self._socket.close()
@@ -170,7 +177,7 @@ class Wire:
                     return frame
             elif not self._receive(until, what):
                 rest = f" with {bytes(self._buffer[:SHOWN])!r} and no delimiter" if self._buffer else ""
-                raise Finding(what, f"the end of the connection{rest} ({self.ending})")
+                raise self._ended(what, rest)
 
     def hear(self, timeout: float | None = None, what: str = "a message") -> Message:
         """Returns the next message, strict JSON that its schema allows."""
@@ -194,7 +201,8 @@ class Wire:
         self.say(command)
         reply = self.reply(f"a reply to {command['type']}", timeout)
         if "id" not in reply or reply["id"] != command["id"]:
-            raise Finding(f"a reply with id {json.dumps(command['id'])}", clip(reply))
+            cause = "a reply with another id than the command's" if "id" in reply else "a reply without its id"
+            raise Finding(f"a reply with id {json.dumps(command['id'])}", clip(reply), cause)
         return reply
 
     def rest(self, timeout: float | None = None, whole: bool = True) -> list[bytes]:
@@ -230,7 +238,7 @@ class Wire:
                 data = b""
             if not data:
                 self._end("closed by the server", "closed by the server")
-                raise Finding("silence and an open connection", f"the end of the connection ({self.ending})")
+                raise self._ended("silence and an open connection")
             self._take(data)
         raise Finding("no frame", clip(bytes(self._buffer)))
 
@@ -255,7 +263,11 @@ class Wire:
         self._log.add(self.name, "note", b"time is up")
         self.ending = "timed out" if self.ending == "open" else self.ending
         rest = f"only {clip(bytes(self._buffer))}" if self._buffer else "nothing"
-        raise Finding(f"{what} in time", rest)
+        raise Finding(f"{what} in time", rest, "a frame that does not end" if self._buffer else "nothing in time")
+
+    def _ended(self, expected: str, rest: str = "") -> Finding:
+        """Returns the finding that the connection has ended where it should not have."""
+        return Finding(expected, f"the end of the connection{rest} ({self.ending})", f"a connection {self.ending}")
 
     def _take(self, data: bytes) -> None:
         self._log.add(self.name, "received", data)
@@ -287,7 +299,8 @@ def read_message(frame: bytes) -> Message:
         else:
             validate_reply(message)
     except NmesError as error:
-        raise Finding(f"a message as its schema says ({error.message})", clip(frame)) from error
+        expected = f"a message as its schema says ({error.message})"
+        raise Finding(expected, clip(frame), f"a message {clip(message.get('type'))} against its schema") from error
     return message
 
 
@@ -325,7 +338,7 @@ def read_json(frame: bytes) -> Message:
         if "\\u" in text:
             json.dumps(value, ensure_ascii=False).encode()  # refuses lone surrogates
     except (ValueError, RecursionError) as error:
-        raise Finding(f"strict JSON ({error})", clip(frame)) from error
+        raise Finding(f"strict JSON ({error})", clip(frame), "no strict JSON") from error
     if not isinstance(value, Message):
         raise Finding("a JSON object", clip(frame))
     return value

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import json
 import random
+import re
 import secrets
 import socket
 import subprocess
@@ -28,7 +29,7 @@ from nmes.conformance.clauses import CLAUSES, UNTESTED
 from nmes.protocol import DELIMITER, Request, Session
 from nmes.world import World
 from nmes.world.commands import COMMANDS
-from servers import PASSWORD, Served, served
+from servers import PASSWORD, PATIENCE, Served, served, until
 
 BAD = {Verdict.FAILED, Verdict.FAULT, Verdict.NON_STRICT}
 
@@ -194,6 +195,108 @@ def test_an_unknown_case_is_wrong_usage(text: str, tmp_path: Path) -> None:
     outcome = cli("127.0.0.1:1", "--replay", str(tmp_path / "case.json"))
     assert outcome.exit_code == 2
     assert "no case of nmes conform" in outcome.output
+
+
+# -- a run that ends early, and what failures have in common -----------------------------------------------------------
+
+
+def lose_ids(monkeypatch: pytest.MonkeyPatch) -> None:
+    reply = Session.reply
+
+    def lose(session: Session, request: Request, encoded: bytes) -> bytes:
+        return re.sub(rb',?"id":("[^"]*"|[0-9.]+|null)', b"", reply(session, request, encoded))
+
+    monkeypatch.setattr(Session, "reply", lose)
+
+
+def test_a_server_that_drops_ids_is_judged_without_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What cleans up after a case waits for no `id` that never comes: that would cost a time-out a case."""
+    lose_ids(monkeypatch)
+    with served() as server:
+        report = run(Target("127.0.0.1", server.port, PASSWORD, timeout=0.5), Options(only=["5.*", "10.*", "14.*"]))
+        assert server.call(server.hosted.world.cubes) == []
+    assert report.counts[Verdict.FAILED] > 50
+    notes = [entry.data for result in report.results for entry in result.log if entry.wire == "cleaner"]
+    assert notes == []
+
+
+def test_failures_of_one_cause_are_summed_up(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    lose_ids(monkeypatch)
+    with served() as server:
+        arguments = [f"127.0.0.1:{server.port}", "--only", "5.1", "--only", "5.8:*", "--only", "5.10"]
+        junit, page = tmp_path / "out.xml", tmp_path / "out.html"
+        text = cli(*arguments, "--junit", str(junit), "--report", str(page))
+        document = json.loads(cli(*arguments, "--json").output)
+    failed = [result["case"] for result in document["results"] if result["verdict"] == "failed"]
+    assert document["causes"] == {"a reply without its id": failed} and len(failed) > 4
+    assert (
+        f"{len(failed):>5}  a reply without its id: {', '.join(failed[:3])} and {len(failed) - 3} more" in text.output
+    )
+    assert {failure.get("type") for failure in ElementTree.parse(junit).iter("failure")} == {"a reply without its id"}
+    assert f"<td class='n'>{len(failed)}<td>a reply without its id<td><a href='#c{failed[0]}'>" in page.read_text()
+
+
+def test_silence_and_hanging_up_are_each_one_cause() -> None:
+    only = Options(only=["3.1", "4.3:*", "8.14"])
+    with listening(lambda connection: None) as port:
+        silent = run(Target("127.0.0.1", port, PASSWORD, timeout=0.2), only)
+    with listening(lambda connection: connection.shutdown(socket.SHUT_RDWR)) as port:
+        gone = run(Target("127.0.0.1", port, PASSWORD), only)
+    assert [*silent.causes] == ["nothing in time"]
+    assert set(gone.causes) <= {"a connection closed by the server", "a connection reset by the server"}
+    assert len(next(iter(silent.causes.values()))) == silent.counts[Verdict.FAILED] > 3
+
+
+def test_fail_fast_ends_at_the_first_failure(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What waits beside the case that fails is cut off, what comes later is not begun; the world is left as it was."""
+    reply = Session.reply
+
+    def err(session: Session, request: Request, encoded: bytes) -> bytes:
+        return reply(session, request, b'{"type":"pong"}' if request.type == "step" else encoded)
+
+    monkeypatch.setattr(Session, "reply", err)
+    with served({"mode": "fast"}) as server:
+        arguments = ["--only", "1.*", "--only", "10.*", "--only", "12.6", "--fail-fast", "--json"]
+        outcome = cli(f"127.0.0.1:{server.port}", *arguments)
+        assert server.call(lambda: (server.hosted.world.mode, server.hosted.world.paused)) == ("fast", False)
+        until(lambda: server.call(lambda: server.host.connections) == 0)
+    report = json.loads(outcome.output)
+    failed = [result["case"] for result in report["results"] if result["verdict"] == "failed"]
+    assert outcome.exit_code == 1
+    assert report["halted"] == f"ended at the first failure, {failed[0]}"
+    left = [result["case"] for result in report["results"] if result["reason"] == report["halted"]]
+    assert "12.6" in left and len(left) > 10  # which waits for ten seconds, and those that had yet to begin
+
+
+def test_a_time_limit_ends_what_waits_and_is_not_conformance() -> None:
+    with served() as server:
+        arguments = [f"127.0.0.1:{server.port}", "--only", "1.1", "--only", "12.6"]
+        outcome = cli(*arguments, "--time-limit", "1.5")
+        assert outcome.exit_code == 2
+        assert "could not be judged" in outcome.output and "the time limit of 1.5 s was over" in outcome.output
+        enough = cli(*arguments[:3], "--time-limit", "600")
+    assert (enough.exit_code, "time limit" in enough.output) == (0, False)
+
+
+def test_a_time_limit_cuts_a_case_that_waits_for_an_answer(monkeypatch: pytest.MonkeyPatch) -> None:
+    reply = Session.reply
+
+    def keep_silent(session: Session, request: Request, encoded: bytes) -> bytes:
+        return b"" if request.type == "ping" else reply(session, request, encoded)
+
+    monkeypatch.setattr(Session, "reply", keep_silent)
+    with served() as server:
+        target = Target("127.0.0.1", server.port, PASSWORD, timeout=100 * PATIENCE)
+        (result,) = run(target, Options(only=["5.1"], time_limit=1.0)).results
+    assert (result.verdict, result.reason) == (Verdict.SKIPPED, "the time limit of 1 s was over")
+
+
+def test_a_time_limit_ends_a_run_against_a_silent_server() -> None:
+    with listening(lambda connection: None) as port:
+        report = run(Target("127.0.0.1", port, PASSWORD, timeout=0.2), Options(time_limit=2.0))
+    assert report.halted == "the time limit of 2 s was over"
+    assert report.exit_status == 1 and report.counts[Verdict.FAILED] > 0
+    assert report.counts[Verdict.SKIPPED] > 500
 
 
 # -- the command line -------------------------------------------------------------------------------------------------

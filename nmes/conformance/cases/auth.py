@@ -188,7 +188,7 @@ def dribbling(t: Trial) -> None:
         if wire.ready(0.2):
             break
         wire.send(bytes([byte]))
-        time.sleep(0.6)
+        t.sleep(0.6)
     only_error(t, wire.rest(AUTH_TIMEOUT + SLACK + t.target.timeout), "auth_timeout")
     took = time.monotonic() - began
     t.true(took <= AUTH_TIMEOUT + SLACK, "the end after 5 s", f"the end after {took:.1f} s")
@@ -313,7 +313,7 @@ def a_failed_auth_keeps_nobody_waiting(t: Trial) -> None:
     for _attempt in range(3):
         wire = t.connect()
         wire.say({"type": "auth", "password": t.wrong_password})
-        time.sleep(0.1)  # until the server has read that
+        t.sleep(0.1)  # until the server has read that
         t.fence(other)
         overtaken = not wire.ready(0.05)
         only_error(t, wire.rest(t.target.timeout + AUTH_DELAY), "auth_failed")

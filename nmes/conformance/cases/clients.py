@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 
 from nmes.conformance.case import Category, Scope
 from nmes.conformance.trial import Trial
@@ -135,7 +134,7 @@ def clients_are_counted(t: Trial) -> None:
         """Waits until those that have left are gone: a server hears of it in its own time."""
         counts = [now()]
         while len(counts) < 5 or len(set(counts[-5:])) > 1:
-            time.sleep(0.05)
+            t.sleep(0.05)
             counts.append(now())
         return counts[-1]
 

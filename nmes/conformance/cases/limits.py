@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import resource
-import time
 from typing import Any
 
 from nmes.conformance.case import Category, Level, NotTried, Scope
@@ -77,7 +76,7 @@ def a_client_that_does_not_read(t: Trial) -> None:
     ping = frame_of({"type": "ping", "id": "x" * 100_000})
     sent = wire.stuff(ping, DEFAULT.pending * 4, 1.0)
     t.fence(other)
-    time.sleep(DEFAULT.stall_timeout + SLACK)
+    t.sleep(DEFAULT.stall_timeout + SLACK)
     # Its last word, slow_consumer, may be lost: there is no room for it, and it is too late.
     received = sum(map(len, wire.rest(t.target.timeout + SLACK, whole=False)))
     t.true(received < sent, "a connection that is cut before all is answered", f"{received} of {sent} bytes answered")
@@ -169,5 +168,5 @@ def too_many_ticks(t: Trial) -> None:
 def a_connection_that_rests(t: Trial) -> None:
     """A connection that says nothing for a few seconds is still served."""
     wire = t.join()
-    time.sleep(3.0)
+    t.sleep(3.0)
     t.fence(wire)

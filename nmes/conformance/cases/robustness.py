@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
 from nmes.conformance.case import Category, Row
@@ -18,7 +17,7 @@ PING = frame_of({"type": "ping", "id": 1})
 
 def still_serves(t: Trial, before: str) -> None:
     """Makes sure that the server serves a new connection, and that a cube from before is there."""
-    time.sleep(0.1)  # until the server has noticed what became of the last one
+    t.sleep(0.1)  # until the server has noticed what became of the last one
     wire = t.join()
     t.fence(wire)
     t.true(before in t.cubes(wire), f"{before} still there", before)
@@ -193,6 +192,6 @@ def reading_slowly(t: Trial) -> None:
     """A client that reads its replies late gets all of them."""
     wire = t.join()
     wire.say(*({"type": "ping", "id": f"{n}{'x' * 1000}"} for n in range(500)))
-    time.sleep(1.0)
+    t.sleep(1.0)
     for n in range(500):
         t.true(wire.reply("pong")["id"].startswith(f"{n}x"), f"pong {n}", n)

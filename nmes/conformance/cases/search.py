@@ -17,7 +17,7 @@ from hypothesis.stateful import RuleBasedStateMachine, precondition, rule, run_s
 
 from nmes.conformance.case import Category, Finding, Row, Scope
 from nmes.conformance.model import CLIENTS, Player, Script, play_script
-from nmes.conformance.trial import Trial
+from nmes.conformance.trial import Halted, Trial
 from nmes.conformance.values import FIELD_NEEDS, fields, wrong
 from nmes.conformance.wire import Log, Wire
 from nmes.protocol import COMMANDS
@@ -84,9 +84,10 @@ class Conversation(RuleBasedStateMachine):
         self.wires: list[Wire] = []
         try:
             for name in "ab":
-                self.wires.append(self.trial.target.connect(Log(), name))
-                self.trial.target.enter(self.wires[-1])
-        except Finding:
+                self.wires.append(wire := self.trial.target.connect(Log(), name))
+                self.trial.halt.watch(wire)
+                self.trial.target.enter(wire)
+        except (Finding, Halted):
             self.teardown()  # Hypothesis calls it only where there is something to tear down
             raise
         self.player = Player(self.trial, self.wires)
@@ -186,6 +187,7 @@ class Conversation(RuleBasedStateMachine):
     def teardown(self) -> None:
         """Closes the connections and removes the cubes."""
         for wire in self.wires:
+            self.trial.halt.forget(wire)
             wire.close()
         self.trial.clean_up()
         self.trial.forget()
@@ -240,6 +242,7 @@ def search(t: Trial, seed: int) -> tuple[Script, Finding] | None:
         try:
             run_state_machine_as_test(factory, settings=profile)
         except (Finding, Flaky) as error:  # Flaky: the server answered otherwise when it was asked the same again
+            t.halt.sleep(0)  # all that it met while it was cut says nothing
             if not findings:  # it failed before anything was said
                 raise Finding("two connections", str(error)) from error
             return True

@@ -52,7 +52,7 @@ def no_ticks_without_a_step(t: Trial) -> None:
     """A world that waits for step does not tick by itself."""
     wire = t.join()
     before = frame(t, wire)
-    time.sleep(A_WHILE)
+    t.sleep(A_WHILE)
     t.equal(frame(t, wire), before, "frame a while later")
 
 
@@ -105,7 +105,7 @@ def lockstep(t: Trial) -> None:
     mode(t, wire, "lockstep")
     t.equal(t.ask(wire, {"type": "get_world_info"}, "world_info")["mode"], "lockstep", "mode")
     before = frame(t, wire)
-    time.sleep(A_WHILE)
+    t.sleep(A_WHILE)
     t.equal(frame(t, wire), before, "frame a while later")
     t.equal(t.ask(wire, {"type": "step", "ticks": 5}, "stepped")["frame"], before + 5, "frame after 5 steps")
 
@@ -116,7 +116,7 @@ def realtime(t: Trial) -> None:
     wire = t.join()
     mode(t, wire, "realtime", rate=1)
     began, before = time.monotonic(), frame(t, wire)
-    time.sleep(1.0)
+    t.sleep(1.0)
     ticks, took = frame(t, wire) - before, time.monotonic() - began
     t.true(ticks > 0, "a world that ticks", f"{ticks} ticks in {took:.2f} s")
     t.true(ticks < 1.3 * took * t.probe.tick_rate + 3, f"{t.probe.tick_rate:g} ticks/s", f"{ticks} in {took:.2f} s")
@@ -132,7 +132,7 @@ def rate(t: Trial) -> None:
         reply = t.ask(wire, {"type": "set_mode", "mode": "realtime", "rate": factor}, "mode_set")
         t.close(reply["rate"], factor, 1e-9, "rate")
         before = frame(t, wire)
-        time.sleep(0.5)
+        t.sleep(0.5)
         ticks.append(frame(t, wire) - before)
     t.true(ticks[1] > 4 * ticks[0], "many more ticks at rate 4 than at rate 0.25", f"{ticks[1]} and {ticks[0]}")
 
@@ -143,7 +143,7 @@ def fast(t: Trial) -> None:
     wire = t.join()
     mode(t, wire, "fast")
     began, before = time.monotonic(), frame(t, wire)
-    time.sleep(A_WHILE)
+    t.sleep(A_WHILE)
     ticks = frame(t, wire) - before
     by_clock = (time.monotonic() - began) * t.probe.tick_rate
     t.true(ticks > 0, "a world that ticks", ticks)
@@ -158,14 +158,14 @@ def pausing(t: Trial) -> None:
         mode(t, wire, "realtime", rate=1)
     paused = t.ask(wire, {"type": "pause"}, "paused")["frame"]
     t.equal(t.ask(wire, {"type": "get_world_info"}, "world_info")["paused"], True, "paused")
-    time.sleep(A_WHILE)
+    t.sleep(A_WHILE)
     t.equal(frame(t, wire), paused, "frame a while later")
     t.ask(wire, {"type": "pause"}, "paused")
     resumed = t.ask(wire, {"type": "resume"}, "resumed")["frame"]
     t.equal(resumed, paused, "frame of the reply to resume")
     t.equal(t.ask(wire, {"type": "get_world_info"}, "world_info")["paused"], False, "paused after resume")
     if t.probe.claims("set_mode") or t.probe.mode != "lockstep":
-        time.sleep(A_WHILE)
+        t.sleep(A_WHILE)
         t.true(frame(t, wire) > resumed, "a world that ticks again", f"frame {resumed} still")
 
 
@@ -194,7 +194,7 @@ def what_is_done_in_a_pause(t: Trial) -> None:
     wire = t.join()
     t.ask(wire, {"type": "pause"}, "paused")
     name = t.spawn(wire, position=t.at(y=10))
-    time.sleep(A_WHILE)
+    t.sleep(A_WHILE)
     t.close(t.info(wire, name)["position"], t.at(y=10), 1e-9, "position")
     t.ask(wire, {"type": "step", "ticks": 10}, "stepped")
     t.true(t.info(wire, name)["position"][1] < 9.99, "a cube that falls", "it hangs")
