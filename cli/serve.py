@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import gc
 import json
 import os
 import signal
 import sys
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ from nmes.cli._serve_report import Running, ready_lines, ready_object, stopped_l
 from nmes.cli._serve_settings import DIALECTS, MOST_WORLDS, Settings, read_settings
 from nmes.cli._viewer import viewer
 from nmes.cli.info import open_recording
-from nmes.errors import RejectedMessage, WorldError
+from nmes.errors import MachineError, RejectedMessage, WorldError
 from nmes.recording import Recording
 from nmes.server import Host
 from nmes.server.metrics import Metrics
@@ -165,8 +166,8 @@ def command(log_format: str, view: bool, as_json: bool, **options: Any) -> None:
                 address, port = running.address, running.ports[0]
                 after.enter_context(viewer(address, port, settings.password, settings.tls_cert, quiet=as_json))
 
-        running = asyncio.run(_serve(settings, report))
-        if not as_json:
+        running, reason = asyncio.run(_serve(settings, report))
+        if not as_json and reason != signal.SIGHUP:  # else the terminal is gone, and writing to it fails
             for line in stopped_lines(running):
                 click.echo(line)
     lost = [hosted for hosted in running.host.worlds.values() if hosted.lost is not None]
@@ -180,12 +181,16 @@ def command(log_format: str, view: bool, as_json: bool, **options: Any) -> None:
         click.get_current_context().exit(1)
 
 
-async def _serve(settings: Settings, report: Callable[[Running], None]) -> Running:
-    """Hosts until a signal comes; `report` is called when clients may connect. Returns what was hosted, closed now."""
-    stop = asyncio.Event()
+async def _serve(settings: Settings, report: Callable[[Running], None]) -> tuple[Running, signal.Signals]:
+    """Hosts until a signal comes; `report` is called when clients may connect.
+
+    Returns:
+        What was hosted, closed now, and the signal.
+    """
+    signals: asyncio.Queue[signal.Signals] = asyncio.Queue()  # the first one ends it; those to come are not minded
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # as nohup leaves it
-            asyncio.get_running_loop().add_signal_handler(number, stop.set)
+            asyncio.get_running_loop().add_signal_handler(number, signals.put_nowait, number)
     host = Host(
         settings.password,
         record_to=settings.record_to,
@@ -196,36 +201,51 @@ async def _serve(settings: Settings, report: Callable[[Running], None]) -> Runni
     async with host:
         running = await _start(host, settings)
         report(running)
-        await stop.wait()
-    return running
+        reason = await signals.get()
+    return running, reason
 
 
 async def _start(host: Host, settings: Settings) -> Running:
-    """Adds the worlds and listens on the ports."""
+    """Listens on the ports and adds the worlds: no recording is begun where a port is taken.
+
+    Nobody is let in meanwhile: between the last port and its one world the event loop has no turn.
+    """
+    names, metrics_port, address, ports = settings.names, settings.metrics_port, settings.address, []
     try:
-        sample = _add_worlds(host, settings)
+        for name in names:
+            host.offer({**settings.config, "name": name})
+        with _free_port_hint("--metrics-port"):
+            if metrics_port is not None:
+                metrics_port = await host.serve_metrics("127.0.0.1", metrics_port)
+        with _free_port_hint("--port"):
+            for index, port in enumerate(settings.ports):
+                default = names[index] if len(settings.ports) > 1 else None
+                address, port = await host.listen(settings.address, port, default)
+                ports.append(port)
+        sample = _add_world(host, settings)
     except RejectedMessage as error:
         raise click.UsageError(f"world config: {error.message}") from error
     except WorldError as error:
         raise click.UsageError(error.message) from error
-    start, address, ports = sample.ticks, settings.address, []
-    for index, port in enumerate(settings.ports):
-        name = settings.names[index] if len(settings.ports) > 1 else None
-        address, port = await host.listen(settings.address, port, name)
-        ports.append(port)
-    metrics_port = settings.metrics_port
-    if metrics_port is not None:
-        metrics_port = await host.serve_metrics("127.0.0.1", metrics_port)
-    return Running(settings, host, sample, start, address, ports, metrics_port)
+    return Running(settings, host, sample, sample.ticks, address, ports, metrics_port)
 
 
-def _add_worlds(host: Host, settings: Settings) -> World:
-    """Adds the one world and returns it; or many, which are created when first used, and returns one like them."""
+@contextmanager
+def _free_port_hint(option: str) -> Iterator[None]:
+    """Adds to the error of a port that is taken how to find a free one."""
+    try:
+        yield
+    except MachineError as error:
+        if isinstance(error.__cause__, OSError) and error.__cause__.errno == errno.EADDRINUSE:
+            raise click.ClickException(f"{error.message}; {option} 0 finds a free port") from error
+        raise
+
+
+def _add_world(host: Host, settings: Settings) -> World:
+    """Adds the one world and returns it; of many, which are created when first used, returns one like them."""
     if not settings.names:
         hosted = host.add(settings.config) if settings.parent is None else host.resume(*settings.parent)
         return hosted.world
-    for name in settings.names:
-        host.offer({**settings.config, "name": name})
     sample = World({**settings.config, "name": settings.names[0]})  # an error in all of them is shown now
     sample.close()
     return sample

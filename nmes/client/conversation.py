@@ -34,7 +34,9 @@ EVENT_BACKLOG = 10_000
 class Conversation:
     """One connection as its client sees it: bytes out for commands, bytes in for replies and events."""
 
-    def __init__(self, events: deque[Event]) -> None:
+    def __init__(self, events: deque[Event], tls: bool) -> None:
+        self._tls = tls
+        self._answered = False
         self._splitter = FrameSplitter(REPLY_LIMIT)
         self._events = events
         self._waiting: deque[tuple[int | None, Pending[Any]]] = deque()
@@ -74,6 +76,7 @@ class Conversation:
     def _take(self, message: Any) -> None:
         if not isinstance(message, dict):
             raise RejectedMessage("bad_frame", f"not an object: {message!r}")
+        self._answered = True
         number = message.pop("id", None)
         if self._waiting and self._waiting[0][0] == number:
             self._waiting.popleft()[1].resolve(message)
@@ -95,6 +98,9 @@ class Conversation:
         """Notes that the server closed the connection."""
         if self.world_closed:
             self.lose(Disconnected("world_closed", "the server closed the world"))
+        elif not (self._answered or self._tls):
+            hint = "if it speaks TLS, so must you: tls=True, or --tls"
+            self.lose(Disconnected("disconnected", f"the server hung up without an answer; {hint}"))
         else:
             self.lose(Disconnected("disconnected", "the server closed the connection"))
 
@@ -155,7 +161,7 @@ class ClientBase:
 
     def _new_conversation(self) -> Conversation:
         self._queue.clear()
-        return Conversation(self._queue)
+        return Conversation(self._queue, self._tls is not None)
 
     def deliver(self) -> None:
         """Hands the events received so far to `on_event`, which may raise: the read that brought them is complete."""
@@ -163,7 +169,9 @@ class ClientBase:
             self.on_event(self._queue.popleft())
 
     def _unreachable(self, error: OSError) -> Disconnected:
-        return Disconnected("unreachable", f"cannot connect to {self.host}:{self.port}: {error}")
+        plain = isinstance(error, ssl.SSLError) and error.reason in ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE")
+        hint = "; it may speak no TLS" if plain else ""
+        return Disconnected("unreachable", f"cannot connect to {self.host}:{self.port}: {error}{hint}")
 
     def _late(self) -> TimeoutError:
         return TimeoutError(f"{self.host}:{self.port} did not answer within {self.timeout} s")

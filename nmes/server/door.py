@@ -18,6 +18,7 @@ import asyncio
 import contextlib
 import ipaddress
 import logging
+import os
 import socket
 import ssl
 from collections import OrderedDict
@@ -27,7 +28,7 @@ from typing import Protocol
 
 from nmes.errors import MachineError
 
-__all__ = ["Door", "Entrant", "Guesses", "address_of"]
+__all__ = ["Door", "Entrant", "Guesses", "address_of", "cannot_listen"]
 
 logger = logging.getLogger(__name__)
 
@@ -110,6 +111,13 @@ def address_of(peername: object) -> str:
     return str(address)
 
 
+def cannot_listen(host: str, port: int, error: Exception) -> MachineError:
+    """Returns the error to raise where an address cannot be listened on, in the system's words for the reason."""
+    number = error.errno if isinstance(error, OSError) and not isinstance(error, socket.gaierror) else None
+    reason = os.strerror(number) if number else getattr(error, "strerror", None) or error  # asyncio adds the address
+    return MachineError("cannot_listen", f"cannot listen on {host}:{port}: {reason}")
+
+
 class Door:
     """Listens, lets sockets in, and knows those that have not authenticated.
 
@@ -174,8 +182,7 @@ class Door:
         except (OSError, OverflowError, UnicodeError) as error:
             for listener in bound:
                 listener.close()
-            reason = getattr(error, "strerror", None) or error
-            raise MachineError("cannot_listen", f"cannot listen on {host}:{port}: {reason}") from error
+            raise cannot_listen(host, port, error) from error
         for listener in bound:
             listener.setblocking(False)
             loop.add_reader(listener, self._accept, listener, protocol)

@@ -21,11 +21,11 @@ from time import monotonic
 from types import TracebackType
 from typing import Any, Self
 
-from nmes.errors import MachineError, NmesError, WorldError
+from nmes.errors import NmesError, WorldError
 from nmes.protocol import Limits, Request, Session, complete_config
 from nmes.recording import Recording
 from nmes.server.connection import LINGER, READ, Connection
-from nmes.server.door import Door
+from nmes.server.door import Door, cannot_listen
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.metrics import CONTENT_TYPE, Figures, Metrics
 from nmes.server.threads import WorkerPool
@@ -317,7 +317,7 @@ class Host:
         try:
             server = await asyncio.start_server(answer, host, port)
         except OSError as error:
-            raise MachineError("cannot_listen", f"cannot listen on {host}:{port}: {error.strerror}") from error
+            raise cannot_listen(host, port, error) from error
         self._metrics_servers.append(server)
         return int(server.sockets[0].getsockname()[1])
 

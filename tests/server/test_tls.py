@@ -72,6 +72,29 @@ async def test_an_awaiting_client_connects_over_tls(server: Served, trust: ssl.S
         assert (await client.step(3))["frame"] == 3
 
 
+async def test_a_client_without_tls_is_told_that_the_server_may_speak_it(server: Served) -> None:
+    hint = r"hung up without an answer; if it speaks TLS, so must you: tls=True, or --tls"
+    with pytest.raises(Disconnected, match=hint):
+        server.client().connect()
+    with pytest.raises(Disconnected, match=hint):
+        await AsyncClient(port=server.port, password=PASSWORD, timeout=PATIENCE).connect()
+    listing = ["worlds", f"127.0.0.1:{server.port}"]
+    outcome = CliRunner().invoke(main, listing, env={"NMES_PASSWORD": PASSWORD})
+    assert outcome.exit_code == 1 and "so must you: tls=True, or --tls" in outcome.output
+
+
+async def test_a_client_with_tls_is_told_that_the_server_may_speak_none(trust: ssl.SSLContext) -> None:
+    with served(limits=Limits(auth_timeout=0.2)) as plain:
+        with pytest.raises(Disconnected, match="it may speak no TLS"):
+            plain.client(tls=trust).connect()
+        with pytest.raises(Disconnected, match="it may speak no TLS"):
+            await AsyncClient(port=plain.port, password=PASSWORD, timeout=PATIENCE, tls=trust).connect()
+        with pytest.raises(Disconnected) as failed, plain.client() as client:
+            plain.close()
+            client.ping()
+    assert "TLS" not in failed.value.message
+
+
 async def test_an_untrusted_server_is_sent_no_password(server: Served) -> None:
     with pytest.raises(Disconnected, match="certificate"):
         server.client(tls=True).connect()
