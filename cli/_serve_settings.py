@@ -56,6 +56,7 @@ class Settings:
         tls_cert: The file of the host's certificate; None: no TLS.
         tls: The certificate and its key.
         metrics_port: Port of the metrics; None: there are none.
+        access_log: The file of who comes and goes; None: there is none.
     """
 
     config: dict[str, Any]
@@ -70,6 +71,7 @@ class Settings:
     tls_cert: Path | None
     tls: ssl.SSLContext | None
     metrics_port: int | None
+    access_log: Path | None
 
 
 def read_settings(options: Mapping[str, Any]) -> Settings:
@@ -94,6 +96,7 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
         tls_cert=options["tls_cert"],
         tls=_load_tls(options["tls_cert"], options["tls_key"]),
         metrics_port=options["metrics_port"],
+        access_log=options["access_log"],
     )
 
 

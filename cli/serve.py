@@ -25,6 +25,7 @@ from nmes.cli.info import open_recording
 from nmes.errors import MachineError, RejectedMessage, WorldError
 from nmes.recording import Recording
 from nmes.server import Host
+from nmes.server.access_log import AccessLog
 from nmes.server.metrics import Metrics
 from nmes.world import World
 
@@ -135,6 +136,11 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
     type=click.IntRange(0, 65535),
     help="Port on this machine that tells Prometheus what the host does; 0 finds a free one.",
 )
+@click.option(
+    "--access-log",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Append to this file who comes, from where, to which world, and how it ends: a JSON object a line.",
+)
 @click.option("--view", is_flag=True, help="Look at the world, as `nmes view` does: in a window, or else in a browser.")
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object when ready, for scripts.")
 def command(log_format: str, view: bool, as_json: bool, **options: Any) -> None:
@@ -197,6 +203,7 @@ async def _serve(settings: Settings, report: Callable[[Running], None]) -> tuple
         flush_interval=settings.flush_interval,
         tls=settings.tls,
         metrics=None if settings.metrics_port is None else Metrics(),
+        access_log=None if settings.access_log is None else AccessLog(settings.access_log),
     )
     async with host:
         running = await _start(host, settings)

@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, cast
 
 from nmes.errors import NmesError, RejectedMessage, WorldError, visible
 from nmes.protocol import Auth, Request, Session
+from nmes.server.access_log import Visit
 from nmes.server.door import address_of
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.outbox import Outbox
@@ -57,6 +58,8 @@ class Connection(asyncio.BufferedProtocol):
         self._default_world = default_world
         self._session = Session(host.limits)
         self._address = ""
+        self._peer = "a client"
+        self._visit = Visit(host.access_log, self._peer)
         self._destination: str | None = None  # the world to join
         self._world: HostedWorld | None = None  # the world joined
         self._client = 0
@@ -81,7 +84,9 @@ class Connection(asyncio.BufferedProtocol):
         self._output = Outbox(self._host, self._transport, self.resume)
         self._transport.set_write_buffer_limits(high=self._limits.pending // 2)
         self._active_at = self._progress_at = monotonic()
-        self._address = address_of(self._transport.get_extra_info("peername"))
+        if peer := self._transport.get_extra_info("peername"):
+            self._peer = f"{peer[0]}:{peer[1]}"
+        self._address, self._visit = address_of(peer), Visit(self._host.access_log, self._peer)
         loop = asyncio.get_running_loop()
         limit = self._limits.auth_timeout
         late = RejectedMessage("auth_timeout", f"no authentication within {limit:g} s")
@@ -115,6 +120,7 @@ class Connection(asyncio.BufferedProtocol):
     def eof_received(self) -> bool:
         """Hangs up: everything is answered, or waits for the disk; for while anything else waits nothing is read."""
         self._ended = True
+        self._visit.ends("hung_up")
         self.hang_up()
         return self._output.waits and self._transport.can_write_eof()  # where it returns False, the socket is closed
 
@@ -126,10 +132,12 @@ class Connection(asyncio.BufferedProtocol):
         self._full = False
         self._cancel_timer()
         self._host.forget(self)
+        self._visit.ends("hung_up" if error is None else "reset")
         try:
             self._work()
         except Exception:
             self._failed()
+        self._visit.end()
 
     def pause_writing(self) -> None:
         """Lets this peer's commands wait until it reads."""
@@ -157,6 +165,7 @@ class Connection(asyncio.BufferedProtocol):
         elif auth.list:
             port = int(self._transport.get_extra_info("sockname")[1])
             self._output.put(self._session.accept(self._host.list_worlds(port)))
+            self._visit.ends("listed")
             self.hang_up()
         elif not self._host.let_in(self):
             most = self._limits.connections
@@ -191,11 +200,13 @@ class Connection(asyncio.BufferedProtocol):
         if world is not None and (joined := world.join(self)) is not None:
             self._destination, self._world, self._output.world = None, world, world
             self._client, welcome = joined
+            self._visit.enter(world.name, self._client, self._session.dialect)
             self._output.put(self._session.accept(welcome))
             self._work(self._session.receive(b""))
 
     def _refuse(self, error: NmesError) -> None:
         """Refuses after a while, so that guessing passwords is slow; what comes meanwhile is not even read."""
+        self._visit.ends(error.code)
         self._transport.pause_reading()
         self._timer = asyncio.get_running_loop().call_later(self._host.auth_delay, self.hang_up, error)
 
@@ -243,6 +254,7 @@ class Connection(asyncio.BufferedProtocol):
             if encoded is None or not backlog:  # it waits, or its connection was ended meanwhile
                 break
             backlog.popleft()
+            self._visit.commands += 1
             reply = session.reply(request, encoded)
             if reply:
                 output.queue.append(reply)
@@ -250,6 +262,7 @@ class Connection(asyncio.BufferedProtocol):
                 if output.size > CHUNK:
                     output.flush()
             if request.error is not None and request.error is session.violation:
+                self._visit.ends(request.error.code)
                 self.hang_up()
             if monotonic() >= until:
                 break
@@ -330,6 +343,7 @@ class Connection(asyncio.BufferedProtocol):
             self._active_at = now  # it waits for us
         elif self._world is not None and now - self._active_at >= self._limits.idle_timeout:
             logger.info("%s was idle for %g s", self._peer, self._limits.idle_timeout)
+            self._visit.ends("idle")
             self.hang_up()
 
     def _cut(self) -> None:
@@ -345,6 +359,7 @@ class Connection(asyncio.BufferedProtocol):
 
     def abort(self) -> None:
         """Ends the connection at once."""
+        self._visit.ends("cut")
         self._transport.abort()
 
     def hang_up(self, error: NmesError | None = None) -> None:
@@ -352,6 +367,7 @@ class Connection(asyncio.BufferedProtocol):
         if self._closing:
             return
         self._closing = True
+        self._visit.ends("closed" if error is None else error.code)
         self._overflowed = False
         self._destination = None
         self._backlog.clear()
@@ -386,11 +402,6 @@ class Connection(asyncio.BufferedProtocol):
         if self._timer is not None:
             self._timer.cancel()
             self._timer = None
-
-    @property
-    def _peer(self) -> str:
-        address = self._transport.get_extra_info("peername")
-        return f"{address[0]}:{address[1]}" if address else "a client"
 
 
 def _log_without_effect(session: Session, request: Request, peer: str) -> None:

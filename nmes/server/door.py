@@ -28,7 +28,7 @@ from typing import Protocol
 
 from nmes.errors import MachineError
 
-__all__ = ["Door", "Entrant", "Guesses", "address_of", "cannot_listen"]
+__all__ = ["Bucket", "Door", "Entrant", "Guesses", "address_of", "cannot_listen"]
 
 logger = logging.getLogger(__name__)
 
@@ -46,14 +46,16 @@ class Entrant(Protocol):
         """Ends it at once."""
 
 
-class _Bucket:
+class Bucket:
     """Tokens that come back with time, up to so many."""
 
     def __init__(self, size: float, rate: float) -> None:
+        """Begins full; `rate` tokens come back in a second."""
         self.size, self.rate = size, rate
         self._tokens, self._at = size, 0.0
 
     def tokens(self, now: float) -> float:
+        """Returns how many there are."""
         return min(self.size, self._tokens + (now - self._at) * self.rate)
 
     def delay(self, now: float) -> float:
@@ -61,6 +63,7 @@ class _Bucket:
         return max(0.0, (1.0 - self.tokens(now)) / self.rate)
 
     def take(self, now: float) -> None:
+        """Takes one."""
         self._tokens, self._at = self.tokens(now) - 1.0, now
 
 
@@ -76,8 +79,8 @@ class Guesses:
 
     def __init__(self) -> None:
         """Begins without any."""
-        self._buckets: OrderedDict[str, _Bucket] = OrderedDict()
-        self._common = _Bucket(*self.COMMON)
+        self._buckets: OrderedDict[str, Bucket] = OrderedDict()
+        self._common = Bucket(*self.COMMON)
 
     def wait(self, address: str, now: float) -> float:
         """Returns for how long (s) a password from there is not looked at; 0 where it is."""
@@ -88,7 +91,7 @@ class Guesses:
 
     def wrong(self, address: str, now: float) -> None:
         """Counts a wrong password."""
-        own = self._buckets.setdefault(address, _Bucket(*self.ADDRESS))
+        own = self._buckets.setdefault(address, Bucket(*self.ADDRESS))
         self._buckets.move_to_end(address)
         own.take(now)
         if self._common.tokens(now) >= 1.0:

@@ -24,6 +24,7 @@ from typing import Any, Self
 from nmes.errors import NmesError, WorldError
 from nmes.protocol import Limits, Request, Session, complete_config
 from nmes.recording import Recording
+from nmes.server.access_log import AccessLog
 from nmes.server.connection import LINGER, READ, Connection
 from nmes.server.door import Door, cannot_listen
 from nmes.server.hosted_world import HostedWorld
@@ -57,6 +58,7 @@ class Host:
         flush_interval: float = 1.0,
         tls: ssl.SSLContext | None = None,
         metrics: Metrics | None = None,
+        access_log: AccessLog | None = None,
     ) -> None:
         """Makes a host that serves nothing yet.
 
@@ -68,7 +70,9 @@ class Host:
             flush_interval: How much (s) of a recording a crash may lose; with 0 nothing is told before it is on disk.
             tls: Holds the host's certificate; None: all goes over the wire as it is.
             metrics: What counts what the host does; None: nothing is counted.
+            access_log: Where who comes and goes is written; None: nowhere.
         """
+        self.access_log = access_log
         self.limits = limits or Limits()
         self.auth_delay = auth_delay
         self._flush_interval = flush_interval

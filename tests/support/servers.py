@@ -16,6 +16,7 @@ from typing import Any, Self, TypeVar
 from nmes import Client
 from nmes.protocol import DELIMITER, Limits
 from nmes.server import Host
+from nmes.server.access_log import AccessLog
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.metrics import Metrics
 
@@ -143,6 +144,7 @@ def served(
     lazy: bool = False,
     tls: ssl.SSLContext | None = None,
     metrics: Metrics | None = None,
+    access_log: Path | None = None,
 ) -> Iterator[Served]:
     """Runs a host with a world for each config; by default worlds are in lockstep on the `ballistic` engine.
 
@@ -161,6 +163,7 @@ def served(
             flush_interval=flush_interval,
             tls=tls,
             metrics=metrics,
+            access_log=None if access_log is None else AccessLog(access_log),
         )
         for config in configs or [{}]:
             (host.offer if lazy else host.add)({"backend": "ballistic", "mode": "lockstep", **config})
