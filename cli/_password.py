@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
-__all__ = ["PASSWORD_VARIABLE", "choose_password", "password_options"]
+__all__ = ["PASSWORD_VARIABLE", "choose_password", "password_options", "read_password"]
 
 PASSWORD_VARIABLE = "NMES_PASSWORD"
 
@@ -30,6 +30,21 @@ def password_options(text: str) -> Callable[[F], F]:
     return add
 
 
+def read_password(file: Path) -> str:
+    """Returns the first line of a file.
+
+    Raises:
+        UsageError: The file cannot be read, or the line is empty.
+    """
+    try:
+        lines = file.read_text("utf-8").splitlines()
+    except (OSError, ValueError) as error:
+        raise click.UsageError(f"{file}: {error}") from error
+    if not lines or not lines[0]:
+        raise click.UsageError(f"{file}: its first line is to be the password, and is empty")
+    return lines[0]
+
+
 def choose_password(option: str | None, file: Path | None) -> tuple[str, str] | None:
     """Returns the password and the name of its source, the most explicit one; None if there is no password.
 
@@ -41,11 +56,7 @@ def choose_password(option: str | None, file: Path | None) -> tuple[str, str] | 
     if option is not None:
         password, source = option, "option"
     elif file is not None:
-        try:
-            lines = file.read_text("utf-8").splitlines()
-        except (OSError, ValueError) as error:
-            raise click.UsageError(f"{file}: {error}") from error
-        password, source = (lines[0] if lines else ""), "file"
+        password, source = read_password(file), "file"
     elif PASSWORD_VARIABLE in os.environ:
         password, source = os.environ[PASSWORD_VARIABLE], "environment"
     else:

@@ -7,14 +7,14 @@ import ipaddress
 import secrets
 import ssl
 import string
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import click
 
-from nmes.cli._password import PASSWORD_VARIABLE, choose_password
+from nmes.cli._password import PASSWORD_VARIABLE, choose_password, read_password
 from nmes.errors import RejectedMessage
 from nmes.protocol import parse_json
 from nmes.recording import Recording
@@ -51,6 +51,7 @@ class Settings:
         ports: One port for all worlds, or one for each.
         password: The password that clients must give.
         password_source: Where the password is from.
+        world_passwords: What opens one world alone, by its name.
         record_to: Directory for the recordings; None: nothing is recorded.
         flush_interval: How much (s) of a recording a crash may lose.
         tls_cert: The file of the host's certificate; None: no TLS.
@@ -66,6 +67,7 @@ class Settings:
     ports: list[int]
     password: str
     password_source: str
+    world_passwords: Mapping[str, str]
     record_to: Path | None
     flush_interval: float
     tls_cert: Path | None
@@ -82,7 +84,8 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
     """
     config, parent = _world(options)
     password, source = _password(options)
-    names, ports = _layout(options, config.get("name", "main"))
+    name = config.get("name", "main")
+    names, ports = _layout(options, name)
     return Settings(
         config=config,
         parent=parent,
@@ -91,6 +94,7 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
         ports=ports,
         password=password,
         password_source=source,
+        world_passwords=_world_passwords(options["world_passwords"], names or [name]),
         record_to=None if options["no_record"] else options["record_to"],
         flush_interval=options["flush_interval"],
         tls_cert=options["tls_cert"],
@@ -156,6 +160,16 @@ def _password(options: Mapping[str, Any]) -> tuple[str, str]:
         )
     # Begins with a letter: a password that begins with a dash would be taken for an option.
     return secrets.choice(string.ascii_letters) + secrets.token_urlsafe(12), MADE_UP
+
+
+def _world_passwords(folder: Path | None, names: Collection[str]) -> dict[str, str]:
+    """Returns the passwords of single worlds, by name, each the first line of the file of that name."""
+    passwords = {}
+    for file in sorted(folder.iterdir()) if folder is not None else ():
+        if file.name not in names:  # a world whose file is misspelt would be open to all who are let in elsewhere
+            raise click.UsageError(f"{file}: there is no world {file.name!r} here; a file is named after its world")
+        passwords[file.name] = read_password(file)
+    return passwords
 
 
 def _is_local(host: str) -> bool:

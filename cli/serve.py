@@ -119,6 +119,12 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
 @click.option("--at", "frame", type=click.IntRange(0), help="With --resume: from this frame.  [default: the last]")
 @password_options(f"Password that clients must give; better in the variable {PASSWORD_VARIABLE}.")
 @click.option(
+    "--world-passwords",
+    metavar="FOLDER",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    help="Folder of files named after worlds: the first line of each is a password for that world alone.",
+)
+@click.option(
     "--tls-cert",
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
     help="Speak TLS, with the certificate in this PEM file.",
@@ -220,7 +226,7 @@ async def _start(host: Host, settings: Settings) -> Running:
     names, metrics_port, address, ports = settings.names, settings.metrics_port, settings.address, []
     try:
         for name in names:
-            host.offer({**settings.config, "name": name})
+            host.offer({**settings.config, "name": name}, settings.world_passwords.get(name))
         with _free_port_hint("--metrics-port"):
             if metrics_port is not None:
                 metrics_port = await host.serve_metrics("127.0.0.1", metrics_port)
@@ -251,8 +257,10 @@ def _free_port_hint(option: str) -> Iterator[None]:
 def _add_world(host: Host, settings: Settings) -> World:
     """Adds the one world and returns it; of many, which are created when first used, returns one like them."""
     if not settings.names:
-        hosted = host.add(settings.config) if settings.parent is None else host.resume(*settings.parent)
-        return hosted.world
+        own = next(iter(settings.world_passwords.values()), None)
+        if settings.parent is None:
+            return host.add(settings.config, own).world
+        return host.resume(*settings.parent, own).world
     sample = World({**settings.config, "name": settings.names[0]})  # an error in all of them is shown now
     sample.close()
     return sample

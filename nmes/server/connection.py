@@ -159,12 +159,17 @@ class Connection(asyncio.BufferedProtocol):
             return
         self._cancel_timer()
         auth = cast(Auth, messages[0])
-        error = auth.error or self._wrong_password(auth.password)
+        default = self._default_world
+        every, own = self._host.accepts(auth.password), self._host.opened_by(auth.password)
+        if not every and own and default is None:
+            default = own[0]
+        right = every or (bool(own) if auth.list else (auth.world or default) in own)
+        error = auth.error or self._wrong_password(right)
         if error is not None:
             self._refuse(error)
         elif auth.list:
             port = int(self._transport.get_extra_info("sockname")[1])
-            self._output.put(self._session.accept(self._host.list_worlds(port)))
+            self._output.put(self._session.accept(self._host.list_worlds(port, None if every else own)))
             self._visit.ends("listed")
             self.hang_up()
         elif not self._host.let_in(self):
@@ -172,21 +177,21 @@ class Connection(asyncio.BufferedProtocol):
             self.hang_up(RejectedMessage("too_many_connections", f"this host serves {most} connections at once"))
         else:
             try:
-                self._destination = self._host.world_name(auth.world or self._default_world)
+                self._destination = self._host.world_name(auth.world or default)
             except WorldError as error:
                 self.hang_up(error)
                 return
             self._transport.pause_reading()
             self._join()
 
-    def _wrong_password(self, password: str) -> RejectedMessage | None:
-        """Returns why a password does not let anybody in; where there were too many guesses it is not looked at."""
+    def _wrong_password(self, right: bool) -> RejectedMessage | None:
+        """Returns why a password does not let anybody in: it is wrong, or there were too many guesses of late."""
         guesses, now = self._host.guesses, monotonic()
         wait = guesses.wait(self._address, now)
         if wait > 0.0:
             reason = f"too many wrong passwords came from your address; try again in {ceil(wait)} s"
             return RejectedMessage("auth_failed", reason)
-        if self._host.accepts(password):
+        if right:
             return None
         guesses.wrong(self._address, now)
         logger.warning("%s failed to authenticate: wrong password", self._peer)  # as often as guesses are heard

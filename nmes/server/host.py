@@ -3,7 +3,7 @@
 A `Host` listens and keeps the connections' limits and the worlds; a `Connection` moves bytes between one socket and one
 hosted world.
 
-Invariant: the password is kept only as a digest.
+Invariant: passwords are kept only as digests.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import contextlib
 import hmac
 import logging
 import ssl
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from hashlib import blake2b
 from pathlib import Path
@@ -63,7 +63,7 @@ class Host:
         """Makes a host that serves nothing yet.
 
         Args:
-            password: What clients must say. Only its digest is kept.
+            password: What opens all worlds.
             limits: The protocol's limits of a connection.
             auth_delay: How long a client that failed to authenticate waits for the answer, s.
             record_to: Directory for the recordings of all worlds; None: nothing is recorded.
@@ -82,6 +82,7 @@ class Host:
         self._ports: dict[str, int] = {}  # the port whose clients get a world without naming it
         self.buffer = memoryview(bytearray(READ))
         self._password = _digest(password)
+        self._own_passwords: dict[str, bytes] = {}  # their digests, by world
         self.record_to = record_to
         self._metrics = metrics
         if metrics is not None:
@@ -109,8 +110,12 @@ class Host:
 
     # -- worlds ----------------------------------------------------------------------------------------------------
 
-    def add(self, config: Mapping[str, Any]) -> HostedWorld:
+    def add(self, config: Mapping[str, Any], password: str | None = None) -> HostedWorld:
         """Creates a world from its config and hosts it; the first one is for clients that name none.
+
+        Args:
+            config: Its config.
+            password: What opens this world alone; None: only the host's does.
 
         Raises:
             RejectedMessage: The config is not valid.
@@ -118,14 +123,15 @@ class Host:
             RecordingError: Its recording cannot be written.
             WorldError: There is a world of that name (`world_exists`).
         """
-        return self._add(config, None)
+        return self._add(config, None, password)
 
-    def resume(self, recording: Recording, frame: int | None = None) -> HostedWorld:
+    def resume(self, recording: Recording, frame: int | None = None, password: str | None = None) -> HostedWorld:
         """Hosts the world of a recording, which goes on from a frame of it; its recorded clients are gone.
 
         Args:
             recording: The recording.
             frame: The frame, counted on through resets; None: where it ends.
+            password: What opens this world alone; None: only the host's does.
 
         Raises:
             RecordingError: There is no such frame, a tick on the way to it does not come out as recorded, or the new
@@ -133,18 +139,24 @@ class Host:
             BackendNotFound: No such engine.
             WorldError: There is a world of that name (`world_exists`).
         """
-        return self._add(recording.config, Origin(recording, recording.last_frame if frame is None else frame))
+        origin = Origin(recording, recording.last_frame if frame is None else frame)
+        return self._add(recording.config, origin, password)
 
-    def _add(self, config: Mapping[str, Any], origin: Origin | None) -> HostedWorld:
-        name = self.offer(config)
+    def _add(self, config: Mapping[str, Any], origin: Origin | None, password: str | None) -> HostedWorld:
+        name = self.offer(config, password)
         try:
             return self._create(name, origin)
         except NmesError:
             del self._offered[name]
+            self._own_passwords.pop(name, None)
             raise
 
-    def offer(self, config: Mapping[str, Any]) -> str:
+    def offer(self, config: Mapping[str, Any], password: str | None = None) -> str:
         """Hosts a world that is created when a client first joins it; returns its name.
+
+        Args:
+            config: Its config.
+            password: What opens this world alone; None: only the host's does.
 
         Raises:
             RejectedMessage: The config is not valid. Whether its engine can do it is seen when the world is created.
@@ -155,6 +167,8 @@ class Host:
         if name in self._offered:
             raise WorldError("world_exists", f"two worlds are called {name!r}", "name")
         self._offered[name] = complete
+        if password is not None:
+            self._own_passwords[name] = _digest(password)
         return name
 
     def _create(self, name: str, origin: Origin | None = None) -> HostedWorld:
@@ -214,10 +228,12 @@ class Host:
             else:
                 connection.hang_up(failure)
 
-    def list_worlds(self, port: int) -> dict[str, Any]:
-        """Returns the `world_list` message for a client of a port. Creates none of the worlds."""
+    def list_worlds(self, port: int, only: Collection[str] | None = None) -> dict[str, Any]:
+        """Returns the `world_list` message for a client of a port, of all worlds if not of some. Creates none."""
         listed = []
         for name, config in self._offered.items():
+            if only is not None and name not in only:
+                continue
             hosted = self.worlds.get(name)
             status = hosted.status if hosted is not None else None
             listed.append(
@@ -241,8 +257,13 @@ class Host:
     # -- connections -----------------------------------------------------------------------------------------------
 
     def accepts(self, password: str) -> bool:
-        """Compares a password in a time that does not depend on how much of it is right."""
+        """Tells whether a password is the host's, in a time that does not depend on how much of it is right."""
         return hmac.compare_digest(self._password, _digest(password))
+
+    def opened_by(self, password: str) -> list[str]:
+        """Returns the worlds whose own password it is, in a time that does not depend on how much of it is right."""
+        digest = _digest(password)
+        return [name for name, own in self._own_passwords.items() if hmac.compare_digest(own, digest)]
 
     @property
     def connections(self) -> int:

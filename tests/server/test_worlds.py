@@ -173,7 +173,7 @@ async def test_an_awaiting_client_lists_worlds(server: Served) -> None:
 
 
 async def test_a_server_that_cannot_list_worlds_is_an_error(server: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Host, "list_worlds", lambda self, port: World({"backend": "ballistic"}).welcome(1))
+    monkeypatch.setattr(Host, "list_worlds", lambda self, port, only: World({"backend": "ballistic"}).welcome(1))
     with pytest.raises(CommandFailed) as failed:
         server.client().worlds()
     assert failed.value.code == "unsupported"
