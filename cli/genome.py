@@ -19,6 +19,8 @@ from nmes.cli._output import check_output, whole_file
 from nmes.errors import DocumentError, VariationError, visible
 from nmes.genome import Genome
 from nmes.genome.body import Body
+from nmes.genome.genome import SHIPPED
+from nmes.schemas.documents import parse_document
 
 if TYPE_CHECKING:
     from nmes.evaluation import Task
@@ -63,12 +65,14 @@ def check(context: click.Context, files: list[str], as_json: bool) -> None:
     for file in files:
         row: dict[str, Any] = {"file": file, "name": None, "hash": None, "problems": []}
         try:
-            genome = Genome.load(file)
-            row |= {"name": genome.name, "hash": genome.hash}
-            if "brain" in genome.document:
-                genome.brain()
+            document = parse_document(SHIPPED.read(file))
+            problems = Genome.problems(document)
+            if not problems:
+                genome = Genome(document)
+                row |= {"name": genome.name, "hash": genome.hash}
         except DocumentError as error:
-            row["problems"] = [{"path": path, "message": message} for path, message in error.problems]
+            problems = list(error.problems)
+        row["problems"] = [{"path": path, "message": message} for path, message in problems]
         rows.append(row)
     if as_json:
         print_json(rows)

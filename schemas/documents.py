@@ -10,7 +10,7 @@ import difflib
 import hashlib
 import json
 import re
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from heapq import nlargest
@@ -41,10 +41,12 @@ __all__ = [
     "did_you_mean",
     "excerpt",
     "fits",
+    "nor_at",
     "parse_document",
     "parse_json",
     "plain",
     "problems",
+    "without",
     "write_json",
 ]
 
@@ -58,6 +60,7 @@ _FILE: Final = 80 << 20  # bytes of a document's file: the largest model of a br
 _EXCERPT: Final = 80  # characters of somebody's value that a message repeats
 _COMPARED, _KNOWN, _CLOSE = 24, 256, 4  # characters of a name, names it is compared with roughly, and closely
 _UNKNOWN: Final = 100  # fields that there are none of, above which an object is not looked into
+_PLACES: Final = 8  # that a message lists
 _ALIKE: Final = 0.6  # how like a name must be to be meant
 _WHOLE: Final = 2.0**53  # beyond this not every whole number is a float
 
@@ -224,6 +227,24 @@ def problems(schema: CompiledSchema, value: Any) -> Iterator[Problem]:
     if within:
         for error in schema.validator.iter_errors(_abridged(schema.schema, value)):  # makes all of them at once
             yield from _explain(schema.schema, error, value)
+
+
+def without(value: Any, blamed: Iterable[Problem]) -> Any:
+    """Returns a copy of JSON data without the fields that problems are about.
+
+    Of a problem inside an array the field that holds the array goes; one that is about all of the data changes nothing.
+    """
+    copied = plain(value)
+    for problem in blamed:
+        named = [index for index, key in enumerate(problem.keys) if isinstance(key, str)]
+        if named:
+            part = copied
+            for key in problem.keys[: named[-1]]:
+                within = key in part if isinstance(part, dict) else isinstance(part, list) and isinstance(key, int)
+                part = part[key] if within else None
+            if isinstance(part, dict):
+                part.pop(problem.keys[named[-1]], None)
+    return copied
 
 
 def _too_long(schema: Schema, value: Any, keys: tuple[str | int, ...]) -> Iterator[Problem]:
@@ -437,6 +458,18 @@ def did_you_mean(name: str | int, known: Iterable[str]) -> str:
         near.append((matcher.ratio(), other))
     ratio, other = max(near, default=(0.0, ""))
     return f"; did you mean {other}?" if ratio >= _ALIKE else ""
+
+
+def nor_at(places: Sequence[str]) -> str:
+    """Returns ` (nor at body/joints/2/cube1)`, for a message about what is not there; nothing without other places.
+
+    Args:
+        places: JSON Pointers of the other places where the same is wrong.
+    """
+    if not places:
+        return ""
+    more = f" and {len(places) - _PLACES} more places" if len(places) > _PLACES else ""
+    return f" (nor at {', '.join(places[:_PLACES])}{more})"
 
 
 def excerpt(value: Any) -> str:

@@ -10,7 +10,7 @@ becomes arrays and how those are run; a caller knows names, one vector of parame
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Final
 
 from nmes.brain.base import Brain, BrainBatch, stack
@@ -28,7 +28,9 @@ KINDS: Final[Mapping[str, type[Brain]]] = {
 """Every kind of brain."""
 
 
-def load_brain(document: Any, inputs: Sequence[str], outputs: Sequence[str], where: str = "brain") -> Brain:
+def load_brain(
+    document: Any, inputs: Sequence[str], outputs: Sequence[str], where: str = "brain", unsure: Collection[str] = ()
+) -> Brain:
     """Returns the brain that a document describes, for a body with these sensors and motors.
 
     Args:
@@ -36,6 +38,8 @@ def load_brain(document: Any, inputs: Sequence[str], outputs: Sequence[str], whe
         inputs: Names of the body's sensors, in the order in which they will be read.
         outputs: Names of the body's motors, in the order in which they will be driven.
         where: JSON Pointer of the brain, without its leading slash, to tell where something is wrong.
+        unsure: `sensors` or `motors`, where the body, which is wrong itself, may have more of them than are named: a
+            brain that names others is not blamed.
 
     Raises:
         DocumentError: It is none, or does not fit the body; `problems` are all that was found.
@@ -48,4 +52,4 @@ def load_brain(document: Any, inputs: Sequence[str], outputs: Sequence[str], whe
         hint = did_you_mean(kind, KINDS) if isinstance(kind, str) else ""
         pointer = "/".join(filter(None, (where, "kind")))
         raise DocumentError([(pointer, f"there is no such kind of brain{hint or ': there are ' + ', '.join(KINDS)}")])
-    return KINDS[kind](document, inputs, outputs, where)
+    return KINDS[kind](document, inputs, outputs, where, unsure)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import copy
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -29,8 +29,10 @@ from nmes.schemas.documents import (
     complete,
     did_you_mean,
     fits,
+    nor_at,
     plain,
     problems,
+    without,
 )
 
 __all__ = [
@@ -68,15 +70,23 @@ class Findings:
     All its methods raise DocumentError where there are more problems than one lists.
     """
 
-    def __init__(self, where: str) -> None:
-        """Begins without problems; `where` is the JSON Pointer of the document itself."""
+    def __init__(self, where: str, unsure: Collection[str] = ()) -> None:
+        """Begins without problems.
+
+        Args:
+            where: The JSON Pointer of the document itself.
+            unsure: `sensors` or `motors`, where the body may have others of them than are known: what is not known then
+                is no problem, nor is how many there are.
+        """
         self._where = where
+        self.unsure = unsure
         self._found: list[tuple[str, str]] = []
+        self._unknown: dict[tuple[str, str], tuple[int, str, list[str]]] = {}  # index, hint, where else
         self._wildcards = 0
 
     def add(self, pointer: str, message: str) -> None:
         """Notes a problem with the value at a pointer."""
-        self._found.append(("/".join(filter(None, (self._where, pointer))), message))
+        self._found.append((self._place(pointer), message))
         if len(self._found) > DocumentError.MOST:
             self.check()
 
@@ -103,8 +113,23 @@ class Findings:
 
     def unknown(self, name: str, names: Sequence[str], what: str, pointer: str) -> None:
         """Notes that there is no such name."""
-        near = did_you_mean(name, names)
-        self.add(pointer, f"there is no {what} {name!r}{near or '; there ' + _list(names, what)}")
+        if f"{what}s" in self.unsure:
+            return
+        if (name, what) in self._unknown:
+            index, near, others = self._unknown[name, what]
+            others.append(self._place(pointer))
+            self._found[index] = (self._found[index][0], f"there is no {what} {name!r}{nor_at(others)}{near}")
+            return
+        near = did_you_mean(name, names) or f"; there {_list(names, what)}"
+        self._unknown[name, what] = len(self._found), near, []
+        self.add(pointer, f"there is no {what} {name!r}{near}")
+
+    def is_unknown(self, name: str, what: str) -> bool:
+        """Whether it was noted that there is no such name."""
+        return (name, what) in self._unknown
+
+    def _place(self, pointer: str) -> str:
+        return "/".join(filter(None, (self._where, pointer)))
 
     def owners(self, entries: Sequence[str], names: Sequence[str], what: str, pointers: Sequence[str]) -> list[int]:
         """Deals names out to entries; returns for each name the index of its entry, or -1.
@@ -252,12 +277,17 @@ class Brain(ABC):
         cls.shape = compile_schema(f"brain-{cls.kind}.json")
 
     def __init__(
-        self, document: Mapping[str, Any], inputs: Sequence[str], outputs: Sequence[str], where: str = ""
+        self,
+        document: Mapping[str, Any],
+        inputs: Sequence[str],
+        outputs: Sequence[str],
+        where: str = "",
+        unsure: Collection[str] = (),
     ) -> None:
         """Checks a document; see `load_brain`."""
         self.inputs = tuple(inputs)
         self.outputs = tuple(outputs)
-        findings = Findings(where)
+        findings = Findings(where, unsure)
         for names, most, what in ((self.inputs, _SENSORS, "sensors"), (self.outputs, _MOTORS, "motors")):
             if len(names) > most:
                 findings.add("", f"the body has {len(names):,} {what}; a brain can have {most:,}")
@@ -265,28 +295,40 @@ class Brain(ABC):
             self._given: JsonObject = plain(document)
         except DocumentError as error:
             raise DocumentError([(where, error.message)]) from None
-        for problem in problems(self.shape, self._given):
-            findings.add(problem.pointer, problem.message)
-        findings.check()
-        self._check_rows(findings, self.shape.schema, self._given, "")
-        findings.check()
-        self._document = _with_arrays(self.shape.schema, complete(self.shape.schema, self._given))
+        sound = self._sound(findings)
+        if not self._even_rows(findings, self.shape.schema, sound, ""):
+            findings.check()
+        self._document = _with_arrays(self.shape.schema, complete(self.shape.schema, sound))
         self._resolve(self._document, findings)
         findings.check()
         self._kernel: Kernel | None = None
         self._form: str | None = None
 
-    def _check_rows(self, findings: Findings, schema: Schema, value: JsonObject, path: str) -> None:
-        """Finds rows of unequal length."""
+    def _sound(self, findings: Findings) -> JsonObject:
+        """Returns what of the document is as its schema says; raises where without the rest it is no brain."""
+        unsound = []
+        for problem in problems(self.shape, self._given):
+            findings.add(problem.pointer, problem.message)
+            unsound.append(problem)
+        sound: JsonObject = without(self._given, unsound) if unsound else self._given
+        if next(problems(self.shape, sound), None) is not None:
+            findings.check()
+        return sound
+
+    def _even_rows(self, findings: Findings, schema: Schema, value: JsonObject, path: str) -> bool:
+        """Notes rows of unequal length; tells whether there are none."""
+        even = True
         for name, part in schema["properties"].items():
             here = path + name
             if name in value and _is_row(part) and part["items"].get("type") == "array":
                 for number, row in enumerate(value[name]):
                     if len(row) != len(value[name][0]):
                         findings.add(f"{here}/{number}", f"has {len(row)} numbers, the first row {len(value[name][0])}")
+                        even = False
             elif part.get("items", {}).get("type") == "object":
                 for number, item in enumerate(value.get(name, ())):
-                    self._check_rows(findings, part["items"], item, f"{here}/{number}/")
+                    even &= self._even_rows(findings, part["items"], item, f"{here}/{number}/")
+        return even
 
     # What a kind of brain provides:
 

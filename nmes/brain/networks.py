@@ -343,7 +343,7 @@ class GraphBrain(Brain):
             if first != number:
                 findings.add(here, f"links what link {first} does")
             for end in ("from", "to"):
-                if link.get(end, link["to"]) not in ids:
+                if end in link and link[end] not in ids:
                     findings.unknown(link[end], list(ids), "node", f"{here}/{end}")
             sensors: list[int] = []
             if "sensor" in link:

@@ -27,12 +27,13 @@ _EDGES = 4096  # links between oscillators at most, once wildcards are resolved
 
 
 class _Oscillators:
-    """Which oscillator drives which motor, and as which of its motors."""
+    """Which oscillator drives which motor, and as which of its motors; `named` if each names motors that there are."""
 
     def __init__(self, document: JsonObject, outputs: Sequence[str], findings: Findings) -> None:
         entries = [oscillator["motor"] for oscillator in document["oscillators"]]
         pointers = [f"oscillators/{number}/motor" for number in range(len(entries))]
         self.owner = findings.owners(entries, outputs, "motor", pointers)
+        self.named = not any(findings.is_unknown(entry, "motor") for entry in entries)
         self.rank = [self.owner[:i].count(owner) for i, owner in enumerate(self.owner)]
         self.driven = [i for i, owner in enumerate(self.owner) if owner >= 0]
 
@@ -241,11 +242,15 @@ class CpgBrain(Brain):
 
     def _resolve(self, document: JsonObject, findings: Findings) -> None:
         self._oscillators = _Oscillators(document, self.outputs, findings)
-        driven = self._oscillators.driven
-        names = [self.outputs[i] for i in driven]
+        driven = frozenset(self._oscillators.driven)
 
         def oscillators(entry: str, pointer: str) -> list[int]:
-            return [driven[i] for i in findings.match(entry, names, "motor with an oscillator", pointer)]
+            motors = findings.match(entry, self.outputs, "motor", pointer)
+            swung = [motor for motor in motors if motor in driven]
+            if motors and not swung and self._oscillators.named:  # a wrongly named one may be theirs
+                which = "the motor" if entry in self.outputs else "no motor that fits"
+                findings.add(pointer, f"{which} {entry!r} has {'no' if entry in self.outputs else 'an'} oscillator")
+            return swung
 
         edges: list[tuple[int, int, int, float]] = []  # from, to, which link or chain, sign of its lag
         for number, link in enumerate(document["links"]):

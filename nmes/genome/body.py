@@ -10,7 +10,7 @@ overlap unless a joint joins them.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Literal
@@ -21,7 +21,7 @@ from nmes.backend import Array, Quaternion, Vector
 from nmes.backend.rotation import normalize, quaternion_from_euler, rotate, total
 from nmes.errors import DocumentError
 from nmes.genome.sensors import OF_CUBE, OF_JOINT, VECTORS
-from nmes.schemas.documents import did_you_mean, fits
+from nmes.schemas.documents import did_you_mean, fits, nor_at
 
 __all__ = ["PALETTE", "Body", "BodyCube", "BodyJoint", "Motor", "Sensor", "corners", "read_body", "read_cube"]
 
@@ -144,32 +144,46 @@ def corners(cube: BodyCube) -> Array:
     return np.asarray(((_SIGNS * cube.size)[:, :, None] * _axes(cube)).sum(axis=1) + cube.position)
 
 
-def read_body(body: JsonObject, sensors: Sequence[JsonObject] | None, place: str | None = None) -> Body:
-    """Reads the `body` and `sensors` of a document that its schema has accepted.
+def read_body(
+    body: JsonObject, sensors: Sequence[JsonObject] | None, place: str | None = None, absent: Collection[str] = ()
+) -> tuple[list[tuple[str, str]], Body]:
+    """Reads the `body` and `sensors` of a document, of which the schema has accepted at least what is given.
 
     Args:
         body: Its `cubes` and `joints`.
         sensors: As in the document; None for those that a body has by default.
         place: What of the document to blame for the cubes and joints; None where they stand in it themselves.
+        absent: The ids of cubes and joints that were left out, `*` for one whose id is not known: what may be due to
+            that is no problem.
+
+    Returns:
+        Everything that is wrong, each with its place; and the body, which is good only where that is nothing.
 
     Raises:
-        DocumentError: With everything that is wrong, each with its place.
+        DocumentError: There are more problems than one lists.
     """
-    return _Reader(place).read(body, sensors)
+    reader = _Reader(place, absent)
+    read = reader.read(body, sensors)
+    return reader.problems, read
 
 
 class _Reader:
     """Reads one body, and notes its problems."""
 
-    def __init__(self, place: str | None) -> None:
+    def __init__(self, place: str | None, absent: Collection[str]) -> None:
         self.problems: list[tuple[str, str]] = []
         self.place = place
+        self.absent = absent
 
     def note(self, path: str, message: str) -> None:
         """Notes a problem; raises all of them where there are more than one lists."""
         self.problems.append((self.place if self.place is not None and path.startswith("body/") else path, message))
         if len(self.problems) > DocumentError.MOST:
             raise DocumentError(self.problems)
+
+    def may_be_absent(self, pattern: str) -> bool:
+        """Whether a pattern may stand for what was left out."""
+        return bool(self.absent) and any(name == "*" or fits(pattern)(name) for name in self.absent)
 
     def hint(self, name: str, known: Sequence[str]) -> str:
         """Returns a suggestion, with the first problems only: each name may be held against hundreds."""
@@ -183,7 +197,7 @@ class _Reader:
         for i, joint in enumerate(joints):
             self.joint(joint, f"body/joints/{i}")
         self.structure(cubes, joints)
-        self.geometry(cubes, joints)
+        self.ground(cubes)
         paths, all_sensors = [], []
         for i, entry in enumerate(_default_sensors(cubes, joints) if sensors is None else sensors):
             single = self.sensor(entry, f"sensors/{i}", cubes, joints)
@@ -193,8 +207,6 @@ class _Reader:
                 self.note(f"sensors/{i}", f"with it there are over {_MOST_SENSORS:,} single readings")
                 break
         self.unique(paths, [sensor.id for sensor in all_sensors], "sensor")
-        if self.problems:
-            raise DocumentError(self.problems)
         return Body(tuple(cubes), tuple(joints), tuple(all_sensors))
 
     def unique(self, paths: Iterable[str], ids: Iterable[str], what: str) -> None:
@@ -244,12 +256,13 @@ class _Reader:
             return name
 
         joined: dict[frozenset[str], str] = {}
+        nowhere: dict[str, list[str]] = {}  # where there are names of no cube
         for i, joint in enumerate(joints):
             path, ends = f"body/joints/{i}", (joint.cube1, joint.cube2)
             for field, name in zip(("cube1", "cube2"), ends, strict=True):
-                if name not in leader:
-                    self.note(f"{path}/{field}", f"there is no cube {name!r}{self.hint(name, names)}")
-            pair = frozenset(ends)
+                if name not in leader and not self.may_be_absent(name):
+                    nowhere.setdefault(name, []).append(f"{path}/{field}")
+            pair = _ends(joint)
             if len(pair) == 1:
                 self.note(f"{path}/cube2", f"joint {joint.id!r} joins {joint.cube1!r} to itself")
             elif pair in joined:
@@ -257,27 +270,46 @@ class _Reader:
             elif pair <= leader.keys():
                 joined[pair] = joint.id
                 leader[find(joint.cube2)] = find(joint.cube1)
+        for name, (first, *others) in nowhere.items():
+            self.note(first, f"there is no cube {name!r}{nor_at(others)}{self.hint(name, names)}")
+        if not self.absent:
+            pairs = [_ends(joint) for joint in joints]
+            wrong = [pair for pair in pairs if not pair <= leader.keys()]  # what these should join is not known
+            self.loose(names, find, len(wrong))
+            self.overlaps(cubes, set(pairs), {name for pair in wrong for name in pair})
+
+    def loose(self, names: Sequence[str], find: Callable[[str], str], wrong: int) -> None:
+        """Notes cubes that no joint ties to the first, unless there are joints with wrong names enough to tie all.
+
+        Args:
+            names: All cubes.
+            find: Gives one cube of all that are joined to a cube.
+            wrong: How many joints have a wrong name.
+        """
         loose = [name for name in names if find(name) != find(names[0])]
+        if len({find(name) for name in loose}) <= wrong:
+            return
         for i, name in enumerate(names):
             if name in loose and find(name) == name:
                 others = [other for other in loose if find(other) == name and other != name]
                 with_them = f" (nor are {', '.join(map(repr, others))}, joined to it)" if others else ""
                 self.note(f"body/cubes/{i}", f"{name!r} is not joined to the rest of the body{with_them}")
 
-    def geometry(self, cubes: Sequence[BodyCube], joints: Sequence[BodyJoint]) -> None:
-        """Notes cubes that overlap, or reach into the ground."""
-        pairs = {frozenset((joint.cube1, joint.cube2)) for joint in joints}
-        centres = np.array([cube.position for cube in cubes])
-        axes = np.array([_axes(cube) for cube in cubes])
-        halves = np.array([cube.size for cube in cubes]) / 2.0
+    def overlaps(self, cubes: Sequence[BodyCube], pairs: Set[frozenset[str]], spared: Set[str]) -> None:
+        """Notes cubes that overlap, but for the pairs that are joined, and for those in which one is spared."""
+        centres, axes, halves = _boxes(cubes)
         near = [pair for pair in _near_pairs(centres, halves) if frozenset(cubes[i].id for i in pair) not in pairs]
         if near:  # of most bodies only cubes that are joined
             one, other = np.array(near).T
             depths = _depths(centres[other] - centres[one], axes[one], axes[other], halves[one], halves[other])
             for (i, j), depth in zip(near, depths.tolist(), strict=True):
-                if depth > _TOUCHING:
+                if depth > _TOUCHING and not {cubes[i].id, cubes[j].id} & spared:
                     message = f"{cubes[i].id!r} and {cubes[j].id!r} overlap by {depth:.3g} m, and no joint joins them"
                     self.note(f"body/cubes/{j}", message)
+
+    def ground(self, cubes: Sequence[BodyCube]) -> None:
+        """Notes cubes that reach into the ground."""
+        centres, axes, halves = _boxes(cubes)
         lowest = centres[:, 1] - (halves * abs(axes[:, :, 1])).sum(axis=1)
         for i, low in enumerate(lowest.tolist()):
             if low < -_TOUCHING:
@@ -329,7 +361,7 @@ class _Reader:
         """Returns the ids of the cubes or joints that fit a pattern and have such a reading."""
         names = [thing.id for thing in (joints if of == "joint" else cubes)]
         fitting = list(filter(fits(pattern), names))
-        if not fitting:
+        if not fitting and not self.may_be_absent(pattern):
             plain = not set(pattern) & set("*?")
             missing = f"there is no {of} {pattern!r}{self.hint(pattern, names)}"
             self.note(path, missing if plain else f"no {of} fits {pattern!r}")
@@ -377,6 +409,10 @@ def _joint(entry: JsonObject) -> BodyJoint:
     )
 
 
+def _ends(joint: BodyJoint) -> frozenset[str]:
+    return frozenset((joint.cube1, joint.cube2))
+
+
 def _motor(name: str, entry: JsonObject) -> Motor:
     low, high = entry["range"]
     return Motor(name, entry["mode"], float(low), float(high), float(entry["max_effort"]))
@@ -406,6 +442,12 @@ def _axes(cube: BodyCube) -> Array:
     """Returns a cube's own directions as rows, shape (3, 3)."""
     q = cube.quaternion
     return np.array([rotate(q, (1.0, 0.0, 0.0)), rotate(q, (0.0, 1.0, 0.0)), rotate(q, (0.0, 0.0, 1.0))])
+
+
+def _boxes(cubes: Sequence[BodyCube]) -> tuple[Array, Array, Array]:
+    """Returns centres (n, 3), own directions as rows (n, 3, 3) and halves of the edges (n, 3) of cubes, m."""
+    centres, halves = np.array([cube.position for cube in cubes]), np.array([cube.size for cube in cubes]) / 2.0
+    return centres, np.array([_axes(cube) for cube in cubes]), halves
 
 
 def _near_pairs(centres: Array, halves: Array) -> list[tuple[int, int]]:

@@ -17,16 +17,14 @@ import orjson
 from nmes.brain import Brain, load_brain
 from nmes.errors import DocumentError
 from nmes.genome import morphology
-from nmes.genome.body import Body, read_body
+from nmes.genome.body import Body
+from nmes.genome.inspection import inspect_body, inspect_brain
 from nmes.schemas.documents import (
     JsonObject,
     ShippedDocuments,
     canonical_hash,
-    check,
-    compile_schema,
     parse_document,
     plain,
-    problems,
     write_json,
 )
 
@@ -34,7 +32,6 @@ __all__ = ["SHIPPED", "Genome"]
 
 SHIPPED: Final = ShippedDocuments("genome", "nmes.genome", "shipped")
 """The genomes that ship with the package."""
-_GENOME: Final = compile_schema("genome.json")
 
 
 class Genome:
@@ -76,6 +73,23 @@ class Genome:
             DocumentError: There is neither, it cannot be read, or it is not a good genome.
         """
         return cls.parse(SHIPPED.read(name))
+
+    @staticmethod
+    def problems(document: Any) -> list[tuple[str, str]]:
+        """Returns everything that is wrong with a document, its brain too; nothing for a good genome.
+
+        What rests on a part that is wrong itself is judged as far as that can be without it.
+
+        Args:
+            document: JSON data.
+
+        Returns:
+            The JSON Pointer of each value that is wrong, without its leading slash, and words for a person: those of
+            the body first, at most `DocumentError.MOST`, and as many of the brain.
+        """
+        document = plain(document)
+        inspection = inspect_body(document)
+        return [*inspection.problems, *inspect_brain(document, inspection)]
 
     @staticmethod
     def names() -> tuple[str, ...]:
@@ -123,37 +137,7 @@ def _read(text: bytes) -> Body:
     Raises:
         DocumentError: It is not a good genome, with everything that is wrong.
     """
-    document: JsonObject = orjson.loads(text)
-    check(_GENOME, document)
-    body = document["body"]
-    if ("cubes" in body) == ("graph" in body) or ("graph" in body and "joints" in body):
-        raise DocumentError([("body", "must have either cubes (and joints between them) or a graph")])
-    grown = "graph" in body
-    if grown:
-        body = morphology.grow(body["graph"])
-        # Scales may have taken a size or a mass out of its bounds.
-        outgrown = [
-            ("body/graph", f"grows {_quantity(body, problem.pointer)} is out of range: {problem.message}")
-            for problem in problems(_GENOME, {**document, "body": body})
-        ]
-        if outgrown:
-            raise DocumentError(outgrown)
-    return _body(write_json([body, document.get("sensors"), "body/graph" if grown else None]))
-
-
-# A population is of few bodies with many brains, or of one portion of bodies that are each read in their worlds again.
-@lru_cache(maxsize=128)
-def _body(text: bytes) -> Body:
-    """Reads a body from what `read_body` takes.
-
-    Raises:
-        DocumentError: As `read_body`.
-    """
-    body, sensors, place = orjson.loads(text)
-    return read_body(body, sensors, place)
-
-
-def _quantity(body: JsonObject, path: str) -> str:
-    """Returns words for a place in a grown body, such as `body/cubes/3/mass`."""
-    _, kind, index, *field = path.split("/")
-    return f"{body[kind][int(index)]['id']!r}, of which the {'/'.join(field)}"
+    inspection = inspect_body(orjson.loads(text))
+    if inspection.body is None or inspection.problems:
+        raise DocumentError(inspection.problems)
+    return inspection.body

@@ -22,6 +22,7 @@ import numpy as np
 from nmes.backend import Array, Quaternion, Vector
 from nmes.backend.rotation import multiply, normalize, quaternion_from_euler, rotate, total
 from nmes.errors import DocumentError
+from nmes.schemas.documents import did_you_mean, nor_at
 
 __all__ = ["MOST_CUBES", "grow"]
 
@@ -196,7 +197,12 @@ class _Plant:
         for i, connection in enumerate(graph.get("connections", ())):
             places += [(f"body/graph/connections/{i}/{end}", connection[end]) for end in ("from", "to")]
             self.growing.setdefault(connection["from"], []).append(connection)
-        problems += [(path, f"there is no part {name!r}") for path, name in places if name not in self.parts]
+        nowhere: dict[str, list[str]] = {}
+        for path, name in places:
+            if name not in self.parts:
+                nowhere.setdefault(name, []).append(path)
+        for name, (first, *others) in nowhere.items():
+            problems.append((first, f"there is no part {name!r}{nor_at(others)}{did_you_mean(name, self.parts)}"))
         if problems:
             raise DocumentError(problems)
 

@@ -381,7 +381,7 @@ LAYER = {"weights": [[1, 2, 3, 4, 5]] * 5, "biases": [0] * 5}
                 "links": [{"from": "hip", "to": "knee"}, {"from": "hip", "to": "hip"}],
             },
             {
-                "brain/links/0/to": "there is no motor with an oscillator 'knee'; there are hip, hip_left, hip_right",
+                "brain/links/0/to": "the motor 'knee' has no oscillator",
                 "brain/links/1": "links an oscillator with itself",
             },
         ),
