@@ -32,9 +32,12 @@ def replay_lines(report: ReplayReport) -> list[str]:
         lines = [f"reproduced{elsewhere}: {amount}, {speed}", *_fingerprint_lines(report.differences)]
     if report.divergence is not None:
         lines += _divergence_lines(report.divergence, f" (record {report.divergence.record})")
-    if report.damage is not None:
-        lines.append(f"{'incomplete' if report.cut else 'DAMAGED'}: {report.damage}")
-    return lines
+    if report.damage is None:
+        return lines
+    whole = f"{'incomplete' if report.cut else 'DAMAGED'}: {report.damage}"
+    if not report.ticks and not report.commands and report.divergence is None:
+        return [whole, "nothing that can be run comes before that"]
+    return [whole, f"before that: {lines[0]}", *lines[1:]]
 
 
 def log_lines(report: LogReport) -> list[str]:

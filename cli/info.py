@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,8 @@ from typing import Any
 import click
 from rich.filesize import decimal
 
-from nmes.cli._json import print_json
+from nmes.cli._columns import columns
+from nmes.cli._each_file import File, Finding, files_argument, judge_each, print_findings, worst
 from nmes.cli._output import check_output
 from nmes.errors import RecordingError, visible
 from nmes.recording import Recording
@@ -17,18 +19,19 @@ from nmes.recording import Recording
 __all__ = ["command", "open_recording"]
 
 _DIGITS = 19  # of a frame
+_HEADINGS = ("file", "world", "engine", "ticks", "duration", "commands", "size", "complete")
 
 
-def open_recording(_: click.Context, parameter: click.Parameter, value: str) -> Recording:
+def open_recording(context: click.Context, parameter: click.Parameter, value: str) -> Recording:
     """Opens the file that an argument names; one that cannot be read is wrong usage."""
     try:
         return Recording(value)
     except RecordingError as error:
-        raise click.BadParameter(error.message, param=parameter) from error
+        raise click.BadParameter(error.message, ctx=context, param=parameter) from error
 
 
 @click.command("info")
-@click.argument("recording", metavar="FILE", callback=open_recording)
+@files_argument(open_recording)
 @click.option(
     "--plot",
     "plot_to",
@@ -36,36 +39,60 @@ def open_recording(_: click.Context, parameter: click.Parameter, value: str) -> 
     help="Write score, height, energy and gait over time to an SVG, too.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
-def command(recording: Recording, plot_to: Path | None, as_json: bool) -> None:
+def command(files: list[File[Recording]], plot_to: Path | None, as_json: bool) -> None:
     """Show what a recording holds.
 
-    The world, its seed and engine, clients, commands by type, ticks and duration, and whether the file is whole.
+    The world, its seed and engine, clients, commands by type, ticks and duration, and whether the file is whole. Of
+    several files a table with a row each; as JSON one object, or a list of them.
+
+    Exit status: 0 shown, 2 wrong usage or no recording.
 
     For example:
 
     \b
         nmes info run.mcap
+        nmes info recordings/*.mcap
         nmes info run.mcap --plot run.svg
     """
-    check_output(plot_to, recording.path)
-    about = _about(recording)
+    check_output(plot_to, *(file.name for file in files))
+    findings = judge_each(files, _inspect)
     if plot_to is not None:
         from nmes.cli._recording_plot import plot_recordings  # its imports take long, and all commands import this
 
-        plot_recordings([recording], plot_to)
-    if as_json:
-        print_json(about)
-        return
-    rows = _rows(about)
-    width = max(len(visible(name)) for name, _ in rows)
-    for name, value in rows:
-        click.echo(f"{visible(name):<{width}}  {visible(value)}")
+        plot_recordings([file.open() for file in files], plot_to)
+    if as_json or len(files) == 1:
+        print_findings(findings, as_json)
+    else:
+        click.echo("\n".join(columns([_HEADINGS, *(_row(finding.report) for finding in findings)], right=(3, 4, 5, 6))))
+    sys.exit(worst(finding.status for finding in findings))
+
+
+def _inspect(recording: Recording) -> Finding:
+    about = _about(recording)
+    return Finding(about, columns([(visible(name), visible(value)) for name, value in _rows(about)]), 0)
+
+
+def _row(about: dict[str, Any]) -> tuple[str, ...]:
+    """Returns the row of one file, whose report may be no more than why it has none."""
+    file = visible(about["file"])
+    if "error" in about:
+        return (file, *[""] * (len(_HEADINGS) - 2), f"cannot be read: {visible(about['error'])}")
+    damage = about["damage"]
+    return (
+        file,
+        visible(f"{about['world']}, seed {about['seed']}"),
+        visible(about["fingerprint"]["backend"]),
+        f"{about['ticks']:,}",
+        f"{about['sim_seconds']:,.2f} s",
+        f"{sum(about['commands'].values()):,}",
+        decimal(about["size"]),
+        "yes" if damage is None else f"no: {visible(damage['message'])}",
+    )
 
 
 def _about(recording: Recording) -> dict[str, Any]:
     summary, damage, config = recording.summary(), recording.damage, recording.config
     return {
-        "file": str(recording.path),
         "world": config["name"],
         "seed": config["seed"],
         "config": config,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
@@ -16,6 +16,7 @@ from rich.console import Console
 from nmes.cli import _against, _drift
 from nmes.cli._address import split_address
 from nmes.cli._connection import connection_options, connector
+from nmes.cli._each_file import File, Finding, files_argument, judge_each, print_findings, worst
 from nmes.cli._json import print_json
 from nmes.cli._output import check_output
 from nmes.cli._progress import progress_bars
@@ -27,7 +28,6 @@ from nmes.playback.drift import measure_drift
 from nmes.playback.log import Log
 from nmes.playback.log_replay import replay_log
 from nmes.playback.remote import replay_remotely
-from nmes.playback.report import RunReport
 from nmes.recording import Recording
 
 __all__ = ["command"]
@@ -35,6 +35,10 @@ __all__ = ["command"]
 _LONG = 1 << 20  # bytes of recording from which on it is worth showing how far it is
 _TOLERANCE = 1e-6
 _STATUSES = {"reproduced": 0, "agrees": 0, "ran": 0, "diverged": 1, "not_comparable": 3}  # by verdict
+
+
+class _Unreadable(click.ClickException):
+    exit_code = 2
 
 
 def _open(context: click.Context, parameter: click.Parameter, value: str) -> Recording | Log:
@@ -45,13 +49,13 @@ def _open(context: click.Context, parameter: click.Parameter, value: str) -> Rec
             begins = file.read(64).lstrip()
         return Log(value) if begins.startswith(b"{") else open_recording(context, parameter, value)
     except OSError as error:
-        raise click.BadParameter(f"cannot read {value}: {error.strerror}", param=parameter) from error
+        raise click.BadParameter(f"cannot read {value}: {error.strerror}", ctx=context, param=parameter) from error
     except RecordingError as error:
-        raise click.BadParameter(error.message, param=parameter) from error
+        raise click.BadParameter(error.message, ctx=context, param=parameter) from error
 
 
 @click.command("replay")
-@click.argument("recording", metavar="FILE", callback=_open)
+@files_argument(_open)
 @click.option("--backend", metavar="NAME", help="Run it on this engine instead, and show how far each cube drifts.")
 @click.option("--plot", "plot_to", type=click.Path(dir_okay=False, path_type=Path), help="Write the drift to an SVG.")
 @click.option("--from", "first", type=click.IntRange(0), help="Begin at the last keyframe before this frame.")
@@ -65,7 +69,7 @@ def _open(context: click.Context, parameter: click.Parameter, value: str) -> Rec
 )
 @connection_options
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
-def command(recording: Recording | Log, **options: Any) -> None:
+def command(files: list[File[Recording | Log]], **options: Any) -> None:
     """Run a recording again and compare.
 
     The recorded commands and ticks are fed to a fresh world, and every tick's digest and every reply is compared with
@@ -86,35 +90,44 @@ def command(recording: Recording | Log, **options: Any) -> None:
     Equal digests are reproduced, on whatever machine. Where they differ, and engine or machine compute otherwise than
     those of the recording, the two are not comparable, and it is shown how far each cube drifts.
 
+    Several files get a line each, and one that cannot be read does not stop the others; as JSON one object, or a list
+    of them.
+
     Exit status: 0 reproduced, or equal answers; 1 diverged or different; 2 wrong usage or an unreadable file (for a
-    damaged file, after replaying what comes before the damage); 3 not comparable.
+    damaged file, after replaying what comes before the damage); 3 not comparable; of several files the worst, in the
+    order 1, 2, 3.
 
     For example:
 
     \b
         nmes replay run.mcap
+        nmes replay recordings/*.mcap
         nmes replay run.mcap --from 36000 --to 36600
         nmes replay run.mcap --backend pymunk --plot drift.svg
         nmes replay run.mcap --against 127.0.0.1:14000 --tolerance 1e-3
     """
     as_json: bool = options.pop("as_json")
     used = {name for name, value in options.items() if value is not None and value is not False}
-    if isinstance(recording, Log):
-        _check_log(used)
-        sys.exit(_run_log(recording, as_json))
     _check(options, used)
+    if not used & {"against", "backend"}:
+        several = len(files) > 1
+        findings = judge_each(files, lambda opened: _judge(opened, used, options["first"], options["last"], several))
+        print_findings(findings, as_json)
+        sys.exit(worst(finding.status for finding in findings))
+    if len(files) > 1:
+        raise click.UsageError("--against and --backend take one file")
+    recording = _recording(files[0].open(), used)
     check_output(options["plot_to"], recording.path)
     if options["against"] is not None:
         sys.exit(_run_remotely(recording, as_json, **options))
-    if options["backend"] is not None:
-        sys.exit(_run_elsewhere(recording, options["backend"], options["plot_to"], as_json))
-    sys.exit(_run(recording, as_json, options["first"], options["last"]))
+    sys.exit(_run_elsewhere(recording, options["backend"], options["plot_to"], as_json))
 
 
-def _check_log(used: set[str]) -> None:
-    """Refuses options that do not go with a log."""
-    if used:
-        raise click.UsageError("of the options, a log goes with --json only")
+def _recording(opened: Recording | Log, used: set[str]) -> Recording:
+    """Returns what was opened, with options that do not go with a log."""
+    if isinstance(opened, Log):
+        raise click.UsageError(f"{opened.path}: of the options, a log goes with --json only")
+    return opened
 
 
 def _check(options: dict[str, Any], used: set[str]) -> None:
@@ -133,21 +146,23 @@ def _check(options: dict[str, Any], used: set[str]) -> None:
         raise click.UsageError("--plot shows the drift between two engines: it needs --backend")
 
 
-def _run(recording: Recording, as_json: bool, first: int | None, last: int | None) -> int:
-    """Replays a recording, prints the report and returns the exit status."""
+def _judge(opened: Recording | Log, used: set[str], first: int | None, last: int | None, several: bool) -> Finding:
+    """Replays a recording or a log; of one of several that is not comparable here, no drift is told."""
+    if isinstance(opened, Log) and not used:
+        return _judge_log(opened)
+    recording = _recording(opened, used)
     with _progress(recording) as progress:
         report = replay(recording, progress=progress, first=first, last=last)
-    drift = None
-    if report.verdict == "not_comparable" and report.divergence is not None and not report.part:
+    lines, drift = replay_lines(report), None
+    if report.verdict == "not_comparable" and report.divergence is not None and not report.part and not several:
         with _progress(recording) as progress:
             drift = measure_drift(recording, recording.config["backend"], progress=progress)
-    if as_json:
-        _print_json(report, drift=None if drift is None else drift.to_json())
-    else:
-        _print_lines(replay_lines(report))
-        if drift is not None:
-            _drift.show(drift, _console())
-    return _status(report)
+        console = Console(highlight=False, markup=False, force_terminal=False)  # lines without marks for a terminal
+        with console.capture() as told:
+            _drift.show(drift, console)
+        lines += told.get().splitlines()
+    more = {} if several else {"drift": None if drift is None else drift.to_json()}
+    return Finding(report.to_json() | more, lines, _status(report))
 
 
 def _status(report: ReplayReport) -> int:
@@ -163,25 +178,19 @@ def _run_elsewhere(recording: Recording, backend: str, plot_to: Path | None, as_
     if plot_to is not None:
         _drift.plot(f"Drift of {report.backend} from the recording on {report.recorded}", report.cubes, plot_to)
     if as_json:
-        _print_json(report)
+        print_json({"file": str(recording.path)} | report.to_json())
     else:
         _drift.show(report, _console())
     return 0 if report.ended is None else 1
 
 
-def _run_log(log: Log, as_json: bool) -> int:
-    """Replays a log, prints the report and returns the exit status."""
+def _judge_log(log: Log) -> Finding:
     with _progress(log) as progress:
         try:
             report = replay_log(log, progress=progress)
         except RecordingError as error:
-            click.echo(visible(f"Error: {error}"), err=True)
-            return 2
-    if as_json:
-        _print_json(report)
-    else:
-        _print_lines(log_lines(report))
-    return _STATUSES[report.verdict]
+            raise _Unreadable(error.message) from error
+    return Finding(report.to_json(), log_lines(report), _STATUSES[report.verdict])
 
 
 def _run_remotely(
@@ -203,7 +212,7 @@ def _run_remotely(
             click.echo(visible(f"Error: {error}"), err=True)
             return 2
     if as_json:
-        _print_json(report)
+        print_json({"file": str(recording.path)} | report.to_json())
     else:
         _against.show(report, _console())
     return 0 if report.verdict == "equal" else 1
@@ -217,12 +226,3 @@ def _progress(recording: Recording | Log) -> Iterator[Callable[[int, int], None]
 
 def _console() -> Console:
     return Console(highlight=False, markup=False)
-
-
-def _print_lines(lines: Iterable[str]) -> None:
-    for line in lines:
-        click.echo(visible(line))
-
-
-def _print_json(report: RunReport, **more: Any) -> None:
-    print_json(report.to_json() | more)

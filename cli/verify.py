@@ -8,12 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import click
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from rich.filesize import decimal
 
 from nmes import protocol
-from nmes.cli._json import print_json
+from nmes.cli._each_file import File, Finding, files_argument, judge_each, print_findings, worst
 from nmes.cli.info import open_recording
-from nmes.errors import SigningError, visible
+from nmes.errors import SigningError
 from nmes.recording import Recording
 from nmes.recording.signing import check_signature, public_key
 
@@ -21,7 +22,7 @@ __all__ = ["command"]
 
 
 @click.command("verify")
-@click.argument("recording", metavar="FILE", callback=open_recording)
+@files_argument(open_recording)
 @click.option(
     "--verify-key",
     type=click.Path(exists=True, dir_okay=False, path_type=Path),
@@ -33,33 +34,39 @@ __all__ = ["command"]
     help="With --verify-key: the signature's file.  [default: FILE.sig]",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
-def command(recording: Recording, verify_key: Path | None, signature: Path | None, as_json: bool) -> None:
+def command(files: list[File[Recording]], verify_key: Path | None, signature: Path | None, as_json: bool) -> None:
     """Check that a recording is as it was written.
 
     Checks its structure, checksums, the hash chain over everything in it, and its end, and names the first record
     that is not as it was written. This says nothing of whether the run comes out the same: that is `nmes replay`.
+    Several files get a line each; as JSON one object, or a list of them.
 
-    Exit status: 0 sound, 1 cut, damaged or not signed by that key, 2 wrong usage or no recording at all.
+    Exit status: 0 sound, 1 cut, damaged or not signed by that key, 2 wrong usage or no recording at all; of several
+    files 1 if it is that of one, else 2.
 
     For example:
 
     \b
         nmes verify run.mcap
+        nmes verify recordings/*.mcap
         nmes verify run.mcap --verify-key ada-public.pem
     """
     if signature is not None and verify_key is None:
         raise click.UsageError("--signature needs --verify-key")
-    report = _check(recording, verify_key, signature)
-    if as_json:
-        print_json(report)
-    else:
-        for line in _lines(report):
-            click.echo(visible(line))
-    sys.exit(0 if report["verdict"] == "sound" and report["signed"] is not False else 1)
-
-
-def _check(recording: Recording, verify_key: Path | None, signature: Path | None) -> dict[str, Any]:
+    if signature is not None and len(files) > 1:
+        raise click.UsageError("--signature is that of one file; those of several lie beside them, as FILE.sig")
     key = public_key(verify_key) if verify_key is not None else None
+    findings = judge_each(files, lambda recording: _judge(recording, key, signature))
+    print_findings(findings, as_json)
+    sys.exit(worst(finding.status for finding in findings))
+
+
+def _judge(recording: Recording, key: Ed25519PublicKey | None, signature: Path | None) -> Finding:
+    report = _check(recording, key, signature)
+    return Finding(report, _lines(report), 0 if report["verdict"] == "sound" and report["signed"] is not False else 1)
+
+
+def _check(recording: Recording, key: Ed25519PublicKey | None, signature: Path | None) -> dict[str, Any]:
     began = time.perf_counter()
     damage = recording.damage
     wall_seconds = time.perf_counter() - began
