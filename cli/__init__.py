@@ -33,7 +33,7 @@ SUBCOMMANDS = {
     "evolve": "Evolve creatures, in runs that anyone can repeat.",
     "export": "Write recordings as data for other programs.",
     "fork": "Take the world out of a recording as it was at a frame.",
-    "genome": "Check, show and vary genomes.",
+    "genome": "List, check, show and vary genomes.",
     "info": "Show what a recording holds.",
     "leaderboard": "Keep a list of scores that are proved.",
     "learn": "Train a creature's brain, in runs that anyone can repeat.",

@@ -1,7 +1,8 @@
-"""`nmes genome`: check, show, expand, mutate, cross and compare the files of creatures, and give them brains."""
+"""`nmes genome`: list, begin, check, show, expand, vary and compare the files of creatures, and give them brains."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable
 from dataclasses import asdict
 from pathlib import Path
@@ -13,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from nmes.cli._columns import columns
 from nmes.cli._genomes import find_genomes
 from nmes.cli._json import print_json
 from nmes.cli._output import check_output, whole_file
@@ -20,6 +22,7 @@ from nmes.errors import DocumentError, VariationError, visible
 from nmes.genome import Genome
 from nmes.genome.body import Body
 from nmes.genome.genome import SHIPPED
+from nmes.schemas import load
 from nmes.schemas.documents import parse_document
 
 if TYPE_CHECKING:
@@ -41,11 +44,81 @@ _json = click.option("--json", "as_json", is_flag=True, help="Print it as JSON."
 
 @click.group("genome")
 def command() -> None:
-    """Check, show and vary genomes.
+    """List, check, show and vary genomes.
 
     FILE is a file, a directory (the *.json in it), a pattern such as 'creatures/*.json', or the name of a genome that
     ships with the package.
     """
+
+
+@command.command("list")
+@_json
+def list_shipped(as_json: bool) -> None:
+    """List the genomes that ship with the package.
+
+    For example:
+
+    \b
+        nmes genome list
+    """
+    about = [_about(Genome.load(name)) for name in Genome.names()]
+    if as_json:
+        print_json(about)
+        return
+    rows = [("genome", "size (m)", "mass (kg)", "cubes", "motors", "sensors", "brain")]
+    for each in about:
+        size = " x ".join(f"{edge:.2f}" for edge in each["size"])
+        counts = (str(len(each[kind])) for kind in ("cubes", "motors", "sensors"))
+        rows.append((each["name"], size, f"{each['mass']:.3g}", *counts, each["brain"] or "none"))
+    click.echo("\n".join(columns(rows, right=(2, 3, 4, 5))))
+
+
+_new_file = click.argument("target", metavar="FILE", type=click.Path(dir_okay=False, path_type=Path))
+
+
+@command.command("new")
+@_new_file
+def new(target: Path) -> None:
+    """Write a small creature to begin from: two cubes, a joint with a motor, and a brain.
+
+    It is the worked example of docs/genomes.md, which tells what each part of it means. FILE must not be there yet; its
+    name becomes the creature's.
+
+    For example:
+
+    \b
+        nmes genome new hopper.json
+    """
+    _write_named(target, load("genome.json")["examples"][0])
+
+
+@command.command("copy")
+@click.argument("source", metavar="GENOME")
+@_new_file
+def copy(source: str, target: Path) -> None:
+    """Write a genome to a new file, under the name of that file, to change it there.
+
+    GENOME is a file, or the name of one that ships. The copy names it as its parent.
+
+    For example:
+
+    \b
+        nmes genome copy walker mine.json
+    """
+    original = _load(source)
+    _write_named(target, {**original.document, "parents": [original.hash]})
+
+
+def _write_named(target: Path, document: dict[str, Any]) -> None:
+    """Writes a genome to a file that is not there yet, under the file's name."""
+    if os.path.lexists(target):
+        raise click.UsageError(f"there is {target} already: name a file that is not there yet")
+    try:
+        genome = Genome({**document, "name": target.name.removesuffix(".json")})
+    except DocumentError as error:
+        raise click.UsageError(f"the file's name becomes the creature's: {error.message}") from error
+    _write_document(target, genome.document)
+    click.echo(f"wrote {visible(str(target))}: {visible(genome.name)}")
 
 
 @command.command("check")
