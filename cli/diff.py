@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 import click
+import orjson
 from rich.console import Console
 from rich.table import Table
 
@@ -15,7 +16,7 @@ from nmes.cli._json import print_json
 from nmes.cli._output import check_output
 from nmes.cli.info import open_recording
 from nmes.errors import visible
-from nmes.playback.diff import Comparison, compare
+from nmes.playback.diff import Comparison, compare, excerpts
 from nmes.recording import Recording
 
 __all__ = ["command"]
@@ -35,8 +36,8 @@ _CUBES = 20  # rows of the table: those that come apart most
 def command(first: Recording, second: Recording, plot_to: Path | None, keep_going: bool, as_json: bool) -> None:
     """Compare two recordings.
 
-    Shows the first input that is not the same, the first tick after which the worlds are not, with the value that
-    differs most, and how far each cube comes apart.
+    Shows the first input that is not the same, with the field that differs, the first tick after which the worlds are
+    not, with the value that differs most, and how far each cube comes apart.
 
     Exit status: 0 the same, 1 not, 2 wrong usage or an unreadable file.
 
@@ -62,6 +63,9 @@ def _show(comparison: Comparison, console: Console) -> None:
         console.print("inputs: the same")
     else:
         console.print(f"inputs part after {inputs.ticks:,} ticks")
+        if inputs.field is not None:
+            one, other = excerpts(*(orjson.dumps(value).decode() for value in inputs.values))
+            console.print(visible(f"  {inputs.field}: A {one}, B {other}"))
         console.print(f"  A: {visible(inputs.first)}")
         console.print(f"  B: {visible(inputs.second)}")
     if states is None:
@@ -70,7 +74,8 @@ def _show(comparison: Comparison, console: Console) -> None:
     console.print(f"states part at tick {states.tick:,} (A has {comparison.ticks[0]:,}, B has {comparison.ticks[1]:,})")
     if states.field is not None:
         where = states.field if states.cube is None else f"cube {states.cube}: {states.field}"
-        console.print(visible(f"  {where}: A {states.first}, B {states.second}"))
+        one, other = excerpts(str(states.first), str(states.second))
+        console.print(visible(f"  {where}: A {one}, B {other}"))
     if comparison.drifts:
         worst = {name: max(drift.distance for drift in line) for name, line in comparison.drifts.items()}
         table = Table("cube", "apart at last (m)", "at most (m)", "turned", box=None, pad_edge=False)

@@ -16,25 +16,36 @@ from itertools import islice, zip_longest
 from typing import Any
 
 from nmes.backend.rotation import angle_between
+from nmes.playback.divergence import json_difference, message_or_text
 from nmes.playback.drift import Drift
 from nmes.playback.export import COLUMNS
 from nmes.playback.watch import States, states
 from nmes.recording import Kind, Recording
 
-__all__ = ["Comparison", "InputsPart", "StatesPart", "compare"]
+__all__ = ["Comparison", "InputsPart", "StatesPart", "compare", "excerpts"]
 
 _INPUTS = {Kind.JOINED, Kind.LEFT, Kind.COMMAND, Kind.REFUSED}
 _SAMPLES = 10  # Hz: how often the distance of cubes is noted
-_SHOWN = 300  # characters of an input
+_SHOWN, _HEAD, _BEFORE = 300, 60, 60  # characters of an input: in all, its first, and those before a difference
 
 
 @dataclass(frozen=True, slots=True)
 class InputsPart:
-    """The first inputs that are not the same: after how many ticks, and the input of each recording in words."""
+    """The first inputs that are not the same.
+
+    Attributes:
+        ticks: After how many ticks.
+        first: The input of the first recording in words; of a long one what stands around the difference.
+        second: That of the second.
+        field: Of two commands of one client, the path of the first field in which they differ.
+        values: That field's value in each; None where it is not there.
+    """
 
     ticks: int
     first: str
     second: str
+    field: str | None = None
+    values: tuple[Any, Any] = (None, None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +156,7 @@ def _inputs(recording: Recording, skip: int) -> Iterator[_Input]:
 def _inputs_part(first: Iterator[_Input], second: Iterator[_Input], ticks: int) -> InputsPart | None:
     for one, other in zip_longest(first, second):
         if one != other:
-            return InputsPart(ticks, _described(one), _described(other))
+            return InputsPart(ticks, *excerpts(_described(one), _described(other)), *_field(one, other))
         ticks += one is not None and one[0] == "tick"
     return None
 
@@ -157,7 +168,33 @@ def _described(item: _Input | None) -> str:
     if kind == "tick":
         return "a tick"
     text = data.decode(errors="replace")
-    return f"client {client} {kind}" + (f" {text[:_SHOWN]}" if kind in ("command", "refused") else "")
+    return f"client {client} {kind}" + (f" {text}" if kind in ("command", "refused") else "")
+
+
+def _field(one: _Input | None, other: _Input | None) -> tuple[str | None, tuple[Any, Any]]:
+    """Returns the path of the first field in which two commands differ, and its values."""
+    if one is None or other is None or one[:2] != other[:2] or one[0] != Kind.COMMAND:
+        return None, (None, None)
+    difference = json_difference(message_or_text(one[2]), message_or_text(other[2]))
+    if difference is None or not difference.field:
+        return None, (None, None)  # they are written otherwise, and mean the same; or one is no object
+    return difference.field, (difference.expected, difference.actual)
+
+
+def excerpts(first: str, second: str) -> tuple[str, str]:
+    """Cuts two texts that differ down to what stands around their first difference, where they are long."""
+    if max(len(first), len(second)) <= _SHOWN:
+        return first, second
+    same = next((i for i, (one, other) in enumerate(zip(first, second, strict=False)) if one != other), None)
+    start = max(0, (min(len(first), len(second)) if same is None else same) - _BEFORE)
+    head = min(_HEAD, start)  # by which it is known what it is
+    return _cut(first, head, start), _cut(second, head, start)
+
+
+def _cut(text: str, head: int, start: int) -> str:
+    end = start + _SHOWN - head
+    between = "" if head == start else "..."
+    return f"{text[:head]}{between}{text[start:end]}{'...' if end < len(text) else ''}"
 
 
 def _states_part(tick: int, one: States, other: States) -> StatesPart:

@@ -76,7 +76,7 @@ def test_the_first_difference_of_states_is_shown_with_its_size(tmp_path: Path) -
     assert comparison.drifts["pushed"][-1].time == 0.5
     code, output = run("diff", tmp_path / "a.mcap", tmp_path / "b.mcap", "--plot", tmp_path / "x.svg")
     assert code == 1
-    assert "inputs part after 7 ticks\n  A: client 1 command" in output
+    assert "inputs part after 7 ticks\n  force/0: A 3.0, B 4.0\n  A: client 1 command" in output
     assert "states part at tick 8 (A has 30, B has 30)\n  cube pushed: linear_x: A " in output
     lines = output.splitlines()
     assert lines[-2].startswith("pushed ") and lines[-1].startswith("still ")
@@ -85,9 +85,62 @@ def test_the_first_difference_of_states_is_shown_with_its_size(tmp_path: Path) -
     assert code == 1 and json.loads(output) == json.loads(json.dumps(comparison.to_json()))
 
 
+def spawned(mass: float, model: str = "") -> Play:
+    """Returns a play in which a creature of many cubes comes, of which one has this mass."""
+    cubes = [{"id": f"c{i}", "size": 0.1, "mass": 1, "position": [0, 1 + 0.1 * i, 0]} for i in range(20)]
+    cubes[17]["mass"] = mass
+    joints = [
+        {"id": f"j{i}", "cube1": f"c{i}", "cube2": f"c{i + 1}", "type": "fixed", "anchor": [0, 1, 0]} for i in range(19)
+    ]
+    genome = {
+        "format": "nmes-genome/1",
+        "name": "pile",
+        "description": model,
+        "body": {"cubes": cubes, "joints": joints},
+    }
+
+    def play(world: World, client: int) -> None:
+        send(world, client, type="spawn_creature", genome=genome)
+        send(world, client, type="step")
+
+    return play
+
+
+def test_the_field_of_a_long_command_that_differs_is_named(tmp_path: Path) -> None:
+    part = compared(tmp_path, spawned(1), spawned(2)).inputs
+    assert (part.field, part.values) == ("genome/body/cubes/17/mass", (1, 2))
+    assert part.first != part.second and len(part.first) < 400 > len(part.second)
+    output = run("diff", tmp_path / "a.mcap", tmp_path / "b.mcap")[1]
+    assert "inputs part after 0 ticks\n  genome/body/cubes/17/mass: A 1, B 2\n  A: client 1 command " in output
+    lines = output.splitlines()
+    assert '"mass":1' in lines[2] and '"mass":2' in lines[3]
+
+
+def test_of_long_texts_what_stands_around_the_difference_is_shown(tmp_path: Path) -> None:
+    one, other = "a" * 3000 + "b" + "a" * 3000, "a" * 3000 + "c" + "a" * 3000
+    part = compared(tmp_path, spawned(1, one), spawned(1, other)).inputs
+    assert part.field == "genome/description" and part.values == (one, other)
+    (line,) = [
+        line
+        for line in run("diff", tmp_path / "a.mcap", tmp_path / "b.mcap")[1].splitlines()
+        if line.startswith("  genome/description: ")
+    ]
+    assert "ab" in line and "ac" in line and len(line) < 700
+
+
+def test_commands_of_two_types_differ_in_their_type(tmp_path: Path) -> None:
+    def waiting(world: World, client: int) -> None:
+        send(world, client, type="step")
+
+    part = compared(tmp_path, spawned(1), waiting).inputs
+    assert (part.field, part.values) == ("type", ("spawn_creature", "step"))
+    assert json.loads(run("diff", tmp_path / "a.mcap", tmp_path / "b.mcap", "--json")[1])["inputs"]["field"] == "type"
+
+
 def test_one_ends_before_the_other(tmp_path: Path) -> None:
     comparison = compared(tmp_path, pushed(2, 1.0), pushed(2, 1.0, ticks=20))
     assert (comparison.inputs.ticks, comparison.inputs.second) == (20, "the end")
+    assert comparison.inputs.field is None
     assert comparison.states.tick == 21 and comparison.states.field is None
 
 
