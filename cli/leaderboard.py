@@ -149,16 +149,18 @@ def show(file: Path, task: str | None, top: int | None, broken: bool, as_json: b
     \b
         nmes leaderboard show board.sqlite --task walk --top 10
     """
-    entries = _open(file).entries(task=task, top=top, broken=broken)
+    board = _open(file)
+    entries = board.entries(task=task, top=top, broken=broken)
+    units = board.units(entries)
     if as_json:
-        print_json([entry.to_json() for entry in entries])
+        print_json([{**entry.to_json(), "unit": units[entry.task_hash]} for entry in entries])
     else:
-        click.echo("\n".join(_lines(entries)))
+        click.echo("\n".join(_lines(entries, units)))
 
 
-def _lines(entries: list[Entry]) -> list[str]:
+def _lines(entries: list[Entry], units: dict[str, str]) -> list[str]:
     """Lays the entries out in columns."""
-    rows = [("task", "", "score", "genome", "hash", "author", "recording", "recorded")]
+    rows = [("task", "", "score", "", "genome", "hash", "author", "recording", "recorded")]
     rank, of = 0, ""
     for entry in entries:
         rank, of = (rank + 1 if entry.task_hash == of else 1), entry.task_hash
@@ -168,6 +170,7 @@ def _lines(entries: list[Entry]) -> list[str]:
                 visible(f"{entry.task_title} {of[:16]}"),
                 str(rank),
                 f"{entry.score:.6g}",
+                visible(units[entry.task_hash]),
                 visible(name),
                 entry.genome_hash[:16],
                 visible(entry.signed_author),

@@ -42,10 +42,10 @@ def command(name: str | None, as_json: bool) -> None:
     if as_json:
         print_json([task.document for task in tasks])
         return
-    table = Table("task", "engine", "seconds", "seeds", "objective", box=None, pad_edge=False)
+    table = Table("task", "engine", "seconds", "seeds", "unit", "objective", box=None, pad_edge=False)
     for task in tasks:
         engine = task.world_config(task.seeds[0])["backend"]
-        table.add_row(task.name, engine, f"{task.duration:g}", str(len(task.seeds)), task.objective.text)
+        table.add_row(task.name, engine, f"{task.duration:g}", str(len(task.seeds)), task.unit, task.objective.text)
     Console(highlight=False, markup=False).print(table)
 
 
@@ -57,6 +57,7 @@ def _show(task: Task) -> None:
     table.add_row("task", task.name)
     table.add_row("asked", visible(task.description, keep="\n"))
     table.add_row("objective", visible(task.objective.text, keep="\n"))
+    table.add_row("unit of scores", visible(task.unit) or "none")
     for title, condition in task.ends:
         table.add_row(f"ends: {title}", visible(condition.text, keep="\n"))
     table.add_row("lasts", f"{task.duration:g} s, after {document['settle']:g} s to settle")

@@ -28,7 +28,7 @@ from nmes.genome import Genome
 from nmes.genome.body import Body, BodyJoint
 from nmes.schemas.documents import parse_document
 
-__all__ = ["author_forms", "borrows_name", "creature_hash", "shipped_hash"]
+__all__ = ["author_forms", "borrows_name", "creature_hash", "shipped_hash", "shipped_task"]
 
 _DIGITS: Final = 9  # behind the point: what differs by less is the same
 _AXES: Final = {"hinge": (0.0, 0.0, 1.0), "slide": (1.0, 0.0, 0.0)}  # of joints that name none
@@ -134,12 +134,15 @@ def _rounded(value: Any) -> Any:
 
 
 @cache
+def shipped_task(name: str) -> Task:
+    """Returns the task of that name that ships with the package, of which there must be one."""
+    # Not Task.load, to which a file of that name comes first.
+    return Task(parse_document((files(SHIPPED.package) / SHIPPED.folder / f"{name}.json").read_bytes()))
+
+
 def shipped_hash(task: str) -> str | None:
     """Returns the hash of the task of that name that ships with the package; None if there is none."""
-    if task not in Task.names():
-        return None
-    # Not Task.load, to which a file of that name comes first.
-    return Task(parse_document((files(SHIPPED.package) / SHIPPED.folder / f"{task}.json").read_bytes())).hash
+    return shipped_task(task).hash if task in Task.names() else None
 
 
 def borrows_name(task: str, task_hash: str) -> bool:

@@ -29,13 +29,14 @@ from typing import TYPE_CHECKING, Any
 
 import orjson
 
-from nmes.errors import LeaderboardError
-from nmes.evaluation.identity import author_forms, borrows_name, shipped_hash
+from nmes.errors import LeaderboardError, NmesError
+from nmes.evaluation.identity import author_forms, borrows_name, shipped_hash, shipped_task
 from nmes.evaluation.leaderboard_entry import COLUMNS, Entry, Verdict, examine, facts, read_row
 from nmes.evaluation.parallel import Lost, in_processes
-from nmes.evaluation.proof import recorded_genome
+from nmes.evaluation.proof import recorded_episode, recorded_genome
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
+from nmes.recording import Recording
 from nmes.recording.signing import SUFFIX
 
 if TYPE_CHECKING:
@@ -243,6 +244,27 @@ class Leaderboard:
         if genome.hash != entry.genome_hash:
             raise LeaderboardError("changed", f"the recordings of {entry.name!r} are of another genome")
         return genome
+
+    def units(self, entries: Iterable[Entry]) -> dict[str, str]:
+        """Returns the units of scores by the hashes of the tasks of some entries.
+
+        Of a task that ships it is its own, else what a recording of the first of its entries says: a unit is for
+        people, and proves nothing. Empty where there is none, or where that recording cannot be read.
+        """
+        units: dict[str, str] = {}
+        for entry in entries:
+            if entry.task_hash not in units:
+                units[entry.task_hash] = self._unit(entry)
+        return units
+
+    def _unit(self, entry: Entry) -> str:
+        if entry.task_hash == shipped_hash(entry.task):
+            return shipped_task(entry.task).unit
+        try:
+            task = recorded_episode(Recording(self.recording(entry.recordings[0])))[0]
+        except NmesError:
+            return ""
+        return task.unit if task.hash == entry.task_hash else ""
 
     def recording(self, recording_hash: str) -> Path:
         """Returns the path of the recording with this hash."""

@@ -29,7 +29,7 @@ from nmes.recording import Kind, Recording
 from nmes.schemas.documents import parse_document
 from nmes.world import World
 
-__all__ = ["Course", "Proof", "prove", "recorded_genome", "retrace", "scores_so_far"]
+__all__ = ["Course", "Proof", "prove", "recorded_episode", "recorded_genome", "retrace", "scores_so_far"]
 
 _MOST = 2**26  # numbers of a course that is kept: half a gigabyte
 
@@ -88,7 +88,7 @@ def recorded_genome(recording: str | os.PathLike[str]) -> Genome:
     Raises:
         RecordingError, ProofError, DocumentError: As by `prove`.
     """
-    return _recorded_episode(Recording(recording))[1]
+    return recorded_episode(Recording(recording))[1]
 
 
 def _closed(source: Recording) -> str:
@@ -155,7 +155,7 @@ def retrace(recording: str | os.PathLike[str]) -> Course:
             came to rest or nobody drove it (`nothing_to_export`), or more than half a gigabyte (`too_long`).
     """
     source, log = Recording(recording), _Log()
-    task, genome, _seed = _recorded_episode(source)
+    task, genome, _seed = recorded_episode(source)
     numbers = task.ticks * (len(genome.body.sensors) + len(genome.body.motors))
     if numbers > _MOST:
         what = f"{recording}: its task's episodes have up to {numbers:,} readings and controls"
@@ -194,7 +194,7 @@ def _check(recording: Recording, brain: bool, log: _Log | None = None) -> tuple[
     Raises:
         ProofError, DocumentError, MissingPackage: As by `prove`.
     """
-    task, genome, seed = _recorded_episode(recording)
+    task, genome, seed = recorded_episode(recording)
     if recording.config != protocol.complete_config(task.world_config(seed)):
         raise ProofError("diverged", f"{recording.path}, frame 0: the world is not the task's")
     driver = brain_of(genome) if brain else None
@@ -224,7 +224,7 @@ def _computes_otherwise(recording: Recording, genome: Genome) -> bool:
     return bool(differences) or genome.document["brain"]["kind"] == "onnx"
 
 
-def _recorded_episode(recording: Recording) -> tuple[Task, Genome, int]:
+def recorded_episode(recording: Recording) -> tuple[Task, Genome, int]:
     """Returns the task, the creature and the seed that a recording says it is of.
 
     Raises:

@@ -37,7 +37,7 @@ from nmes.schemas.documents import (
     plain,
 )
 
-__all__ = ["CREATURE", "SHIPPED", "Limits", "Place", "Task"]
+__all__ = ["CREATURE", "SHIPPED", "Limits", "Place", "Task", "task_identity"]
 
 SHIPPED: Final = ShippedDocuments("task", "nmes.evaluation", "tasks")
 """The tasks that ship with the package."""
@@ -121,8 +121,9 @@ class Task:
         objective: What an episode is worth.
         ends: What ends an episode early, and what it is called then.
         duty: Whether episodes tell `Result.duty` too: no part of the document, since it changes nothing else.
-        hash: SHA-256 of the document, defaults filled in, in canonical form, 64 hexadecimal digits: equal documents
-            (up to white space, the order of keys, `10.0` for `10` and defaults) have equal hashes.
+        unit: The unit of a score, for people; empty where it has none.
+        hash: SHA-256 of the document but for the unit, defaults filled in, in canonical form, 64 hexadecimal digits:
+            equal documents (up to white space, the order of keys, `10.0` for `10` and defaults) have equal hashes.
     """
 
     def __init__(self, document: Mapping[str, Any]) -> None:
@@ -149,7 +150,8 @@ class Task:
             for end, condition in zip(document["ends"], conditions, strict=True)
             if isinstance(condition, Condition)
         )
-        self.hash = canonical_hash(document)
+        self.unit: str = document.get("unit", "")
+        self.hash = canonical_hash(task_identity(document))
         self.duty = False
         ticks = self.settle_ticks + self.ticks
         for count, most, what in ((ticks, _TICKS, "ticks"), (ticks * self._config["substeps"], _STEPS, "engine steps")):
@@ -406,6 +408,11 @@ def _top(root: Array, size: Vector) -> Vector:
     quaternion: Quaternion = (turn[0], turn[1], turn[2], turn[3])
     up = total(abs(rotate(quaternion, axis)[1]) * edge / 2.0 for axis, edge in zip(_UNITS, size, strict=True))
     return x, y + up, z
+
+
+def task_identity(document: Mapping[str, Any]) -> JsonObject:
+    """Returns what of a task's document it is known by: all but the unit, which changes no figure."""
+    return {name: value for name, value in document.items() if name != "unit"}
 
 
 _UNITS: tuple[Vector, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))

@@ -31,6 +31,7 @@ from nmes.errors import DocumentError, RunError
 from nmes.evaluation.evaluator import Evaluation
 from nmes.evaluation.parallel import Pool
 from nmes.evaluation.queue import EvaluationQueue
+from nmes.evaluation.task import task_identity
 from nmes.evolution.algorithm import Algorithm, Candidate, Score
 from nmes.evolution.run_entry import Entry, told
 from nmes.evolution.run_index import IndexWriter, Record, RunIndex, State
@@ -87,6 +88,7 @@ class Run:
         self.fingerprint: dict[str, str] = document.get("fingerprint", {})
         self._document = document
         decisive = {name: value for name, value in document.items() if name not in ("budget", "fingerprint")}
+        decisive["task"] = task_identity(document["task"])
         self._log = RunLog(folder / "log.jsonl", canonical_hash(decisive))
         self._index = RunIndex(folder / "index.sqlite")
         self._expressions = self.settings.expressions()

@@ -19,6 +19,7 @@ from nmes.backend.fingerprint import fingerprint
 from nmes.errors import DocumentError, NmesError
 from nmes.evaluation import Task
 from nmes.evaluation.population import admit
+from nmes.evaluation.task import task_identity
 from nmes.evolution.algorithm import Algorithm, Measure, Problem
 from nmes.evolution.algorithms import algorithm_options, load_algorithm
 from nmes.evolution.draw import Draw
@@ -147,7 +148,9 @@ class RunSettings:
     @property
     def hash(self) -> str:
         """SHA-256 of what decides the run's history: the document in canonical form without the budget."""
-        return canonical_hash({name: value for name, value in self.document.items() if name != "budget"})
+        decisive = {**self.document, "task": task_identity(self.task.document)}
+        del decisive["budget"]
+        return canonical_hash(decisive)
 
     @property
     def problem(self) -> Problem:

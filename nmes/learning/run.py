@@ -26,6 +26,7 @@ import orjson
 
 from nmes.backend.fingerprint import differences
 from nmes.errors import DocumentError, RunError
+from nmes.evaluation.task import task_identity
 from nmes.evolution.run_log import Line, RunLog, RunWriter, write_whole
 from nmes.genome import Genome
 from nmes.learning.legs import Learning
@@ -94,6 +95,7 @@ class LearningRun:
         self.settings = LearningSettings.reopen(document)
         self.fingerprint: dict[str, str] = document.get("fingerprint", {})
         decisive = {name: value for name, value in document.items() if name not in ("fingerprint", "recordings")}
+        decisive["task"] = task_identity(document["task"])
         self._log = RunLog(folder / "log.jsonl", canonical_hash(decisive))
         self.legs: list[Leg] = []
         self._read()

@@ -259,3 +259,15 @@ def test_an_extra_that_is_missing_is_named(tmp_path: Path) -> None:
     result = subprocess.run([*arguments, "-o", str(tmp_path / "run")], capture_output=True, text=True)
     assert result.returncode == 1 and "pip install 'nmes[evolve]'" in result.stderr, result.stderr
     assert not (tmp_path / "run").exists()
+
+
+def test_the_unit_of_a_task_changes_no_digest(tmp_path: Path) -> None:
+    digests = []
+    for name, more in (("with", {"unit": "m"}), ("without", {})):
+        (tmp_path / f"{name}.json").write_text(json.dumps({**TASK, **more}))
+        task, folder = str(tmp_path / f"{name}.json"), str(tmp_path / name)
+        options = ["--task", task, "--budget", "2", "--jobs", "1", "--json", "-o", folder]
+        done = CliRunner().invoke(main, ["evolve", "inchworm", *options])
+        assert done.exit_code == 0, done.output
+        digests.append(json.loads(done.stdout)["digest"])
+    assert digests[0] == digests[1]

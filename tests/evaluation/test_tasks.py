@@ -109,6 +109,21 @@ def test_a_mistake_in_a_task_has_a_path(changed: dict[str, Any], place: str, wor
     assert path == place and word in message
 
 
+def test_a_unit_is_told_and_makes_no_other_task(tmp_path: Path) -> None:
+    metres = Task({**PLAIN, "unit": "m"})
+    assert (metres.unit, Task(PLAIN).unit) == ("m", "")
+    assert metres.hash == Task(PLAIN).hash == Task({**PLAIN, "unit": "ft"}).hash
+    assert metres.document["unit"] == "m"
+    units = {name: Task.load(name).unit for name in TEN}
+    assert units == dict.fromkeys(TEN, "m") | {"pole": "s", "reach": ""}
+    (tmp_path / "sprint.json").write_text(json.dumps({**PLAIN, "unit": "furlong"}))
+    shown = CliRunner().invoke(main, ["tasks", str(tmp_path / "sprint.json")]).stdout
+    assert "unit of scores  furlong" in shown
+    for unit in ("", "m\n", "x" * 17, 3):
+        with pytest.raises(DocumentError, match="a unit of 1 to 16 printable characters"):
+            Task({**PLAIN, "unit": unit})
+
+
 def test_an_unknown_task_is_answered_with_the_nearest_name(tmp_path: Path) -> None:
     with pytest.raises(DocumentError, match=r"no task 'wlak'.*did you mean walk"):
         Task.load("wlak")
