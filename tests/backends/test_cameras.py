@@ -6,6 +6,7 @@ import base64
 import math
 import struct
 import zlib
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -136,12 +137,47 @@ def test_touching_cubes_of_one_color_show_where_one_ends(studio: Place, frozen: 
     studio("despawn_cube", cube_name="green")
     for z in (-1, 0, 1):
         studio.spawn(f"part{z}", [4, 5, z], color=green, is_base=frozen)
-    lines = [column for column, value in enumerate(row()) if value < 60]
-    assert len(lines) == 2 and lines[1] - lines[0] == pytest.approx(60 / 3.5 / (2 * math.tan(0.4)), abs=1.5)
+    dark = [column for column, value in enumerate(row()) if value < 60]
+    lines = [column for column in dark if column - 1 not in dark]  # where each begins: it is a pixel or two wide
+    assert len(lines) == 2 and len(dark) <= 4
+    assert lines[1] - lines[0] == pytest.approx(60 / 3.5 / (2 * math.tan(0.4)), abs=1.5)
     for z in (-1, 0, 1):
         studio("despawn_cube", cube_name=f"part{z}{'_BASE' * frozen}")
     studio.spawn("whole", [4, 5, 0], size=[1, 1, 3], color=green, is_base=frozen)
     assert min(row()) > 60
+
+
+def from_above(scene: Reply, height: float, width: int = 81) -> npt.NDArray[np.int_]:
+    """Returns how green the pixels are along x, seen straight from above in the middle of a scene."""
+    place = Place(gravity=[0, 0, 0], scene=scene)
+    place.spawn("eye", [0, height, 0], size=0.01)
+    place("step")
+    view = {"width": width, "height": 9, "fov": 0.1, "position": [0, -0.1, 0], "rotation": [-math.pi / 2, 0, 0]}
+    return pixels(place("get_camera", cube_name="eye", **view))[4, :, 1].astype(int)
+
+
+def test_steps_of_stairs_are_of_two_tones(studio: Place) -> None:
+    stairs = {"type": "stairs", "position": [-2, 0, 0], "length": 4, "width": 2, "height": 0.4, "steps": 4}
+    row = from_above({"obstacles": [stairs]}, 10)  # nine pixels a step
+    tones = [int(row[40 + middle]) for middle in (-13, -4, 4, 13)]
+    assert all(abs(one - other) > 15 for one, other in pairwise(tones))
+    assert abs(tones[0] - tones[2]) < 10 and abs(tones[1] - tones[3]) < 10
+
+
+def test_gaps_are_dark_and_the_ground_is_light(studio: Place) -> None:
+    gap = {"type": "gap", "position": [0, 0, 0], "length": 2, "width": 100, "depth": 2}
+    row = from_above({"obstacles": [gap]}, 10, 45)
+    ground, bottom = np.concatenate([row[:12], row[-12:]]), row[20:25]
+    assert ground.min() > 130 and bottom.max() < 0.6 * ground.min()
+
+
+def test_the_sky_round_planets_has_no_horizon(studio: Place) -> None:
+    place = Place(scene={"type": "planets", "planets": {"count": 1}}, gravity=[0, 0, 0])
+    place.spawn("eye", [0, 500, 0])
+    place("step")
+    view = {"width": 9, "height": 64, "fov": 2.5, "position": [0, 5, 0]}
+    sky = pixels(place("get_camera", cube_name="eye", **view))[:48, 4].astype(int)
+    assert np.ptp(sky, axis=0).max() < 50 and sky.max() < 90
 
 
 def test_pictures_are_right_after_changes_of_structure_and_beside_other_worlds(studio: Place) -> None:
