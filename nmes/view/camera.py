@@ -26,6 +26,8 @@ _CALM = 0.4  # s before and after a moment, over which a camera that follows smo
 _ROUND = 24.0  # s that an orbit takes
 _NEAREST = 1.0  # m: the smallest radius that is looked at
 _MOVES, _BESIDE = 0.02, 1.5  # m: how far a cube gets that moves; how near to it a neighbour is
+_NEAR = 6.0  # m: how near a creature's target is to what is looked at, to be looked at too
+_MARK = 0.6  # m: how much room its flag takes
 _FLAT = 1e-9  # m, and parts of a quaternion: a world in which nothing leaves the plane by more is planar
 
 
@@ -92,7 +94,8 @@ def _looked_at(moments: Sequence[Moment], target: str | None) -> set[str]:
 def _middles(moments: Sequence[Moment], names: set[str]) -> tuple[Array, Array]:
     """Returns the middle of some cubes at each moment, and how far they reach from there, m.
 
-    Where none of them is there, they are as at the moment before.
+    The targets of creatures belong to them where they are near. Where no cube is there, they are as at the moment
+    before.
     """
     middles, radii = np.zeros((len(moments), 3)), np.full(len(moments), _NEAREST)
     last = -1
@@ -101,6 +104,9 @@ def _middles(moments: Sequence[Moment], names: set[str]) -> tuple[Array, Array]:
         if rows:
             places = moment.poses[rows, :3]
             halves = [hypot(*size) / 2.0 for name, (size, _) in moment.shapes.items() if name in names]
+            targets = np.array(moment.targets).reshape(-1, 3)
+            near = targets[np.linalg.norm(targets - places.mean(axis=0), axis=1) < _NEAR]
+            places, halves = np.concatenate([places, near]), halves + [_MARK] * len(near)
             middles[i] = (places.min(axis=0) + places.max(axis=0)) / 2.0
             radii[i] = (np.linalg.norm(places - middles[i], axis=1) + halves).max()
             if last < 0:

@@ -18,13 +18,14 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image
 
 from nmes.backend import CameraSpec
 from nmes.backend import Image as Pixels
 from nmes.errors import FilmError, MissingPackage
 from nmes.recording import Recording
 from nmes.view.camera import Way, cameras
+from nmes.view.caption import Caption
 from nmes.view.moments import Moment, moments
 from nmes.view.stage import Stage
 
@@ -70,13 +71,15 @@ def film(
 ) -> None:
     """Makes a film (`.mp4`, `.gif`) of recordings, or a picture (`.png`) of their last moments.
 
-    Several recordings are shown side by side in a grid, each with its title; one that ends earlier stands still.
+    Several recordings are shown side by side in a grid; one that ends earlier stands still. A line over each says what
+    it is.
 
     Args:
         recordings: The recordings.
         path: The file; its ending decides the format.
         cut: The part of each that is shown, and how the camera moves.
-        titles: One a recording; None: the names of their files where there are several.
+        titles: One a recording, told beside its time; None: the genome, task, seed and score of an episode, else the
+            name of the file. An empty one leaves the picture as it is.
         fps: Pictures a second, of an `.mp4` or `.gif`.
         size: Width and height of the whole picture, pixels.
         progress: Called with what is being done, how much of it is done, and how much there is.
@@ -95,12 +98,13 @@ def film(
     columns = ceil(sqrt(len(recordings)))
     rows = ceil(len(recordings) / columns)
     tile = (size[0] // columns // 2 * 2, size[1] // rows // 2 * 2)  # in whole pixels of half resolution, for mp4
-    names = titles or ([recording.path.stem for recording in recordings] if len(recordings) > 1 else [""])
+    captions = [Caption.of(recording) for recording in recordings] if titles is None else map(Caption, titles)
     takes = [
-        _take(recording, name, cut, fps, tile, progress) for recording, name in zip(recordings, names, strict=True)
+        _take(recording, caption, cut, fps, tile, progress)
+        for recording, caption in zip(recordings, captions, strict=True)
     ]
     if path.suffix == ".png":
-        takes = [_Take(take.title, take.config, take.moments[-1:], take.cameras[-1:]) for take in takes]
+        takes = [_Take(take.caption, take.config, take.moments[-1:], take.cameras[-1:]) for take in takes]
     with _whole(path) as unfinished, closing(_pictures(takes, columns, rows, tile, progress)) as pictures:
         _WRITERS[path.suffix](pictures, unfinished, fps)
 
@@ -120,16 +124,18 @@ def check_path(path: Path) -> None:
 class _Take(NamedTuple):
     """One recording of a film: its moments, and a camera for each."""
 
-    title: str
+    caption: Caption
     config: dict[str, Any]
     moments: list[Moment]
     cameras: list[CameraSpec]
 
 
-def _take(recording: Recording, title: str, cut: Cut, fps: int, size: tuple[int, int], progress: Progress) -> _Take:
+def _take(
+    recording: Recording, caption: Caption, cut: Cut, fps: int, size: tuple[int, int], progress: Progress
+) -> _Take:
     """Runs a recording and chooses its moments and cameras; `size` is that of its tile, pixels."""
     parts = _choose(recording, cut, cut.speed / fps, partial(progress, f"running {recording.path.name}"))
-    return _Take(title, recording.config, parts, cameras(parts, cut.camera, cut.target, fps, size))
+    return _Take(caption, recording.config, parts, cameras(parts, cut.camera, cut.target, fps, size))
 
 
 def _choose(recording: Recording, cut: Cut, step: float, progress: Callable[[int, int], None]) -> list[Moment]:
@@ -169,8 +175,7 @@ def _pictures(
                 at = min(i, len(take.moments) - 1)
                 stage.show(take.moments[at])
                 pixels = stage.draw(take.cameras[at])
-                if take.title:
-                    pixels = _titled(pixels, take.title)
+                pixels = take.caption.draw(pixels, take.moments[at].time)
                 y, x = place // columns * height, place % columns * width
                 sheet[y : y + height, x : x + width] = pixels
             progress("drawing", i + 1, count)
@@ -178,13 +183,6 @@ def _pictures(
     finally:
         for stage in stages:
             stage.close()
-
-
-def _titled(pixels: Pixels, title: str) -> Pixels:
-    image = Image.fromarray(np.ascontiguousarray(pixels))
-    font = ImageFont.load_default(max(12, pixels.shape[0] // 24))
-    ImageDraw.Draw(image).text((8, 6), title, fill=(255, 255, 255), font=font, stroke_width=2, stroke_fill=(20, 24, 30))
-    return np.asarray(image)
 
 
 @contextmanager

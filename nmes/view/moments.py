@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from nmes.backend import Array
+from nmes.backend import Array, Vector
 from nmes.errors import FilmError, RecordingError
 from nmes.playback import replay, watch
 from nmes.playback.report import fingerprint_differences
@@ -29,12 +29,14 @@ class Moment(NamedTuple):
         seed: The world's seed, from which scenery may be drawn.
         shapes: The cubes in order of creation: edge lengths (m) and colour.
         poses: Array (n, 7): their positions (m) and quaternions (x, y, z, w).
+        targets: The points that creatures have as their targets, m; none where poses were recorded.
     """
 
     time: float
     seed: int
     shapes: dict[str, Shape]
     poses: Array
+    targets: tuple[Vector, ...] = ()
 
 
 def moments(recording: Recording) -> Iterator[Moment]:
@@ -56,11 +58,13 @@ def _run_again(recording: Recording) -> Iterator[Moment]:
     """Yields the cubes of the world in which the recording is run again."""
     rate, version, shapes = recording.config["tick_rate"], -1, dict[str, Shape]()
 
-    def look(world: World) -> tuple[int, dict[str, Shape], Array]:
+    def look(world: World) -> tuple[int, dict[str, Shape], Array, tuple[Vector, ...]]:
         nonlocal version, shapes
         if world.structure_version != version:
             version, shapes = world.structure_version, {name: world.cube_shape(name) for name in world.cubes()}
-        return world.seed, shapes, world.poses()[1][:, :7]
+        aims = [world.all_creatures.find(name).target for name in world.all_creatures.names()]
+        targets = tuple(dict.fromkeys(aim for aim in aims if aim is not None and not isinstance(aim, str)))
+        return world.seed, shapes, world.poses()[1][:, :7], targets
 
     for tick, cubes in enumerate(watch(recording, look), start=1):
         yield Moment(tick / rate, *cubes)

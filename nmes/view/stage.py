@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 
-from nmes.backend import BodySpec, BodyState, CameraSpec, Image, Simulation, Vector, load_backend
-from nmes.backend.rotation import normalize
+from nmes.backend import BodySpec, BodyState, CameraSpec, Image, Quaternion, Simulation, Vector, load_backend
+from nmes.backend.rotation import normalize, plus
 from nmes.recording.viewer_messages import Shape
 from nmes.view.moments import Moment
+from nmes.view.part_colors import visible_shapes
 from nmes.world.scenery import scene_spec
 
 __all__ = ["Stage"]
@@ -22,6 +23,13 @@ _DRAWN_BY = "mujoco"
 _STILL = 1e-6  # s: one step of the stage, in which nothing gets anywhere
 _JAGGED = 28  # levels of green between two pixels, from which the step between them is smoothed
 _ZERO: Vector = (0.0, 0.0, 0.0)
+_UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
+_RED, _WHITE = (0.9, 0.15, 0.1, 1.0), (0.97, 0.97, 0.97, 1.0)
+# The parts of a flag: where they are from the target, m, and their edge lengths and colours.
+_FLAG: tuple[tuple[Vector, Shape], ...] = (
+    ((0.0, 0.4, 0.0), ((0.05, 1.2, 0.05), _WHITE)),
+    ((0.2, 0.85, 0.0), ((0.36, 0.26, 0.03), _RED)),
+)
 
 
 class Stage:
@@ -45,18 +53,21 @@ class Stage:
         self._made, self._seed = 0, seed
 
     def show(self, moment: Moment) -> None:
-        """Puts all cubes where they are at a moment."""
+        """Puts all cubes where they are at a moment, and a flag at each target."""
         if moment.seed != self._seed:
             self.close()
             self._build(moment.seed)
         simulation, bodies = self._simulation, self._bodies
+        places = [((x, y, z), normalize((a, b, c, w))) for x, y, z, a, b, c, w in moment.poses.tolist()]
+        things = dict(zip(visible_shapes(moment.shapes).items(), places, strict=True))
+        for number, target in enumerate(moment.targets):
+            for part, (offset, shape) in enumerate(_FLAG):
+                things[f"\0{number}.{part}", shape] = plus(target, offset), _UPRIGHT
         for name, (body, shape) in list(bodies.items()):
-            if moment.shapes.get(name) != shape:
+            if (name, shape) not in things:
                 simulation.remove_body(body)
                 del bodies[name]
-        for (name, shape), pose in zip(moment.shapes.items(), moment.poses.tolist(), strict=True):
-            x, y, z, *turn = pose
-            position, quaternion = (x, y, z), normalize((turn[0], turn[1], turn[2], turn[3]))
+        for (name, shape), (position, quaternion) in things.items():
             if name in bodies:
                 simulation.set_body_state(bodies[name][0], BodyState(position, quaternion, _ZERO, _ZERO))
             else:

@@ -16,9 +16,13 @@ from PIL import Image, ImageSequence
 from nmes.backend import fingerprint as fingerprints
 from nmes.cli import main
 from nmes.errors import FilmError, WorldError
+from nmes.evaluation import Evaluation, Task, evaluate
+from nmes.genome import Genome
 from nmes.recording import Recorder, Recording
+from nmes.view.caption import Caption
 from nmes.view.film import Cut, film
 from nmes.view.moments import moments
+from nmes.view.part_colors import visible_shapes
 from nmes.world import World
 from recordings import record, send
 
@@ -177,15 +181,90 @@ def test_several_recordings_are_filmed_side_by_side(recording: Recording, tmp_pa
     assert [place(quarter, 0) is not None for quarter in quarters] == [True, True, True, False]
 
 
-def test_recordings_have_titles_which_may_be_given(recording: Recording, tmp_path: Path) -> None:
-    def drawn(count: int, titles: list[str] | None) -> Pixels:
-        film([recording] * count, tmp_path / "x.png", Cut(target="red"), titles=titles, size=(240, 80 * count))
-        return frames(tmp_path / "x.png")[0][:30, :120].astype(int)
+def test_a_line_over_the_picture_tells_what_it_is_and_when(recording: Recording, tmp_path: Path) -> None:
+    def drawn(titles: list[str] | None = None, end: float = 1.0) -> Pixels:
+        film([recording], tmp_path / "x.png", Cut(target="red", end=end), titles=titles, size=(240, 160))
+        return frames(tmp_path / "x.png")[0].astype(int)
 
-    plain = drawn(1, None)
-    assert (plain == drawn(1, [""])).all()
-    assert (abs(plain - drawn(1, ["#12, score 3.5"])).max(axis=2) > 60).sum() > 40  # letters
-    assert (drawn(2, None) == drawn(2, ["thrown", "another"])).all()  # else they have the names of the files
+    bare, named = drawn([""]), drawn()
+    assert (named[16:] == bare[16:]).all()
+    line = named[:16].max(axis=2)
+    assert line.max() > 200 and np.median(line) < 130  # letters on a dark line
+    assert (named == drawn(["thrown"])).all() and (named != drawn(["#12, score 3.5"])).any()
+    later = drawn(end=2.0)
+    assert (later[:16, :120] == named[:16, :120]).mean() > 0.9 and (later[:16, 180:] != named[:16, 180:]).any()
+    film([recording], tmp_path / "x.png", size=(96, 96))  # too narrow for a line
+    small = frames(tmp_path / "x.png")[0]
+    film([recording], tmp_path / "x.png", titles=[""], size=(96, 96))
+    assert (small == frames(tmp_path / "x.png")[0]).all()
+
+
+def test_each_recording_of_several_has_its_line(recording: Recording, tmp_path: Path) -> None:
+    def drawn(titles: list[str] | None) -> Pixels:
+        film([recording] * 2, tmp_path / "x.png", Cut(target="red"), titles=titles, size=(480, 120))
+        return frames(tmp_path / "x.png")[0][:16]
+
+    assert (drawn(None) == drawn(["thrown", "thrown"])).all()  # the names of the files
+    other = drawn(["thrown", "another"])
+    assert (drawn(None)[:, :240] == other[:, :240]).all() and (drawn(None)[:, 240:] != other[:, 240:]).any()
+
+
+@pytest.fixture(scope="module")
+def episodes(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Evaluation]:
+    """Two seconds of the walker, without and with a target."""
+    tasks = {name: Task({**Task.load(name).document, "name": f"short-{name}", "duration": 2}) for name in TASKS}
+    folder = str(tmp_path_factory.mktemp("episodes"))
+    return {name: evaluate(Genome.load("walker"), task, seeds=[1], record=folder) for name, task in tasks.items()}
+
+
+TASKS = ("walk", "reach")
+
+
+def test_the_line_of_an_episode_has_its_score_so_far(episodes: dict[str, Evaluation], tmp_path: Path) -> None:
+    walk = episodes["walk"]
+    source = Recording(walk.recordings[0])
+    caption = Caption.of(source)
+    assert caption.title == "walker on short-walk, seed 1" and caption.scores is not None
+    assert caption.scores[-1, 1] == walk.results[0].score != caption.scores[60, 1]
+    paper = np.zeros((160, 320, 3), np.uint8)
+    first, last = (caption.draw(paper, caption.scores[row, 0])[:16, 200:] for row in (0, -1))
+    assert (first != last).any()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(source.path.read_bytes()[: -source.path.stat().st_size // 3])
+    torn = Caption.of(Recording(cut))
+    assert torn.scores is None and torn.title == "walker on short-walk, seed 1 (no score: damaged)"
+
+
+def test_a_flag_stands_at_the_target_of_a_creature(episodes: dict[str, Evaluation], tmp_path: Path) -> None:
+    red = {}
+    for name in TASKS:
+        source = Recording(episodes[name].recordings[0])
+        try:
+            film([source], tmp_path / "x.png", titles=[""], size=(320, 240))
+        except WorldError as error:
+            pytest.skip(f"no picture to judge: {error.message}")
+        image = frames(tmp_path / "x.png")[0].astype(int)
+        red[name] = int((image[..., 0] - image[..., 1:].max(axis=2) > 80).sum())
+    assert red["walk"] == 0 and red["reach"] > 20
+    assert list(moments(Recording(episodes["reach"].recordings[0])))[-1].targets == (
+        Task({**Task.load("reach").document, "name": "short-reach", "duration": 2}).target(1),
+    )
+
+
+def test_cubes_without_a_colour_are_told_apart(recording: Recording, tmp_path: Path) -> None:
+    def play(world: World, client: int) -> None:
+        send(world, client, type="spawn_cube", cube_name="one", position=[-1, 1, 0])
+        send(world, client, type="spawn_cube", cube_name="two", position=[1, 1, 0])
+        send(world, client, type="spawn_cube", cube_name="grey", position=[0, 3, 0], color=[0.8, 0.8, 0.79])
+        send(world, client, type="step")
+
+    source = Recording(record(tmp_path / "plain.mcap", play, CONFIG))
+    colors = {name: color for name, (_, color) in visible_shapes(list(moments(source))[-1].shapes).items()}
+    assert colors["grey"] == (0.8, 0.8, 0.79, 1.0)
+    assert np.ptp(colors["one"][:3]) > 0.15 and np.ptp(colors["two"][:3]) > 0.15 and colors["one"] != colors["two"]
+    film([source], tmp_path / "x.png", titles=[""], size=(160, 120))
+    image = frames(tmp_path / "x.png")[0].astype(int)
+    assert (np.ptp(image[40:], axis=2) > 35).sum() > 200  # coloured, below the sky
 
 
 def test_a_planar_world_is_filmed_from_its_front(tmp_path: Path, recording: Recording) -> None:
