@@ -37,6 +37,7 @@ SUBCOMMANDS = {
     "info": "Show what a recording holds.",
     "leaderboard": "Keep a list of scores that are proved.",
     "learn": "Train a creature's brain, in runs that anyone can repeat.",
+    "play": "Run a creature on a task and film it.",
     "render": "Make a film or a picture of recordings.",
     "replay": "Run a recording again and compare.",
     "serve": "Host worlds that clients drive over TCP.",
