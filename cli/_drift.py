@@ -1,4 +1,4 @@
-"""The report of `nmes replay --backend`: a table, and a plot as SVG."""
+"""The report of `nmes replay --backend`: a table, and a plot."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def show(report: DriftReport, console: Console) -> None:
 
 
 def plot(title: str, cubes: Mapping[str, list[Drift]], path: Path) -> None:
-    """Writes each cube's distance over time as an SVG, on a logarithmic scale."""
+    """Writes each cube's distance over time as an SVG or PNG, on a logarithmic scale."""
     lines = {name: [(drift.time, drift.distance) for drift in drifts] for name, drifts in cubes.items()}
     write_plot(path, title, [Curves("distance (m)", lines, floor=FLOOR, height=380)])
 

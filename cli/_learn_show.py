@@ -10,6 +10,7 @@ import click
 from nmes.cli._columns import columns
 from nmes.cli._json import print_json
 from nmes.cli._output import whole_file
+from nmes.cli._pictures import write_picture
 from nmes.errors import visible
 
 if TYPE_CHECKING:
@@ -66,8 +67,7 @@ def _draw(run: LearningRun, output: Path) -> None:
     if not single:
         output.mkdir(parents=True, exist_ok=True)
         for picture in pictures:
-            with whole_file(output / f"{picture.name}.svg") as file:
-                file.write_text(picture.file(), "utf-8")
+            write_picture(picture, output)
     with whole_file(page) as file:
         write_learning_page(run, file, pictures)
     click.echo(visible(f"wrote {page}"), err=True)

@@ -1,15 +1,18 @@
-"""Small plots as SVG: panels of curves and of bars, one below the other, over the same time."""
+"""Small plots as SVG or PNG: panels of curves and of bars, one below the other, over the same time."""
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import click
+
 from nmes.cli._output import whole_file
-from nmes.view.chart import round_numbers
+from nmes.errors import visible
+from nmes.view.chart import round_numbers, text
+from nmes.view.raster import write_png
 
 __all__ = ["Bars", "Curves", "write_plot"]
 
@@ -17,6 +20,7 @@ COLORS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#00
 WIDTH, LEFT, RIGHT, TOP, GAP, BOTTOM = 980, 70, 230, 40, 44, 40
 LINE = 16  # of text, and the height of a bar
 BARS = 40  # at most
+_LETTERS = 32  # of a name, at its right
 
 Points = Sequence[tuple[float, float]]
 
@@ -36,6 +40,11 @@ class Curves:
     lines: Mapping[str, Points]
     floor: float | None = None
     height: int = 150
+
+    @property
+    def empty(self) -> bool:
+        """Whether there is nothing to draw."""
+        return not any(math.isfinite(value) for line in self.lines.values() for _, value in line)
 
     @property
     def end(self) -> float:
@@ -69,7 +78,7 @@ class Curves:
             yield f'<polyline points="{points}" fill="none" stroke="{color}"/>'
             if i < self.height // LINE:
                 place = f'x="{LEFT + width + 8}" y="{top + LINE * i + 12}"'
-                yield f'<text {place} fill="{color}">{html.escape(name)}</text>'
+                yield f'<text {place} fill="{color}">{text(_fitting(name))}</text>'
 
     def _scaled(self, value: float) -> float:
         return value if self.floor is None else math.log10(max(value, self.floor))
@@ -101,6 +110,11 @@ class Bars:
         return LINE * min(len(self.rows), BARS)
 
     @property
+    def empty(self) -> bool:
+        """Whether there is nothing to draw."""
+        return not any(self.rows.values())
+
+    @property
     def end(self) -> float:
         """The last time."""
         return max((last for row in self.rows.values() for _, last in row), default=0.0)
@@ -110,7 +124,7 @@ class Bars:
         for i, (name, spans) in enumerate(list(self.rows.items())[:BARS]):
             y = top + LINE * i
             yield f'<path d="M{LEFT} {y + LINE - 1}H{LEFT + width}" stroke="#eee"/>'
-            yield f'<text x="{LEFT + width + 8}" y="{y + 12}">{html.escape(name)}</text>'
+            yield f'<text x="{LEFT + width + 8}" y="{y + 12}">{text(_fitting(name))}</text>'
             for first, last in spans:
                 x, wide = LEFT + width * first / end, max(width * (last - first) / end, 0.5)
                 color = COLORS[i % len(COLORS)]
@@ -118,9 +132,29 @@ class Bars:
 
 
 def write_plot(path: Path, title: str, panels: Sequence[Curves | Bars]) -> None:
-    """Writes an SVG file of panels, one below the other, over the same time."""
+    """Writes panels, one below the other, over the same time: as a PNG where the path ends in .png, else as an SVG.
+
+    Those with nothing to show are left out; where all are, it says so on standard error and writes nothing.
+
+    Raises:
+        ClickException: The file cannot be written.
+    """
+    shown = [panel for panel in panels if not panel.empty]
+    if not shown:
+        titles = ", ".join(panel.title for panel in panels)
+        click.echo(visible(f"nothing to plot: there is no {titles}; {path} was not written"), err=True)
+        return
+    svg = "\n".join(_svg(title, shown)) + "\n"
     with whole_file(path) as unfinished:
-        unfinished.write_text("\n".join(_svg(title, panels)) + "\n", "utf-8")
+        if path.suffix == ".png":
+            write_png(svg, unfinished)
+        else:
+            unfinished.write_text(svg, "utf-8")
+
+
+def _fitting(name: str) -> str:
+    """Returns a name with its middle left out where there is no room for it: names often differ at their ends."""
+    return name if len(name) <= _LETTERS else f"{name[: _LETTERS // 2]}…{name[-_LETTERS // 2 + 1 :]}"
 
 
 def _svg(title: str, panels: Sequence[Curves | Bars]) -> Iterator[str]:
@@ -128,10 +162,10 @@ def _svg(title: str, panels: Sequence[Curves | Bars]) -> Iterator[str]:
     width, end = float(WIDTH - LEFT - RIGHT), max((panel.end for panel in panels), default=0.0) or 1.0
     yield f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH} {height}" font-family="sans-serif">'
     yield f'<rect width="{WIDTH}" height="{height}" fill="white"/><g font-size="12" stroke-width="1.5">'
-    yield f'<text x="{LEFT}" y="24" font-size="16">{html.escape(title)}</text>'
+    yield f'<text x="{LEFT}" y="24" font-size="16">{text(title)}</text>'
     top = TOP
     for panel in panels:
-        yield f'<text x="{LEFT}" y="{top + 14}" font-weight="bold">{html.escape(panel.title)}</text>'
+        yield f'<text x="{LEFT}" y="{top + 14}" font-weight="bold">{text(panel.title)}</text>'
         top += 22
         yield from panel.draw(top, width, end)
         top += panel.height + GAP - 22

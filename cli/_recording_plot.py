@@ -21,7 +21,7 @@ STEP = 3  # ticks between two points of a curve, which a plot of this size canno
 
 
 def plot_recordings(recordings: Sequence[Recording], path: Path) -> None:
-    """Runs recordings again and writes their curves, and the gait diagram of the first, to an SVG.
+    """Runs recordings again and writes their curves, and the gait diagram of the first, to an SVG or PNG.
 
     Raises:
         RecordingError, ProofError: One of them does not come out as recorded.

@@ -28,7 +28,7 @@ _CUBES = 20  # rows of the table: those that come apart most
 @click.argument("first", metavar="A", callback=open_recording)
 @click.argument("second", metavar="B", callback=open_recording)
 @click.option(
-    "--plot", "plot_to", type=click.Path(dir_okay=False, path_type=Path), help="Write the distances to an SVG."
+    "--plot", "plot_to", type=click.Path(dir_okay=False, path_type=Path), help="Write the distances to an .svg or .png."
 )
 @click.option("--keep-going", is_flag=True, help="Go on where a tick does not come out as recorded.")
 @click.option("--anyway", "keep_going", is_flag=True, hidden=True)  # its old name

@@ -50,7 +50,7 @@ __all__ = ["command"]
     "--plot",
     "plot_to",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Write score, height, energy and gait over time to an SVG; with --record or --from-recording.",
+    help="Write score, height, energy and gait over time to an .svg or .png; with --record or --from-recording.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print the results as CSV.")

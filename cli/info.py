@@ -36,7 +36,7 @@ def open_recording(context: click.Context, parameter: click.Parameter, value: st
     "--plot",
     "plot_to",
     type=click.Path(dir_okay=False, path_type=Path),
-    help="Write score, height, energy and gait over time to an SVG, too.",
+    help="Write score, height, energy and gait over time to an .svg or .png, too.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
 def command(files: list[File[Recording]], plot_to: Path | None, as_json: bool) -> None:

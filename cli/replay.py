@@ -57,7 +57,9 @@ def _open(context: click.Context, parameter: click.Parameter, value: str) -> Rec
 @click.command("replay")
 @files_argument(_open)
 @click.option("--backend", metavar="NAME", help="Run it on this engine instead, and show how far each cube drifts.")
-@click.option("--plot", "plot_to", type=click.Path(dir_okay=False, path_type=Path), help="Write the drift to an SVG.")
+@click.option(
+    "--plot", "plot_to", type=click.Path(dir_okay=False, path_type=Path), help="Write the drift to .svg or .png."
+)
 @click.option("--from", "first", type=click.IntRange(0), help="Begin at the last keyframe before this frame.")
 @click.option("--to", "last", type=click.IntRange(0), help="End at this frame.")
 @click.option("--against", metavar="HOST:PORT", callback=split_address, help="Play it to this server, and compare.")

@@ -14,7 +14,7 @@ __all__ = ["TimeSeries"]
 
 
 class TimeSeries:
-    """The figures of a world, tick by tick; where there is no cube, height and speed are NaN."""
+    """The figures of a world, tick by tick; where there is no cube, they are NaN."""
 
     def __init__(self) -> None:
         self._rows: list[tuple[float, float, float, float]] = []
@@ -24,11 +24,12 @@ class TimeSeries:
     def note(self, world: World) -> None:
         """Adds a row: the world's figures after a tick."""
         names, states = world.poses()
-        height = speed = float("nan")
+        height = speed = work = float("nan")
         if names:
+            work = world.motor_work()
             height = float(states[:, 1].mean())
             speed = float(np.linalg.norm(states[:, 7:10].mean(axis=0)))
-        self._rows.append((world.ticks / world.config["tick_rate"], height, speed, world.motor_work()))
+        self._rows.append((world.ticks / world.config["tick_rate"], height, speed, work))
         self._names.update(dict.fromkeys(names))
         touching = world.touches(names, 0)[:, 0].tolist()
         self._touching.append({name for name, flag in zip(names, touching, strict=True) if flag})

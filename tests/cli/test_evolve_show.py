@@ -14,6 +14,7 @@ import pytest
 from click.testing import CliRunner, Result
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
+from PIL import Image
 
 from made_up_runs import SHORT, candidates, genomes, make_run, real
 from nmes.cli import main
@@ -123,7 +124,13 @@ def test_a_folder_gets_each_picture_and_the_page_of_all_which_needs_nothing_from
     folder = tmp_path / "new" / "pictures"
     assert run("show", archive, "-o", folder).exit_code == 0
     pictures = {"scores", "lineage", "archive", "front", "groups"}
-    assert {path.name for path in folder.iterdir()} == {"index.html", *(f"{name}.svg" for name in pictures)}
+    files = {f"{name}.{ending}" for name in pictures for ending in ("svg", "png")}
+    assert {path.name for path in folder.iterdir()} == {"index.html", *files}
+    for name in pictures:
+        with Image.open(folder / f"{name}.png") as image:
+            box = re.search('viewBox="0 0 ([0-9.]+) ([0-9.]+)"', (folder / f"{name}.svg").read_text())
+            assert box is not None and image.size == tuple(2 * round(float(size)) for size in box.groups())
+            assert len(image.getcolors(1 << 20) or ()) > 20, "text, at least, has smooth edges"
     text = (folder / "index.html").read_text()
     page = Page(text)
     assert page.scripts == 0 and page.nameless == []

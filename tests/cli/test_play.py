@@ -40,9 +40,7 @@ def test_a_creature_is_scored_and_filmed(task: Path) -> None:
     assert score is not None and score > 0
     with Image.open("x.gif") as image:
         assert image.size == (64, 48)
-        assert (
-            60 < len(list(ImageSequence.Iterator(image))) < 120
-        )  # of two seconds and coming to rest
+        assert 60 < len(list(ImageSequence.Iterator(image))) < 120  # of two seconds and coming to rest
 
 
 def test_the_film_is_named_after_what_is_seen(task: Path, monkeypatch: pytest.MonkeyPatch) -> None:

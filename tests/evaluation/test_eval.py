@@ -16,8 +16,10 @@ from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 from click.testing import CliRunner, Result
+from PIL import Image
 from test_evaluation import DASH
 
 from creatures import cpg, exploding, mlp, snake
@@ -230,6 +232,36 @@ def test_plots_show_score_height_energy_and_gait(folder: Path) -> None:
     bars = [element for element in picture.iter(f"{SVG}rect") if element.get("x") is not None]
     assert bars, "a snake lies on the ground"
     assert run(folder / "zoo" / "b-cpg.json", *task, "--plot", folder / "none.svg").exit_code == 2
+
+
+def test_a_plot_may_be_pixels_which_show_the_same(folder: Path) -> None:
+    made = run(folder / "zoo" / "b-cpg.json", "--task", folder / "dash.json", "--seeds", "1", "--record", folder / "r")
+    assert made.exit_code == 0, made.output
+    (recording,) = (folder / "r").glob("*.mcap")
+    for name in ("x.svg", "x.png"):
+        assert run("--from-recording", recording, "--plot", folder / name).exit_code == 0
+    with Image.open(folder / "x.png") as file:
+        image = np.asarray(file.convert("RGB")).astype(int)
+    picture = ElementTree.parse(folder / "x.svg").getroot()
+    wide, high = map(float, picture.attrib["viewBox"].split()[2:])
+    assert image.shape == (2 * high, 2 * wide, 3)
+    (line,) = drawn(folder / "x.svg", "score so far")
+    for x, y in line[:: len(line) // 7]:
+        spot = image[round(2 * y) - 2 : round(2 * y) + 3, round(2 * x) - 2 : round(2 * x) + 3]
+        assert (spot[..., 2] - spot[..., 0]).max() > 120, "the curve is blue"
+    words = [element for element in picture.iter(f"{SVG}text") if element.get("font-weight") == "bold"]
+    for word in words:
+        x, y = 2 * int(float(word.attrib["x"])), 2 * int(float(word.attrib["y"]))
+        assert image[y - 20 : y, x : x + 60].min() < 90, "there are letters"
+    assert (image[:20] == 255).all()
+
+
+def test_what_has_nothing_to_plot_says_so_and_writes_nothing(tmp_path: Path) -> None:
+    path = record(tmp_path / "empty.mcap", lambda world, client: send(world, client, type="step", ticks=30))
+    result = CliRunner().invoke(main, ["info", str(path), "--plot", str(tmp_path / "x.svg")])
+    assert result.exit_code == 0 and "world" in result.stdout
+    assert result.stderr.startswith("nothing to plot: there is no height of the middle (m), speed of the middle (m/s)")
+    assert "x.svg was not written" in result.stderr and not (tmp_path / "x.svg").exists()
 
 
 def test_the_score_so_far_ends_at_the_score(folder: Path) -> None:

@@ -137,6 +137,13 @@ def test_commands_of_two_types_differ_in_their_type(tmp_path: Path) -> None:
     assert json.loads(run("diff", tmp_path / "a.mcap", tmp_path / "b.mcap", "--json")[1])["inputs"]["field"] == "type"
 
 
+def test_equal_recordings_have_no_drift_to_plot(tmp_path: Path) -> None:
+    compared(tmp_path, pushed(7, 3.0), pushed(7, 3.0))
+    code, output = run("diff", tmp_path / "a.mcap", tmp_path / "b.mcap", "--plot", tmp_path / "x.svg")
+    assert code == 0 and "nothing to plot: there is no distance (m);" in output and "states: the same" in output
+    assert not (tmp_path / "x.svg").exists()
+
+
 def test_one_ends_before_the_other(tmp_path: Path) -> None:
     comparison = compared(tmp_path, pushed(2, 1.0), pushed(2, 1.0, ticks=20))
     assert (comparison.inputs.ticks, comparison.inputs.second) == (20, "the end")
