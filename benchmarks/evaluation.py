@@ -22,7 +22,7 @@ import orjson
 
 from measure import Figure, in_turns, ratio, summary
 from nmes import protocol
-from nmes.evaluation import Episode, Job, Task, Workers, brain_of, evaluate, evaluate_all
+from nmes.evaluation import Episode, Evaluator, Job, Task, brain_of, evaluate
 from nmes.evaluation.task import CREATURE
 from nmes.genome import Genome
 from nmes.world import World
@@ -167,8 +167,8 @@ def _many(task: Task) -> Iterator[Figure]:
 
 
 def _evaluate(work: list[Job], jobs: int) -> None:
-    with Workers(jobs) as workers:
-        list(evaluate_all(work, workers=workers))
+    with Evaluator(jobs) as workers:
+        list(workers.run(work))
 
 
 def _voxels() -> float:

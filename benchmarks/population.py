@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 
 from evaluation import CPG, CUBES, SUBSTEPS, TASK, Bare, crawler, mlp
 from measure import Figure
-from nmes.evaluation import Environments, Evaluation, Task, Workers, evaluate_population
+from nmes.evaluation import Environments, Evaluation, Evaluator, Task
 from nmes.genome import Genome
 
 CORES = 2
@@ -148,9 +148,9 @@ def bare_loop(episodes: Sequence[Bare]) -> None:
 # -- ours -------------------------------------------------------------------------------------------------------------
 
 
-def population(genomes: Sequence[Genome], task: Task, workers: Workers) -> None:
+def population(genomes: Sequence[Genome], task: Task, workers: Evaluator) -> None:
     """Evaluates all."""
-    for evaluation in evaluate_population(genomes, task, workers=workers):
+    for evaluation in workers.evaluate_population(genomes, task):
         assert evaluation.score is not None, evaluation
 
 
@@ -188,7 +188,7 @@ def least(trials: Mapping[str, Callable[[], None]]) -> dict[str, float]:
 def figures(seconds: float = SHORT) -> Iterator[Figure]:
     """Measures, with episodes of so many seconds."""
     task = task_of(seconds)
-    with Workers(CORES) as workers:
+    with Evaluator(CORES) as workers:
         population(with_brains({**CPG}, 2 * CORES), task, workers)  # starts the processes, and loads what they need
         yield from _rows(task, workers)
         yield from _all_different(task, workers)
@@ -196,7 +196,7 @@ def figures(seconds: float = SHORT) -> Iterator[Figure]:
         yield from _beside_ants(task, workers)
 
 
-def _rows(task: Task, workers: Workers) -> Iterator[Figure]:
+def _rows(task: Task, workers: Evaluator) -> Iterator[Figure]:
     """Measures rows of one body, and of one topology."""
     steps = ROWS * task.ticks * SUBSTEPS
     kinds = {
@@ -221,7 +221,7 @@ def _rows(task: Task, workers: Workers) -> Iterator[Figure]:
         yield Figure(f"{what} / bare loop on one core", took["loop"] / took["ours"], "x", at_least=least_ratio)
 
 
-def _all_different(task: Task, workers: Workers) -> Iterator[Figure]:
+def _all_different(task: Task, workers: Evaluator) -> Iterator[Figure]:
     genomes = with_shapes(BODIES)
     episodes = [Bare(genome, task) for genome in genomes]
     trials = {"ours": partial(population, genomes, task, workers), "loop": partial(bare_loop, episodes)}
@@ -230,7 +230,7 @@ def _all_different(task: Task, workers: Workers) -> Iterator[Figure]:
     yield Figure(f"{BODIES} topologies: W / bare loop on one core", ratio, "x", at_least=1.7, details=took)
 
 
-def _one_long(task: Task, workers: Workers) -> Iterator[Figure]:
+def _one_long(task: Task, workers: Evaluator) -> Iterator[Figure]:
     """Measures how long cores wait for the last of a generation, of which one takes about ten times as long."""
     document = crawler({**CPG}).document
     cubes, joints = document["body"]["cubes"], document["body"]["joints"]
@@ -243,7 +243,7 @@ def _one_long(task: Task, workers: Workers) -> Iterator[Figure]:
     idle, long, short = 1.0, 0.0, 1.0
     for _ in range(TRIES):
         began = time.perf_counter()
-        evaluations = evaluate_population(genomes, task, workers=workers)
+        evaluations = workers.evaluate_population(genomes, task)
         wall = time.perf_counter() - began
         busy = sum(evaluation.wall_seconds for evaluation in evaluations)
         if 1.0 - busy / (CORES * wall) < idle:
@@ -257,7 +257,7 @@ def _middle(evaluations: Sequence[Evaluation]) -> float:
     return float(np.median([evaluation.wall_seconds for evaluation in evaluations]))
 
 
-def _beside_ants(task: Task, workers: Workers) -> Iterator[Figure]:
+def _beside_ants(task: Task, workers: Evaluator) -> Iterator[Figure]:
     """Measures body-steps a second beside Gymnasium's vectorised Ant."""
     genomes, steps = with_brains({**CPG}, ROWS), CORES * ROWS * CUBES * task.ticks * SUBSTEPS
     stepped = Stepped(genomes[0], task)
@@ -321,7 +321,7 @@ def _many(count: int) -> Iterator[Figure]:
     task, genomes = task_of(FULL), with_brains({**CPG}, count)
     bare = BareBatch([Bare(genome, task) for genome in genomes[:: count // SAMPLES]], ROWS)
     batch = least({"batch": bare.run})["batch"] * count / ROWS
-    with Workers(CORES) as workers:
+    with Evaluator(CORES) as workers:
         population(genomes[: 2 * CORES], task, workers)
         began, before = time.perf_counter(), spent()
         population(genomes, task, workers)

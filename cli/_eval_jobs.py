@@ -11,6 +11,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import IO
 
@@ -19,15 +20,14 @@ import orjson
 
 from nmes.cli._interruptions import interruptions
 from nmes.cli._progress import progress_bars
-from nmes.evaluation import Evaluation, Job, Workers, evaluate_all
-from nmes.evaluation.parallel import Here
+from nmes.evaluation import Evaluation, Evaluator, Job
 
 __all__ = ["run_jobs"]
 
 _BEGIN = re.compile(rb'\{"key":"[0-9a-f]{64}",')  # of a line
 
 
-def run_jobs(work: list[Job], jobs: int, ray: str | None, resume: Path | None) -> tuple[list[Evaluation], bool]:
+def run_jobs(work: list[Job], jobs: int | None, ray: str | None, resume: Path | None) -> tuple[list[Evaluation], bool]:
     """Runs jobs, but for those whose results the file of `--resume` has.
 
     Returns:
@@ -38,17 +38,16 @@ def run_jobs(work: list[Job], jobs: int, ray: str | None, resume: Path | None) -
         left = [i for i in range(len(work)) if i not in done]
         try:
             with (
-                progress_bars(len(work) > 1) as progress,
+                progress_bars() as progress,
                 interruptions(signal.SIGINT) as interrupted,
-                Workers(jobs) if jobs > 1 else Here() as workers,
+                Evaluator(jobs, ray=ray) as evaluator,
             ):
-                progress("evaluating", len(done), len(work))
-                for place, evaluation in evaluate_all([work[i] for i in left], workers=workers, ray=ray):
+                show = partial(progress, "evaluating")
+                for place, evaluation in evaluator.run([work[i] for i in left], progress=show):
                     if file is not None:
                         file.write(_line(work[left[place]], evaluation))
                         file.flush()
                     done[left[place]] = evaluation
-                    progress("evaluating", len(done), len(work))
                     if interrupted():
                         raise KeyboardInterrupt
         except KeyboardInterrupt:

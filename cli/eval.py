@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from collections.abc import Sequence
@@ -103,7 +102,6 @@ def command(
         work = _jobs(files, task, seeds, record if record_best is None else None)
         if record is not None:
             record.mkdir(parents=True, exist_ok=True)
-        jobs = jobs or os.cpu_count() or 1
         evaluations, whole = run_jobs(work, jobs, ray, resume)
         if record_best is not None and whole:
             evaluations, whole = _record_best(work, evaluations, record_best, str(record), jobs, ray)
@@ -154,7 +152,7 @@ def _jobs(files: Sequence[str], task: str, seeds: tuple[int, ...] | None, record
 
 
 def _record_best(
-    work: Sequence[Job], evaluations: Sequence[Evaluation], count: int, folder: str, jobs: int, ray: str | None
+    work: Sequence[Job], evaluations: Sequence[Evaluation], count: int, folder: str, jobs: int | None, ray: str | None
 ) -> tuple[list[Evaluation], bool]:
     """Runs the best creatures again, each alone, and records them.
 

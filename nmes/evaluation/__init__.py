@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from nmes.evaluation.environments import Environments
 from nmes.evaluation.episode import Episode, Result, brain_of
-from nmes.evaluation.evaluator import Evaluation, Job, evaluate, evaluate_all, evaluate_population
+from nmes.evaluation.evaluation import Evaluation
+from nmes.evaluation.evaluator import Evaluator, Job, evaluate
 from nmes.evaluation.parallel import Workers
 from nmes.evaluation.proof import Course, Proof, prove, retrace, scores_so_far
 from nmes.evaluation.task import Limits, Task
@@ -14,6 +15,7 @@ __all__ = [
     "Environments",
     "Episode",
     "Evaluation",
+    "Evaluator",
     "Job",
     "Limits",
     "Proof",
@@ -22,8 +24,6 @@ __all__ = [
     "Workers",
     "brain_of",
     "evaluate",
-    "evaluate_all",
-    "evaluate_population",
     "prove",
     "retrace",
     "scores_so_far",

@@ -15,16 +15,15 @@ from __future__ import annotations
 import os
 import re
 import secrets
-import statistics
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import dataclass, replace
 from functools import partial
 from hashlib import sha256
-from math import fsum
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, get_type_hints
+from typing import Final, Self
 
 import orjson
 
@@ -34,163 +33,35 @@ from nmes.backend.fingerprint import decisive, fingerprint
 from nmes.brain import Brain
 from nmes.errors import DocumentError, NmesError, RecordingError
 from nmes.evaluation.episode import METADATA, Episode, Result
-from nmes.evaluation.parallel import Here, Lost, Pool, on_ray
-from nmes.evaluation.population import Outcome, admit, guarded, run_alone, run_population
+from nmes.evaluation.evaluation import Evaluation
+from nmes.evaluation.parallel import Cluster, Here, Lost, Pool, Workers
+from nmes.evaluation.population import admit, guarded, run_alone, run_population
 from nmes.evaluation.portions import cut
-from nmes.evaluation.task import Task
+from nmes.evaluation.seeding import read_seeds
+from nmes.evaluation.task import Task, TaskLike
 from nmes.genome import Genome
+from nmes.genome.genome import GenomeLike
 from nmes.recording import Recorder
+from nmes.schemas.documents import write_json
 from nmes.world import World
 
-if TYPE_CHECKING:
-    from nmes.evaluation.proof import Proof
+__all__ = ["Evaluator", "Job", "evaluate", "evaluate_portion", "recorded"]
 
-__all__ = ["Evaluation", "Job", "evaluate", "evaluate_all", "evaluate_population", "evaluate_portion", "recorded"]
-
-_CLUSTER: Final = 64  # cores of a Ray cluster, of which one must not know more to cut work for it
 _POSE_RATE: Final = 1.0  # Hz; pictures for viewers cost as much as all else that is recorded, and follow from it
 
 
-@dataclass(frozen=True, slots=True)
-class Evaluation:
-    """The outcome of a genome on a task. Two are equal when all but their time and recordings are.
-
-    Attributes:
-        genome: The genome's name.
-        genome_hash: Its hash; empty where it is none.
-        task: The task's name.
-        task_hash: Its hash.
-        results: One a seed, in the order of the seeds; none where the creature could not be evaluated.
-        error: Why the creature could not be evaluated; None where it could.
-        recordings: Where the episodes' recordings are, one a result; none where nothing was recorded.
-        wall_seconds: How long it took, s.
-    """
-
-    genome: str
-    genome_hash: str
-    task: str
-    task_hash: str
-    results: tuple[Result, ...] = ()
-    error: str | None = None
-    recordings: tuple[str, ...] = field(default=(), compare=False)
-    wall_seconds: float = field(default=0.0, compare=False)
-
-    @classmethod
-    def of(cls, proofs: Sequence[Proof], *, wall_seconds: float = 0.0) -> Evaluation:
-        """Returns the evaluation that recordings of one genome on one task prove; seeds are in the task's order."""
-        task, genome = proofs[0].task, proofs[0].genome
-        place = {seed: index for index, seed in enumerate(task.seeds)}
-        ordered = sorted(proofs, key=lambda proof: (place.get(proof.result.seed, len(place)), proof.result.seed))
-        return cls(
-            genome=genome.name,
-            genome_hash=genome.hash,
-            task=task.name,
-            task_hash=task.hash,
-            results=tuple(proof.result for proof in ordered),
-            recordings=tuple(proof.path for proof in ordered),
-            wall_seconds=wall_seconds,
-        )
-
-    @classmethod
-    def of_outcome(cls, genome: Genome, task: Task, seeds: Sequence[int], outcome: Outcome) -> Evaluation:
-        """Returns the evaluation of a creature that was run with others."""
-        names = genome.name, genome.hash, task.name, task.hash
-        refusal = next((outcome.refusals[seed] for seed in seeds if seed in outcome.refusals), None)
-        results = () if refusal else tuple(outcome.results[seed] for seed in seeds)
-        return cls(*names, results, refusal, wall_seconds=outcome.seconds)
-
-    @property
-    def score(self) -> float | None:
-        """The mean over the seeds; None where one of them has no score."""
-        return _mean([result.score for result in self.results])
-
-    @property
-    def spread(self) -> float | None:
-        """Standard deviation of the scores over the seeds, as of a whole population; None where there is no score."""
-        scores = [result.score for result in self.results if result.score is not None]
-        return None if self.score is None else statistics.pstdev(scores)
-
-    @property
-    def energy(self) -> float | None:
-        """Mean work of the motors in an episode, J."""
-        return _mean([result.energy for result in self.results])
-
-    @property
-    def distance(self) -> float | None:
-        """Mean distance over the ground, m."""
-        return _mean([result.distance for result in self.results])
-
-    @property
-    def duty(self) -> float | None:
-        """Mean duty factor; None where it was not asked for, see `Task.with_duty`."""
-        return _mean([result.duty for result in self.results])
-
-    @property
-    def faults(self) -> int:
-        """How many episodes have no score."""
-        return sum(result.fault is not None for result in self.results)
-
-    def to_json(self) -> dict[str, Any]:
-        """Returns the fields as plain data, with the figures computed from them."""
-        return {
-            "genome": self.genome,
-            "genome_hash": self.genome_hash,
-            "task": self.task,
-            "task_hash": self.task_hash,
-            "score": self.score,
-            "spread": self.spread,
-            "energy": self.energy,
-            "distance": self.distance,
-            "faults": self.faults,
-            "error": self.error,
-            "results": [result.to_json() for result in self.results],
-            "recordings": list(self.recordings),
-            "wall_seconds": self.wall_seconds,
-        }
-
-    @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Evaluation:
-        """Reads the plain data that `to_json` returned.
-
-        Raises:
-            KeyError, TypeError: They are something else.
-        """
-        results = tuple(Result(**result) for result in data["results"])
-        plain = {name: data[name] for name in ("genome", "genome_hash", "task", "task_hash", "error", "wall_seconds")}
-        evaluation = cls(**plain, results=results, recordings=tuple(data["recordings"]))
-        _check_types(evaluation, plain)
-        for result in results:
-            _check_types(result, asdict(result))
-        if not all(isinstance(recording, str) for recording in evaluation.recordings):
-            raise TypeError("a recording is no text")
-        return evaluation
-
-
-def _check_types(value: Evaluation | Result, fields: Mapping[str, Any]) -> None:
-    """Compares fields of a dataclass with their types; None stands for what JSON cannot say too."""
-    kinds = get_type_hints(type(value))
-    for name, field_value in fields.items():
-        if not isinstance(field_value, kinds[name] | None):
-            raise TypeError(f"{name} is a {type(field_value).__name__}")
-
-
-def _mean(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return fsum(known) / len(known) if known and len(known) == len(values) else None
-
-
 def evaluate(
-    genome: Genome,
-    task: Task,
+    genome: GenomeLike,
+    task: TaskLike,
     *,
-    seeds: Sequence[int] | None = None,
+    seeds: Iterable[int] | None = None,
     record: str | os.PathLike[str] | None = None,
 ) -> Evaluation:
-    """Runs a creature on a task, once a seed.
+    """Runs a creature on a task, once a seed, in this process; an `Evaluator` does it in several.
 
     Args:
-        genome: The creature.
-        task: What it is asked to do.
+        genome: The creature: a Genome, a document, a file, or the name of one that ships.
+        task: What it is asked to do, told likewise.
         seeds: Instead of the task's.
         record: An existing directory, in which a recording of each episode is left, named after genome and task,
             with their hashes, and seed. One of that name is replaced when the new one is whole.
@@ -200,8 +71,12 @@ def evaluate(
         evaluated, as when it is larger than the task allows.
 
     Raises:
+        DocumentError: The genome is none, or the task.
+        TypeError: A seed is no whole number.
         RecordingError: A recording cannot be written.
     """
+    genome, task = Genome.load(genome), Task.load(task)
+    chosen = task.seeds if seeds is None else read_seeds(seeds)
     begin = time.perf_counter()
     results: list[Result] = []
     recordings: list[str] = []
@@ -214,7 +89,7 @@ def evaluate(
 
     try:
         brain = admit(genome, task)
-        for seed in task.seeds if seeds is None else seeds:
+        for seed in chosen:
             run = partial(run_alone, genome, brain, task, seed)
             if record is not None:
                 place = f"{_plain(genome.name)}-{genome.hash[:16]}-{task.name}-{task.hash[:16]}-{seed}.mcap"
@@ -348,82 +223,177 @@ class Job:
         return Evaluation(self.name, "", task.name, task.hash, error=error)
 
 
-def evaluate_population(
-    genomes: Sequence[Genome], task: Task, *, seeds: Sequence[int] | None = None, workers: Pool | None = None
-) -> list[Evaluation]:
-    """Runs many creatures on a task: every figure is that which `evaluate` gives of the creature alone.
+class Evaluator:
+    """Evaluates creatures in processes that stay from call to call; every figure is that which `evaluate` gives.
 
-    Bodies of one plan are stepped together, so that one body with many brains, or with many sizes, costs little more
-    than the engine's own work; see docs/populations.md.
+    ```python
+    with nmes.Evaluator(jobs=4) as evaluator:
+        for generation in range(100):
+            evaluations = evaluator.evaluate_population(genomes, "walk")
+    ```
 
-    Args:
-        genomes: The creatures.
-        task: What they are asked to do.
-        seeds: Instead of the task's.
-        workers: The processes to do it in; None: in this one.
-
-    Returns:
-        An evaluation of each, in their order. A process that dies over a creature is that one's `error`.
-    """
-    asked, given = orjson.dumps(task.document), None if seeds is None else tuple(seeds)
-    work = [Job(genome.name, orjson.dumps(genome.document), asked, given, duty=task.duty) for genome in genomes]
-    evaluations = dict(evaluate_all(work, workers=workers))
-    return [evaluations[index] for index in range(len(work))]
-
-
-def evaluate_all(
-    work: Sequence[Job], *, workers: Pool | None = None, ray: str | None = None
-) -> Iterator[tuple[int, Evaluation]]:
-    """Evaluates many genomes; their scores do not depend on where, in which order and beside which others they ran.
+    Episodes are shared among the processes, those of one creature too. Bodies of one plan are stepped together, so
+    that one body with many brains, or with many sizes, costs little more than the engine's own work; see
+    docs/populations.md. A process that dies over a creature is that one's `error`.
 
     Args:
-        work: What to do.
-        workers: The processes to do it in; None: in this one.
-        ray: The address of a Ray cluster to do it on instead. Recordings are then left in a directory of that name
-            on whichever machine did the work.
-
-    Yields:
-        The index of a job and its evaluation, as they are ready. A process that dies over a job is its `error`.
+        jobs: How many processes at most, started when there is work for two; 1 is this process, which may die over a
+            creature. None: one a core.
+        ray: The address of a Ray cluster to use instead: `HOST:PORT`, `auto` or `local`. Recordings are then left on
+            whichever machine did the work, in a directory of the name that is given.
 
     Raises:
-        RecordingError: A recording cannot be written.
+        ValueError: There is no job.
+        MissingPackage: Ray is not installed.
+        MachineError: There is no cluster (`no_cluster`).
     """
-    workers = Here() if workers is None else workers
-    run = workers.run if ray is None else partial(on_ray, address=ray)
-    portions = _cut(work, workers.jobs if ray is None else _CLUSTER)
-    while portions:
-        lost: list[list[int]] = []
-        for number, results in run(evaluate_portion, [[work[index] for index in portion] for portion in portions]):
-            portion = portions[number]
-            if isinstance(results, Lost) and len(portion) > 1:
-                lost += [[index] for index in portion]  # one of them did it; the others are done again without it
-                continue
-            for place, index in enumerate(portion):
-                result = work[index].failed(results.reason) if isinstance(results, Lost) else results[place]
-                if isinstance(result, _Unrecorded):
-                    raise RecordingError(result.code, result.message)
-                yield index, result
-        portions = lost
+
+    def __init__(self, jobs: int | None = None, *, ray: str | None = None) -> None:
+        jobs = os.cpu_count() or 1 if jobs is None else jobs
+        if jobs < 1:
+            raise ValueError(f"jobs must be 1 or more, not {jobs}")
+        self._pool: Pool = Cluster(ray) if ray is not None else Workers(jobs) if jobs > 1 else Here()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Ends the processes; later calls start others."""
+        self._pool.__exit__(None, None, None)
+
+    def evaluate(
+        self,
+        genome: GenomeLike,
+        task: TaskLike,
+        *,
+        seeds: Iterable[int] | None = None,
+        record: str | os.PathLike[str] | None = None,
+    ) -> Evaluation:
+        """Runs a creature on a task; all is as with `nmes.evaluate`, but done by several processes where it is much."""
+        return self.evaluate_population([genome], task, seeds=seeds, record=record)[0]
+
+    def evaluate_population(
+        self,
+        genomes: Iterable[GenomeLike],
+        task: TaskLike,
+        *,
+        seeds: Iterable[int] | None = None,
+        record: str | os.PathLike[str] | None = None,
+    ) -> list[Evaluation]:
+        """Runs many creatures on a task.
+
+        Args:
+            genomes: Each a Genome, a document, a file, or the name of one that ships.
+            task: What they are asked to do, told likewise.
+            seeds: Instead of the task's.
+            record: As for `evaluate`.
+
+        Returns:
+            An evaluation of each, in their order.
+
+        Raises:
+            DocumentError: A genome is none, or the task; nothing has run.
+            TypeError: A seed is no whole number.
+            RecordingError: A recording cannot be written.
+        """
+        asked, given = Task.load(task), None if seeds is None else read_seeds(seeds)
+        document, folder = write_json(asked.document), None if record is None else os.fspath(record)
+        work = [
+            Job(genome.name, write_json(genome.document), document, given, folder, duty=asked.duty)
+            for genome in map(Genome.load, genomes)
+        ]
+        evaluations = dict(self.run(work))
+        return [evaluations[index] for index in range(len(work))]
+
+    def run(
+        self, work: Sequence[Job], *, progress: Callable[[int, int], None] | None = None
+    ) -> Iterator[tuple[int, Evaluation]]:
+        """Evaluates files' contents, which may turn out to be no genomes, on tasks that may differ.
+
+        Args:
+            work: What to do.
+            progress: Called with how many episodes are done, and how many there are.
+
+        Yields:
+            The index of a job and its evaluation, as they are ready.
+
+        Raises:
+            RecordingError: A recording cannot be written.
+        """
+        portions = _cut(work, self._pool.jobs)
+        counts = Counter(part.index for portion in portions for part in portion)
+        found: dict[int, dict[int, Evaluation]] = {index: {} for index in counts}
+        done, total = 0, sum(part.episodes for portion in portions for part in portion)
+        if progress is not None:
+            progress(done, total)
+        for part, evaluation in self._parts(portions):
+            done += part.episodes
+            if progress is not None:
+                progress(done, total)
+            parts = found[part.index]
+            parts[part.number] = evaluation
+            if len(parts) == counts[part.index]:
+                yield part.index, Evaluation.joined([parts[number] for number in sorted(parts)])
+
+    def _parts(self, portions: list[list[_Part]]) -> Iterator[tuple[_Part, Evaluation]]:
+        """Yields the parts with their evaluations, as they are ready."""
+        while portions:
+            lost: list[list[_Part]] = []
+            work = [[part.job for part in portion] for portion in portions]
+            for number, results in self._pool.run(evaluate_portion, work):
+                portion = portions[number]
+                if isinstance(results, Lost) and len(portion) > 1:
+                    lost += [[part] for part in portion]  # one of them did it; the others are done again without it
+                    continue
+                for place, part in enumerate(portion):
+                    result = part.job.failed(results.reason) if isinstance(results, Lost) else results[place]
+                    if isinstance(result, _Unrecorded):
+                        raise RecordingError(result.code, result.message)
+                    yield part, result
+            portions = lost
 
 
-def _cut(work: Sequence[Job], jobs: int) -> list[list[int]]:
-    """Cuts work into portions of jobs that can be run together; each that is to be recorded is one for itself."""
-    portions: list[list[int]] = []
-    kinds: dict[tuple[bytes, tuple[int, ...] | None, bool], list[int]] = {}
+@dataclass(frozen=True, slots=True)
+class _Part:
+    """A job, or those of its seeds that are evaluated for themselves.
+
+    Attributes:
+        index: Of the job.
+        number: Which of its parts, in the order of the seeds.
+        job: What to do.
+        episodes: How many.
+    """
+
+    index: int
+    number: int
+    job: Job
+    episodes: int
+
+
+def _cut(work: Sequence[Job], jobs: int) -> list[list[_Part]]:
+    """Cuts work into portions of parts that can be run together; each that is to be recorded is one for itself."""
+    kinds: dict[tuple[bytes, bool, tuple[int, ...] | None, bool], list[int]] = {}
     for index, job in enumerate(work):
-        if job.record is None:
-            kinds.setdefault((job.task, job.seeds, job.duty), []).append(index)
-        else:
-            portions.append([index])
-    for (document, seeds, _), indices in kinds.items():
-        count = len(Task(orjson.loads(document)).seeds if seeds is None else seeds)
-        for portion in cut([work[index].genome for index in indices], max(1, count), jobs):
-            portions.append([indices[place] for place in portion])
+        kinds.setdefault((job.task, job.duty, job.seeds, job.record is None), []).append(index)
+    portions: list[list[_Part]] = []
+    numbers: Counter[int] = Counter()
+    for (*_, given, together), indices in kinds.items():
+        task = work[indices[0]].read_task()
+        seeds = task.seeds if given is None else given
+        for portion in cut([work[i].genome for i in indices], len(seeds), task.ticks, jobs, together=together):
+            chosen = seeds[portion.seeds.start : portion.seeds.stop]
+            portions.append([])
+            for index in (indices[place] for place in portion.genomes):
+                portions[-1].append(_Part(index, numbers[index], replace(work[index], seeds=chosen), len(chosen)))
+                numbers[index] += 1
     return portions
 
 
 def evaluate_portion(portion: Sequence[Job]) -> list[Evaluation | _Unrecorded]:
-    """Evaluates a job that is to be recorded, or jobs of one task and seeds, together."""
+    """Evaluates jobs that are to be recorded, one by one, or jobs of one task and seeds, together."""
     if portion[0].record is not None:
         return [job.run() for job in portion]
     task = portion[0].read_task()

@@ -31,7 +31,7 @@ from typing import Any, Self, TypeVar
 
 from nmes.errors import MachineError, MissingPackage
 
-__all__ = ["Cluster", "Here", "Lost", "Pool", "Workers", "in_processes", "on_ray"]
+__all__ = ["Cluster", "Here", "Lost", "Pool", "Workers", "in_processes"]
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -378,24 +378,3 @@ class Cluster(Pool):
         for reference in self._running:
             self._ray.cancel(reference, force=True)
         self._running.clear()
-
-
-def on_ray(
-    function: Callable[[Item], Result], items: Sequence[Item], address: str
-) -> Generator[tuple[int, Result | Lost], None, None]:
-    """Calls a function with every item, on the machines of a Ray cluster, a core each.
-
-    Args:
-        function: As for `in_processes`; its module must be installed on every machine.
-        items: What to call it with.
-        address: As for `Cluster`.
-
-    Yields:
-        The index of an item and its result, as they are ready.
-
-    Raises:
-        MissingPackage: Ray is not installed.
-        MachineError: There is no cluster (`no_cluster`).
-    """
-    with Cluster(address) as cluster:
-        yield from cluster.run(function, items)

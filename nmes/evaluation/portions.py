@@ -7,30 +7,44 @@ what comes out: a genome is looked at as it lies there, good or not.
 from __future__ import annotations
 
 from collections.abc import Hashable, Sequence
-from typing import Any
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import orjson
 
 from nmes.evaluation.population import ROWS
 
-__all__ = ["cut", "kind_of", "portion_size"]
+__all__ = ["Portion", "cut", "kind_of", "portion_size"]
 
 _LEAST = 4  # genomes; in smaller portions what a tick costs at all would be paid for too few
 _RESERVE = 2  # portions a process that are still to come when one is handed out
+_WORTH = 4_800  # ticks of a creature; about as long as it takes to start a process
 
 
-def cut(genomes: Sequence[bytes], seeds: int, jobs: int) -> list[list[int]]:
+class Portion(NamedTuple):
+    """What one process takes at once.
+
+    Attributes:
+        genomes: Their indices.
+        seeds: Which of the seeds, by their place.
+    """
+
+    genomes: list[int]
+    seeds: range
+
+
+def cut(genomes: Sequence[bytes], seeds: int, ticks: int, jobs: int, *, together: bool = True) -> list[Portion]:
     """Cuts a population into portions, to be handed out in this order to whichever process is free.
 
-    Each is of one kind. What takes longest comes first, and portions become smaller towards the end.
+    Each is of one kind. What takes longest comes first, and portions become smaller towards the end. A creature of
+    which a process has more to do than to start takes another is shared among them by its seeds.
 
     Args:
         genomes: Their documents.
-        seeds: How many episodes each is run for, 1 or more.
+        seeds: How many episodes each is run for.
+        ticks: How many an episode has.
         jobs: How many processes there are.
-
-    Returns:
-        The indices of the genomes in each portion.
+        together: Whether several genomes may be run together.
     """
     kinds: dict[tuple[int, Hashable], list[int]] = {}
     for index, genome in enumerate(genomes):
@@ -40,11 +54,21 @@ def cut(genomes: Sequence[bytes], seeds: int, jobs: int) -> list[list[int]]:
     for _, kind in sorted(kinds.items(), key=lambda item: (-item[0][0], item[1])):
         begin = 0
         while begin < len(kind):
-            count = _size(left, seeds, jobs, least)
-            portions.append(kind[begin : begin + count])
+            count = _size(left, seeds, jobs, least) if together else 1
+            taken = kind[begin : begin + count]
+            pieces = _pieces(left, seeds, ticks, jobs) if count == 1 else [range(seeds)]
+            portions += [Portion(taken, piece) for piece in pieces]
             begin += count
-            left -= len(portions[-1])
+            left -= len(taken)
     return portions
+
+
+def _pieces(left: int, seeds: int, ticks: int, jobs: int) -> list[range]:
+    """Cuts the seeds of one of the genomes that are left into pieces of about one size."""
+    share = left * seeds // (1 if jobs == 1 else _RESERVE * jobs)
+    count = max(1, seeds // max(-(-_WORTH // ticks), min(ROWS, share)))
+    ends = [seeds * number // count for number in range(count + 1)]
+    return [range(begin, end) for begin, end in pairwise(ends)]
 
 
 def portion_size(waiting: int, seeds: int, jobs: int) -> int:
@@ -59,7 +83,7 @@ def portion_size(waiting: int, seeds: int, jobs: int) -> int:
 
 
 def _size(left: int, seeds: int, jobs: int, least: int) -> int:
-    most = max(1, ROWS // seeds)
+    most = max(1, ROWS // max(1, seeds))
     return most if jobs == 1 else min(most, max(least, left // (_RESERVE * jobs)))
 
 

@@ -13,7 +13,8 @@ from typing import Final
 import orjson
 
 from nmes.errors import MachineError
-from nmes.evaluation.evaluator import Evaluation, Job, evaluate_portion
+from nmes.evaluation.evaluation import Evaluation
+from nmes.evaluation.evaluator import Job, evaluate_portion
 from nmes.evaluation.parallel import Lost, Pool
 from nmes.evaluation.portions import kind_of, portion_size
 from nmes.evaluation.task import Task

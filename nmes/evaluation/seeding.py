@@ -1,20 +1,33 @@
-"""Rows that are driven from outside, wherever they are: the seeds of their episodes, and the actions that they take.
+"""Seeds as callers give them; and rows that are driven from outside: their episodes' seeds, and the actions taken.
 
 Invariant: which scene an episode has follows from its row's seed and the number of the row's episodes before.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from operator import index
 from typing import TypeVar
 
 import numpy as np
 
 from nmes.backend import Array
 
-__all__ = ["RowSeeds", "check_actions"]
+__all__ = ["RowSeeds", "check_actions", "read_seeds"]
 
 T = TypeVar("T")
+
+
+def read_seeds(seeds: Iterable[int]) -> tuple[int, ...]:
+    """Returns seeds as plain whole numbers, whichever kinds of whole numbers they are.
+
+    Raises:
+        TypeError: One is no whole number, or they are no row of them.
+    """
+    try:
+        return tuple(index(seed) for seed in seeds)
+    except TypeError as error:
+        raise TypeError(f"seeds must be a row of whole numbers: {error}") from None
 
 
 class RowSeeds:

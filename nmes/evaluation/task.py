@@ -10,12 +10,12 @@ everywhere; a task that could be loaded has only expressions that can be run.
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from hashlib import blake2b
-from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
@@ -37,7 +37,7 @@ from nmes.schemas.documents import (
     plain,
 )
 
-__all__ = ["CREATURE", "SHIPPED", "Limits", "Place", "Task", "task_identity"]
+__all__ = ["CREATURE", "SHIPPED", "Limits", "Place", "Task", "TaskLike", "task_identity"]
 
 SHIPPED: Final = ShippedDocuments("task", "nmes.evaluation", "tasks")
 """The tasks that ship with the package."""
@@ -46,6 +46,8 @@ _OURS = ("name", "seed", "mode", "rate")  # of the world's config: the task, its
 _GRAVITY = 9.81  # m/s^2, by which efforts are judged, wherever a task's world is
 _TICKS, _STEPS = 100_000, 1_000_000  # ticks and engine steps of an episode: its rows are kept, and somebody waits
 _GAP = 0.001  # m between a prop that lies and what it lies on, so that the engine does not find them overlapping
+TaskLike: TypeAlias = "Task | Mapping[str, Any] | str | os.PathLike[str]"
+"""A task: itself, its document, its file, or the name of one that ships."""
 CREATURE: Final = "creature"
 """The name of the creature in a task's world; its cubes are `creature.ID`."""
 
@@ -159,13 +161,19 @@ class Task:
                 raise DocumentError([("duration", f"makes episodes of {count:,} {what}, at most {most:,}")])
 
     @classmethod
-    def load(cls, name_or_path: str | Path) -> Task:
-        """Reads a file or, where there is none and it is such a name, one of the tasks that ship with the package.
+    def load(cls, source: TaskLike) -> Task:
+        """Returns the task that is meant.
+
+        Args:
+            source: A Task, which is returned as it is; a document; or a path of a file or, where there is none and it
+                is such a name, one of the tasks that ship with the package.
 
         Raises:
             DocumentError: There is neither, it cannot be read, or it is not as it must be.
         """
-        return cls(parse_document(SHIPPED.read(name_or_path)))
+        if isinstance(source, Task):
+            return source
+        return cls(source if isinstance(source, Mapping) else parse_document(SHIPPED.read(os.fspath(source))))
 
     def with_duty(self) -> Task:
         """Returns the same task, whose episodes tell the duty factor."""

@@ -28,7 +28,7 @@ import orjson
 
 from nmes.backend.fingerprint import differences
 from nmes.errors import DocumentError, RunError
-from nmes.evaluation.evaluator import Evaluation
+from nmes.evaluation.evaluation import Evaluation
 from nmes.evaluation.parallel import Pool
 from nmes.evaluation.queue import EvaluationQueue
 from nmes.evaluation.task import task_identity

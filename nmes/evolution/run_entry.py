@@ -14,7 +14,7 @@ import orjson
 
 from nmes.errors import DocumentError
 from nmes.evaluation.episode import Result
-from nmes.evaluation.evaluator import Evaluation
+from nmes.evaluation.evaluation import Evaluation
 from nmes.evaluation.task import Task
 from nmes.evolution.algorithm import Candidate, Score
 from nmes.evolution.quantities import evaluate_quantities

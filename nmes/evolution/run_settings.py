@@ -192,7 +192,7 @@ class RunSettings:
 
 def _task(value: str | JsonObject) -> Task:
     try:
-        return Task.load(value) if isinstance(value, str) else Task(value)
+        return Task.load(value)
     except DocumentError as error:
         raise DocumentError((f"task/{path}" if path else "task", words) for path, words in error.problems) from error
 
@@ -203,7 +203,7 @@ def _starts(values: Sequence[str | JsonObject]) -> tuple[Genome, ...]:
     starts = []
     for index, value in enumerate(values):
         try:
-            starts.append(Genome.load(value) if isinstance(value, str) else Genome(value))
+            starts.append(Genome.load(value))
         except DocumentError as error:
             problems += [(f"starts/{index}/{path}".rstrip("/"), words) for path, words in error.problems]
     if problems:

@@ -7,10 +7,10 @@ keys, and `1.0` for `1`) have equal hashes.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from functools import cached_property, lru_cache
-from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import orjson
 
@@ -28,10 +28,12 @@ from nmes.schemas.documents import (
     write_json,
 )
 
-__all__ = ["SHIPPED", "Genome"]
+__all__ = ["SHIPPED", "Genome", "GenomeLike"]
 
 SHIPPED: Final = ShippedDocuments("genome", "nmes.genome", "shipped")
 """The genomes that ship with the package."""
+GenomeLike: TypeAlias = "Genome | Mapping[str, Any] | str | os.PathLike[str]"
+"""A genome: itself, its document, its file, or the name of one that ships."""
 
 
 class Genome:
@@ -66,13 +68,19 @@ class Genome:
         return cls(parse_document(text))
 
     @classmethod
-    def load(cls, name: str | Path) -> Genome:
-        """Reads a file or, where there is none and it is such a name, one of the genomes that ship with the package.
+    def load(cls, source: GenomeLike) -> Genome:
+        """Returns the genome that is meant.
+
+        Args:
+            source: A Genome, which is returned as it is; a document; or a path of a file or, where there is none and
+                it is such a name, one of the genomes that ship with the package.
 
         Raises:
             DocumentError: There is neither, it cannot be read, or it is not a good genome.
         """
-        return cls.parse(SHIPPED.read(name))
+        if isinstance(source, Genome):
+            return source
+        return cls(source) if isinstance(source, Mapping) else cls.parse(SHIPPED.read(os.fspath(source)))
 
     @staticmethod
     def problems(document: Any) -> list[tuple[str, str]]:

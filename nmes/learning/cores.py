@@ -1,12 +1,12 @@
-"""What environments stand on: rows of one creature on one task, here or on another machine; and how one is named.
+"""What environments stand on: rows of one creature on one task, here or on another machine.
 
-Hides how a genome and a task are told by name, file, document or as they are, and where recordings go.
+Hides where recordings go.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from hashlib import blake2b
 from pathlib import Path
 from typing import Any, Protocol
@@ -19,12 +19,7 @@ from nmes.evaluation import Result, Task
 from nmes.genome import Genome
 from nmes.objective.trajectory import Flags
 
-__all__ = ["Core", "GenomeLike", "Records", "TaskLike", "folder_of", "genome_of", "task_of", "told"]
-
-GenomeLike = Genome | Mapping[str, Any] | str | os.PathLike[str]
-"""A genome: itself, its document, its file, or the name of one that ships."""
-TaskLike = Task | Mapping[str, Any] | str | os.PathLike[str]
-"""A task: itself, its document, its file, or the name of one that ships."""
+__all__ = ["Core", "Records", "folder_of", "told"]
 
 
 class Core(Protocol):
@@ -56,32 +51,6 @@ class Core(Protocol):
 
     def close(self) -> None:
         """Ends all episodes."""
-
-
-def genome_of(genome: GenomeLike) -> Genome:
-    """Returns the genome that is meant.
-
-    Raises:
-        DocumentError: There is none of that name, it cannot be read, or it is not as it must be.
-    """
-    if isinstance(genome, Genome):
-        return genome
-    return Genome(genome) if isinstance(genome, Mapping) else Genome.load(_text(genome))
-
-
-def task_of(task: TaskLike) -> Task:
-    """Returns the task that is meant.
-
-    Raises:
-        DocumentError: There is none of that name, it cannot be read, or it is not as it must be.
-    """
-    if isinstance(task, Task):
-        return task
-    return Task(task) if isinstance(task, Mapping) else Task.load(_text(task))
-
-
-def _text(name: str | os.PathLike[str]) -> str | Path:
-    return name if isinstance(name, str) else Path(name)
 
 
 def told(result: Result) -> dict[str, Any]:

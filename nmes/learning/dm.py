@@ -19,9 +19,12 @@ from dm_env import specs
 
 from nmes.backend import Array
 from nmes.evaluation import Environments, Result
+from nmes.evaluation.task import Task, TaskLike
+from nmes.genome import Genome
 from nmes.genome.body import Sensor
+from nmes.genome.genome import GenomeLike
 from nmes.learning import spaces
-from nmes.learning.cores import Core, GenomeLike, TaskLike, genome_of, task_of
+from nmes.learning.cores import Core
 
 __all__ = ["DmEnvironment", "dm_environment"]
 
@@ -49,7 +52,7 @@ def dm_environment(
             expression.
         ValueError: There are no seeds.
     """
-    core = Environments(genome_of(genome), task_of(task), 1, seeds=seeds, reward=reward, autoreset="disabled")
+    core = Environments(Genome.load(genome), Task.load(task), 1, seeds=seeds, reward=reward, autoreset="disabled")
     return DmEnvironment(core, random)
 
 

@@ -19,8 +19,11 @@ from nmes.backend import Array, Image, load_backend
 from nmes.errors import WorldError
 from nmes.evaluation import Environments, Task
 from nmes.evaluation.driven import DrivenWorld
+from nmes.evaluation.task import TaskLike
+from nmes.genome import Genome
+from nmes.genome.genome import GenomeLike
 from nmes.learning import spaces
-from nmes.learning.cores import Core, GenomeLike, Records, TaskLike, genome_of, task_of, told
+from nmes.learning.cores import Core, Records, told
 from nmes.learning.registration import register
 
 __all__ = ["CreatureEnv", "TaskEnv", "check_options"]
@@ -224,5 +227,5 @@ class TaskEnv(CreatureEnv):
             ValueError: There is no such mode, or there are no seeds.
             RecordingError: The folder cannot be made.
         """
-        core = Environments(genome_of(genome), task_of(task), 1, seeds=seeds, reward=reward, autoreset="disabled")
+        core = Environments(Genome.load(genome), Task.load(task), 1, seeds=seeds, reward=reward, autoreset="disabled")
         super().__init__(core, render_mode=render_mode, record=record)

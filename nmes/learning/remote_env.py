@@ -13,7 +13,9 @@ from collections.abc import Sequence
 
 from gymnasium.vector import AutoresetMode
 
-from nmes.learning.cores import GenomeLike, TaskLike, genome_of, task_of
+from nmes.evaluation.task import Task, TaskLike
+from nmes.genome import Genome
+from nmes.genome.genome import GenomeLike
 from nmes.learning.environment import CreatureEnv
 from nmes.learning.remote import RemoteEnvironments
 from nmes.learning.vector import AUTORESET, CreatureVectorEnv
@@ -68,8 +70,8 @@ class Remote(CreatureEnv):
         """
         core = RemoteEnvironments(
             address,
-            genome_of(genome),
-            task_of(task),
+            Genome.load(genome),
+            Task.load(task),
             password=password,
             worlds=None if world is None else [world],
             tls=tls,
@@ -124,8 +126,8 @@ class RemoteVector(CreatureVectorEnv):
         mode = AutoresetMode(autoreset_mode)
         core = RemoteEnvironments(
             address,
-            genome_of(genome),
-            task_of(task),
+            Genome.load(genome),
+            Task.load(task),
             count,
             password=password,
             worlds=worlds,

@@ -35,11 +35,12 @@ from nmes.errors import RecordingError, WorldError
 from nmes.evaluation.episode import Entrant, Observer, Result, set_scene
 from nmes.evaluation.progress import Progress
 from nmes.evaluation.seeding import RowSeeds
-from nmes.evaluation.task import Place, Task
+from nmes.evaluation.task import Place, Task, TaskLike
 from nmes.genome import Genome
 from nmes.genome.body import Body, corners
+from nmes.genome.genome import GenomeLike
 from nmes.learning import spaces
-from nmes.learning.cores import GenomeLike, TaskLike, folder_of, genome_of, task_of, told
+from nmes.learning.cores import folder_of, told
 from nmes.recording import Recorder
 from nmes.world import World
 
@@ -74,8 +75,8 @@ def parallel_env(
         WorldError: A creature may not take part, or has no motors or no sensors.
         RecordingError: The folder cannot be made.
     """
-    read = {name: genome_of(genome) for name, genome in genomes.items()}
-    return CreaturesEnv(task_of(task), read, seeds=seeds, record=record)
+    read = {name: Genome.load(genome) for name, genome in genomes.items()}
+    return CreaturesEnv(Task.load(task), read, seeds=seeds, record=record)
 
 
 class CreaturesEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]

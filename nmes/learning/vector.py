@@ -20,8 +20,11 @@ from gymnasium.vector.utils import batch_space
 from nmes.backend import Array
 from nmes.evaluation import Environments
 from nmes.evaluation.environments import Autoreset
+from nmes.evaluation.task import Task, TaskLike
+from nmes.genome import Genome
+from nmes.genome.genome import GenomeLike
 from nmes.learning import spaces
-from nmes.learning.cores import Core, GenomeLike, Records, TaskLike, genome_of, task_of, told
+from nmes.learning.cores import Core, Records, told
 from nmes.learning.environment import check_options
 from nmes.objective.trajectory import Flags
 
@@ -227,8 +230,8 @@ class TaskVectorEnv(CreatureVectorEnv):
         """
         mode = AutoresetMode(autoreset_mode)
         core = Environments(
-            genome_of(genome),
-            task_of(task),
+            Genome.load(genome),
+            Task.load(task),
             num_envs,
             seeds=seeds,
             threads=threads,

@@ -14,7 +14,7 @@ import orjson
 import pytest
 
 from creatures import snake
-from nmes.evaluation import Evaluation, Job, Task, Workers, evaluate_all, evaluator
+from nmes.evaluation import Evaluation, Evaluator, Job, Task, Workers, evaluator
 from nmes.evaluation.parallel import Lost, in_processes
 
 
@@ -130,7 +130,7 @@ def test_of_creatures_that_run_together_only_the_one_that_kills_its_process_is_l
     monkeypatch.setattr(evaluator, "evaluate_portion", deadly)
     document, task = orjson.dumps(snake()), orjson.dumps(Task.load("walk").document)
     work = [Job("killer" if i == 5 else f"g{i}", document, task) for i in range(12)]
-    with Workers(2) as workers:
-        found = dict(evaluate_all(work, workers=workers))
+    with Evaluator(2) as workers:
+        found = dict(workers.run(work))
     assert "SIGKILL" in str(found.pop(5).error)
     assert len(found) == 11 and {each.error for each in found.values()} == {"alive"}

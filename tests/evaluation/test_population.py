@@ -14,7 +14,7 @@ from creatures import cpg, exploding, mlp, snake
 from nmes.backend import Rows
 from nmes.backends.mujoco3d import rows
 from nmes.backends.mujoco3d.rows import MujocoRows
-from nmes.evaluation import Evaluation, Task, Workers, evaluate, evaluate_population, evaluator, population
+from nmes.evaluation import Evaluation, Evaluator, Task, evaluate, evaluator, population
 from nmes.evaluation.episode import Episode, Handover
 from nmes.genome import Genome
 from nmes.world import World
@@ -84,7 +84,7 @@ def assert_alike(genomes: Sequence[Genome], asked: Task, found: Sequence[Evaluat
 def draw_and_compare(seed: int, name: str, size: int, **changes: Any) -> Counter[str]:
     """Compares a drawn population with each of it alone; returns how its episodes came out."""
     genomes, asked = draw_population(seed, size), task(name, **changes)
-    found = evaluate_population(genomes, asked)
+    found = Evaluator(1).evaluate_population(genomes, asked)
     assert_alike(genomes, asked, found)
     results = [result for each in found for result in each.results]
     return Counter((result.fault or result.ended or "whole").split(":")[0] for result in results)
@@ -107,7 +107,7 @@ def test_many_populations_score_what_each_scores_alone(seed: int, name: str) -> 
 def test_populations_on_the_shipped_tasks_score_what_each_scores_alone(name: str) -> None:
     asked = Task({**Task.load(name).document, "duration": 3, "seeds": [1, 5]})
     genomes = [*draw_population(2, 12), *map(Genome.load, Genome.names())]
-    assert_alike(genomes, asked, evaluate_population(genomes, asked))
+    assert_alike(genomes, asked, Evaluator(1).evaluate_population(genomes, asked))
 
 
 def test_one_body_with_many_brains_and_many_sizes_of_it_run_as_rows(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -126,7 +126,7 @@ def test_one_body_with_many_brains_and_many_sizes_of_it_run_as_rows(monkeypatch:
     with monkeypatch.context() as patch:
         patch.setattr(population, "run_alone", refuse)
         patch.setattr(population, "run_in_world", refuse)
-        found = evaluate_population(genomes, asked)
+        found = Evaluator(1).evaluate_population(genomes, asked)
     assert len({each.score for each in found}) == 5  # the two of equal brains score alike
     assert_alike(genomes, asked, found)
 
@@ -139,16 +139,16 @@ def test_a_row_that_faults_or_ends_early_leaves_the_others_as_they_were() -> Non
             joint["motor"]["mode"] = "velocity"
     genomes = [Genome({**bang, "name": f"bang{i}"}) if i % 2 else Genome(calm[i // 2]) for i in range(6)]
     asked = task("run", duration=0.5)
-    found = evaluate_population(genomes, asked)
+    found = Evaluator(1).evaluate_population(genomes, asked)
     assert [each.faults for each in found] == [0, 2, 0, 2, 0, 2]
     assert_alike(genomes, asked, found)
 
 
 def test_the_duty_factor_is_told_where_it_is_asked_for_and_changes_nothing_else() -> None:
     genomes, asked = draw_population(9, 6), task("run", duration=0.5)
-    found = evaluate_population(genomes, asked.with_duty())
+    found = Evaluator(1).evaluate_population(genomes, asked.with_duty())
     assert_alike(genomes, asked.with_duty(), found)
-    plain = evaluate_population(genomes, asked)
+    plain = Evaluator(1).evaluate_population(genomes, asked)
     for each, other in zip(found, plain, strict=True):
         assert [replace(result, duty=None) for result in each.results] == list(other.results)
     duties = {result.duty for each in found for result in each.results if result.fault is None}
@@ -190,24 +190,24 @@ def test_how_many_ticks_are_taken_in_one_call_changes_nothing(room: int, monkeyp
     expected = [in_worlds(genome, asked) for genome in genomes]
     assert len({each.score for each in expected}) == 5
     monkeypatch.setattr(rows, "_ROOM", room)
-    assert evaluate_population(genomes, asked) == expected
+    assert Evaluator(1).evaluate_population(genomes, asked) == expected
 
 
 def test_processes_and_order_change_nothing() -> None:
     genomes, asked = draw_population(5, 8), task("run", duration=0.3, seeds=[3], settle_limit=0.6)
-    here = evaluate_population(genomes, asked)
-    with Workers(2) as workers:
+    here = Evaluator(1).evaluate_population(genomes, asked)
+    with Evaluator(2) as workers:
         for order in (range(8), [7, 3, 0, 5, 1, 2, 4, 6]):
-            found = evaluate_population([genomes[i] for i in order], asked, workers=workers)
+            found = workers.evaluate_population([genomes[i] for i in order], asked)
             assert found == [here[i] for i in order]
 
 
 def test_seeds_are_those_that_are_asked_for_in_their_order() -> None:
     genomes, asked = [Genome(snake(mlp(4, seed=i))) for i in range(2)], task("run", duration=0.5)
-    found = evaluate_population(genomes, asked, seeds=[9, 3, 9])
+    found = Evaluator(1).evaluate_population(genomes, asked, seeds=[9, 3, 9])
     assert [[result.seed for result in each.results] for each in found] == [[9, 3, 9]] * 2
     assert found == [evaluate(genome, asked, seeds=[9, 3, 9]) for genome in genomes]
-    assert evaluate_population([], asked) == []
+    assert Evaluator(1).evaluate_population([], asked) == []
 
 
 def test_an_engine_without_rows_gives_the_same_figures() -> None:
@@ -218,6 +218,6 @@ def test_an_engine_without_rows_gives_the_same_figures() -> None:
             joint["axis"] = [0, 0, 1]
         document["body"]["cubes"][0]["mass"] = 0.5 + 0.1 * i
     genomes = [Genome(document) for document in documents]
-    found = evaluate_population(genomes, asked)
+    found = Evaluator(1).evaluate_population(genomes, asked)
     assert all(each.score is not None for each in found), found[0]
     assert_alike(genomes, asked, found)

@@ -9,7 +9,7 @@ import pytest
 
 from creatures import snake
 from nmes.errors import MachineError
-from nmes.evaluation import Evaluation, Job, Task, evaluate_population
+from nmes.evaluation import Evaluation, Evaluator, Job, Task
 from nmes.evaluation.parallel import Here, Lost, Workers
 from nmes.evaluation.queue import EvaluationQueue
 from nmes.genome import Genome
@@ -65,7 +65,7 @@ def all_of(queue: EvaluationQueue) -> dict[int, Evaluation]:
 
 def test_evaluations_are_those_of_all_together_whenever_their_genomes_came() -> None:
     genomes = draw_population(5, 9)
-    together = evaluate_population(genomes, TASK)
+    together = Evaluator(1).evaluate_population(genomes, TASK)
     queue = EvaluationQueue(TASK, TASK.seeds, Here())
     found: dict[int, Evaluation] = {}
     for number, genome in enumerate(genomes):

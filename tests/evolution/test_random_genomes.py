@@ -9,7 +9,7 @@ import orjson
 import pytest
 
 from nmes.errors import VariationError
-from nmes.evaluation import Task, evaluate_population
+from nmes.evaluation import Evaluator, Task
 from nmes.evolution import Draw, mutate
 from nmes.evolution.random_genomes import random_genome
 from nmes.genome import Genome
@@ -52,7 +52,7 @@ def test_they_are_symmetric_and_in_segments_and_have_brains_of_several_kinds() -
 
 def test_a_good_part_of_them_moves() -> None:
     task = Task({**Task.load("walk").document, "duration": 4, "seeds": [1]})
-    evaluations = evaluate_population(creatures(task, 16), task)
+    evaluations = Evaluator(1).evaluate_population(creatures(task, 16), task)
     assert sum(evaluation.score is not None for evaluation in evaluations) >= 14
     assert sum((evaluation.distance or 0.0) > 0.1 for evaluation in evaluations) >= 4
 

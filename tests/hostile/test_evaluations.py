@@ -15,7 +15,7 @@ from boards import DASH
 from creatures import SINE, cpg, snake
 from nmes.cli import main
 from nmes.errors import RecordingError
-from nmes.evaluation import Episode, Job, Task, Workers, evaluate, evaluate_all, evaluator, prove
+from nmes.evaluation import Episode, Evaluator, Job, Task, evaluate, evaluator, prove
 from nmes.genome import Genome
 from nmes.recording import Recorder
 
@@ -254,8 +254,8 @@ def test_a_recording_that_cannot_be_written_is_an_error_in_every_process(wave: P
     folder = str(wave)  # a file
     for jobs in (1, 2):
         work = [Job(f"{i}", json.dumps(snake(name=f"n{i}")).encode(), task, None, folder) for i in range(2)]
-        with pytest.raises(RecordingError), Workers(jobs) as workers:
-            list(evaluate_all(work, workers=workers))
+        with pytest.raises(RecordingError), Evaluator(jobs) as workers:
+            list(workers.run(work))
 
 
 def test_a_genome_that_breaks_the_reader_is_an_error_of_its_own(

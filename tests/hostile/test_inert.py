@@ -9,8 +9,7 @@ from itertools import count, islice
 
 import pytest
 
-from nmes.evaluation import Evaluation, Task, Workers, evaluate_population
-from nmes.evaluation.parallel import Here
+from nmes.evaluation import Evaluation, Evaluator, Task
 from nmes.genome import Genome
 from random_bodies import INERT, still, valid_genomes
 
@@ -30,14 +29,14 @@ def test_a_creature_that_does_nothing_scores_nothing(
     outcomes: Counter[str] = Counter()
     drawn = valid_genomes(count(Task.names().index(name) * 1_000_000), Counter(), planar=name.startswith("planar"))
     inert = ((seed, still(document, INERT[place % len(INERT)])) for place, (seed, document) in enumerate(drawn))
-    with Workers(jobs) if jobs > 1 else Here() as workers:
+    with Evaluator(jobs) as evaluator:
         for done in range(0, bodies, CHUNK):
             by_seed: dict[int, list[tuple[int, Genome]]] = {}
             for seed, document in islice(inert, min(CHUNK, bodies - done)):
                 by_seed.setdefault(task.seeds[seed % len(task.seeds)], []).append((seed, Genome(document)))
             for task_seed, chunk in by_seed.items():
                 genomes = [genome for _, genome in chunk]
-                evaluations = evaluate_population(genomes, task, seeds=[task_seed], workers=workers)
+                evaluations = evaluator.evaluate_population(genomes, task, seeds=[task_seed])
                 for (seed, _), evaluation in zip(chunk, evaluations, strict=True):
                     outcomes[judged(evaluation, f"body {seed}")] += 1
     record_property(f"{name}: inert bodies", dict(outcomes))

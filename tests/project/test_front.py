@@ -9,8 +9,8 @@ import sys
 import pytest
 
 NAMES = [
-    *("AsyncClient", "Client", "Episode", "Evaluation", "Genome", "Recorder", "Recording", "Task", "World"),
-    *("evaluate", "load_backend", "replay"),
+    *("AsyncClient", "Client", "Cut", "Episode", "Evaluation", "Evaluator", "Genome", "Recorder", "Recording"),
+    *("Task", "World", "evaluate", "film", "load_backend", "replay"),
 ]
 IMPORT_ALL = """
 import importlib, pkgutil
@@ -46,6 +46,11 @@ def test_dir_shows_all_names_and_no_others() -> None:
     shown = run("import nmes; print(*dir(nmes))").split()
     assert sorted(name for name in shown if not name.startswith("__")) == sorted(NAMES)
     assert len(shown) == len(set(shown))
+
+
+def test_the_docstring_says_what_each_name_is() -> None:
+    told = run("import nmes; print(nmes.__doc__)").partition("- Worlds:")[2]
+    assert [name for name in NAMES if f"`{name}`" not in told] == []
 
 
 def test_importing_the_front_imports_nothing_else() -> None:
