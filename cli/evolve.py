@@ -102,7 +102,7 @@ def begin(context: click.Context, /, settings: Path | None, output: Path | None,
 
 def _from_file(context: click.Context, settings: Path) -> Any:
     """Reads a settings file, beside which nothing else may say what the run is."""
-    from nmes.evolution.run_settings import read_settings
+    from nmes.evolution.run_folder import read_settings
 
     used = {name for name in context.params if context.get_parameter_source(name) is ParameterSource.COMMANDLINE}
     if used - _BESIDE:

@@ -24,8 +24,6 @@ from itertools import count
 from pathlib import Path
 from typing import Final
 
-import orjson
-
 from nmes.backend.fingerprint import differences
 from nmes.errors import DocumentError, RunError
 from nmes.evaluation.evaluation import Evaluation
@@ -34,9 +32,10 @@ from nmes.evaluation.queue import EvaluationQueue
 from nmes.evaluation.task import task_identity
 from nmes.evolution.algorithm import Algorithm, Candidate, Score
 from nmes.evolution.run_entry import Entry, told
+from nmes.evolution.run_folder import SETTINGS, begin_run, open_run, text_of
 from nmes.evolution.run_index import IndexWriter, Record, RunIndex, State
 from nmes.evolution.run_log import Line, RunLog, RunWriter, write_whole
-from nmes.evolution.run_settings import FORMAT, RunSettings, read_settings
+from nmes.evolution.run_settings import FORMAT, RunSettings
 from nmes.genome import Genome
 from nmes.schemas.documents import JsonObject, canonical_hash
 
@@ -103,16 +102,9 @@ class Run:
         Raises:
             RunError: There is a run in it (`run_exists`), or it cannot be written (`cannot_write`).
         """
-        path = Path(folder)
-        if any((path / name).exists() for name in ("run.json", "log.jsonl")):
-            raise RunError("run_exists", f"there is a run in {path}: resume it, or choose another folder")
         document = {**settings.document, "fingerprint": settings.fingerprint()}
-        try:
-            path.mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise RunError("cannot_write", f"cannot make the folder {path}: {error.strerror}") from error
-        write_whole(path / "run.json", _text(document), new=True)
-        return cls(path, document)
+        begin_run(Path(folder), document)
+        return cls(Path(folder), document)
 
     @classmethod
     def open(cls, folder: str | os.PathLike[str]) -> Run:
@@ -121,18 +113,7 @@ class Run:
         Raises:
             RunError: There is none, or none of this format (`no_run`), or its log is damaged (`log_damaged`).
         """
-        path = Path(folder) / "run.json"
-        try:
-            document = read_settings(path)
-            run_format = document.get("format") if isinstance(document, dict) else None
-            if isinstance(run_format, str) and run_format.startswith("nmes-run/") and run_format != FORMAT:
-                what = f"{path.parent} is a run of the format {run_format}, not {FORMAT}"
-                raise RunError("no_run", f"{what}: go on with it in the version of NMES that began it")
-            return cls(path.parent, document)
-        except OSError as error:
-            raise RunError("no_run", f"there is no run in {path.parent}: {error.strerror}") from error
-        except DocumentError as error:
-            raise RunError("no_run", f"{path} is not as it must be:\n{error.message}") from error
+        return open_run(folder, FORMAT, cls)
 
     # -- what is there ---------------------------------------------------------------------------------------------
 
@@ -313,7 +294,7 @@ class Run:
             self._read()  # another process may have gone on since
             if self._document["budget"] != self.settings.budget:
                 self._document = {**self._document, "budget": self.settings.budget}
-                write_whole(self.folder / "run.json", _text(self._document))
+                write_whole(self.folder / SETTINGS, text_of(self._document))
             if self.records:
                 writer.resume(self.records[-1].end, self.records[-1].digest)
             else:
@@ -368,7 +349,3 @@ class Run:
         self._state = State(order.told, tuple(order.algorithm.elites()), dict(order.algorithm.figures()))
         index.put(self.records[self._indexed :], self._state)
         self._indexed = len(self)
-
-
-def _text(document: JsonObject) -> bytes:
-    return orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
-from pathlib import Path
 from typing import Any, Final
 
 import orjson
@@ -37,25 +36,10 @@ from nmes.schemas.documents import (
     write_json,
 )
 
-__all__ = ["FORMAT", "RunSettings", "read_settings"]
+__all__ = ["FORMAT", "RunSettings"]
 
 FORMAT: Final = "nmes-run/1"
 _RUN: Final = compile_schema("run.json")
-_LARGEST: Final = 1 << 30  # bytes of a file, which may hold many genomes
-
-
-def read_settings(path: Path) -> Any:
-    """Reads the document in a file of settings, which nobody has judged yet.
-
-    Raises:
-        OSError: The file cannot be read.
-        DocumentError: It is not strict JSON, or too large.
-    """
-    with path.open("rb") as file:
-        text = file.read(_LARGEST + 1)
-    if len(text) > _LARGEST:
-        raise DocumentError([("", f"{path} has over {_LARGEST >> 30} GiB, more than settings may have")])
-    return parse_document(text)
 
 
 @dataclass(frozen=True, slots=True)

@@ -27,17 +27,17 @@ import orjson
 from nmes.backend.fingerprint import differences
 from nmes.errors import DocumentError, RunError
 from nmes.evaluation.task import task_identity
+from nmes.evolution.run_folder import begin_run, open_run, require_no_run, text_of
 from nmes.evolution.run_log import Line, RunLog, RunWriter, write_whole
 from nmes.genome import Genome
 from nmes.learning.legs import Learning
 from nmes.learning.settings import FORMAT, LearningSettings
 from nmes.learning.state import State, read_state, state_digest, write_state
-from nmes.schemas.documents import JsonObject, canonical_hash, check, compile_schema, parse_document
+from nmes.schemas.documents import JsonObject, canonical_hash, check, compile_schema
 
 __all__ = ["LearningRun", "Leg"]
 
 _RECORD: Final = compile_schema("learning_record.json")
-_LARGEST: Final = 1 << 28  # bytes of run.json
 _KEPT: Final = 16  # states beside the last: from each of them the run can be proved
 _STATE: Final = re.compile(r"(\d{1,12})\.state")
 
@@ -109,15 +109,10 @@ class LearningRun:
             WorldError, RecordingError, ProofError: It could not begin; see `Learning`. No folder is made.
         """
         path = Path(folder)
-        if any((path / name).exists() for name in ("run.json", "log.jsonl")):
-            raise RunError("run_exists", f"there is a run in {path}: resume it, or choose another folder")
+        require_no_run(path)
         Learning(settings).close()
         document = {**settings.document, "fingerprint": settings.fingerprint()}
-        try:
-            (path / "states").mkdir(parents=True, exist_ok=True)
-        except OSError as error:
-            raise RunError("cannot_write", f"cannot make the folder {path}: {error.strerror}") from error
-        write_whole(path / "run.json", _text(document), new=True)
+        begin_run(path, document)
         return cls(path, document)
 
     @classmethod
@@ -127,23 +122,7 @@ class LearningRun:
         Raises:
             RunError: There is none, or none of this format (`no_run`), or its log is damaged (`log_damaged`).
         """
-        path = Path(folder) / "run.json"
-        try:
-            with path.open("rb") as file:
-                text = file.read(_LARGEST + 1)
-            if len(text) > _LARGEST:
-                raise RunError("no_run", f"{path} has over {_LARGEST >> 20} MiB, more than settings may have")
-            document = parse_document(text)
-            run_format = document.get("format") if isinstance(document, dict) else None
-            if isinstance(run_format, str) and run_format != FORMAT:
-                what = f"{path.parent} is a run of the format {run_format}, not {FORMAT}"
-                hint = "see `nmes evolve`" if run_format.startswith("nmes-run/") else "use the version that began it"
-                raise RunError("no_run", f"{what}: {hint}")
-            return cls(path.parent, document)
-        except OSError as error:
-            raise RunError("no_run", f"there is no run in {path.parent}: {error.strerror}") from error
-        except DocumentError as error:
-            raise RunError("no_run", f"{path} is not as it must be:\n{error.message}") from error
+        return open_run(folder, FORMAT, cls)
 
     # -- what is there ---------------------------------------------------------------------------------------------
 
@@ -317,12 +296,13 @@ class LearningRun:
         return ""
 
     def _write_state(self, learning: Learning) -> None:
-        write_whole(self._state_path(learning.leg), write_state(learning.state()))
+        path = self._state_path(learning.leg)
+        try:
+            path.parent.mkdir(exist_ok=True)
+        except OSError as error:
+            raise RunError("cannot_write", f"cannot make the folder {path.parent}: {error.strerror}") from error
+        write_whole(path, write_state(learning.state()))
 
     def _write_champion(self, learning: Learning) -> None:
         if learning.champion is not None:
-            write_whole(self.folder / "genome.json", _text(learning.champion.genome.document))
-
-
-def _text(document: JsonObject) -> bytes:
-    return orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
+            write_whole(self.folder / "genome.json", text_of(learning.champion.genome.document))

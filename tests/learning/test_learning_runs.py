@@ -304,8 +304,8 @@ def test_a_log_is_followed(copied: Path) -> None:
     [
         (b"", "not as it must be"),
         (b"{}", "is missing"),
-        (b'{"format": "nmes-run/1"}', "is a run of the format nmes-run/1, not nmes-learning/1: see `nmes evolve`"),
-        (b'{"format": "nmes-learning/2"}', "use the version that began it"),
+        (b'{"format": "nmes-run/1"}', "is a run of the format nmes-run/1, not nmes-learning/1: .* by `nmes evolve`"),
+        (b'{"format": "nmes-learning/2"}', "in the version of NMES that began it"),
     ],
 )
 def test_a_folder_with_other_settings_is_no_run(text: bytes, words: str, copied: Path) -> None:

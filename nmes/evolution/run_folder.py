@@ -1,0 +1,96 @@
+"""The folder of a run, of evolution or of learning: `run.json`, which says what the run is about, beside its log.
+
+Hides how a run begins in a folder, so that of two processes one has it, and what is told where there is none.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+import orjson
+
+from nmes.errors import DocumentError, RunError
+from nmes.evolution.run_log import write_whole
+from nmes.schemas.documents import JsonObject, parse_document
+
+__all__ = ["SETTINGS", "begin_run", "open_run", "read_settings", "require_no_run", "text_of"]
+
+SETTINGS: Final = "run.json"
+_LARGEST: Final = 1 << 30  # bytes of a file of settings, which may hold many genomes
+
+T = TypeVar("T")
+
+
+def text_of(document: JsonObject) -> bytes:
+    """Returns a document as a person would read it in a file."""
+    return orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
+
+
+def require_no_run(folder: Path) -> None:
+    """Raises RunError (`run_exists`) where there is a run in a folder, or what is left of one."""
+    if any((folder / name).exists() for name in (SETTINGS, "log.jsonl")):
+        raise RunError("run_exists", f"there is a run in {folder}: resume it, or choose another folder")
+
+
+def begin_run(folder: Path, document: JsonObject) -> None:
+    """Makes a folder for a run that has not begun yet.
+
+    Args:
+        folder: The folder; one that is there may hold what else it likes.
+        document: What the run is about.
+
+    Raises:
+        RunError: There is a run in it (`run_exists`), or it cannot be written (`cannot_write`).
+    """
+    require_no_run(folder)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise RunError("cannot_write", f"cannot make the folder {folder}: {error.strerror}") from error
+    write_whole(folder / SETTINGS, text_of(document), new=True)
+
+
+def open_run(folder: str | os.PathLike[str], run_format: str, read: Callable[[Path, JsonObject], T]) -> T:
+    """Opens the run in a folder.
+
+    Args:
+        folder: The run's.
+        run_format: That it must have.
+        read: Makes a run of its folder and of what it is about; raises DocumentError where that is not as it must be.
+
+    Raises:
+        RunError: There is none, or none of this format (`no_run`); and what `read` raises.
+    """
+    path = Path(folder) / SETTINGS
+    try:
+        document = read_settings(path)
+        found = document.get("format") if isinstance(document, dict) else None
+        if isinstance(found, str) and found != run_format:
+            raise RunError("no_run", f"{path.parent} is a run of the format {found}, not {run_format}: {_hint(found)}")
+        return read(path.parent, document)
+    except OSError as error:
+        raise RunError("no_run", f"there is no run in {path.parent}: {error.strerror}") from error
+    except DocumentError as error:
+        raise RunError("no_run", f"{path} is not as it must be:\n{error.message}") from error
+
+
+def _hint(run_format: str) -> str:
+    command = {"nmes-run": "evolve", "nmes-learning": "learn"}.get(run_format.partition("/")[0])
+    return "go on with it in the version of NMES that began it" + (f", by `nmes {command}`" if command else "")
+
+
+def read_settings(path: Path) -> Any:
+    """Reads the document in a file of settings, which nobody has judged yet.
+
+    Raises:
+        OSError: The file cannot be read.
+        DocumentError: It is not strict JSON, or too large.
+    """
+    with path.open("rb") as file:
+        text = file.read(_LARGEST + 1)
+    if len(text) > _LARGEST:
+        raise DocumentError([("", f"{path} has over {_LARGEST >> 30} GiB, more than settings may have")])
+    return parse_document(text)
