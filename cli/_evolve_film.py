@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from nmes.cli._output import check_output
-from nmes.cli._progress import progress_bars
+from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._size import size_option
 
 __all__ = ["command"]
@@ -31,6 +31,7 @@ __all__ = ["command"]
 )
 @click.option("--fps", type=click.IntRange(1, 120), default=12, show_default=True, help="Pictures a second.")
 @size_option("720x360")
+@QUIET
 def command(folder: Path, output: Path, seconds: float, fps: int, size: tuple[int, int]) -> None:
     """Film the champions of each era of a run, side by side.
 

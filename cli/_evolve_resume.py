@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from nmes.cli._evolve_run import JOBS, JSON, RAY, check_pool, go_on, tell
+from nmes.cli._progress import QUIET
 
 __all__ = ["command"]
 
@@ -17,6 +18,7 @@ __all__ = ["command"]
 @JOBS
 @RAY
 @JSON
+@QUIET
 def command(folder: Path, budget: int | None, jobs: int | None, ray: str | None, as_json: bool) -> None:
     """Go on with a run that was interrupted, or give a run a greater budget.
 

@@ -11,7 +11,7 @@ from nmes.cli._columns import columns
 from nmes.cli._json import print_json
 from nmes.cli._output import whole_file
 from nmes.cli._pictures import write_picture
-from nmes.cli._progress import progress_bars
+from nmes.cli._progress import QUIET, progress_bars
 from nmes.errors import visible
 
 if TYPE_CHECKING:
@@ -31,6 +31,7 @@ __all__ = ["command"]
     help="Draw it: as one page, FILE.html, or as a folder with that page and its pictures.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
+@QUIET
 def command(folder: Path, output: Path | None, as_json: bool) -> None:
     """Show what a run has come to: how far it is, the best, and which operators helped.
 

@@ -10,7 +10,7 @@ import click
 
 from nmes.cli._evolve_run import JOBS, RAY, check_pool, open_pool
 from nmes.cli._json import print_json
-from nmes.cli._progress import progress_bars
+from nmes.cli._progress import QUIET, progress_bars
 from nmes.errors import visible
 
 __all__ = ["command"]
@@ -27,6 +27,7 @@ _STATUS = {"holds": 0, "broken": 1, "not_comparable": 3}
 @JOBS
 @RAY
 @click.option("--json", "as_json", is_flag=True, help="Print the verdict as JSON.")
+@QUIET
 def command(folder: Path, sample: int, everything: bool, jobs: int | None, ray: str | None, as_json: bool) -> None:
     """Prove a run: what its log says comes out again.
 

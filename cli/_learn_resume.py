@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from nmes.cli._learn_run import JSON, THREADS, go_on, tell
+from nmes.cli._progress import QUIET
 
 __all__ = ["command"]
 
@@ -15,6 +16,7 @@ __all__ = ["command"]
 @click.argument("folder", metavar="RUN", type=click.Path(path_type=Path))
 @THREADS
 @JSON
+@QUIET
 def command(folder: Path, threads: int | None, as_json: bool) -> None:
     """Go on with a run of learning that was interrupted.
 

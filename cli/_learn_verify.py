@@ -10,7 +10,7 @@ import click
 
 from nmes.cli._json import print_json
 from nmes.cli._learn_run import THREADS, cores
-from nmes.cli._progress import progress_bars
+from nmes.cli._progress import QUIET, progress_bars
 from nmes.errors import visible
 
 __all__ = ["command"]
@@ -26,6 +26,7 @@ _STATUS = {"holds": 0, "broken": 1, "not_comparable": 3}
 @click.option("--all", "everything", is_flag=True, help="Do all of it again, from the beginning.")
 @THREADS
 @click.option("--json", "as_json", is_flag=True, help="Print the verdict as JSON.")
+@QUIET
 def command(folder: Path, sample: int, everything: bool, threads: int | None, as_json: bool) -> None:
     """Prove a run of learning: what its log says comes out again.
 

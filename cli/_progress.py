@@ -6,10 +6,23 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Protocol
 
+import click
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-__all__ = ["Progressing", "progress_bars"]
+__all__ = ["QUIET", "Progressing", "progress_bars"]
+
+_QUIET = "nmes.quiet"
+
+
+def _keep(context: click.Context, _parameter: click.Parameter, value: bool) -> None:
+    context.meta[_QUIET] = value
+
+
+QUIET = click.option(
+    "-q", "--quiet", is_flag=True, expose_value=False, callback=_keep, help="Show no progress on standard error."
+)
+"""The option of commands that show progress: `progress_bars` minds it."""
 
 
 class Progressing(Protocol):
@@ -27,6 +40,8 @@ def progress_bars(visible: bool = True) -> Iterator[Progressing]:
         visible: Whether to show bars at all: short work needs none.
     """
     console = Console(stderr=True)
+    context = click.get_current_context(silent=True)
+    visible = visible and not (context is not None and context.meta.get(_QUIET))
     texts = TextColumn("{task.description}"), TextColumn("{task.fields[note]}")
     columns = (texts[0], BarColumn(), TaskProgressColumn(), TimeRemainingColumn(), texts[1])
     with Progress(*columns, console=console, transient=True, disable=not (visible and console.is_terminal)) as bars:

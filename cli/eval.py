@@ -16,6 +16,7 @@ from nmes.cli._eval_jobs import run_jobs
 from nmes.cli._eval_scores import format_seeds, print_csv, print_results, print_table
 from nmes.cli._genomes import find_genomes
 from nmes.cli._output import check_output
+from nmes.cli._progress import QUIET
 from nmes.cli._recording_plot import plot_recordings
 from nmes.cli._seeds import read_seeds
 from nmes.errors import DocumentError, visible
@@ -53,6 +54,7 @@ __all__ = ["command"]
 )
 @click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 @click.option("--csv", "as_csv", is_flag=True, help="Print the results as CSV.")
+@QUIET
 @click.pass_context
 def command(
     context: click.Context,

@@ -15,6 +15,7 @@ from nmes.cli import _evolve_best, _evolve_film, _evolve_resume, _evolve_show, _
 from nmes.cli._evolve_run import JOBS, JSON, RAY, check_pool, go_on
 from nmes.cli._genomes import find_genomes
 from nmes.cli._options import BeginningGroup, read_values
+from nmes.cli._progress import QUIET
 from nmes.cli._seeds import read_seeds
 from nmes.errors import DocumentError
 
@@ -62,6 +63,7 @@ for _each in (_evolve_best, _evolve_film, _evolve_resume, _evolve_show, _evolve_
 @JOBS
 @RAY
 @JSON
+@QUIET
 @click.pass_context
 def begin(context: click.Context, /, settings: Path | None, output: Path | None, **options: Any) -> None:
     """Evolve creatures, in runs that anyone can repeat.

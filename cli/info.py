@@ -13,6 +13,7 @@ from rich.filesize import decimal
 from nmes.cli._columns import columns
 from nmes.cli._each_file import File, Finding, files_argument, judge_each, print_findings, worst
 from nmes.cli._output import check_output
+from nmes.cli._progress import QUIET
 from nmes.errors import RecordingError, visible
 from nmes.recording import Recording
 
@@ -39,6 +40,7 @@ def open_recording(context: click.Context, parameter: click.Parameter, value: st
     help="Write score, height, energy and gait over time to an .svg or .png, too.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
+@QUIET
 def command(files: list[File[Recording]], plot_to: Path | None, as_json: bool) -> None:
     """Show what a recording holds.
 

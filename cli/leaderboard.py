@@ -12,7 +12,7 @@ import click
 from nmes.cli._columns import columns
 from nmes.cli._json import print_json
 from nmes.cli._output import whole_file
-from nmes.cli._progress import progress_bars
+from nmes.cli._progress import QUIET, progress_bars
 from nmes.errors import DocumentError, NmesError, visible
 from nmes.evaluation.leaderboard import Leaderboard
 from nmes.evaluation.task import Task
@@ -186,6 +186,7 @@ def _lines(entries: list[Entry], units: dict[str, str]) -> list[str]:
 @click.option("--jobs", type=click.IntRange(1), help="How many processes.  [default: one a core]")
 @click.option("--write", is_flag=True, help="Mark what is broken in FILE; what was marked and holds is listed again.")
 @click.option("--json", "as_json", is_flag=True, help="Print the verdicts as JSON.")
+@QUIET
 def verify(file: Path, jobs: int | None, write: bool, as_json: bool) -> None:
     """Run every entry's recordings again, and compare all that it says.
 

@@ -11,6 +11,7 @@ import click
 from nmes.cli import _learn_resume, _learn_show, _learn_verify
 from nmes.cli._learn_run import JSON, THREADS, go_on
 from nmes.cli._options import BeginningGroup, read_values
+from nmes.cli._progress import QUIET
 from nmes.errors import DocumentError
 
 if TYPE_CHECKING:
@@ -48,6 +49,7 @@ for _each in (_learn_resume, _learn_show, _learn_verify):
 )
 @THREADS
 @JSON
+@QUIET
 def begin(output: Path | None, threads: int | None, as_json: bool, **options: Any) -> None:
     """Train a creature's brain, in runs that anyone can repeat.
 

@@ -9,7 +9,7 @@ from tempfile import TemporaryDirectory
 import click
 
 from nmes.cli._output import check_output
-from nmes.cli._progress import progress_bars
+from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._size import size_option
 from nmes.errors import DocumentError, visible
 from nmes.evaluation import Evaluation, Task, evaluate
@@ -35,6 +35,7 @@ _SEEDS = 2**63 - 1  # of worlds
     help="The film (.mp4, .gif), or a picture of its end (.png).  [default: named after genome, task and seed]",
 )
 @size_option("640x480")
+@QUIET
 def command(genome: str, task: str, seed: int | None, output: Path | None, size: tuple[int, int]) -> None:
     """Run a creature on a task and film it.
 

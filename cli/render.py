@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from nmes.cli._output import check_output
-from nmes.cli._progress import progress_bars
+from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._size import size_option
 from nmes.cli.info import open_recording
 from nmes.recording import Recording
@@ -49,6 +49,7 @@ def _open(context: click.Context, parameter: click.Parameter, values: tuple[str,
 )
 @click.option("--fps", type=click.IntRange(1, 120), default=30, show_default=True, help="Pictures a second.")
 @size_option("640x480")
+@QUIET
 def command(
     recordings: list[Recording],
     output: Path,

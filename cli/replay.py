@@ -19,7 +19,7 @@ from nmes.cli._connection import connection_options, connector
 from nmes.cli._each_file import File, Finding, files_argument, judge_each, print_findings, worst
 from nmes.cli._json import print_json
 from nmes.cli._output import check_output
-from nmes.cli._progress import progress_bars
+from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._replay_report import log_lines, replay_lines
 from nmes.cli.info import open_recording
 from nmes.errors import NmesError, RecordingError, visible
@@ -71,6 +71,7 @@ def _open(context: click.Context, parameter: click.Parameter, value: str) -> Rec
 )
 @connection_options
 @click.option("--json", "as_json", is_flag=True, help="Print the report as JSON.")
+@QUIET
 def command(files: list[File[Recording | Log]], **options: Any) -> None:
     """Run a recording again and compare.
 

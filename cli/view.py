@@ -12,7 +12,7 @@ import click
 from nmes.cli._address import split_address
 from nmes.cli._connection import connection_options, connector
 from nmes.cli._output import whole_file
-from nmes.cli._progress import progress_bars
+from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli.info import open_recording
 from nmes.recording import Recording
 from nmes.view.canvas import Canvas
@@ -32,6 +32,7 @@ __all__ = ["command"]
 @click.option("--port", type=click.IntRange(0, 65535), default=0, help="Where --web listens.  [default: any free port]")
 @click.option("--world", metavar="NAME", help="Which of a live host's worlds.  [default: its first]")
 @connection_options
+@QUIET
 @click.pass_context
 def command(
     context: click.Context,

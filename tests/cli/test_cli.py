@@ -350,3 +350,37 @@ def test_failures_exit_1_with_one_line(tmp_path: Path) -> None:
     result = run("serve", "--backend", "ballistic", "--port", "0", "--record", str(tmp_path / "file" / "below"))
     assert result.exit_code == 1
     assert result.output.startswith("Error: cannot make ")
+
+
+# -- progress ---------------------------------------------------------------------------------------------------------
+
+
+QUIET = {"eval", "evolve", "info", "learn", "leaderboard", "play", "render", "replay", "view"}
+
+
+def test_a_terminal_is_shown_progress_unless_it_is_to_be_quiet(tmp_path: Path) -> None:
+    recording = record(tmp_path / "run.mcap", busy)
+    for options, shown in ([], True), (["--quiet"], False), (["-q"], False):
+        output = str(tmp_path / "last.gif")
+        result = run("render", str(recording), "-o", output, "--size", "64x48", *options, FORCE_COLOR="1")
+        assert result.exit_code == 0, result.output
+        assert bool(result.stderr) == shown, result.stderr
+        assert result.stdout == f"wrote {output}\n"
+
+
+def test_every_command_that_shows_progress_can_be_quiet() -> None:
+    sources = {path.stem: path.read_text() for path in (ROOT / "cli").glob("*.py")}
+    showing = {name for name, text in sources.items() if "progress_bars" in text} - {"_progress"}
+    named = {name for name in SUBCOMMANDS if any("--quiet" in parameter.opts for parameter in parameters(name))}
+    assert named == QUIET
+    assert {name for name in showing if not name.startswith("_")} <= named
+
+
+def parameters(name: str) -> list[click.Parameter]:
+    command = main.get_command(click.Context(main), name)
+    assert command is not None
+    return [*command.params, *(each for part in commands_in(command) for each in part.params)]
+
+
+def commands_in(command: click.Command) -> list[click.Command]:
+    return list(commands(command)) if isinstance(command, click.Group) else []
