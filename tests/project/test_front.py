@@ -91,3 +91,9 @@ def test_python_m_nmes_ends_as_the_command_does() -> None:
     result = subprocess.run([sys.executable, "-m", "nmes", "fly"], capture_output=True, text=True, check=False)
     assert result.returncode == 2
     assert result.stderr.startswith("Usage: nmes ") and "No such command 'fly'" in result.stderr
+
+
+def test_what_pytest_loads_needs_nothing_that_windows_lacks() -> None:
+    # It is loaded by every run of pytest where NMES is installed, whatever is tested.
+    lacking = "import sys; sys.modules |= dict.fromkeys(['fcntl', 'resource', 'termios', 'pwd'])"
+    assert run(f"{lacking}\nimport nmes.conformance.plugin, nmes.cli.conform; print('loaded')") == "loaded"
