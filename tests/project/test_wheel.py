@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tarfile
 import venv
+from email import message_from_string
 from fnmatch import fnmatch
 from importlib.metadata import distribution
 from pathlib import Path
@@ -156,6 +157,16 @@ def test_the_packaged_readme_has_no_relative_links_and_all_else(unpacked: Path) 
 
 def headings(text: str) -> list[str]:
     return re.findall(r"^#+ .*", text, flags=re.MULTILINE)
+
+
+def test_the_metadata_says_who_what_and_for_which_pythons(unpacked: Path) -> None:
+    fields = message_from_string((unpacked / "PKG-INFO").read_text())
+    assert fields["License-Expression"] == "Apache-2.0"
+    assert fields["Author"] and fields["Keywords"] and fields["Description-Content-Type"] == "text/markdown"
+    classifiers = fields.get_all("Classifier", [])
+    pythons = [name.rpartition(" ")[2] for name in classifiers if re.search(r"Python :: 3\.", name)]
+    install = (ROOT / "docs" / "install.md").read_text()
+    assert pythons == re.findall(r"^\| (3\.\d+) \|", install, flags=re.MULTILINE)
 
 
 def test_every_module_is_in_the_wheel_and_can_be_imported(environment: Path, tmp_path: Path) -> None:
