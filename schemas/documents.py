@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import hashlib
 import json
+import math
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -45,7 +46,9 @@ __all__ = [
     "parse_document",
     "parse_json",
     "plain",
+    "plain_numbers",
     "problems",
+    "unwritable_number",
     "without",
     "write_json",
 ]
@@ -122,28 +125,68 @@ def parse_document(text: bytes) -> Any:
 
 
 def write_json(value: Any) -> bytes:
-    """Writes JSON without white space; numpy arrays become arrays, integers may have any length.
+    """Writes JSON without white space; arrays and scalars of numpy become numbers, integers may have any length.
 
     Raises:
         TypeError: It holds something that JSON cannot.
         ValueError: It holds a lone surrogate, or a number that JSON cannot.
     """
     try:
-        return orjson.dumps(value, option=orjson.OPT_SERIALIZE_NUMPY)
+        return orjson.dumps(value, default=plain_numbers)
     except TypeError:  # also an integer of more than 64 bits
-        return json.dumps(value, ensure_ascii=False, allow_nan=False, separators=(",", ":")).encode()
+        written = json.dumps(value, default=plain_numbers, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+        return written.encode()
+
+
+def plain_numbers(value: Any) -> Any:
+    """Returns the numbers of an array or a scalar of numpy, or of what is like them, as JSON has numbers.
+
+    A single (float32) becomes the double that it is, wherever it stands.
+
+    Raises:
+        TypeError: It is nothing of the kind.
+    """
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    raise TypeError(f"a {type(value).__name__} is nothing that JSON has")
+
+
+def unwritable_number(value: Any, text: bytes) -> tuple[str, str] | None:
+    """Returns where data have a number that JSON lacks (nan, inf), for which null was written, and what was wrong.
+
+    Args:
+        value: The data.
+        text: What `write_json` made of them.
+    """
+    if b"null" not in text:
+        return None
+    if isinstance(value, float) and not math.isfinite(value):
+        return "", f"{value} is no number that JSON has"
+    if hasattr(value, "tolist"):
+        return unwritable_number(value.tolist(), text)
+    inner = value.items() if isinstance(value, Mapping) else enumerate(value) if isinstance(value, list | tuple) else ()
+    for key, item in inner:
+        found = unwritable_number(item, text)
+        if found is not None:
+            return f"{key}/{found[0]}".rstrip("/"), found[1]
+    return None
 
 
 def plain(value: Any) -> Any:
-    """Returns a deep copy of JSON data, numpy arrays as lists; what is no number (NaN) becomes null.
+    """Returns a deep copy of JSON data, numpy arrays as lists.
 
     Raises:
-        DocumentError: It is not JSON data.
+        DocumentError: It is not JSON data; with the place of a number that is none.
     """
     try:
-        return orjson.loads(write_json(value))
+        text = write_json(value)
+        wrong = unwritable_number(value, text)
+        copied = orjson.loads(text)
     except (TypeError, ValueError, RecursionError) as error:
         raise DocumentError([("", f"this is not JSON data: {error}")]) from None
+    if wrong is not None:
+        raise DocumentError([wrong])
+    return copied
 
 
 # -- schemas ----------------------------------------------------------------------------------------------------------

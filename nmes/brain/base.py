@@ -20,6 +20,7 @@ import numpy as np
 import orjson
 from numpy.typing import NDArray
 
+from nmes.backend.arrays import ArrayLike, floats
 from nmes.errors import DocumentError
 from nmes.schemas import Schema
 from nmes.schemas.documents import (
@@ -294,7 +295,7 @@ class Brain(ABC):
         try:
             self._given: JsonObject = plain(document)
         except DocumentError as error:
-            raise DocumentError([(where, error.message)]) from None
+            raise DocumentError([(f"{where}/{path}".strip("/"), words) for path, words in error.problems]) from None
         sound = self._sound(findings)
         if not self._even_rows(findings, self.shape.schema, sound, ""):
             findings.check()
@@ -369,17 +370,17 @@ class Brain(ABC):
         """
         self._running().reset((seed,), dt)
 
-    def step(self, inputs: Array) -> Array:
+    def step(self, inputs: ArrayLike) -> Array:
         """Goes one control step on, from what sensors read to what motors shall do; after `reset`.
 
         Args:
-            inputs: Shape (sensors,), float64, finite.
+            inputs: Shape (sensors,), finite.
 
         Returns:
             Shape (motors,), each from -1 to 1: a buffer, which the next step may reuse.
         """
         assert self._kernel is not None, "reset comes first"
-        return self._kernel.step(inputs)
+        return self._kernel.step(floats(inputs, "inputs"))
 
     def controls(self, ticks: int) -> Array:
         """Goes many steps on; returns their outputs, shape (ticks, motors), bit for bit as `step` would give them.
@@ -399,7 +400,7 @@ class Brain(ABC):
         parts = [np.ravel(where[key]) for where, key, _, _ in self._parameters(self._document)]
         return np.concatenate([np.empty(0), *parts])
 
-    def with_vector(self, vector: Array) -> Brain:
+    def with_vector(self, vector: ArrayLike) -> Brain:
         """Returns this brain with other parameters.
 
         Args:
@@ -408,7 +409,10 @@ class Brain(ABC):
         Raises:
             DocumentError: There are too few or too many numbers, or some are not finite.
         """
-        vector = np.asarray(vector, np.float64)
+        try:
+            vector = floats(vector, "parameters")
+        except ValueError as error:
+            raise DocumentError([("", str(error))]) from None
         other = copy.copy(self)
         other._kernel = None
         other._document = copy.deepcopy(self._document)
@@ -476,9 +480,9 @@ class BrainBatch:
             raise ValueError(f"there are {self._count} brains and {len(seeds)} seeds")
         self._kernel.reset(seeds, dt)
 
-    def step(self, inputs: Array) -> Array:
+    def step(self, inputs: ArrayLike) -> Array:
         """Goes one control step on: inputs (brains, sensors), outputs (brains, motors) in a buffer that is reused."""
-        return self._kernel.step(inputs)
+        return self._kernel.step(floats(inputs, "inputs"))
 
     def controls(self, ticks: int) -> Array:
         """Goes many steps on; returns their outputs, shape (ticks, brains, motors).

@@ -20,6 +20,7 @@ from nmes.client.declaration import Pending
 from nmes.client.replies import AuthSuccess, Event, WorldSummary
 from nmes.errors import CommandFailed, Disconnected, RejectedMessage
 from nmes.protocol import DELIMITER, FrameSplitter, encode
+from nmes.schemas.documents import unwritable_number
 
 __all__ = ["EVENT_BACKLOG", "READ", "ClientBase", "Conversation", "world_list"]
 
@@ -53,11 +54,20 @@ class Conversation:
         return encode(message) + DELIMITER, pending
 
     def request(self, calls: Sequence[Pending[Any]]) -> bytes:
-        """Numbers commands and returns their bytes; raises Disconnected once the connection is lost."""
+        """Numbers commands and returns their bytes.
+
+        Raises:
+            Disconnected: The connection is lost.
+            ValueError: A command has a number that is none (nan, inf), or that JSON cannot; none is sent.
+        """
         if self.lost is not None:
             raise self.lost
         # All are encoded before any is counted as sent, so that one that cannot be does not put the rest out of step.
         frames = [encode({**call.message, "id": self._sent + n}) for n, call in enumerate(calls)]
+        for call, frame in zip(calls, frames, strict=True):
+            wrong = unwritable_number(call.message, frame)
+            if wrong is not None:
+                raise ValueError(f"{call.message.get('type')}: {wrong[0]}: {wrong[1]}")
         for call in calls:
             self._waiting.append((self._sent, call))
             self._sent += 1

@@ -110,7 +110,7 @@ class command(Generic[P, R]):
             message: dict[str, Any] = {"type": self._type}
             for name, value in (*zip(self._positional, args, strict=False), *kwargs.items()):
                 if value is not None:
-                    message[name] = value.tolist() if hasattr(value, "tolist") else value  # numpy's arrays and scalars
+                    message[name] = value
             return client.request(message)
 
         return send

@@ -14,20 +14,22 @@ Invariants: an episode with given actions has the same bits as a world driven wi
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from operator import index
 from pathlib import Path
-from typing import Final, Literal
+from typing import Final, Literal, SupportsIndex
 
 import numpy as np
 
 from nmes.backend import Array, Places
+from nmes.backend.arrays import ArrayLike
 from nmes.errors import WorldError
 from nmes.evaluation.driven import DrivenWorld, EngineRows, Scene
 from nmes.evaluation.episode import Result
 from nmes.evaluation.evaluator import recorded
 from nmes.evaluation.judging import JudgeRows
 from nmes.evaluation.progress import read_reward
-from nmes.evaluation.seeding import RowSeeds, check_actions
+from nmes.evaluation.seeding import RowSeeds, check_actions, read_seeds
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
 from nmes.objective.trajectory import Flags
@@ -63,7 +65,7 @@ class Environments:
         task: Task,
         count: int,
         *,
-        seeds: Sequence[int] | None = None,
+        seeds: Iterable[SupportsIndex] | None = None,
         threads: int = 1,
         reward: str | None = None,
         autoreset: Autoreset = "same_step",
@@ -82,12 +84,13 @@ class Environments:
                 action it ignores; or, `disabled`, when it is reset.
 
         Raises:
+            TypeError: The number of rows, or a seed, is no whole number.
             ValueError: There are no rows, or no seeds, or no such autoreset.
             WorldError: The creature may not take part, or cannot begin; or the reward cannot be read
                 (`bad_expression`).
         """
         self.genome, self.task = genome, task
-        seeds = task.seeds if seeds is None else seeds
+        seeds, count = task.seeds if seeds is None else read_seeds(seeds), index(count)
         if count < 1 or not seeds:
             raise ValueError(f"there must be 1 row and 1 seed or more, not {count} and {len(seeds)}")
         if autoreset not in AUTORESET:
@@ -120,7 +123,9 @@ class Environments:
         """Of each row, the seed of the scene that its episode has."""
         return [row.scene.start.seed for row in self._rows]
 
-    def reset(self, seed: int | Sequence[int | None] | None = None, rows: Flags | None = None) -> Array:
+    def reset(
+        self, seed: SupportsIndex | Iterable[SupportsIndex | None] | None = None, rows: Flags | None = None
+    ) -> Array:
         """Begins an episode in every row, or in some.
 
         Args:
@@ -133,6 +138,7 @@ class Environments:
             `observations`.
 
         Raises:
+            TypeError: A seed is no whole number.
             ValueError: A row has never had a seed, or there are not as many seeds as rows, or one is below 0; nothing
                 has begun.
         """
@@ -146,7 +152,7 @@ class Environments:
         self.rewards[places], self.terminated[places], self.truncated[places] = 0.0, False, False
         return self.observations
 
-    def step(self, actions: Array) -> tuple[Array, Array, Flags, Flags]:
+    def step(self, actions: ArrayLike) -> tuple[Array, Array, Flags, Flags]:
         """Goes one tick on in every row.
 
         Args:
@@ -156,10 +162,10 @@ class Environments:
             `observations`, `rewards`, `terminated` and `truncated`, which the next step overwrites.
 
         Raises:
-            ValueError: The actions have another shape, or are beyond -1 or 1, or a row must be reset before; nothing
-                has moved.
+            ValueError: The actions have another shape, or are beyond -1 or 1, or no numbers, or a row must be reset
+                before; nothing has moved.
         """
-        self._check(actions)
+        actions = self._check(actions)
         judge, going = self._judge, ~self._waits
         begin = self._all[self._waits].tolist()
         places = self._all if not begin else self._all[going]
@@ -221,12 +227,12 @@ class Environments:
             finally:
                 world.close()
 
-    def _check(self, actions: Array) -> None:
+    def _check(self, actions: ArrayLike) -> Array:
         if not self._seeds.complete:
             raise ValueError("no episodes have begun: reset comes first")
         if self._autoreset == "disabled" and self._waits.any():
             raise ValueError(f"the episode of row {int(self._waits.argmax())} is over: reset it first")
-        check_actions(actions, len(self._rows), self.motors)
+        return check_actions(actions, len(self._rows), self.motors)
 
     # -- one tick -----------------------------------------------------------------------------------------------------
 

@@ -23,7 +23,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
-from typing import Final, Self
+from typing import Final, Self, SupportsIndex
 
 import orjson
 
@@ -54,7 +54,7 @@ def evaluate(
     genome: GenomeLike,
     task: TaskLike,
     *,
-    seeds: Iterable[int] | None = None,
+    seeds: Iterable[SupportsIndex] | None = None,
     record: str | os.PathLike[str] | None = None,
 ) -> Evaluation:
     """Runs a creature on a task, once a seed, in this process; an `Evaluator` does it in several.
@@ -269,7 +269,7 @@ class Evaluator:
         genome: GenomeLike,
         task: TaskLike,
         *,
-        seeds: Iterable[int] | None = None,
+        seeds: Iterable[SupportsIndex] | None = None,
         record: str | os.PathLike[str] | None = None,
     ) -> Evaluation:
         """Runs a creature on a task; all is as with `nmes.evaluate`, but done by several processes where it is much."""
@@ -280,7 +280,7 @@ class Evaluator:
         genomes: Iterable[GenomeLike],
         task: TaskLike,
         *,
-        seeds: Iterable[int] | None = None,
+        seeds: Iterable[SupportsIndex] | None = None,
         record: str | os.PathLike[str] | None = None,
     ) -> list[Evaluation]:
         """Runs many creatures on a task.

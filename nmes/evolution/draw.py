@@ -9,14 +9,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from hashlib import blake2b
 from math import exp
+from operator import index
 from typing import TypeVar
 
 import numpy as np
-import orjson
 from numpy.typing import NDArray
 
 from nmes.backend import Array
+from nmes.backend.arrays import finite
 from nmes.backend.rotation import total
+from nmes.schemas.documents import write_json
 
 __all__ = ["Draw"]
 
@@ -32,16 +34,17 @@ class Draw:
     """
 
     def __init__(self, seed: int, *path: str | int) -> None:
-        entropy = blake2b(orjson.dumps([str(seed), *path]), digest_size=16).digest()
+        entropy = blake2b(write_json([str(index(seed)), *path]), digest_size=16).digest()
         self._generator = np.random.Generator(np.random.PCG64(int.from_bytes(entropy, "little")))
 
     def chance(self, part: float) -> bool:
         """Returns True in this part of the cases, from 0 to 1."""
-        return bool(self._generator.random() < part)
+        return self._generator.random() < finite(part, "a chance")
 
     def uniform(self, low: float, high: float) -> float:
         """Returns a number between the two, all alike."""
-        return low + (high - low) * float(self._generator.random())
+        low, high = finite(low, "a bound"), finite(high, "a bound")
+        return low + (high - low) * self._generator.random()
 
     def count(self, low: int, high: int) -> int:
         """Returns a whole number from `low` to `high`, both included."""
@@ -49,7 +52,7 @@ class Draw:
 
     def normal(self, spread: float = 1.0) -> float:
         """Returns a normally distributed number with mean 0 and this standard deviation."""
-        return spread * float(self._generator.standard_normal())
+        return finite(spread, "a spread") * self._generator.standard_normal()
 
     def normals(self, count: int) -> Array:
         """Returns normally distributed numbers with mean 0 and standard deviation 1, shape (count,)."""
@@ -67,6 +70,7 @@ class Draw:
         """Returns one of some values: all alike, or by weights that need not sum to 1."""
         if weights is None:
             return values[self.count(0, len(values) - 1)]
+        weights = [finite(weight, "a weight") for weight in weights]
         place = self.uniform(0.0, total(weights))
         for value, weight in zip(values, weights, strict=True):
             place -= weight

@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal
 
+import orjson
+
 from nmes.errors import DocumentError, RunError, VariationError
 from nmes.evaluation.parallel import Pool
 from nmes.evaluation.queue import EvaluationQueue
@@ -18,7 +20,7 @@ from nmes.evolution.algorithm import Candidate
 from nmes.evolution.draw import Draw
 from nmes.evolution.run import Order, Run
 from nmes.evolution.run_entry import Entry, told
-from nmes.schemas.documents import plain
+from nmes.schemas.documents import write_json
 
 __all__ = ["RunVerdict", "verify_run"]
 
@@ -149,7 +151,7 @@ class _Verification:
                 again = told(index, entry.candidate, evaluation, run.settings, expressions)
                 yield from (
                     f"candidate {index}: {name} is {entry.content[name]!r} in the log, and comes out as {value!r}"
-                    for name, value in plain(again.content).items()
+                    for name, value in orjson.loads(write_json(again.content)).items()
                     if entry.content[name] != value
                 )
 

@@ -18,6 +18,7 @@ import numpy as np
 from dm_env import specs
 
 from nmes.backend import Array
+from nmes.backend.arrays import floats
 from nmes.evaluation import Environments, Result
 from nmes.evaluation.task import Task, TaskLike
 from nmes.genome import Genome
@@ -106,7 +107,7 @@ class DmEnvironment(dm_env.Environment):  # type: ignore[misc]
         """
         if not self._goes:
             return self.reset()
-        done = np.asarray(action, np.float64)
+        done = floats(action, "actions")
         if done.shape != self._actions.shape:
             raise ValueError(f"an action has the shape {self._actions.shape}, for each motor, not {done.shape}")
         core = self._core

@@ -16,6 +16,7 @@ import gymnasium
 import numpy as np
 
 from nmes.backend import Array, Image, load_backend
+from nmes.backend.arrays import floats
 from nmes.errors import WorldError
 from nmes.evaluation import Environments, Task
 from nmes.evaluation.driven import DrivenWorld
@@ -135,7 +136,7 @@ class CreatureEnv(gymnasium.Env[Array, Array]):
             ValueError: The action has another shape, or is beyond -1 or 1, or is no number; or the episode is over, or
                 none has begun. Nothing has moved.
         """
-        done = np.asarray(action, np.float64)
+        done = floats(action, "actions")
         if done.shape != (len(self.motors),):
             raise ValueError(f"an action has the shape ({len(self.motors)},), for each motor, not {done.shape}")
         core = self._core

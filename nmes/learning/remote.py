@@ -24,6 +24,7 @@ import numpy as np
 
 from nmes import protocol
 from nmes.backend import Array
+from nmes.backend.arrays import ArrayLike
 from nmes.client import Client
 from nmes.errors import CommandFailed, Disconnected, WorldError
 from nmes.evaluation.environments import AUTORESET, Autoreset
@@ -297,7 +298,7 @@ class RemoteEnvironments:
         self.rewards[places], self.terminated[places], self.truncated[places] = 0.0, False, False
         return self.observations
 
-    def step(self, actions: Array) -> tuple[Array, Array, Flags, Flags]:
+    def step(self, actions: ArrayLike) -> tuple[Array, Array, Flags, Flags]:
         """Goes one tick on in every row; all worlds are asked before the first answer is waited for.
 
         Args:
@@ -313,7 +314,7 @@ class RemoteEnvironments:
             CommandFailed: It refuses a command.
             WorldError: `disturbed`: somebody else steps or resets a world.
         """
-        self._check(actions)
+        actions = self._check(actions)
         progress, going = self._progress, ~self._waits
         begin = self._all[self._waits].tolist()
         faults = self._move(self._all[going].tolist(), actions)
@@ -349,12 +350,12 @@ class RemoteEnvironments:
             self._abandon()
             raise
 
-    def _check(self, actions: Array) -> None:
+    def _check(self, actions: ArrayLike) -> Array:
         if not all(row.begun for row in self._rows):
             raise ValueError("no episodes have begun: reset comes first")
         if self._waits.any() and self._autoreset == "disabled":
             raise ValueError(f"the episode of row {int(self._waits.argmax())} is over: reset it first")
-        check_actions(actions, len(self._rows), self.motors)
+        return check_actions(actions, len(self._rows), self.motors)
 
     def _move(self, places: Sequence[int], actions: Array) -> dict[int, str]:
         """Goes one tick on in some rows, and reads them; returns of those that fault why."""

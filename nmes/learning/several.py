@@ -30,6 +30,7 @@ from pettingzoo import ParallelEnv
 
 from nmes import protocol
 from nmes.backend import Array
+from nmes.backend.arrays import floats
 from nmes.backend.rotation import total
 from nmes.errors import RecordingError, WorldError
 from nmes.evaluation.episode import Entrant, Observer, Result, set_scene
@@ -212,7 +213,7 @@ class CreaturesEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]
 
     def _checked(self, name: str, action: Array) -> Array:
         """Returns the controls that an action is; raises ValueError where it is none."""
-        controls = np.asarray(action, np.float64)
+        controls = floats(action, "actions")
         motors = self.genomes[name].body.motors
         if controls.shape != (len(motors),):
             raise ValueError(f"{name}: an action has the shape {(len(motors),)}, one a motor, not {controls.shape}")

@@ -18,6 +18,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from nmes.backend import Array
+from nmes.backend.arrays import floats
 from nmes.evaluation import Environments
 from nmes.evaluation.environments import Autoreset
 from nmes.evaluation.task import Task, TaskLike
@@ -122,7 +123,7 @@ class CreatureVectorEnv(gymnasium.vector.VectorEnv[Array, Array, Any]):
                 before. Nothing has moved.
         """
         core = self._core
-        done = np.asarray(actions, np.float64)
+        done = floats(actions, "actions")
         waiting = self._over()
         core.step(done)
         infos: dict[str, Any] = {}

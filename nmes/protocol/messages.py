@@ -28,7 +28,9 @@ from nmes.schemas.documents import (
     excerpt,
     parse_json,
     plain,
+    plain_numbers,
     problems,
+    unwritable_number,
     write_json,
 )
 
@@ -220,7 +222,7 @@ def complete_config(config: Mapping[str, Any]) -> dict[str, Any]:
     try:
         document = plain(config)
     except DocumentError as error:
-        raise RejectedMessage("invalid", f"the world config: {error.message}") from None
+        raise RejectedMessage("invalid", f"the world config: {error.message}", error.problems[0][0] or None) from None
     _raise(find_error(_CONFIG, document))
     return complete(_CONFIG.schema, document)
 
@@ -271,14 +273,14 @@ _MOST_VALUES: Final = 100_000  # counted by their commas: reading so many keeps 
 
 
 def encode(message: Any) -> bytes:
-    """Writes a message, without the delimiter; numpy arrays become arrays.
+    """Writes a message, without the delimiter; arrays and scalars of numpy become numbers.
 
     Raises:
         TypeError: It holds something that JSON cannot.
         ValueError: It holds a lone surrogate, or a number that JSON cannot.
     """
     try:  # the hot half of `write_json`, without a call
-        text = orjson.dumps(message, option=orjson.OPT_SERIALIZE_NUMPY)
+        text = orjson.dumps(message, default=plain_numbers)
     except TypeError:  # also an integer of more than 64 bits, as an id may be
         text = write_json(message)
     return text.replace(b"<", b"\\u003c")  # outside strings, JSON has no `<`
@@ -359,7 +361,12 @@ def request_from(command: Mapping[str, Any]) -> Request:
         raw = encode(command)
     except (TypeError, ValueError, RecursionError) as error:
         return Request(b"", None, RejectedMessage("bad_json", f"this cannot be written as JSON: {error}"))
-    return parse(raw)
+    request, wrong = parse(raw), unwritable_number(command, raw)
+    if wrong is None:
+        return request
+    # Recorded without its bytes: these say null, which a replay would judge otherwise.
+    path, words = wrong
+    return Request(b"", None, RejectedMessage("invalid", f"{path}: {words}", path), request.type, request.id)
 
 
 def _check(command: dict[str, Any], path: str = "") -> RejectedMessage | None:

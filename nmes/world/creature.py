@@ -19,6 +19,7 @@ import orjson
 
 from nmes import protocol
 from nmes.backend import Array, BodyState, Places, Quaternion, Rows, RowsTrack, StaticBox, Vector
+from nmes.backend.arrays import ArrayLike
 from nmes.backend.rotation import conjugate, minus, plus, rotate
 from nmes.errors import WorldError
 from nmes.genome import Genome
@@ -97,9 +98,11 @@ class Creature:
             entities.joints.get(joint.name) is joint for joint in self._joints.values()
         )
 
-    def accepts(self, controls: Array) -> bool:
-        """Whether `drive` may be called with this: of the right shape and type, and from -1 to 1."""
-        if controls.shape != self._shape or controls.dtype != np.float64:
+    def accepts(self, controls: ArrayLike) -> bool:
+        """Whether `drive` may be called with this: doubles in a row, of the right shape, and from -1 to 1."""
+        if not isinstance(controls, np.ndarray) or controls.shape != self._shape or controls.dtype != np.float64:
+            return False
+        if not controls.flags.c_contiguous:
             return False
         for control in controls.tolist():  # of a few numbers faster than by arrays
             if not -1.0 <= control <= 1.0:  # also where it is no number

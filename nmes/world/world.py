@@ -21,7 +21,8 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from nmes import protocol
-from nmes.backend import Array, load_backend
+from nmes.backend import load_backend
+from nmes.backend.arrays import ArrayLike
 from nmes.errors import NmesError, RecordingError, RejectedMessage, SimulationFault, WorldError
 from nmes.protocol import Request
 from nmes.schemas.documents import JsonObject
@@ -190,21 +191,23 @@ class World(WorldQueries):
         self._stop("internal", f"{type(error).__name__}: {error}")
         return WorldError("internal", "the world failed; see the server's log")
 
-    def drive(self, client: int, creature: str, controls: Array) -> None:
+    def drive(self, client: int, creature: str, controls: ArrayLike) -> None:
         """Drives a creature: the command `drive` for callers in this process, the same in effect and in the journal.
 
         Args:
             client: Whose command it is.
             creature: Its name.
-            controls: Shape (m,), float64, each from -1 to 1, in the order of the creature's motors.
+            controls: Shape (m,), each from -1 to 1, in the order of the creature's motors; float64 is fastest.
 
         Raises:
             WorldError: As the reply `error` to the command says; that is what the journal has, too.
         """
         driven = self.all_creatures.get(creature)
         if driven is None or self.fault is not None or not driven.accepts(controls):
-            refusal = self.execute(client, {"type": "drive", "creature": creature, "controls": controls.tolist()})
-            raise WorldError(refusal["code"], refusal["message"], refusal.get("field"))
+            answer = self.execute(client, {"type": "drive", "creature": creature, "controls": controls})
+            if answer["type"] == "error":
+                raise WorldError(answer["code"], answer["message"], answer.get("field"))
+            return
         journal = self.journal
         if journal is None:
             driven.drive(controls)

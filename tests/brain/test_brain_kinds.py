@@ -371,7 +371,7 @@ LAYER = {"weights": [[1, 2, 3, 4, 5]] * 5, "biases": [0] * 5}
         ),
         (
             {"kind": "sine", "oscillators": [{"motor": "hip", "phase": float("nan")}]},
-            {"brain/oscillators/0/phase": "got null"},
+            {"brain/oscillators/0/phase": "nan is no number that JSON has"},
         ),
         ({"kind": "sine", "oscillators": {1, 2}}, {"brain": "this is not JSON data"}),
         (

@@ -74,7 +74,8 @@ def test_seeds_that_are_no_whole_numbers_are_refused(wrong: Any) -> None:
 
 def test_seeds_are_any_whole_numbers_in_a_row() -> None:
     expected = evaluate(snake(), SHORT, seeds=[5, 3])
-    for seeds in ((5, 3), np.array([5, 3], np.uint8), [np.int64(5), np.array(3)], iter([5, 3])):
+    forms: list[Any] = [(5, 3), np.array([5, 3], np.uint8), [np.int64(5), np.array(3)], iter([5, 3])]
+    for seeds in forms:
         assert evaluate(snake(), SHORT, seeds=seeds) == expected
     with Evaluator(1) as here:
         assert here.evaluate(snake(), SHORT, seeds=np.array([5, 3], np.int32)) == expected

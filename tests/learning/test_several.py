@@ -19,7 +19,7 @@ from creatures import snake
 from nmes.errors import DocumentError, MissingPackage, RecordingError, WorldError
 from nmes.evaluation import Environments, Task
 from nmes.genome import Genome
-from nmes.learning.cores import GenomeLike
+from nmes.genome.genome import GenomeLike
 from nmes.learning.several import METADATA, CreaturesEnv, parallel_env
 from nmes.playback import replay
 from nmes.recording import Recorder, Recording

@@ -475,9 +475,9 @@ def test_driving_in_process_equals_driving_over_the_wire(tmp_path: Path) -> None
         digests.append(wander(place, in_process))
         if in_process:
             with pytest.raises(WorldError):
-                place.world.drive(place.client, "worm", np.array([0.0, np.nan, 0.0]))
+                place.world.drive(place.client, "worm", np.array([0.0, 1.5, 0.0]))
         else:
-            place("drive", creature="worm", controls=[0.0, None, 0.0])
+            place("drive", creature="worm", controls=[0.0, 1.5, 0.0])
         place.world.close()
         assert place.recorder is not None
         place.recorder.close()
