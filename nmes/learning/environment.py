@@ -26,10 +26,11 @@ from nmes.genome.genome import GenomeLike
 from nmes.learning import spaces
 from nmes.learning.cores import Core, Records, told
 from nmes.learning.registration import register
+from nmes.learning.window import Window
 
 __all__ = ["CreatureEnv", "TaskEnv", "check_options"]
 
-_MODES = ("rgb_array",)
+_MODES = ("rgb_array", "human")
 _SIZE = (640, 480)
 
 register()  # whoever has one of these may make others by name
@@ -87,7 +88,7 @@ class CreatureEnv(gymnasium.Env[Array, Array]):
 
         Args:
             core: What it stands on.
-            render_mode: `rgb_array`, or None where nobody draws it.
+            render_mode: `rgb_array`; `human`, for a window that shows every tick; or None where nobody draws it.
             record: A folder in which every episode that comes to its end is recorded; None: none is.
 
         Raises:
@@ -101,6 +102,7 @@ class CreatureEnv(gymnasium.Env[Array, Array]):
         self.metadata = {"render_modes": modes, "render_fps": core.task.tick_rate}
         self.observation_space, self.action_space = spaces.of(core.genome)
         self.units = spaces.units(core.genome)
+        self._window = Window(f"{core.genome.name} on {core.task.name}", core.task.tick_rate)
         self._records = None if record is None else Records(record, 1)
         self._begun = False
         self._done: list[Array] = []  # the actions of this episode, where it is drawn
@@ -117,6 +119,7 @@ class CreatureEnv(gymnasium.Env[Array, Array]):
 
         Raises:
             ValueError: An option is not known; nothing has changed.
+            MissingPackage, WorldError: There is to be a window, and none can be opened.
         """
         check_options(options)
         super().reset(seed=seed)
@@ -127,6 +130,7 @@ class CreatureEnv(gymnasium.Env[Array, Array]):
         self._forget()
         if self._records is not None:
             self._records.begin(0)
+        self._show()
         return self._core.observations[0].copy(), {"seed": self._core.seeds[0]}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
@@ -152,6 +156,7 @@ class CreatureEnv(gymnasium.Env[Array, Array]):
             info["result"] = told(result)
             if self._records is not None:
                 info["recording"] = self._records.keep(core, 0)
+        self._show()
         return core.observations[0].copy(), float(core.rewards[0]), terminated, truncated, info
 
     def record(self, path: str | os.PathLike[str]) -> None:
@@ -166,7 +171,9 @@ class CreatureEnv(gymnasium.Env[Array, Array]):
         self._core.record(0, path)
 
     def render(self) -> Image | None:
-        """Returns a picture of the creature now, an array (480, 640, 3) of bytes; None where `render_mode` is None.
+        """Returns a picture of the creature now, an array (480, 640, 3) of bytes.
+
+        None where `render_mode` is None, or `human`: then the window shows it already.
 
         Raises:
             ValueError: No episode has begun.
@@ -177,6 +184,13 @@ class CreatureEnv(gymnasium.Env[Array, Array]):
             return None
         if not self._begun:
             raise ValueError("no episode has begun: reset comes first")
+        return self._picture() if self.render_mode == "rgb_array" else None
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            self._window.show(self._picture())
+
+    def _picture(self) -> Image:
         if self._drawn is None:
             self._drawn = DrivenWorld(self.genome, self.task, self._core.seeds[0])
         for action in self._done[self._drawn_ticks :]:
@@ -188,6 +202,7 @@ class CreatureEnv(gymnasium.Env[Array, Array]):
     def close(self) -> None:
         """Ends the episode; `reset` begins another."""
         self._forget()
+        self._window.close()
         self._core.close()
         self._begun = False
 

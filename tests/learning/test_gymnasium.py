@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 
 from creatures import snake
-from nmes.errors import DocumentError, RecordingError, WorldError
+from nmes.errors import DocumentError, MissingPackage, RecordingError, WorldError
 from nmes.evaluation import Task, prove
 from nmes.genome import Genome
 from nmes.learning import TaskEnv, TaskVectorEnv
@@ -31,6 +32,17 @@ def task(**changes: Any) -> Task:
 
 def made(task: Task, **settings: Any) -> gymnasium.Env[Any, Any]:
     return gymnasium.make("nmes/creature-v0", genome=Genome(snake()), task=task, **settings)
+
+
+@pytest.fixture
+def screen(monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
+    """A screen that nobody looks at."""
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    monkeypatch.setenv("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+    import pygame
+
+    yield pygame
+    pygame.display.quit()
 
 
 # -- names ------------------------------------------------------------------------------------------------------------
@@ -83,7 +95,7 @@ def test_a_package_that_is_not_there_is_named_with_its_extra() -> None:
 
 
 @pytest.mark.parametrize("name", Task.names())
-def test_upstreams_checker_passes_each_task_without_a_warning(name: str) -> None:
+def test_upstreams_checker_passes_each_task_without_a_warning(name: str, screen: Any) -> None:
     env = gymnasium.make(f"nmes/{name}-v0", genome=CREATURES.get(name, "walker"), seeds=[1], disable_env_checker=True)
     check_env(env.unwrapped)
     env.close()
@@ -175,8 +187,40 @@ def test_a_picture_follows_the_creature_and_changes_nothing() -> None:
         each.close()
 
 
+def test_a_window_shows_every_tick_and_changes_nothing(screen: Any) -> None:
+    asked = task(duration=0.2)
+    env, blind, drawn = made(asked, render_mode="human"), made(asked), made(asked, render_mode="rgb_array")
+    shown = []
+    for each in (env, blind, drawn):
+        each.reset(seed=1)
+    for _ in range(4):
+        moments = [each.step(np.full(3, 0.9))[0].tobytes() for each in (env, blind, drawn)]
+        assert len(set(moments)) == 1
+        surface = screen.display.get_surface()
+        shown.append(screen.surfarray.array3d(surface).transpose(1, 0, 2))
+        assert (shown[-1] == drawn.render()).all() and env.render() is None
+    assert (shown[0] != shown[-1]).any() and screen.display.get_caption()[
+        0
+    ] == f"{Genome(snake()).name} on {asked.name}"
+    for each in (env, blind, drawn):
+        each.close()
+    assert not screen.display.get_init()
+
+
+def test_where_there_is_no_screen_that_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "no such driver")
+    env = made(task(), render_mode="human")
+    with pytest.raises(WorldError, match=r"no window can be opened here .*rgb_array") as refused:
+        env.reset(seed=1)
+    assert refused.value.code == "unsupported"
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(MissingPackage, match=r"needs pygame: pip install 'nmes\[gym\]'"):
+        env.reset(seed=1)
+    env.close()
+
+
 def test_what_cannot_be_drawn_is_an_error() -> None:
-    with pytest.raises(ValueError, match="render_mode is None or one of rgb_array, not 'sketch'"):
+    with pytest.raises(ValueError, match="render_mode is None or one of rgb_array, human, not 'sketch'"):
         TaskEnv(Genome(snake()), task(), render_mode="sketch")
     with pytest.raises(ValueError, match="reset comes first"):
         TaskEnv(Genome(snake()), task(), render_mode="rgb_array").render()
