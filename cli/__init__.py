@@ -45,7 +45,7 @@ SUBCOMMANDS = {
     "tasks": "List the tasks that creatures can be put to.",
     "verify": "Check that a recording is as it was written.",
     "view": "Look at live worlds and at recordings.",
-    "worlds": "List the worlds of a host.",
+    "worlds": "List and steer the worlds of a host.",
 }
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # standard output leads to a disk that is full

@@ -1,4 +1,4 @@
-"""`nmes worlds`: list the worlds of a host."""
+"""`nmes worlds`: list the worlds of a host, and steer them."""
 
 from __future__ import annotations
 
@@ -9,38 +9,51 @@ import orjson
 
 from nmes.cli._address import split_address
 from nmes.cli._connection import connection_options, connector
-from nmes.errors import RejectedMessage
+from nmes.client import Client
+from nmes.errors import CommandFailed, RejectedMessage
 from nmes.protocol import validate_reply
 
 
-@click.command("worlds", short_help="List the worlds of a host.")
+@click.command("worlds", short_help="List and steer the worlds of a host.")
 @click.argument("address", metavar="HOST:PORT", callback=split_address)
 @connection_options
+@click.option("--world", "names", multiple=True, metavar="NAME", help="Only this world; may be repeated.")
+@click.option("--pause", is_flag=True, help="Stop the clock of the world.")
+@click.option("--resume", is_flag=True, help="Let the clock of a paused world go on.")
+@click.option("--step", metavar="N", type=click.IntRange(1, 10_000), help="Tick so often, in lockstep or while paused.")
+@click.option("--reset", is_flag=True, help="Empty the world, back to tick 0 and its seed.")
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
 def command(
     address: tuple[str, int],
+    names: tuple[str, ...],
+    pause: bool,
+    resume: bool,
+    step: int | None,
+    reset: bool,
     as_json: bool,
     **connection: Any,
 ) -> None:
     """List the worlds of a host: name, port, engine, mode, frame, clients, and which of them fall behind the clock.
 
-    Looking creates none of them: a world that nobody has used yet has no frame.
+    Looking creates none of them: a world that nobody has used yet has no frame. With --pause, --resume, --step or
+    --reset, one of them, the world is entered as by any client, which its recording tells, and is listed as it is then.
+    Where there are several, --world says which.
 
     For example:
 
     \b
         nmes worlds 127.0.0.1:14000 --password-file secret
+        nmes worlds 127.0.0.1:14000 --world red --world green --pause
+        nmes worlds 127.0.0.1:14000 --world red --step 60
     """
-    client = connector(address, **connection)()
-    try:
-        worlds = client.worlds()
-    except TimeoutError as error:
-        raise click.ClickException(str(error)) from error
-    try:
-        validate_reply({"type": "world_list", "worlds": worlds})
-    except RejectedMessage as error:
-        host, port = address
-        raise click.ClickException(f"{host}:{port} is no NMES server: its answer is none: {error.message}") from error
+    message = _message(pause, resume, step, reset)
+    worlds = _list(connector(address, **connection)(), address, names)
+    if message is not None:
+        if len(worlds) > 1 and not names:
+            raise click.UsageError(f"there are {len(worlds)} worlds: say with --world which is meant")
+        for world in worlds:
+            _steer(connector(address, **connection, world=world["world"])(), message)
+        worlds = _list(connector(address, **connection)(), address, names)
     if as_json:
         click.echo(orjson.dumps(worlds, option=orjson.OPT_INDENT_2))
         return
@@ -49,6 +62,52 @@ def command(
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         click.echo("  ".join(f"{cell:<{width}}" for cell, width in zip(row, widths, strict=True)).rstrip())
+
+
+def _message(pause: bool, resume: bool, step: int | None, reset: bool) -> dict[str, Any] | None:
+    """Returns the command that is to be given to a world, if any."""
+    messages: list[dict[str, Any]] = [
+        {"type": kind} for kind, asked in (("pause", pause), ("resume", resume), ("reset", reset)) if asked
+    ]
+    if step is not None:
+        messages.append({"type": "step", "ticks": step})
+    if len(messages) > 1:
+        raise click.UsageError("--pause, --resume, --step and --reset exclude each other")
+    return messages[0] if messages else None
+
+
+def _list(client: Client, address: tuple[str, int], names: tuple[str, ...]) -> list[Any]:
+    """Returns the worlds of those names, all without any.
+
+    Raises:
+        ClickException: There is no such world, or no such server.
+    """
+    try:
+        worlds: list[Any] = list(client.worlds())
+    except TimeoutError as error:
+        raise click.ClickException(str(error)) from error
+    try:
+        validate_reply({"type": "world_list", "worlds": worlds})
+    except RejectedMessage as error:
+        host, port = address
+        raise click.ClickException(f"{host}:{port} is no NMES server: its answer is none: {error.message}") from error
+    known = [world["world"] for world in worlds]
+    for name in names:
+        if name not in known:
+            raise click.ClickException(f"there is no world {name!r} that this password opens: {', '.join(known)}")
+    return [world for world in worlds if not names or world["world"] in names]
+
+
+def _steer(client: Client, message: dict[str, Any]) -> None:
+    """Enters a world and gives it a command, however long that takes."""
+    try:
+        with client:
+            client.timeout = None
+            client.request(message)
+    except TimeoutError as error:
+        raise click.ClickException(str(error)) from error
+    except CommandFailed as error:
+        raise click.ClickException(f"world {client.world!r}: {error.message}") from error
 
 
 def _row(world: Any) -> tuple[str, str, str, str, str, str]:

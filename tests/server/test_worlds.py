@@ -348,3 +348,55 @@ def test_a_faulted_and_a_flooded_world_do_not_change_a_third(tmp_path: Path, mon
     assert away["third"] == 20 and away["flooded"] > 10
     assert len(_digests(tmp_path / "together")) == 100
     assert _digests(tmp_path / "together") == _digests(tmp_path / "alone")
+
+
+# -- steering them from a prompt -------------------------------------------------------------------------------------
+
+
+def test_nmes_worlds_pauses_steps_resumes_and_resets(server: Served) -> None:
+    address = f"127.0.0.1:{server.port}"
+    with server.client(world="red") as red, server.client(world="green") as green:
+        for client in (red, green):
+            client.set_mode("realtime")
+            client.spawn_cube("there")
+        paused = run("worlds", address, "--world", "red", "--pause", "--json")
+        assert (red.get_world_info()["paused"], green.get_world_info()["paused"]) == (True, False)
+        before = red.get_world_info()["frame"]
+        stepped = run("worlds", address, "--world", "red", "--step", "7", "--json")
+        assert [outcome.exit_code for outcome in (paused, stepped)] == [0, 0]
+        assert [(world["world"], world["frame"]) for world in json.loads(stepped.output)] == [("red", before + 7)]
+        assert run("worlds", address, "--world", "green", "--world", "red", "--reset").exit_code == 0
+        assert [client.get_cube_list()["cubes"] for client in (red, green)] == [[], []]
+        assert run("worlds", address, "--world", "red", "--resume").exit_code == 0
+        assert not red.get_world_info()["paused"]
+
+
+def test_what_nmes_worlds_does_is_in_the_recording(server: Served, tmp_path: Path) -> None:
+    assert run("worlds", f"127.0.0.1:{server.port}", "--world", "blue", "--step", "3").exit_code == 0
+    server.close()
+    (path,) = tmp_path.iterdir()
+    assert (Recording(path).summary().commands, Recording(path).summary().ticks) == (Counter({"step": 1}), 3)
+
+
+@pytest.mark.parametrize(
+    ("options", "status", "says"),
+    [
+        (["--pause"], 2, "there are 3 worlds: say with --world which is meant"),
+        (["--world", "red", "--world", "pink", "--reset"], 1, "there is no world 'pink' that this password opens"),
+        (["--pause", "--reset", "--world", "red"], 2, "exclude each other"),
+        (["--step", "0", "--world", "red"], 2, "--step"),
+    ],
+)
+def test_nothing_is_done_where_it_is_not_clear_what(
+    options: list[str], status: int, says: str, server: Served, tmp_path: Path
+) -> None:
+    outcome = run("worlds", f"127.0.0.1:{server.port}", *options)
+    assert (outcome.exit_code, says in outcome.output) == (status, True), outcome.output
+    assert list(tmp_path.iterdir()) == []  # no world was entered
+
+
+def test_a_world_that_refuses_is_named() -> None:
+    with served({"name": "red", "mode": "realtime"}) as server:
+        outcome = run("worlds", f"127.0.0.1:{server.port}", "--step", "1")  # the only one need not be named
+    assert outcome.exit_code == 1
+    assert outcome.output.startswith("Error: world 'red': step")
