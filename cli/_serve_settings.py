@@ -18,6 +18,7 @@ from nmes.cli._password import PASSWORD_VARIABLE, choose_password, read_password
 from nmes.errors import RejectedMessage
 from nmes.protocol import parse_json
 from nmes.recording import Recording
+from nmes.server.retention import Retention
 
 __all__ = ["DIALECTS", "MADE_UP", "MOST_WORLDS", "Settings", "read_settings"]
 
@@ -58,6 +59,7 @@ class Settings:
         tls: The certificate and its key.
         metrics_port: Port of the metrics; None: there are none.
         access_log: The file of who comes and goes; None: there is none.
+        keep: Which recordings are removed; None: none.
     """
 
     config: dict[str, Any]
@@ -74,6 +76,7 @@ class Settings:
     tls: ssl.SSLContext | None
     metrics_port: int | None
     access_log: Path | None
+    keep: Retention | None
 
 
 def read_settings(options: Mapping[str, Any]) -> Settings:
@@ -101,6 +104,7 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
         tls=_load_tls(options["tls_cert"], options["tls_key"]),
         metrics_port=options["metrics_port"],
         access_log=options["access_log"],
+        keep=_retention(options),
     )
 
 
@@ -193,6 +197,21 @@ def _layout(options: Mapping[str, Any], name: str) -> tuple[list[str], list[int]
     if ports[-1] > 65535:
         raise click.UsageError(f"{worlds} worlds from port {port} on reach beyond port 65535")
     return names, ports
+
+
+def _retention(options: Mapping[str, Any]) -> Retention | None:
+    """Returns the rules by which recordings are removed, if there are any."""
+    limits: dict[str, float] = {}
+    for amount, unit in options["keep"]:
+        if unit in limits:
+            raise click.UsageError(f"--keep says twice how many {unit}")
+        limits[unit] = amount
+    if not limits:
+        return None
+    if options["no_record"]:
+        raise click.UsageError("--keep does not go with --no-record")
+    size = limits.get("bytes")
+    return Retention(options["record_to"], limits.get("days"), None if size is None else int(size))
 
 
 def _load_tls(cert: Path | None, key: Path | None) -> ssl.SSLContext | None:

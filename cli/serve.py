@@ -7,6 +7,7 @@ import errno
 import gc
 import json
 import os
+import re
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -48,6 +49,23 @@ class _Worlds(click.ParamType["int | list[str]"]):
         if not 1 <= int(value) <= MOST_WORLDS:
             self.fail(f"a number of worlds is from 1 to {MOST_WORLDS}", parameter, context)
         return int(value)
+
+
+class _Keep(click.ParamType["tuple[float, str]"]):
+    """How long or how much is kept: a number of days or of bytes."""
+
+    name = "DAYS|SIZE"
+
+    def convert(
+        self, value: Any, parameter: click.Parameter | None, context: click.Context | None
+    ) -> tuple[float, str]:
+        if not isinstance(value, str):
+            return value  # type: ignore[no-any-return]
+        match = re.fullmatch(r"([0-9]{1,9}(?:\.[0-9]{1,3})?)(d|MB|GB|TB)", value)
+        if match is None or float(match[1]) == 0.0:
+            self.fail("say how many days or bytes, such as 30d, 500MB or 20GB", parameter, context)
+        number = float(match[1])
+        return (number, "days") if match[2] == "d" else (number * {"MB": 1e6, "GB": 1e9, "TB": 1e12}[match[2]], "bytes")
 
 
 def _open_parent(context: click.Context, parameter: click.Parameter, value: str | None) -> Recording | None:
@@ -95,6 +113,13 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
     default=Path("recordings"),
     show_default=True,
     help="Directory for the recording.",
+)
+@click.option(
+    "--keep",
+    type=_Keep(),
+    multiple=True,
+    help="Remove the oldest recordings of that directory when they are older than that (30d), or all take more (20GB); "
+    "never those that are signed or marked with a file NAME.mcap.keep.",
 )
 @click.option("--no-record", is_flag=True, help="Record nothing.")
 @click.option(
@@ -210,6 +235,7 @@ async def _serve(settings: Settings, report: Callable[[Running], None]) -> tuple
         tls=settings.tls,
         metrics=None if settings.metrics_port is None else Metrics(),
         access_log=None if settings.access_log is None else AccessLog(settings.access_log),
+        retention=settings.keep,
     )
     async with host:
         running = await _start(host, settings)

@@ -17,7 +17,7 @@ from collections.abc import Collection, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from hashlib import blake2b
 from pathlib import Path
-from time import monotonic
+from time import monotonic, time
 from types import TracebackType
 from typing import Any, Self
 
@@ -29,12 +29,15 @@ from nmes.server.connection import LINGER, READ, Connection
 from nmes.server.door import Door, cannot_listen
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.metrics import CONTENT_TYPE, Figures, Metrics
+from nmes.server.retention import Retention
 from nmes.server.threads import WorkerPool
 from nmes.server.world_recorder import Origin
 
 __all__ = ["Host"]
 
 logger = logging.getLogger(__name__)
+
+SWEEP = 60.0  # s: how often it is looked for recordings that are to be removed
 
 
 class Host:
@@ -59,6 +62,7 @@ class Host:
         tls: ssl.SSLContext | None = None,
         metrics: Metrics | None = None,
         access_log: AccessLog | None = None,
+        retention: Retention | None = None,
     ) -> None:
         """Makes a host that serves nothing yet.
 
@@ -71,7 +75,9 @@ class Host:
             tls: Holds the host's certificate; None: all goes over the wire as it is.
             metrics: What counts what the host does; None: nothing is counted.
             access_log: Where who comes and goes is written; None: nowhere.
+            retention: Which recordings are removed; None: none.
         """
+        self._retention = retention
         self.access_log = access_log
         self.limits = limits or Limits()
         self.auth_delay = auth_delay
@@ -311,7 +317,7 @@ class Host:
         if not self._open:
             self._open = True
             loop = asyncio.get_running_loop()
-            self._tasks = [loop.create_task(self._inspect()), loop.create_task(self._flush())]
+            self._tasks = [loop.create_task(work()) for work in (self._inspect, self._flush, self._sweep)]
             for hosted in self.worlds.values():
                 hosted.start()
         default = world or next(iter(self._offered), None)
@@ -361,6 +367,15 @@ class Host:
             await asyncio.sleep(interval)
             for hosted in list(self.worlds.values()):
                 await hosted.flush()
+
+    async def _sweep(self) -> None:
+        while self._retention is not None:
+            writing = {hosted.recording for hosted in self.worlds.values() if hosted.recording is not None}
+            try:
+                await asyncio.to_thread(self._retention.sweep, time(), writing)
+            except OSError as error:
+                logger.warning("the folder of recordings cannot be gone through: %s", error)
+            await asyncio.sleep(SWEEP)
 
     async def _stop_listening(self) -> None:
         """Closes the listening sockets; clients that were accepted before become connections."""

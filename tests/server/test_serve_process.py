@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import pty
+import re
+import shlex
 import signal
 import socket
 import subprocess
@@ -11,6 +13,8 @@ from pathlib import Path
 
 import pytest
 
+from layout import ROOT
+from nmes.cli.serve import command
 from nmes.recording import Recording
 from processes import NMES, process, ready
 from servers import PASSWORD, PATIENCE, Peer, types
@@ -68,10 +72,10 @@ def test_a_host_that_is_told_to_stop_again_still_ends_whole(tmp_path: Path) -> N
 
 def test_a_host_whose_terminal_is_gone_completes_its_recording_and_ends_with_status_0(tmp_path: Path) -> None:
     """Not only the signal comes: whatever is written to the terminal from then on fails."""
-    command = [NMES, "serve", "--port", "0", *STEPPED, "--flush-interval", "60", "--record", str(tmp_path)]
+    arguments = [NMES, "serve", "--port", "0", *STEPPED, "--flush-interval", "60", "--record", str(tmp_path)]
     terminal, other_end = pty.openpty()
     environment = {**os.environ, "NMES_PASSWORD": PASSWORD}
-    server = subprocess.Popen(command, env=environment, stdin=other_end, stdout=other_end, stderr=other_end)
+    server = subprocess.Popen(arguments, env=environment, stdin=other_end, stdout=other_end, stderr=other_end)
     os.close(other_end)
     shown = b""
     while b"Ctrl-C stops" not in shown:
@@ -87,3 +91,19 @@ def test_a_host_whose_terminal_is_gone_completes_its_recording_and_ends_with_sta
     (path,) = tmp_path.iterdir()
     recording = Recording(path)
     assert recording.complete and b'"kept"' in b"".join(record.data for record in recording)
+
+
+# -- as a service -----------------------------------------------------------------------------------------------------
+
+
+def test_the_units_of_the_page_start_what_there_is() -> None:
+    text = (ROOT / "docs" / "hosting.md").read_text().replace("\\\n", " ")
+    lines = re.findall(r"^ExecStart=/opt/nmes/bin/nmes serve (.*)$", text, re.MULTILINE)
+    assert len(lines) == 2
+    known = {name for option in command.params for name in option.opts}
+    for line in lines:
+        given = {word for word in shlex.split(line) if word.startswith("--")}
+        assert len(given) >= 5 and given <= known
+    service = text[text.index("[Service]") :]
+    assert "StateDirectory=nmes\n" in service and "--record /var/lib/nmes/" in lines[0]
+    assert "LogsDirectory=nmes\n" in service and "--access-log /var/log/nmes/" in lines[0]
