@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
 import click
@@ -20,6 +21,7 @@ from nmes.evaluation.task import Task
 if TYPE_CHECKING:
     from nmes.evaluation import Proof
     from nmes.evaluation.leaderboard_entry import Entry, Verdict
+    from nmes.evaluation.leaderboard_pack import Pack
 
 __all__ = ["command"]
 
@@ -105,34 +107,137 @@ def add(file: Path, recordings: tuple[str, ...], as_json: bool) -> None:
     """
     from nmes.evaluation import prove  # here and below: what only some of the subcommands need takes long to load
 
-    board = _open(file, create=True)
+    listing = _Listing(_open(file, create=True), as_json)
     groups: dict[tuple[str, str], list[Proof]] = {}
-    refusals: list[str] = []
-
-    def refuse(error: Exception) -> None:
-        refusals.append(error.code if isinstance(error, NmesError) else "")
-        click.echo(f"refused: {visible(str(error))}", err=True)
-
     for path in recordings:
         try:
             proof = prove(path, brain=True)
             groups.setdefault((proof.task.hash, proof.genome.hash), []).append(proof)
         except (NmesError, OSError) as error:
-            refuse(error)
-    listed: list[Entry] = []
+            listing.refuse(error)
     for proofs in groups.values():
         try:
-            entry = board.add(proofs)
+            listing.add(proofs)
         except NmesError as error:
-            refuse(error)
-            continue
-        listed.append(entry)
-        if not as_json:
-            what = f"listed: {entry.name} ({entry.genome_hash[:16]}), task {entry.task}, score {entry.score:.6g}"
-            click.echo(visible(what))
+            listing.refuse(error)
     if as_json:
-        print_json([entry.to_json() for entry in listed])
-    sys.exit(0 if not refusals else 3 if set(refusals) == {"not_comparable"} else 1)
+        print_json([entry.to_json() for entry in listing.entries])
+    sys.exit(listing.status)
+
+
+class _Listing:
+    """What becomes of entries that are to be listed: said as it happens, but for JSON only what is refused."""
+
+    def __init__(self, board: Leaderboard, as_json: bool) -> None:
+        self.board, self._as_json = board, as_json
+        self.entries: list[Entry] = []
+        self._refusals: list[str] = []
+
+    def refuse(self, error: Exception) -> None:
+        """Says why something is not listed."""
+        self._refusals.append(error.code if isinstance(error, NmesError) else "")
+        click.echo(f"refused: {visible(str(error))}", err=True)
+
+    def add(self, proofs: list[Proof]) -> None:
+        """Lists what proofs prove."""
+        entry = self.board.add(proofs)
+        self.entries.append(entry)
+        self.say(f"listed: {entry.name} ({entry.genome_hash[:16]}), task {entry.task}, score {entry.score:.6g}")
+
+    def say(self, line: str) -> None:
+        """Says something that is not for JSON."""
+        if not self._as_json:
+            click.echo(visible(line))
+
+    @property
+    def status(self) -> int:
+        """The exit status."""
+        return 0 if not self._refusals else 3 if set(self._refusals) == {"not_comparable"} else 1
+
+
+@command.command("pack")
+@click.argument("file", metavar="FILE", type=_FILE)
+@click.option("-o", "--output", required=True, type=_FILE, help="The packed leaderboard: a .zip file.")
+@click.option("--task", metavar="T", help="Only this task's entries.")
+@click.option("--top", type=click.IntRange(1), help="Only so many of each task.")
+def pack_entries(file: Path, output: Path, task: str | None, top: int | None) -> None:
+    """Write entries and what proves them to one file, for others to import and verify.
+
+    It holds the recordings of the entries and their signatures, and no score: who imports it computes that again.
+
+    For example:
+
+    \b
+        nmes leaderboard pack board.sqlite -o board.zip
+        nmes leaderboard pack board.sqlite --task walk --top 10 -o best.zip
+    """
+    from nmes.evaluation.leaderboard_pack import pack
+
+    board = _open(file)
+    with whole_file(output, file, *board.recordings.glob("*")) as unfinished:
+        count = pack(board, unfinished, task=task, top=top)
+    click.echo(f"{visible(str(output))}: {_entries(count)}")
+
+
+@command.command("import")
+@click.argument("file", metavar="FILE", type=_FILE)
+@click.argument("packed", metavar="PACKED", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.option("--allow", is_flag=True, help="Take the tasks of its entries too, where FILE does not yet.")
+@click.option("--json", "as_json", is_flag=True, help="Print what was listed as JSON.")
+def import_entries(file: Path, packed: Path, allow: bool, as_json: bool) -> None:
+    """List the entries of a packed leaderboard, each proved here first.
+
+    PACKED is what `nmes leaderboard pack` wrote. Its recordings are run again and scored as by `add`; an entry that
+    does not hold is refused, and does not stop the others. What is listed already is left as it is. FILE is made if it
+    is not there.
+
+    Exit status: 0 all are listed, 1 one was refused, 2 wrong usage, 3 none was refused, but one does not come out the
+    same on this machine.
+
+    For example:
+
+    \b
+        nmes leaderboard import board.sqlite theirs.zip
+        nmes leaderboard verify board.sqlite
+    """
+    from nmes.evaluation.leaderboard_pack import Pack
+
+    try:
+        opened = Pack(packed)
+    except NmesError as error:
+        raise click.UsageError(error.message) from error
+    with opened, progress_bars(len(opened.entries) > 1) as progress:
+        listing = _Listing(_open(file, create=True), as_json)
+        known = {entry.recordings for entry in listing.board.entries(broken=True)}
+        for done, recordings in enumerate(opened.entries):
+            progress("proving", done, len(opened.entries))
+            if recordings not in known:
+                _import(listing, opened, recordings, allow)
+    listing.say(f"{_entries(len(listing.entries))} of {len(opened.entries):,} new to {file}")
+    if as_json:
+        print_json([entry.to_json() for entry in listing.entries])
+    sys.exit(listing.status)
+
+
+def _import(listing: _Listing, packed: Pack, recordings: tuple[str, ...], allow: bool) -> None:
+    """Lists one entry of a packed leaderboard, if it holds."""
+    from nmes.evaluation import prove
+
+    with TemporaryDirectory() as folder:
+        try:
+            proofs = [prove(path, brain=True) for path in packed.extract(recordings, Path(folder))]
+            if allow:
+                listing.board.allow(proofs[0].task)
+            listing.add(proofs)
+        except (NmesError, OSError) as error:
+            if getattr(error, "code", "") == "already_listed":
+                listing.say(str(error))
+            else:
+                listing.refuse(error)
+
+
+def _entries(count: int) -> str:
+    return f"{count:,} {'entry' if count == 1 else 'entries'}"
 
 
 @command.command()
@@ -249,4 +354,4 @@ def export(file: Path, output: Path, task: str | None, top: int) -> None:
     board = _open(file)
     with whole_file(output, file, *board.recordings.glob("*")) as page:
         count = write_page(board, page, task=task, top=top)
-    click.echo(f"{visible(str(output))}: {count:,} {'entry' if count == 1 else 'entries'}")
+    click.echo(f"{visible(str(output))}: {_entries(count)}")
