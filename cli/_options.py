@@ -1,15 +1,66 @@
-"""What commands that begin runs have in common: a group whose nameless command begins one, and options by name."""
+"""What several commands share: moments of recordings, values by name, and a group whose nameless command begins one."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import click
 import orjson
 from click.shell_completion import CompletionItem
 
-__all__ = ["BeginningGroup", "read_values"]
+if TYPE_CHECKING:
+    from nmes.recording import Recording
+
+__all__ = ["MOMENT", "BeginningGroup", "Moment", "read_values"]
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """A moment of a recording, as somebody names it.
+
+    Attributes:
+        text: How it was written.
+        number: Of the frame, counted on through resets; None where seconds were given.
+        seconds: Since the recording began; None where a frame was given.
+    """
+
+    text: str
+    number: int | None = None
+    seconds: float | None = None
+
+    def frame(self, recording: Recording) -> int:
+        """Returns the frame of a recording that is meant."""
+        if self.number is not None:
+            return self.number
+        assert self.seconds is not None
+        return recording.start().frame + round(self.seconds * int(recording.config["tick_rate"]))
+
+    def time(self, recording: Recording) -> float:
+        """Returns how long after the beginning of a recording that is, s; below 0 where the recording begins later."""
+        if self.seconds is not None:
+            return self.seconds
+        assert self.number is not None
+        return float((self.number - recording.start().frame) / recording.config["tick_rate"])
+
+
+class _MomentType(click.ParamType[Moment]):
+    name = "frame|time"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Moment:
+        """Reads `120`, a frame, and `2.0s`, a time."""
+        if re.fullmatch(r"\d{1,18}", value, re.ASCII):
+            return Moment(value, number=int(value))
+        if re.fullmatch(r"\d{1,9}(\.\d{1,9})?s", value, re.ASCII):
+            return Moment(value, seconds=float(value[:-1]))
+        near = f"; did you mean {value}s?" if re.fullmatch(r"\d{1,9}\.\d{1,9}", value, re.ASCII) else ""
+        self.fail(f"{value[:40]!r} is neither a frame nor a time, such as 120 or 2.0s{near}", param, ctx)
+
+
+MOMENT = _MomentType()
+"""The type of options that name a moment: a frame, or seconds with their unit."""
 
 
 class BeginningGroup(click.Group):

@@ -116,7 +116,8 @@ def _world(options: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[Recording,
         others = [*fields, *(name for name in ("dialect", "config", "worlds") if options[name] is not None)]
         if others:
             raise click.UsageError(f"--{others[0]} does not go with --resume: the recording says what its world is")
-        return recording.config, (recording, options["frame"])
+        moment = options["frame"]
+        return recording.config, (recording, None if moment is None else moment.frame(recording))
     if options["frame"] is not None:
         raise click.UsageError("--at needs --resume: it is a frame of that recording")
     expected = {} if options["dialect"] is None else DIALECTS[options["dialect"]]

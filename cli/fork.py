@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 import orjson
 
+from nmes.cli._options import MOMENT, Moment
 from nmes.cli.info import open_recording
 from nmes.errors import RecordingError
 from nmes.playback.fork import fork
@@ -18,12 +19,12 @@ __all__ = ["command"]
 
 @click.command("fork")
 @click.argument("recording", metavar="FILE", callback=open_recording)
-@click.option("--at", "frame", type=click.IntRange(0), help="The frame.  [default: the last]")
+@click.option("--at", "moment", type=MOMENT, help="The frame or time, as 120 or 2.0s.  [default: the last]")
 @click.option(
     "-o", "--output", required=True, type=click.Path(dir_okay=False, path_type=Path), help="The new recording."
 )
 @click.option("--json", "as_json", is_flag=True, help="Print what was done as JSON.")
-def command(recording: Recording, frame: int | None, output: Path, as_json: bool) -> None:
+def command(recording: Recording, moment: Moment | None, output: Path, as_json: bool) -> None:
     """Take the world out of a recording as it was at a frame.
 
     Writes a recording that begins there and holds nothing else: small, whole without its parent, which it names, and
@@ -40,7 +41,7 @@ def command(recording: Recording, frame: int | None, output: Path, as_json: bool
     """
     world = World(recording.config)
     try:
-        _write(recording, world, output, frame)
+        _write(recording, world, output, None if moment is None else moment.frame(recording))
         done = {"file": str(output), "parent": str(recording.path), "frame": world.ticks, "cubes": len(world.cubes())}
     finally:
         world.close()

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from nmes.cli._options import MOMENT, Moment
 from nmes.cli._output import check_output
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._size import size_option
@@ -38,8 +39,8 @@ def _open(context: click.Context, parameter: click.Parameter, values: tuple[str,
     help="Keep what moves in view; go round it as well; or stand still and see the whole way.",
 )
 @click.option("--target", metavar="NAME", help="Look at this cube, or at those whose names begin so.")
-@click.option("--from", "begin", type=click.FloatRange(min=0), default=0.0, metavar="SECONDS", help="Begin here.")
-@click.option("--to", "end", type=click.FloatRange(min=0), metavar="SECONDS", help="End here; a .png shows it.")
+@click.option("--from", "begin", type=MOMENT, default="0s", help="Begin at this frame or time, as 120 or 2.0s.")
+@click.option("--to", "end", type=MOMENT, help="End at this frame or time; a .png shows it.")
 @click.option(
     "--speed",
     type=click.FloatRange(min=0.001, max=1000),
@@ -55,27 +56,38 @@ def command(
     output: Path,
     camera: Way,
     target: str | None,
-    begin: float,
-    end: float | None,
+    begin: Moment,
+    end: Moment | None,
     speed: float,
     fps: int,
     size: tuple[int, int],
 ) -> None:
     """Make a film or a picture of recordings.
 
-    Works without a display, and for recordings of any engine. Several recordings are put side by side. Times count from
-    the beginning of the recording.
+    Works without a display, and for recordings of any engine. Several recordings are put side by side. Seconds count
+    from the beginning of the recording, frames on through resets.
 
     For example:
 
     \b
         nmes render walk.mcap -o walk.mp4
-        nmes render walk.mcap -o walk.gif --camera orbit --to 5 --size 320x240 --fps 20
+        nmes render walk.mcap -o walk.gif --camera orbit --to 5s --size 320x240 --fps 20
         nmes render a.mcap b.mcap c.mcap -o all.mp4
         nmes render walk.mcap -o last.png
     """
     check_output(output, *(recording.path for recording in recordings))
-    cut = Cut(camera, target, begin, end, speed)
+    cut = Cut(camera, target, _time(begin, recordings), None if end is None else _time(end, recordings), speed)
     with progress_bars() as progress:
         film(recordings, output, cut, fps=fps, size=size, progress=progress)
     click.echo(f"wrote {output}")
+
+
+def _time(moment: Moment, recordings: list[Recording]) -> float:
+    """Returns how long after the beginning of the recordings a moment is, s."""
+    times = {moment.time(recording) for recording in recordings}
+    if len(times) > 1:
+        raise click.UsageError(f"frame {moment.text} is another time in each recording: give seconds, as 2.0s")
+    time = times.pop()
+    if time < 0:
+        raise click.UsageError(f"{recordings[0].path} begins after frame {moment.text}")
+    return time

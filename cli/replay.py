@@ -18,6 +18,7 @@ from nmes.cli._address import split_address
 from nmes.cli._connection import connection_options, connector
 from nmes.cli._each_file import File, Finding, files_argument, judge_each, print_findings, worst
 from nmes.cli._json import print_json
+from nmes.cli._options import MOMENT, Moment
 from nmes.cli._output import check_output
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._replay_report import log_lines, replay_lines
@@ -60,8 +61,8 @@ def _open(context: click.Context, parameter: click.Parameter, value: str) -> Rec
 @click.option(
     "--plot", "plot_to", type=click.Path(dir_okay=False, path_type=Path), help="Write the drift to .svg or .png."
 )
-@click.option("--from", "first", type=click.IntRange(0), help="Begin at the last keyframe before this frame.")
-@click.option("--to", "last", type=click.IntRange(0), help="End at this frame.")
+@click.option("--from", "first", type=MOMENT, help="Begin at the last keyframe before this, as 120 or 2.0s.")
+@click.option("--to", "last", type=MOMENT, help="End at this frame or time.")
 @click.option("--against", metavar="HOST:PORT", callback=split_address, help="Play it to this server, and compare.")
 @click.option("--world", metavar="NAME", help="With --against: which of the server's worlds; the first if left out.")
 @click.option(
@@ -79,7 +80,7 @@ def command(files: list[File[Recording | Log]], **options: Any) -> None:
     what was recorded. Prints the verdict, or the first difference.
 
     With --from and --to only a part is run, bit for bit as it would be if all were. What stands before the keyframe at
-    which it begins is not even read. Frames are counted on through resets.
+    which it begins is not even read. Frames are counted on through resets, seconds from the beginning of the file.
 
     FILE may be a log too: JSON lines as of nmes export, or bare commands, as of a program that wrote down what it sent.
     Of a log that is no whole history as much is compared as it holds.
@@ -105,7 +106,7 @@ def command(files: list[File[Recording | Log]], **options: Any) -> None:
     \b
         nmes replay run.mcap
         nmes replay recordings/*.mcap
-        nmes replay run.mcap --from 36000 --to 36600
+        nmes replay run.mcap --from 36000 --to 610s
         nmes replay run.mcap --backend pymunk --plot drift.svg
         nmes replay run.mcap --against 127.0.0.1:14000 --tolerance 1e-3
     """
@@ -135,9 +136,6 @@ def _recording(opened: Recording | Log, used: set[str]) -> Recording:
 
 def _check(options: dict[str, Any], used: set[str]) -> None:
     """Refuses options of a recording's replay that do not go together."""
-    first, last = options["first"], options["last"]
-    if first is not None and last is not None and last < first:
-        raise click.UsageError(f"--to {last} is before --from {first}")
     if "against" in used:
         if used & {"backend", "plot_to", "first", "last"}:
             raise click.UsageError("--against goes with none of --backend, --plot, --from and --to")
@@ -149,11 +147,14 @@ def _check(options: dict[str, Any], used: set[str]) -> None:
         raise click.UsageError("--plot shows the drift between two engines: it needs --backend")
 
 
-def _judge(opened: Recording | Log, used: set[str], first: int | None, last: int | None, several: bool) -> Finding:
+def _judge(opened: Recording | Log, used: set[str], begin: Moment | None, end: Moment | None, several: bool) -> Finding:
     """Replays a recording or a log; of one of several that is not comparable here, no drift is told."""
     if isinstance(opened, Log) and not used:
         return _judge_log(opened)
     recording = _recording(opened, used)
+    first, last = (None if moment is None else moment.frame(recording) for moment in (begin, end))
+    if begin is not None and end is not None and begin.frame(recording) > end.frame(recording):
+        raise click.UsageError(f"--to {end.text} is before --from {begin.text}")
     with _progress(recording) as progress:
         report = replay(recording, progress=progress, first=first, last=last)
     lines, drift = replay_lines(report), None

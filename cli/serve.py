@@ -18,6 +18,7 @@ from typing import Any
 import click
 
 from nmes.cli import _logs
+from nmes.cli._options import MOMENT
 from nmes.cli._password import PASSWORD_VARIABLE, password_options
 from nmes.cli._serve_report import Running, ready_lines, ready_object, stopped_lines
 from nmes.cli._serve_settings import DIALECTS, MOST_WORLDS, Settings, read_settings
@@ -141,7 +142,7 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
     callback=_open_parent,
     help="Go on from a recording, in a new one; its world is what its own config says.",
 )
-@click.option("--at", "frame", type=click.IntRange(0), help="With --resume: from this frame.  [default: the last]")
+@click.option("--at", "frame", type=MOMENT, help="With --resume: from this frame or time.  [default: the last]")
 @password_options(f"Password that clients must give; better in the variable {PASSWORD_VARIABLE}.")
 @click.option(
     "--world-passwords",

@@ -289,7 +289,7 @@ def test_nmes_replay_replays_a_part(long_file: Path) -> None:
     for options, why in (
         (("--from", "9", "--to", "8"), "before --from"),
         (("--from", "9", "--backend", "pymunk"), "another engine"),
-        (("--from", "-1"), "not in the range"),
+        (("--from", "-1"), "such as 120 or 2.0s"),
     ):
         result = run(*options)
         assert result.exit_code == 2 and why in result.stderr

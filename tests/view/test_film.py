@@ -303,7 +303,7 @@ def run(*arguments: object) -> tuple[int, str]:
 
 def test_nmes_render_writes_films_and_pictures(recording: Recording, tmp_path: Path) -> None:
     path = tmp_path / "film.gif"
-    status, output = run(recording.path, "-o", path, "--size", "64x48", "--fps", 5, "--to", 1, "--camera", "orbit")
+    status, output = run(recording.path, "-o", path, "--size", "64x48", "--fps", 5, "--to", "1s", "--camera", "orbit")
     assert (status, output) == (0, f"wrote {path}\n")
     assert len(frames(path)) == 6
 
