@@ -16,6 +16,7 @@ from nmes.backend import Array, Heightfield, SceneSpec
 from nmes.backend.rotation import cross, normalize, rotate
 from nmes.errors import MissingPackage
 from nmes.recording.viewer_messages import Shape
+from nmes.view.part_colors import visible_shapes
 
 if TYPE_CHECKING:
     import rerun as rr
@@ -23,10 +24,10 @@ if TYPE_CHECKING:
 __all__ = ["Canvas", "load_rerun"]
 
 _MOVED = 1e-4  # m, and parts of a unit quaternion: smaller changes cannot be seen
-_NEWTON = 0.01  # m of arrow for 1 N
-_LONGEST = 3.0  # m of arrow
+_NEWTON = 0.002  # m of arrow for 1 N
+_LONGEST = 0.6  # m of arrow: what carries a heavy creature must not hide it
 _ARC = 16  # points along the limits of a hinge
-_REACH = 0.35  # of an axis that is drawn, as a part of the smaller cube's size
+_REACH = 0.75  # of an axis that is drawn, as a part of the smaller cube's size: it sticks out of it on both sides
 _FIRST = 2.0  # s after the first cubes, in which their extent decides where the eye is
 _PLAIN = 1000.0  # m: how far the ground of a plane is drawn
 _COLORS = {"hinge": (240, 200, 60), "slide": (90, 200, 240), "fixed": (150, 150, 150)}
@@ -142,6 +143,7 @@ class Canvas:
             poses: Array (n, 7), in the same order: positions (m) and quaternions (x, y, z, w).
         """
         rr = self._rr
+        shapes = visible_shapes(shapes)
         same = list(shapes.items()) == list(self._shapes.items())
         if same and not (np.abs(poses - self._poses) > _MOVED).any():
             return False
@@ -165,10 +167,10 @@ class Canvas:
                     colors=[_bytes(color) for _, color in shapes.values()],
                     labels=list(shapes),
                     show_labels=False,
-                    fill_mode="transparentfillmajorwireframe",
+                    fill_mode="solid",
                 ),
             )
-        self._shapes = dict(shapes)
+        self._shapes = shapes
         return True
 
     def _reach_out(self, shapes: Mapping[str, Shape], poses: Array) -> None:

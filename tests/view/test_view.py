@@ -138,8 +138,8 @@ def test_forces_are_drawn_while_they_act(shown: Rows) -> None:
     (at, middle), (push, knock) = arrows["Arrows3D:origins"], arrows["Arrows3D:vectors"]
     assert at == [4, 0.5, 0.5]
     assert middle == pytest.approx(seen[40]["green"][:3], abs=1e-6)
-    assert push == pytest.approx([0, 0, 0.6])
-    assert knock == pytest.approx([0.3, 0, 0]), "0.5 N s in a tick are 30 N"
+    assert push == pytest.approx([0, 0, 0.12])
+    assert knock == pytest.approx([0.06, 0, 0]), "0.5 N s in a tick are 30 N"
     assert round(gone["time"] * 60) == 42
     assert not gone.get("Arrows3D:origins")
 
@@ -152,6 +152,26 @@ def test_contact_arrows_point_up_under_resting_cubes(shown: Rows) -> None:
     beneath = abs(at[:, 0] - seen[60]["green"][0]) < 0.6
     assert beneath.any()
     assert (vectors[beneath, 1] > 0).all()
+
+
+def test_a_heavy_plain_cube_is_solid_coloured_and_not_hidden_by_its_contacts(
+    environment: dict[str, str], tmp_path: Path
+) -> None:
+    def rest(world: World, client: int) -> None:
+        send(world, client, type="spawn_cube", cube_name="rock", position=[0, 0.5, 0], mass=500)
+        send(world, client, type="step", ticks=20)
+
+    path = record(tmp_path / "rock.mcap", rest, {"backend": "mujoco"})
+    run = view(environment, path, "--save", path.with_suffix(".rrd"))
+    assert run.returncode == 0, run.stderr
+    rows = read(path.with_suffix(".rrd"))
+    first = rows["/rock/cubes"][0]
+    assert first["Boxes3D:fill_mode"] == [3], "solid"
+    color = f"{first['Boxes3D:colors'][0]:08x}"
+    assert color[6:] == "ff" and len({color[i : i + 2] for i in (0, 2, 4)}) > 1, "not grey"
+    arrows = np.concatenate([row["Arrows3D:vectors"] for row in rows["/rock/contacts"] if row.get("Arrows3D:vectors")])
+    lengths = np.linalg.norm(arrows, axis=1)
+    assert 0.5 < lengths.max() <= 0.6 + 1e-6
 
 
 def test_messages_are_shown_at_their_time(shown: Rows) -> None:
