@@ -265,7 +265,7 @@ def show(file: Path, task: str | None, top: int | None, broken: bool, as_json: b
 
 def _lines(entries: list[Entry], units: dict[str, str]) -> list[str]:
     """Lays the entries out in columns."""
-    rows = [("task", "", "score", "", "genome", "hash", "author", "recording", "recorded")]
+    rows = [("task", "", "score", "", "spread", "genome", "hash", "author", "recording", "recorded")]
     rank, of = 0, ""
     for entry in entries:
         rank, of = (rank + 1 if entry.task_hash == of else 1), entry.task_hash
@@ -276,6 +276,7 @@ def _lines(entries: list[Entry], units: dict[str, str]) -> list[str]:
                 str(rank),
                 f"{entry.score:.6g}",
                 visible(units[entry.task_hash]),
+                f"{entry.spread:.3g}",
                 visible(name),
                 entry.genome_hash[:16],
                 visible(entry.signed_author),
@@ -283,7 +284,7 @@ def _lines(entries: list[Entry], units: dict[str, str]) -> list[str]:
                 visible(entry.recorded[:10]),
             )
         )
-    return columns(rows, right=(1, 2))
+    return columns(rows, right=(1, 2, 3))
 
 
 @command.command()
@@ -342,16 +343,18 @@ def _print_verdicts(verdicts: list[Verdict]) -> None:
 @click.option("--task", metavar="T", help="Only this task's entries.")
 @click.option("--top", type=click.IntRange(1), default=50, show_default=True, help="So many of each task.")
 def export(file: Path, output: Path, task: str | None, top: int) -> None:
-    """Write the entries as a page for a browser: one file, with a picture of each creature.
+    """Write the entries as a page for a browser: one file, with a picture of each creature, and a film of the best.
+
+    It links to the recordings beside FILE, and says how to check them.
 
     For example:
 
     \b
         nmes leaderboard export board.sqlite -o board.html --top 100
     """
-    from nmes.evaluation.leaderboard_page import write_page
+    from nmes.view.leaderboard_page import write_page
 
     board = _open(file)
-    with whole_file(output, file, *board.recordings.glob("*")) as page:
-        count = write_page(board, page, task=task, top=top)
+    with whole_file(output, file, *board.recordings.glob("*")) as page, progress_bars() as progress:
+        count = write_page(board, page, task=task, top=top, progress=progress)
     click.echo(f"{visible(str(output))}: {_entries(count)}")

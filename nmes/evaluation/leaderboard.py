@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
 __all__ = ["Leaderboard"]
 
-_VERSION = 2
+_VERSION = 3
 _KIND = 0x4E4D4553  # "NMES": the file's application_id
 _TABLES = (
     "CREATE TABLE tasks (hash TEXT PRIMARY KEY, name TEXT NOT NULL) STRICT",
@@ -58,6 +58,7 @@ _TABLES = (
     author TEXT NOT NULL,
     key TEXT NOT NULL,
     score REAL NOT NULL,
+    spread REAL NOT NULL,
     recordings TEXT NOT NULL,
     recorded TEXT NOT NULL,
     broken TEXT,

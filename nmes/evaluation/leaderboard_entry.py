@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from hashlib import file_digest, sha256
 from math import fsum
 from pathlib import Path
+from statistics import pstdev
 from typing import Any, Final, Literal
 
 import orjson
@@ -47,6 +48,7 @@ class Entry:
         author: Who made the genome, as it says itself; empty where it does not.
         key: SHA-256 of the Ed25519 public key that signed all of its recordings, hexadecimal; empty where none did.
         score: The mean over the task's seeds, in whatever the task's objective measures.
+        spread: Standard deviation of the scores over the seeds, as of a whole population.
         recordings: SHA-256 of the recordings' files, hexadecimal, one a seed of the task, in its order.
         recorded: When the last recording was closed, as the clock of who made it had it: UTC, ISO 8601.
         broken: Why its proof was found not to hold, if that was written down; else None.
@@ -61,6 +63,7 @@ class Entry:
     author: str
     key: str
     score: float
+    spread: float
     recordings: tuple[str, ...]
     recorded: str
     broken: str | None
@@ -89,6 +92,7 @@ class Entry:
         return {**{name: getattr(self, name) for name in self.__slots__}, "recording_hash": self.recording_hash}
 
 
+_KINDS: Final = {"id": (int,), "score": (float,), "spread": (float,), "broken": (str, type(None))}
 COLUMNS: Final = Entry.__slots__
 """The columns of a row, in the order of the table."""
 
@@ -124,11 +128,16 @@ def read_row(row: Sequence[Any]) -> Entry:
     """
     fields: dict[str, Any] = dict(zip(COLUMNS, row, strict=True))
     for name, value in fields.items():
-        kinds: tuple[type, ...] = {"id": (int,), "score": (float,), "broken": (str, type(None))}.get(name, (str,))
+        kinds: tuple[type, ...] = {
+            "id": (int,),
+            "score": (float,),
+            "spread": (float,),
+            "broken": (str, type(None)),
+        }.get(name, (str,))
         if not isinstance(value, kinds) or (name.endswith("_hash") and not _HASH.fullmatch(str(value))):
             raise ValueError(f"{name} holds what no leaderboard writes")
-    if not math.isfinite(fields["score"]):
-        raise ValueError("the score is no finite number")
+    if not math.isfinite(fields["score"]) or not math.isfinite(fields["spread"]):
+        raise ValueError("the score or its spread is no finite number")
     names = orjson.loads(fields["recordings"])
     if not isinstance(names, list) or not names or not all(isinstance(n, str) and _HASH.fullmatch(n) for n in names):
         raise ValueError("recordings holds what no leaderboard writes")
@@ -167,6 +176,7 @@ def facts(proofs: Sequence[Proof]) -> dict[str, Any]:
         "author": str(genome.document.get("author", "")),
         "key": keys.pop() if len(keys) == 1 else "",
         "score": fsum(scores) / len(scores),
+        "spread": pstdev(scores),
         "recordings": tuple(proof.recording_hash for proof in ordered),
         "recorded": max(proof.recorded for proof in ordered),
     }

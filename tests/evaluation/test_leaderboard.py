@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+import base64
 import hashlib
+import io
 import json
+import re
 import sqlite3
 import subprocess
 import sys
 import time
 from pathlib import Path
+from statistics import pstdev
 from typing import Any
+from urllib.parse import unquote
 
 import orjson
 import pytest
 from click.testing import CliRunner, Result
+from PIL import Image, ImageSequence
 from test_evaluation import task
 
 from creatures import SINE, cpg, snake
@@ -230,7 +236,7 @@ def test_ten_thousand_entries_are_shown_whole(board: Path) -> None:
         database.execute(
             "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 10000)"
             " INSERT INTO entries SELECT NULL, task, task_hash, name || i, genome_hash, printf('%064x', i), author,"
-            " key, score - i, recordings, recorded, NULL FROM entries, n WHERE name = 'wave'"
+            " key, score - i, spread, recordings, recorded, NULL FROM entries, n WHERE name = 'wave'"
         )
     database.close()
     began = time.perf_counter()
@@ -246,7 +252,22 @@ def test_a_leaderboard_page_is_one_file_with_a_picture_of_each_creature(board: P
     result = run("export", board, "-o", page)
     assert result.exit_code == 0 and "2 entries" in result.stdout
     text = page.read_text()
-    assert text.count("<li>") == 2 and text.count('src="data:image/png;base64,') == 2
+    assert text.count("<li>") == 2
+    assert text.count('src="data:image/gif;base64,') == 1, "the best is filmed"
+    assert text.count('src="data:image/png;base64,') == 1
+    film = base64.b64decode(re.findall('src="data:image/gif;base64,([^"]*)"', text)[0])
+    with Image.open(io.BytesIO(film)) as image:
+        assert image.size == (240, 180) and len(list(ImageSequence.Iterator(image))) > 4
+    entries = Leaderboard(board).entries()
+    for entry in entries:
+        scores = [prove(Leaderboard(board).recording(each)).result.score or 0.0 for each in entry.recordings]
+        assert entry.spread == pstdev(scores) > 0 and f"{entry.score:.6g}<small>± {entry.spread:.3g}</small>" in text
+    links = re.findall('<a href="([^"]*)">(seed [0-9]+)</a>', text)
+    assert [name for _, name in links] == ["seed 3", "seed 4"] * 2
+    assert [Path(link).stem for link, _ in links] == [each for entry in entries for each in entry.recordings]
+    assert all((page.parent / unquote(link)).is_file() for link, _ in links)
+    assert f"nmes leaderboard verify {board.name}" in text and task().description in text
+    assert "spread" in run("show", board).stdout.splitlines()[0]
     assert "&lt;b&gt;chain&lt;/b&gt;" in text and "<b>chain</b>" not in text and "Ada &amp; Co" in text
     assert "http" not in text and "<script" not in text
 

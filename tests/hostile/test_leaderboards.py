@@ -27,7 +27,7 @@ from nmes.evaluation.parallel import Lost
 from nmes.genome import Genome
 from recordings import rewrite
 
-COLUMNS = ("task", "task_hash", "name", "genome_hash", "creature_hash", "author", "key", "score", "recorded")
+COLUMNS = ("task", "task_hash", "name", "genome_hash", "creature_hash", "author", "key", "score", "spread", "recorded")
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +86,7 @@ def test_an_entry_takes_one_recording_for_each_seed(tmp_path: Path, dash: Path, 
 def test_every_column_is_compared_with_what_the_recordings_prove(board: Path, column: str) -> None:
     new = {
         "task": "sprint", "name": "mine", "author": "Eve", "key": "ab" * 32, "recorded": "2001-02-03T04:05:06+00:00",
-        "score": 99.5,
+        "score": 99.5, "spread": 0.25,
     }.get(column, "cd" * 32)  # fmt: skip
     number = entry(board).id
     edit(board, f"UPDATE entries SET {column} = {new!r} WHERE id = {number}")
@@ -181,7 +181,8 @@ def test_a_database_of_other_tables_is_no_leaderboard(board: Path, proofs: list[
 def test_a_damaged_database_gives_no_traceback(tmp_path: Path, dash: Path) -> None:
     board, page = tmp_path / "board.sqlite", tmp_path / "board.html"
     assert run("tasks", board, "--allow", dash).exit_code == 0
-    row = "NULL, 'dash', '{0}', 'wave', printf('%064x', i), printf('%064x', i), 'Ada', '', i, '[\"{0}\"]', '', NULL"
+    hashes = "printf('%064x', i), printf('%064x', i)"
+    row = f"NULL, 'dash', '{{0}}', 'wave', {hashes}, 'Ada', '', i, 0.5, '[\"{{0}}\"]', '', NULL"
     numbers = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 12)"
     edit(board, f"{numbers} INSERT INTO entries SELECT {row.format(Task(DASH).hash)} FROM n")
     whole = board.read_bytes()
@@ -199,7 +200,7 @@ def test_a_damaged_database_gives_no_traceback(tmp_path: Path, dash: Path) -> No
 
 
 def test_two_rows_of_one_creature_are_not_both_held(board: Path) -> None:
-    columns = "task, task_hash, name, genome_hash, creature_hash, author, key, score, recordings, recorded"
+    columns = "task, task_hash, name, genome_hash, creature_hash, author, key, score, spread, recordings, recorded"
     index = "SELECT type, name, tbl_name, rootpage, sql FROM sqlite_schema WHERE name = 'sqlite_autoindex_entries_1'"
     with sqlite3.connect(board) as database:  # takes the index away, adds a row, and puts the index back
         (kept,) = database.execute(index).fetchall()
