@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import ssl
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -55,8 +55,9 @@ def connector(
     choice = choose_password(password, password_file)
     if choice is None:
         raise click.UsageError(f"give the host's password, in {PASSWORD_VARIABLE} or with --password-file")
+    make = partial(Client, *address, password=choice[0], world=world, tls=tls, tls_ca=tls_ca, timeout=timeout)
     try:
-        trust = ssl.create_default_context(cafile=tls_ca) if tls_ca is not None else tls
-    except OSError as error:
-        raise click.UsageError(f"{tls_ca}: {error}") from error
-    return lambda: Client(*address, password=choice[0], world=world, tls=trust, timeout=timeout)
+        make()
+    except (ValueError, OSError) as error:
+        raise click.UsageError(str(error)) from error
+    return make

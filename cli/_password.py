@@ -9,9 +9,9 @@ from typing import Any, TypeVar
 
 import click
 
-__all__ = ["PASSWORD_VARIABLE", "choose_password", "password_options", "read_password"]
+from nmes.client.conversation import PASSWORD_VARIABLE
 
-PASSWORD_VARIABLE = "NMES_PASSWORD"
+__all__ = ["PASSWORD_VARIABLE", "choose_password", "password_options", "read_password"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 

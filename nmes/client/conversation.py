@@ -9,6 +9,7 @@ another's; a failed command raises `CommandFailed` with the server's code, a los
 
 from __future__ import annotations
 
+import os
 import ssl
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -22,12 +23,14 @@ from nmes.errors import CommandFailed, Disconnected, RejectedMessage
 from nmes.protocol import DELIMITER, FrameSplitter, encode
 from nmes.schemas.documents import unwritable_number
 
-__all__ = ["EVENT_BACKLOG", "READ", "ClientBase", "Conversation", "world_list"]
+__all__ = ["EVENT_BACKLOG", "PASSWORD_VARIABLE", "READ", "ClientBase", "Conversation", "world_list"]
 
 # Bytes. A world of 10,000 cubes is a reply of some megabytes; a server is trusted more than its clients are.
 REPLY_LIMIT = 256 << 20
 # Bytes of one read. More is slower: for more than 128 KiB the memory is asked of the system, each time.
 READ = 64 << 10
+PASSWORD_VARIABLE = "NMES_PASSWORD"
+"""The environment's variable that has the password where none is given."""
 # Events that nobody reads are dropped, the oldest first, so that a client which subscribes and never reads stays small.
 EVENT_BACKLOG = 10_000
 
@@ -123,10 +126,11 @@ class ClientBase:
         host: str = "127.0.0.1",
         port: int = 14000,
         *,
-        password: str,
+        password: str | None = None,
         world: str | None = None,
         timeout: float | None = 10.0,
         tls: bool | ssl.SSLContext = False,
+        tls_ca: str | os.PathLike[str] | None = None,
         on_event: Callable[[Event], None] | None = None,
     ) -> None:
         """Remembers where to connect to; `connect` (or a `with` block) does it.
@@ -134,22 +138,27 @@ class ClientBase:
         Args:
             host: Name or address of the server. Default: this machine.
             port: Its TCP port. Default: 14000.
-            password: The server's password.
+            password: The server's password. Default: what the environment's variable `NMES_PASSWORD` says.
             world: The name of one of the server's worlds. Default: its first.
             timeout: How long a reply may take, in s, before `TimeoutError` is raised; None waits for ever. May be
                 changed later. Default: 10.
-            tls: True speaks TLS with a server whose certificate the system trusts; an SSL context says which
-                certificates are trusted: `ssl.create_default_context(cafile="cert.pem")`. Default: plain TCP.
+            tls: True speaks TLS with a server whose certificate the system trusts; an SSL context says more than that.
+                Default: plain TCP.
+            tls_ca: A PEM file of certificates: speak TLS, and trust these.
             on_event: Called with each event when it is received, in place of the queue that `events` reads. Default:
                 the queue, which keeps the last 10,000 events.
+
+        Raises:
+            ValueError: There is no password, or `tls_ca` has no certificates, or stands beside an SSL context.
+            OSError: The file of certificates cannot be read.
         """
         self.host = host
         self.port = port
         self.world = world
         self.timeout = timeout
         self.on_event = on_event
-        self._tls = ssl.create_default_context() if tls is True else tls or None
-        self._password = password
+        self._tls = _trust(tls, tls_ca)
+        self._password = _password(password)
         self._queue: deque[Event] = deque(maxlen=EVENT_BACKLOG)
         self._conversation = self._new_conversation()
         self._conversation.lose(Disconnected("not_connected", "the client is not connected"))
@@ -190,6 +199,27 @@ class ClientBase:
         """Ends an iteration over events quietly when the world was closed, else with the reason of the loss."""
         if self._conversation.lost is not None and not self._conversation.world_closed:
             raise self._conversation.lost
+
+
+def _password(given: str | None) -> str:
+    password = os.environ.get(PASSWORD_VARIABLE) if given is None else given
+    if not password:
+        raise ValueError(f"a client needs the server's password: give password=, or set {PASSWORD_VARIABLE}")
+    return password
+
+
+def _trust(tls: bool | ssl.SSLContext, authority: str | os.PathLike[str] | None) -> ssl.SSLContext | None:
+    """Returns what says which certificates are trusted; None for plain TCP."""
+    if authority is None:
+        return ssl.create_default_context() if tls is True else tls or None
+    if isinstance(tls, ssl.SSLContext):
+        raise ValueError("give tls_ca, or an SSL context as tls, which says itself what it trusts; not both")
+    try:
+        return ssl.create_default_context(cafile=authority)
+    except ssl.SSLError as error:
+        raise ValueError(f"{os.fspath(authority)} has no certificates in PEM: {error}") from None
+    except OSError as error:
+        raise OSError(error.errno, error.strerror, os.fspath(authority)) from None
 
 
 def world_list(answer: Any) -> list[WorldSummary]:
