@@ -13,8 +13,7 @@ import click
 from nmes.cli._output import whole_file, whole_folder
 from nmes.cli.info import open_recording
 from nmes.errors import visible
-from nmes.playback import states
-from nmes.playback.export import messages, state_rows, write_csv, write_jsonl, write_parquet
+from nmes.playback.export import TABLES, write_csv, write_jsonl, write_parquet
 from nmes.recording import Recording
 
 if TYPE_CHECKING:
@@ -38,14 +37,14 @@ def _open(context: click.Context, parameter: click.Parameter, values: tuple[str,
 )
 @click.option(
     "--what",
-    type=click.Choice(["messages", "states"]),
-    help="Commands, replies and what happened; or each cube after each tick.  "
-    "[default: messages in jsonl, states in csv and parquet]",
+    type=click.Choice(list(TABLES)),
+    help="Commands, replies and what happened; or, after each tick, each cube (states), joint, motor (controls), "
+    "sensor, or the score so far.  [default: messages in jsonl, states in csv and parquet]",
 )
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), help="The file, or the dataset's folder; else standard output."
 )
-@click.option("--keep-going", is_flag=True, help="States: go on where a tick does not come out as recorded.")
+@click.option("--keep-going", is_flag=True, help="Go on where a tick does not come out as recorded; not of scores.")
 @click.option("--videos", is_flag=True, help="LeRobot: a video of each episode, too.")
 @click.option("--anyway", "keep_going", is_flag=True, hidden=True)  # its old name
 def command(
@@ -67,6 +66,7 @@ def command(
     \b
         nmes export run.mcap --to jsonl
         nmes export run.mcap --to parquet -o states.parquet
+        nmes export proofs/walker-1.mcap --to csv --what sensors -o sensors.csv
         nmes export proofs/walker-*.mcap --to minari -o datasets/walker-v0
         nmes export proofs/walker-*.mcap --to lerobot --videos -o walker
     """
@@ -115,12 +115,16 @@ def _write_table(recording: Recording, kind: str, what: str | None, output: Path
         raise click.UsageError("parquet needs --output")
     if output is not None and output.is_dir():
         raise click.UsageError(f"{output} is a folder: {kind} is a file")
-    as_messages = what == "messages" if what is not None else kind == "jsonl"
-    rows = messages(recording) if as_messages else state_rows(states(recording, keep_going=keep_going))
+    what = what or ("messages" if kind == "jsonl" else "states")
+    if what == "scores" and keep_going:
+        raise click.UsageError("--keep-going is not for scores: each tick of an episode must come out as recorded")
+    from nmes.evaluation.tables import table_rows  # here, as above
+
+    rows = table_rows(recording, what, keep_going=keep_going)
     if kind == "parquet":
         assert output is not None
         with whole_file(output, recording.path) as unfinished:
-            write_parquet(rows, unfinished)
+            write_parquet(rows, what, unfinished)
     else:
         with _text(output, recording.path) as file:
             if kind == "jsonl":

@@ -16,6 +16,7 @@ Invariants:
 
 from __future__ import annotations
 
+import importlib
 import os
 from collections.abc import Callable, Iterable, Iterator
 from functools import cached_property
@@ -25,7 +26,7 @@ from typing import Any, TypeVar
 import orjson
 
 from nmes import protocol
-from nmes.errors import NmesError, RecordingError
+from nmes.errors import MissingPackage, NmesError, RecordingError
 from nmes.recording.chain import Chain
 from nmes.recording.mcap_format import DamagedFile
 from nmes.recording.mcap_reader import Block, Reader
@@ -158,6 +159,42 @@ class Recording:
             self.stopped = _explained(error, chain)
         if offset is None:
             self._damage, self._checked = self.stopped, True
+
+    # -- tables ----------------------------------------------------------------------------------------------------
+
+    def to_arrow(self, what: str = "states", *, keep_going: bool = False) -> Any:
+        """Returns a table of what happened, a row for each tick and thing; docs/cli.md, `nmes export`, has the columns.
+
+        All but `messages` is made by running the recording again.
+
+        Args:
+            what: `messages`, `states` (of cubes), `joints`, `controls`, `sensors`, or `scores`.
+            keep_going: Go on where a tick does not come out as it was recorded, as on another machine.
+
+        Returns:
+            A `pyarrow.Table`.
+
+        Raises:
+            MissingPackage: pyarrow is not installed.
+            ValueError: There is no such table.
+            RecordingError: A tick does not come out as recorded (`diverged`, or `not_comparable` where the
+                fingerprints differ).
+            ProofError, DocumentError: Of scores, where the recording is none of an episode.
+        """
+        # Found by its name, as the package's front finds what it has: to read a recording loads no world.
+        return importlib.import_module("nmes.evaluation.tables").arrow(self, what, keep_going=keep_going)
+
+    def to_pandas(self, what: str = "states", *, keep_going: bool = False) -> Any:
+        """Returns a `pandas.DataFrame` of what happened; as `to_arrow`.
+
+        Raises:
+            MissingPackage: pandas is not installed, or pyarrow.
+        """
+        try:
+            importlib.import_module("pandas")
+        except ImportError as error:
+            raise MissingPackage("a DataFrame needs pandas: pip install 'nmes[arrow]' pandas") from error
+        return self.to_arrow(what, keep_going=keep_going).to_pandas()
 
     # -- seeking ---------------------------------------------------------------------------------------------------
 

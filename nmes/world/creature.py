@@ -48,6 +48,7 @@ class Creature:
         cubes: The names of its cubes in the world by the ids in its body; `joints` likewise.
         motors: In the order of controls.
         sensors: In the order of values.
+        controls: What it was driven with last, shape (m,); None until it is driven, or since it was restored.
     """
 
     def __init__(
@@ -64,6 +65,7 @@ class Creature:
         self.target = target
         self.motors: tuple[Motor, ...] = body.motors
         self.sensors: tuple[Sensor, ...] = body.sensors
+        self.controls: Array | None = None
         self._shape = (len(self.motors),)
         self._cubes, self._joints = cubes, joints
         self.cubes: dict[str, str] = {part: cube.name for part, cube in cubes.items()}
@@ -134,6 +136,7 @@ class Creature:
         self._simulation.set_motor_targets(self._numbers, self._params, targets)
         for (params, field), target in zip(self._targets, targets.tolist(), strict=True):
             params[field] = target
+        self.controls = controls.copy()  # whose they are may use the array again
 
     def _prepare_motors(self, targets: Array) -> None:
         """Has all motors run in the mode that they were made for, and keeps their parameters at hand for `drive`."""
