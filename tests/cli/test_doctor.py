@@ -61,29 +61,26 @@ def test_a_table_shows_the_same_and_a_port_that_is_taken_is_a_note(tmp_path: Pat
     assert "--port 0" in " ".join(lines[at + 1])
 
 
-def test_what_the_machine_lacks_is_told(tmp_path: Path, plant: dict[str, str]) -> None:
-    (tmp_path / "sitecustomize.py").write_text(
-        "import os, sys\n"
-        "sys.modules |= {'mujoco.egl': None, 'mujoco.osmesa': None, 'labmaze': None}\n"
-        "if os.environ.pop('PLANT', None):\n"  # not in the processes that importing mujoco starts
-        "    import mujoco\n"
-        "    mujoco.__version__ = '4.0.0'\n"
-    )
-    status, findings = examine(cwd=tmp_path, shell="ulimit -n 200; ", PLANT="1", **plant)
-    assert (status, wrong(findings)) == (1, ["engine mujoco", "graphics"])
-    assert "no OpenGL" in findings["graphics"]["value"]
+LACKING = """
+import math, os, sys
+sys.modules |= {'mujoco.egl': None, 'mujoco.osmesa': None, 'labmaze': None}
+math.cbrt = lambda x: x + os.getpid()
+if os.environ.pop('PLANT', None):  # not in the processes that importing mujoco starts
+    import mujoco
+    mujoco.__version__ = '4.0.0'
+"""
+
+
+def test_what_a_machine_lacks_or_gets_wrong_is_told(tmp_path: Path, plant: dict[str, str]) -> None:
+    (tmp_path / "sitecustomize.py").write_text(LACKING)
+    status, findings = examine(cwd="/proc", shell="ulimit -n 200; ", PLANT="1", **plant)  # where nobody may write
+    probes = [f"probe of {name}" for name in ("ballistic", "mujoco", "pymunk")]
+    assert (status, wrong(findings)) == (1, ["engine mujoco", *probes, "graphics", "this folder"])
     assert "issue 3767" in findings["engine mujoco"]["value"] and "install" in findings["engine mujoco"]["hint"]
+    assert "in another process" in findings["probe of mujoco"]["value"]
+    assert "no OpenGL" in findings["graphics"]["value"]
     assert findings["arenas"]["status"] == findings["open files"]["status"] == "note"
     assert findings["open files"]["value"] == "at most 200"
-
-
-def test_numbers_that_come_out_otherwise_and_a_folder_that_is_not_writable_are_wrong(
-    tmp_path: Path, plant: dict[str, str]
-) -> None:
-    (tmp_path / "sitecustomize.py").write_text("import math, os\nmath.cbrt = lambda x: x + os.getpid()")
-    status, findings = examine(cwd="/proc", **plant)
-    probes = [f"probe of {name}" for name in ("ballistic", "mujoco", "pymunk")]
-    assert (status, wrong(findings)) == (1, [*probes, "this folder"])
 
 
 HIDE = """

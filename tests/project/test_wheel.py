@@ -163,6 +163,9 @@ def test_the_metadata_says_who_what_and_for_which_pythons(unpacked: Path) -> Non
     fields = message_from_string((unpacked / "PKG-INFO").read_text())
     assert fields["License-Expression"] == "Apache-2.0"
     assert fields["Author"] and fields["Keywords"] and fields["Description-Content-Type"] == "text/markdown"
+    citation = (ROOT / "CITATION.cff").read_text().splitlines()
+    assert f"version: {fields['Version']}" in citation and f"license: {fields['License-Expression']}" in citation
+    assert f"  - name: {fields['Author']}" in citation
     classifiers = fields.get_all("Classifier", [])
     pythons = [name.rpartition(" ")[2] for name in classifiers if re.search(r"Python :: 3\.", name)]
     install = (ROOT / "docs" / "install.md").read_text()
