@@ -62,7 +62,7 @@ _FILE = click.Path(path_type=Path, dir_okay=False, writable=True)
 @click.option("--fail-fast", is_flag=True, help="End at the first failure.")
 @click.option(
     "--time-limit",
-    type=click.FloatRange(0, min_open=True),
+    type=click.FloatRange(0, 86400, min_open=True),
     metavar="S",
     help="How long all of it may take, in s; what was not judged by then is skipped.",
 )

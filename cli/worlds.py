@@ -83,7 +83,7 @@ def _list(client: Client, address: tuple[str, int], names: tuple[str, ...]) -> l
         ClickException: There is no such world, or no such server.
     """
     try:
-        worlds: list[Any] = list(client.worlds())
+        worlds: Any = client.worlds()
     except TimeoutError as error:
         raise click.ClickException(str(error)) from error
     try:
