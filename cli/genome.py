@@ -14,6 +14,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
+from nmes.cli import _genome_publish
 from nmes.cli._columns import columns
 from nmes.cli._genomes import find_genomes
 from nmes.cli._json import print_json
@@ -49,6 +50,9 @@ def command() -> None:
     FILE is a file, a directory (the *.json in it), a pattern such as 'creatures/*.json', or the name of a genome that
     ships with the package.
     """
+
+
+command.add_command(_genome_publish.command)
 
 
 @command.command("list")
