@@ -171,7 +171,7 @@ def _world_passwords(folder: Path | None, names: Collection[str]) -> dict[str, s
     """Returns the passwords of single worlds, by name, each the first line of the file of that name."""
     passwords = {}
     for file in sorted(folder.iterdir()) if folder is not None else ():
-        if file.name not in names:  # a world whose file is misspelt would be open to all who are let in elsewhere
+        if file.name not in names:  # else whoever was given this password would learn at the door that it opens nothing
             raise click.UsageError(f"{file}: there is no world {file.name!r} here; a file is named after its world")
         passwords[file.name] = read_password(file)
     return passwords

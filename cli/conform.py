@@ -250,6 +250,8 @@ def _print(report: Report, scripts: dict[str, Path]) -> None:
         numbers = ", ".join(result.case.number for result in results[:SOME])
         more = f" and {len(results) - SOME} more" if len(results) > SOME else ""
         console.print(f"{len(results):>5}  {escape(cause)}: {numbers}{more}")
+    if report.probe.trouble is not None and all(cause.startswith("a connection ") for cause in report.causes):
+        console.print("It hangs up on whoever comes; if it speaks TLS, judge it without: the suite speaks none.")
     where = f"{report.target.host}:{report.target.port}"
     words = {0: "[green]conforms[/]", 1: "[bold red]does not conform[/]", 2: "[bold red]could not be judged[/]"}
     console.print(

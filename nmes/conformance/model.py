@@ -268,7 +268,7 @@ def play_script(trial: Trial, script: Script) -> None:
             player.say(step["client"], step["command"])
         except Finding as finding:
             where = f"command {number} of {len(script)} ({step['command']['type']}, client {step['client']})"
-            raise Finding(f"{finding.expected}, in answer to {where}", finding.received) from finding
+            raise Finding(f"{finding.expected}, in answer to {where}", finding.received, finding.cause) from finding
 
 
 def write_script(script: Script, **about: Any) -> str:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from nmes.conformance.case import Case, Finding
-from nmes.conformance.wire import Log, Message, Wire, clip, read_json
+from nmes.conformance.wire import NO_ID, Log, Message, Wire, clip, read_json
 from nmes.protocol import COMMANDS, DELIMITER
 
 __all__ = ["ABSENT", "Halt", "Halted", "Probe", "Target", "Trial"]
@@ -235,7 +235,7 @@ class Trial:
         wire.say({"type": "ping", "id": mark})
         reply = wire.reply("pong")
         if reply["type"] != "pong" or reply.get("id") != mark:
-            cause = f"{reply['type']} in reply to ping"
+            cause = f"{reply['type']} in reply to ping" if "id" in reply else NO_ID
             raise Finding(f"nothing before the pong to ping {mark}", clip(reply), cause)
 
     # -- names, places, cubes --------------------------------------------------------------------------------------

@@ -18,12 +18,13 @@ from typing import Any, NoReturn, Self
 
 from nmes.conformance.case import Finding
 from nmes.errors import NmesError
-from nmes.protocol import DELIMITER, EVENTS, validate_event, validate_reply
+from nmes.protocol import DELIMITER, EVENTS, REPLIES, validate_event, validate_reply
 
 __all__ = ["Entry", "Log", "Message", "Wire", "clip", "frame_of", "is_event", "read_json", "read_message"]
 
 READ = 64 << 10
 SHOWN = 300  # characters of what was received that a finding repeats
+NO_ID = "a reply without its id"  # a cause that cases find in several ways
 FRAME_LIMIT = 64 << 20  # a server that sends more without a delimiter will not send one
 
 
@@ -201,7 +202,7 @@ class Wire:
         self.say(command)
         reply = self.reply(f"a reply to {command['type']}", timeout)
         if "id" not in reply or reply["id"] != command["id"]:
-            cause = "a reply with another id than the command's" if "id" in reply else "a reply without its id"
+            cause = "a reply with another id than the command's" if "id" in reply else NO_ID
             raise Finding(f"a reply with id {json.dumps(command['id'])}", clip(reply), cause)
         return reply
 
@@ -300,7 +301,9 @@ def read_message(frame: bytes) -> Message:
             validate_reply(message)
     except NmesError as error:
         expected = f"a message as its schema says ({error.message})"
-        raise Finding(expected, clip(frame), f"a message {clip(message.get('type'))} against its schema") from error
+        kind = message.get("type")
+        known = kind if isinstance(kind, str) and (kind in REPLIES or kind in EVENTS) else "of no known type"
+        raise Finding(expected, clip(frame), f"a message {known} against its schema") from error
     return message
 
 

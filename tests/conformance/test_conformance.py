@@ -236,6 +236,13 @@ def test_failures_of_one_cause_are_summed_up(monkeypatch: pytest.MonkeyPatch, tm
     assert f"<td class='n'>{len(failed)}<td>a reply without its id<td><a href='#c{failed[0]}'>" in page.read_text()
 
 
+def test_the_words_of_a_server_are_no_cause() -> None:
+    """A cause is printed as it is: what a stranger calls a message must not be in it."""
+    with listening(lambda connection: connection.sendall(b'{"type":"\\u001b[31m"}' + DELIMITER)) as port:
+        report = run(Target("127.0.0.1", port, PASSWORD), Options(only=["4.3:object"]))
+    assert [*report.causes] == ["a message of no known type against its schema"]
+
+
 def test_silence_and_hanging_up_are_each_one_cause() -> None:
     only = Options(only=["3.1", "4.3:*", "8.14"])
     with listening(lambda connection: None) as port:

@@ -83,6 +83,15 @@ async def test_a_client_without_tls_is_told_that_the_server_may_speak_it(server:
     assert outcome.exit_code == 1 and "so must you: tls=True, or --tls" in outcome.output
 
 
+def test_a_judged_server_that_speaks_tls_is_told_apart_from_one_that_errs(server: Served) -> None:
+    judging = ["conform", f"127.0.0.1:{server.port}", "--only", "4.3:object", "--only", "8.14"]
+    outcome = CliRunner().invoke(main, judging, env={"NMES_PASSWORD": PASSWORD})
+    assert outcome.exit_code == 1 and "if it speaks TLS, judge it without" in outcome.output
+    with served() as plain:
+        judging[1] = f"127.0.0.1:{plain.port}"
+        assert "TLS" not in CliRunner().invoke(main, judging, env={"NMES_PASSWORD": PASSWORD}).output
+
+
 async def test_a_client_with_tls_is_told_that_the_server_may_speak_none(trust: ssl.SSLContext) -> None:
     with served(limits=Limits(auth_timeout=0.2)) as plain:
         with pytest.raises(Disconnected, match="it may speak no TLS"):
