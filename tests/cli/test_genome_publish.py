@@ -84,14 +84,15 @@ def test_what_has_no_score_or_no_place_is_not_published(inputs: tuple[Path, Path
     walk.write_text(json.dumps({**TASK, "name": "walk"}))
     (tmp_path / "taken").mkdir()
     (tmp_path / "taken" / "file").touch()
-    for arguments, status, word in (
+    cases: list[tuple[list[str | Path], int, str]] = [
         ([tmp_path / "still.json", "--task", task, "-o", tmp_path / "x"], 1, "brain/oscillators/0"),
         ([genome, "--task", limited, "-o", tmp_path / "x"], 1, "at most 1"),
         ([genome, "--task", walk, "-o", tmp_path / "x"], 2, "another task than the walk that ships"),
         ([genome, "--task", "wlak", "-o", tmp_path / "x"], 1, "did you mean walk?"),
         (["walkr", "--task", task, "-o", tmp_path / "x"], 1, "did you mean walker?"),
         ([genome, "--task", task, "-o", tmp_path / "taken"], 2, "there is"),
-    ):
+    ]
+    for arguments, status, word in cases:
         refused = run("genome", "publish", *arguments)
         assert refused.exit_code == status and word in refused.stderr, refused.output
         assert not (tmp_path / "x").exists()
