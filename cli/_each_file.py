@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
@@ -11,7 +11,7 @@ import click
 from nmes.cli._json import print_json
 from nmes.errors import NmesError, visible
 
-__all__ = ["File", "Finding", "files_argument", "judge_each", "print_findings", "worst"]
+__all__ = ["File", "Finding", "files_argument", "judge_each", "print_reports", "report_each", "worst"]
 
 _WORST_FIRST = (1, 2, 3, 0)
 """Exit statuses: what has failed is worse than what cannot be read, and that than what cannot be judged here."""
@@ -54,14 +54,13 @@ def files_argument(open_file: Callable[[click.Context, click.Parameter, str], Op
     return click.argument("files", metavar="FILE...", nargs=-1, required=True, callback=files)
 
 
-def judge_each(files: Sequence[File[Opened]], judge: Callable[[Opened], Finding]) -> list[Finding]:
-    """Judges files one by one; one of several that cannot be read or judged does not stop the others.
+def judge_each(files: Sequence[File[Opened]], judge: Callable[[Opened], Finding]) -> Iterator[Finding]:
+    """Judges files, each when it is asked for; one of several that cannot be read or judged does not stop the others.
 
     Raises:
         BadParameter: The only one cannot be read.
         NmesError: The only one cannot be judged.
     """
-    findings = []
     for file in files:
         try:
             finding = judge(file.open())
@@ -69,8 +68,7 @@ def judge_each(files: Sequence[File[Opened]], judge: Callable[[Opened], Finding]
             if len(files) == 1:
                 raise
             finding = _failed(error)
-        findings.append(Finding({"file": file.name} | finding.report, finding.lines, finding.status))
-    return findings
+        yield Finding({"file": file.name} | finding.report, finding.lines, finding.status)
 
 
 def _failed(error: click.ClickException | NmesError) -> Finding:
@@ -81,17 +79,31 @@ def _failed(error: click.ClickException | NmesError) -> Finding:
     return Finding(report, [error.message], 3 if error.code == "not_comparable" else 1)
 
 
-def print_findings(findings: Sequence[Finding], as_json: bool) -> None:
-    """Prints findings: of one file its lines, of several a line each; as JSON an object, or a list of them."""
-    if as_json:
-        reports = [finding.report for finding in findings]
-        print_json(reports[0] if len(reports) == 1 else reports)
-    elif len(findings) == 1:
-        click.echo("".join(f"{visible(line)}\n" for line in findings[0].lines), nl=False)
-    else:
-        for finding in findings:
+def report_each(files: Sequence[File[Opened]], judge: Callable[[Opened], Finding], as_json: bool) -> int:
+    """Judges files and prints what is found: of one file its lines, of several a line each, as soon as it is known.
+
+    As JSON it is an object, of several files a list of them.
+
+    Returns:
+        The exit status.
+    """
+    findings = []
+    for finding in judge_each(files, judge):
+        findings.append(finding)
+        if not as_json and len(files) == 1:
+            click.echo("".join(f"{visible(line)}\n" for line in finding.lines), nl=False)
+        elif not as_json:
             told = "; ".join(line.strip() for line in finding.lines)
             click.echo(visible(f"{finding.report['file']}: {told}"))
+    if as_json:
+        print_reports(findings)
+    return worst(finding.status for finding in findings)
+
+
+def print_reports(findings: Sequence[Finding]) -> None:
+    """Prints the reports of files as JSON: that of one file, or a list."""
+    reports = [finding.report for finding in findings]
+    print_json(reports[0] if len(reports) == 1 else reports)
 
 
 def worst(statuses: Iterable[int]) -> int:

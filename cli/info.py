@@ -11,7 +11,7 @@ import click
 from rich.filesize import decimal
 
 from nmes.cli._columns import columns
-from nmes.cli._each_file import File, Finding, files_argument, judge_each, print_findings, worst
+from nmes.cli._each_file import File, Finding, files_argument, judge_each, print_reports, worst
 from nmes.cli._output import check_output
 from nmes.cli._progress import QUIET
 from nmes.errors import RecordingError, visible
@@ -57,13 +57,15 @@ def command(files: list[File[Recording]], plot_to: Path | None, as_json: bool) -
         nmes info run.mcap --plot run.svg
     """
     check_output(plot_to, *(file.name for file in files))
-    findings = judge_each(files, _inspect)
+    findings = list(judge_each(files, _inspect))
     if plot_to is not None:
         from nmes.cli._recording_plot import plot_recordings  # its imports take long, and all commands import this
 
         plot_recordings([file.open() for file in files], plot_to)
-    if as_json or len(files) == 1:
-        print_findings(findings, as_json)
+    if as_json:
+        print_reports(findings)
+    elif len(files) == 1:
+        click.echo("\n".join(findings[0].lines))
     else:
         click.echo("\n".join(columns([_HEADINGS, *(_row(finding.report) for finding in findings)], right=(3, 4, 5, 6))))
     sys.exit(worst(finding.status for finding in findings))

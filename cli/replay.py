@@ -16,7 +16,7 @@ from rich.console import Console
 from nmes.cli import _against, _drift
 from nmes.cli._address import split_address
 from nmes.cli._connection import connection_options, connector
-from nmes.cli._each_file import File, Finding, files_argument, judge_each, print_findings, worst
+from nmes.cli._each_file import File, Finding, files_argument, report_each
 from nmes.cli._json import print_json
 from nmes.cli._options import MOMENT, Moment
 from nmes.cli._output import check_output
@@ -115,9 +115,8 @@ def command(files: list[File[Recording | Log]], **options: Any) -> None:
     _check(options, used)
     if not used & {"against", "backend"}:
         several = len(files) > 1
-        findings = judge_each(files, lambda opened: _judge(opened, used, options["first"], options["last"], several))
-        print_findings(findings, as_json)
-        sys.exit(worst(finding.status for finding in findings))
+        first, last = options["first"], options["last"]
+        sys.exit(report_each(files, lambda opened: _judge(opened, used, first, last, several), as_json))
     if len(files) > 1:
         raise click.UsageError("--against and --backend take one file")
     recording = _recording(files[0].open(), used)

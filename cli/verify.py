@@ -12,7 +12,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 from rich.filesize import decimal
 
 from nmes import protocol
-from nmes.cli._each_file import File, Finding, files_argument, judge_each, print_findings, worst
+from nmes.cli._each_file import File, Finding, files_argument, report_each
 from nmes.cli.info import open_recording
 from nmes.errors import SigningError
 from nmes.recording import Recording
@@ -56,9 +56,7 @@ def command(files: list[File[Recording]], verify_key: Path | None, signature: Pa
     if signature is not None and len(files) > 1:
         raise click.UsageError("--signature is that of one file; those of several lie beside them, as FILE.sig")
     key = public_key(verify_key) if verify_key is not None else None
-    findings = judge_each(files, lambda recording: _judge(recording, key, signature))
-    print_findings(findings, as_json)
-    sys.exit(worst(finding.status for finding in findings))
+    sys.exit(report_each(files, lambda recording: _judge(recording, key, signature), as_json))
 
 
 def _judge(recording: Recording, key: Ed25519PublicKey | None, signature: Path | None) -> Finding:

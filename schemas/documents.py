@@ -511,7 +511,7 @@ def nor_at(places: Sequence[str]) -> str:
     """
     if not places:
         return ""
-    more = f" and {len(places) - _PLACES} more places" if len(places) > _PLACES else ""
+    more = f" and {len(places) - _PLACES} more" if len(places) > _PLACES else ""
     return f" (nor at {', '.join(places[:_PLACES])}{more})"
 
 

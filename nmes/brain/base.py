@@ -115,6 +115,7 @@ class Findings:
     def unknown(self, name: str, names: Sequence[str], what: str, pointer: str) -> None:
         """Notes that there is no such name."""
         if f"{what}s" in self.unsure:
+            self._unknown.setdefault((name, what), (0, "", []))
             return
         if (name, what) in self._unknown:
             index, near, others = self._unknown[name, what]

@@ -167,9 +167,13 @@ class Pack:
         except DocumentError as error:
             raise self._refused(f"{_ENTRIES}: {error.message}") from error
         entries = tuple(tuple(entry["recordings"]) for entry in document["entries"])
+        listed: set[str] = set()
         for name in (name for entry in entries for name in entry):
             if f"{name}.mcap" not in self._members:
                 raise self._refused(f"it lists {name}.mcap, which is not in it")
+            if name in listed:
+                raise self._refused(f"it lists {name}.mcap for two entries")
+            listed.add(name)
         return entries
 
     def extract(self, recordings: Sequence[str], folder: Path) -> list[Path]:

@@ -145,6 +145,13 @@ CONTENTS: dict[str, tuple[Members, str]] = {
     "an unknown field": ({"entries.json": entries_json(score=9)}, "score: there is no such field"),
     "a name that is no hash": ({"entries.json": entries_json("../../x")}, "a hash of 64"),
     "a recording that is not in it": ({"entries.json": entries_json(HASH)}, "which is not in it"),
+    "a recording of two entries": (
+        {
+            "entries.json": entries_json(HASH).replace(b"}]", b'}, {"recordings": ["' + HASH.encode() + b'"]}]'),
+            f"{HASH}.mcap": b"x",
+        },
+        "for two entries",
+    ),
     "a large list": ({"entries.json": entries_json() + b" " * (17 << 20)}, "entries.json is too large"),
     "a large signature": (
         {"entries.json": entries_json(), f"{HASH}.mcap.sig": bytes(1 << 17)},
