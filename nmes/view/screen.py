@@ -82,7 +82,7 @@ def lay_out(stream: rr.RecordingStream, worlds: Mapping[str, Canvas], live: bool
     )
     time_panel = rrb.TimePanel(timeline="time", play_state="following" if live else "playing", state="collapsed")
     panels = rrb.BlueprintPanel(state="collapsed"), rrb.SelectionPanel(state="collapsed"), time_panel
-    stream.send_blueprint(rrb.Blueprint(rrb.Horizontal(scenes, log, column_shares=[5, 1]), *panels))
+    stream.send_blueprint(rrb.Blueprint(rrb.Horizontal(scenes, log, column_shares=[4, 1]), *panels))
 
 
 def _view(name: str, world: Canvas) -> Any:
