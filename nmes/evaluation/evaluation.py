@@ -12,6 +12,7 @@ from nmes.evaluation.episode import Result
 from nmes.evaluation.population import Outcome
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
+from nmes.schemas.notebook import card
 
 if TYPE_CHECKING:
     from nmes.evaluation.proof import Proof
@@ -108,6 +109,20 @@ class Evaluation:
     def faults(self) -> int:
         """How many episodes have no score."""
         return sum(result.fault is not None for result in self.results)
+
+    def _repr_html_(self) -> str:
+        """Returns what a notebook shows of it."""
+        facts = {
+            "score": self.score,
+            "spread": self.spread,
+            "energy": None if self.energy is None else f"{self.energy:.6g} J",
+            "distance": None if self.distance is None else f"{self.distance:.6g} m",
+            "faults": self.faults or None,
+            "error": self.error,
+        }
+        header = "seed", "score", "energy (J)", "distance (m)", "ended", "fault"
+        rows = [(one.seed, one.score, one.energy, one.distance, one.ended, one.fault) for one in self.results]
+        return card(f"{self.genome} on {self.task}", facts, header=header, rows=rows)
 
     def to_json(self) -> dict[str, Any]:
         """Returns the fields as plain data, with the figures computed from them."""

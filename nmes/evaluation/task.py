@@ -36,6 +36,7 @@ from nmes.schemas.documents import (
     parse_document,
     plain,
 )
+from nmes.schemas.notebook import card
 
 __all__ = ["CREATURE", "SHIPPED", "Limits", "Place", "Task", "TaskLike", "task_identity"]
 
@@ -174,6 +175,19 @@ class Task:
         if isinstance(source, Task):
             return source
         return cls(source if isinstance(source, Mapping) else parse_document(SHIPPED.read(os.fspath(source))))
+
+    def _repr_html_(self) -> str:
+        """Returns what a notebook shows of it."""
+        facts = {
+            "what": self.description,
+            "score": f"{self.document['objective']}{f' ({self.unit})' if self.unit else ''}",
+            "time": f"{self.duration:g} s, {self.tick_rate} ticks a second",
+            "seeds": ", ".join(map(str, self.seeds)),
+            "ends": ", ".join(f"{end['name']}: {end['when']}" for end in self.document["ends"]) or None,
+            "limits": ", ".join(f"{name} {limit:g}" for name, limit in self.document["limits"].items()) or None,
+            "hash": self.hash[:16],
+        }
+        return card(f"Task {self.name}", facts)
 
     def with_duty(self) -> Task:
         """Returns the same task, whose episodes tell the duty factor."""

@@ -10,6 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from functools import cached_property, lru_cache
+from io import BytesIO
 from typing import Any, Final, TypeAlias
 
 import orjson
@@ -27,6 +28,7 @@ from nmes.schemas.documents import (
     plain,
     write_json,
 )
+from nmes.schemas.notebook import card
 
 __all__ = ["SHIPPED", "Genome", "GenomeLike"]
 
@@ -34,6 +36,7 @@ SHIPPED: Final = ShippedDocuments("genome", "nmes.genome", "shipped")
 """The genomes that ship with the package."""
 GenomeLike: TypeAlias = "Genome | Mapping[str, Any] | str | os.PathLike[str]"
 """A genome: itself, its document, its file, or the name of one that ships."""
+_PICTURE: Final = 480, 360  # pixels, in a notebook
 
 
 class Genome:
@@ -132,6 +135,30 @@ class Genome:
         document = self.document
         graph = document["body"].get("graph")
         return self if graph is None else Genome({**document, "body": morphology.grow(graph)})
+
+    def _repr_png_(self) -> bytes:
+        """Returns a picture of the body, for a notebook."""
+        # Here, since most who read genomes draw none.
+        from PIL import Image
+
+        from nmes.genome.preview import render_body
+
+        file = BytesIO()
+        Image.fromarray(render_body(self.body, *_PICTURE)).save(file, format="PNG")
+        return file.getvalue()
+
+    def _repr_html_(self) -> str:
+        """Returns what a notebook shows of it."""
+        body = self.body
+        facts = {
+            "cubes": len(body.cubes),
+            "mass": f"{body.mass:.4g} kg",
+            "motors": len(body.motors),
+            "sensors": len(body.sensors),
+            "brain": self.document.get("brain", {}).get("kind", "none"),
+            "hash": self.hash[:16],
+        }
+        return card(f"Genome {self.name}", facts, picture=self._repr_png_())
 
     def __repr__(self) -> str:
         return f"Genome({self.name!r}, {self.hash[:16]})"

@@ -33,6 +33,7 @@ from nmes.recording.mcap_reader import Block, Reader
 from nmes.recording.records import END, FORMAT, FORMATS, PROFILE, Record, next_head
 from nmes.recording.seeking import Start, beginning, last_keyframe
 from nmes.recording.summary import Summary, summarize
+from nmes.schemas.notebook import card
 
 __all__ = ["Recording"]
 
@@ -159,6 +160,22 @@ class Recording:
             self.stopped = _explained(error, chain)
         if offset is None:
             self._damage, self._checked = self.stopped, True
+
+    def __repr__(self) -> str:
+        return f"Recording({str(self.path)!r})"
+
+    def _repr_html_(self) -> str:
+        """Returns what a notebook shows of it; only its beginning is read for that."""
+        config, about = self.config, self.metadata.get("nmes.evaluation", {})
+        facts = {
+            "size": f"{self.size:,} bytes",
+            "world": config["name"],
+            "engine": config["backend"],
+            "pace": f"{config['tick_rate']} ticks a second, {config['mode']}",
+            "seed": config["seed"],
+            "creature": about.get("genome"),
+        }
+        return card(f"Recording {self.path.name}", facts)
 
     # -- tables ----------------------------------------------------------------------------------------------------
 
