@@ -48,7 +48,7 @@ def cameras(
     """
     planar = all(np.abs(moment.poses[:, (2, 3, 4)]).max(initial=0.0) < _FLAT for moment in moments)
     names = _looked_at(moments, target)
-    middles, radii = _middles(moments, names)
+    middles, radii = _middles(moments, names, flags=target is None)
     if way == "fixed":
         low, high = middles.min(axis=0), middles.max(axis=0)
         radii[:] = np.linalg.norm(high - low) / 2.0 + radii.max()
@@ -91,11 +91,11 @@ def _looked_at(moments: Sequence[Moment], target: str | None) -> set[str]:
     return beside or set(first)
 
 
-def _middles(moments: Sequence[Moment], names: set[str]) -> tuple[Array, Array]:
+def _middles(moments: Sequence[Moment], names: set[str], *, flags: bool) -> tuple[Array, Array]:
     """Returns the middle of some cubes at each moment, and how far they reach from there, m.
 
-    The targets of creatures belong to them where they are near. Where no cube is there, they are as at the moment
-    before.
+    With `flags`, the targets of creatures that are near belong to them. Where no cube is there, they are as at the
+    moment before.
     """
     middles, radii = np.zeros((len(moments), 3)), np.full(len(moments), _NEAREST)
     last = -1
@@ -104,7 +104,7 @@ def _middles(moments: Sequence[Moment], names: set[str]) -> tuple[Array, Array]:
         if rows:
             places = moment.poses[rows, :3]
             halves = [hypot(*size) / 2.0 for name, (size, _) in moment.shapes.items() if name in names]
-            targets = np.array(moment.targets).reshape(-1, 3)
+            targets = np.array(moment.targets if flags else ()).reshape(-1, 3)
             near = targets[np.linalg.norm(targets - places.mean(axis=0), axis=1) < _NEAR]
             places, halves = np.concatenate([places, near]), halves + [_MARK] * len(near)
             middles[i] = (places.min(axis=0) + places.max(axis=0)) / 2.0

@@ -140,9 +140,9 @@ class _Card:
         self._task = recorded_episode(recording)[0]
         moving = _film(recording, self._task) if self._rank == 1 else None
         if moving is None:
-            file = io.BytesIO()
-            Image.fromarray(render_body(genome.body, *_SIZE)).quantize(_COLORS).save(file, "PNG", optimize=True)
-            self._picture = self._image("png", file.getvalue())
+            still = io.BytesIO()
+            Image.fromarray(render_body(genome.body, *_SIZE)).quantize(_COLORS).save(still, "PNG", optimize=True)
+            self._picture = self._image("png", still.getvalue())
         else:
             self._picture = self._image("gif", moving)
 

@@ -122,7 +122,8 @@ class _Painter:
         self.image.paste(drawn, place, drawn)
 
     def _text(self, element: ElementTree.Element, style: Style) -> None:
-        words, font = element.text or "", ImageFont.load_default(_FINE * float(style["font-size"]))
+        words, size = element.text or "", _FINE * float(style["font-size"])
+        font = ImageFont.load_default(size)
         ink, anchor = self._color(style, "fill"), _ANCHORS[style.get("text-anchor", "start")]
         bold = "bold" in style.get("font-weight", "") or style.get("font-weight") == "600"
         halo = self._color(style, "stroke") if style.get("paint-order") == "stroke" else None
@@ -131,7 +132,7 @@ class _Painter:
             place = _FINE * float(element.attrib["x"]), _FINE * float(element.attrib["y"])
             self._pen.text(place, words, ink, font, anchor=anchor, **edge)
             return
-        length, height = round(self._pen.textlength(words, font)) + 2, round(2 * font.size)
+        length, height = round(self._pen.textlength(words, font)) + 2, round(2 * size)
         sheet = Image.new("RGBA", (length, height))
         ImageDraw.Draw(sheet).text((length / 2, height / 2), words, ink, font, anchor="ms", **edge)
         sheet = sheet.rotate(90, expand=True)
