@@ -198,7 +198,7 @@ def import_entries(file: Path, packed: Path, allow: bool, as_json: bool) -> None
 
     \b
         nmes leaderboard import board.sqlite theirs.zip
-        nmes leaderboard verify board.sqlite
+        nmes leaderboard import board.sqlite theirs.zip --allow
     """
     from nmes.evaluation.leaderboard_pack import Pack
 
