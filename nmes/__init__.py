@@ -3,9 +3,9 @@
 ```python
 import nmes
 
-evaluation = nmes.evaluate("walker", "walk", record="proofs")  # names, paths, documents or objects
+evaluation = nmes.evaluate("walker", "walk", record=".")  # names, paths, documents or objects
 recording = nmes.Recording(evaluation.recordings[0])
-assert nmes.replay(recording).reproduced
+print(evaluation.score, nmes.replay(recording).verdict)
 nmes.film([recording], "walker.mp4")
 ```
 

@@ -10,12 +10,14 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import click
 import pytest
 
 import demo
+import reference_docs
 from layout import PROJECT, ROOT
 from nmes import objective
 from nmes.cli import SUBCOMMANDS
@@ -80,6 +82,15 @@ def test_commands_shown_exist(line: str) -> None:
     options = {option for parameter in command.params for option in parameter.opts} | {"--help"}
     used = {argument.split("=")[0] for argument in arguments if argument.startswith("-")}
     assert used <= options
+
+
+@pytest.mark.parametrize("path", reference_docs.PAGES, ids=lambda path: path.stem)
+def test_the_references_list_every_command_and_every_public_name(path: Path) -> None:
+    page = path.read_text()
+    written = reference_docs.rewrite(page, reference_docs.PAGES[path]())
+    assert page == written, "out of date: .venv/bin/python tools/reference_docs.py"
+    listed = rows(path.name)
+    assert {name for name, *_ in listed} >= {name for name, _ in reference_docs.PAGES[path]()}
 
 
 def test_make_targets_shown_exist_and_are_listed() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.metadata
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -51,6 +52,14 @@ def test_dir_shows_all_names_and_no_others() -> None:
 def test_the_docstring_says_what_each_name_is() -> None:
     told = run("import nmes; print(nmes.__doc__)").partition("- Worlds:")[2]
     assert [name for name in NAMES if f"`{name}`" not in told] == []
+
+
+def test_the_example_of_the_docstring_works(tmp_path: Path) -> None:
+    code = run("import nmes; print(nmes.__doc__)").partition("```python\n")[2].partition("```")[0]
+    program = code.replace("nmes.film(", "nmes.film.__name__, (")  # which needs OpenGL
+    output = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=True)
+    score, verdict = output.stdout.split()
+    assert float(score) > 10.0 and verdict == "reproduced" and len(list(tmp_path.glob("walker-*.mcap"))) == 3
 
 
 def test_importing_the_front_imports_nothing_else() -> None:

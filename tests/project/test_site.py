@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import subprocess
 import sys
 from html.parser import HTMLParser
@@ -10,8 +11,8 @@ from urllib.parse import urlsplit
 
 import pytest
 
+import reference_docs
 from layout import ROOT
-from nmes.cli import SUBCOMMANDS
 
 
 @pytest.fixture(scope="module")
@@ -62,14 +63,16 @@ def test_files_outside_docs_that_pages_link_to_are_copied(site: Path) -> None:
 
 def test_the_references_list_every_command_and_the_python_interface(site: Path) -> None:
     commands = (site / "reference-cli.html").read_text()
-    for name in SUBCOMMANDS:
-        assert f'id="nmes-{name}"' in commands
+    for name in reference_docs.commands():
+        assert f'id="{name[0].replace(" ", "-")}"' in commands
     python = (site / "reference-python.html").read_text()
-    for name in (
+    for full, _ in reference_docs.names():
+        assert re.search(rf'id="nmes\.[\w.]*\b{full.rpartition(".")[2]}"', python), full
+    for member in (
         "nmes.client.Client.connect",
         "nmes.client.cube_commands.CubeCommands.spawn_cube",
         "nmes.world.World.tick",
-        "nmes.evaluation.evaluate",
+        "nmes.evaluation.Evaluator.evaluate_population",
         "nmes.errors.WorldError",
     ):
-        assert f'id="{name}"' in python
+        assert f'id="{member}"' in python
