@@ -97,7 +97,7 @@ def _remaining(document: Any, unsound: Sequence[Problem]) -> Inspection:
     # A field that there is not may be one that is misspelt: of a joint its motor, of a body its joints.
     places = [problem.keys for problem in unsound]
     left_out |= {_part(keys) for keys in places if keys[:2] == ("body", "joints") and len(keys) == 4}
-    whole = any(keys[:1] == ("body",) and len(keys) < 3 for keys in places)
+    whole = any(keys[:1] == ("body",) and not any(isinstance(key, str) for key in keys[2:]) for keys in places)
     if None in left_out or whole or "cubes" not in mended["body"]:
         return Inspection(found)
     kept = {place: [i for i in range(len(_parts(mended, place))) if (place, i) not in left_out] for place in _PARTS}
@@ -135,7 +135,8 @@ def _original(path: str, kept: Mapping[tuple[str, ...], Sequence[int]]) -> str:
     """Returns where in the document that stands which has this path without what was left out."""
     keys = path.split("/")
     for place, indices in kept.items():
-        if tuple(keys[: len(place)]) == place and len(keys) > len(place):
+        # Where the document has no sensors, there are those of every body, which stand nowhere.
+        if tuple(keys[: len(place)]) == place and len(keys) > len(place) and indices:
             keys[len(place)] = str(indices[int(keys[len(place)])])
     return "/".join(keys)
 
@@ -159,7 +160,7 @@ def inspect_brain(document: Any, inspection: Inspection) -> list[tuple[str, str]
         names["sensors"] = [sensor.id for sensor in inspection.body.sensors]
         names["motors"] = [motor.id for motor in inspection.body.motors]
         if inspection.absent:
-            joints = [joint["id"] for joint in document["body"]["joints"]]
+            joints = [joint["id"] for joint in document["body"].get("joints", ())]
             names["motors"] = [name for name in joints if name in {*names["motors"], *inspection.absent}]
     try:
         load_brain(document["brain"], names["sensors"], names["motors"], unsure=unsure)

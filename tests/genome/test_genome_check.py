@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import random
 from collections.abc import Iterator
 from copy import deepcopy
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from click.testing import CliRunner
 
 from nmes.cli import main
+from nmes.errors import DocumentError
 from nmes.genome import Genome
 
 
@@ -148,3 +150,49 @@ def typos(value: Any) -> Iterator[Any]:
 def test_one_letter_too_many_is_at_most_three_problems(name: str) -> None:
     counts = [len(Genome.problems(document)) for document in typos(document_of(name))]
     assert len(counts) > 50 and max(counts) <= 3 and sum(counts) / len(counts) < 2
+
+
+VALUES: list[Any] = [None, True, 0, -1, 1e9, "x", "", [], {}, [1, 2, 3], {"a": 1}, "torso", "*", 1e300, [[]], [{}]]
+
+
+def places(value: Any) -> Iterator[tuple[Any, Any]]:
+    """Yields each container of a document with each of its keys."""
+    for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+        yield value, key
+        if isinstance(item, dict | list):
+            yield from places(item)
+
+
+def good(document: Any) -> bool:
+    """Whether a document is a genome whose brain can be run."""
+    try:
+        genome = Genome(document)
+        if "brain" in document:
+            genome.brain()
+    except DocumentError:
+        return False
+    return True
+
+
+@pytest.mark.parametrize("name", Genome.names())
+def test_a_document_has_problems_if_and_only_if_it_is_no_good_genome(name: str) -> None:
+    draw = random.Random(name)
+    for _ in range(40):
+        document = document_of(name)
+        for _ in range(draw.choice((1, 2, 5))):
+            container, key = draw.choice(list(places(document)))
+            match draw.randrange(4):
+                case 0 | 1:
+                    container[key] = draw.choice(VALUES)
+                case 2:
+                    del container[key]
+                case _ if isinstance(container, dict):
+                    container[f"{key}x"] = container.pop(key)
+                case _:
+                    container.append(draw.choice(VALUES))
+        assert bool(Genome.problems(document)) != good(document), document
+
+
+@pytest.mark.parametrize("document", [3, None, [], {}, "x", {"body": 1}, {"body": {"cubes": [1]}, "brain": []}])
+def test_what_is_no_genome_at_all_has_problems(document: Any) -> None:
+    assert Genome.problems(document)
