@@ -227,8 +227,12 @@ def test_the_line_of_an_episode_has_its_score_so_far(episodes: dict[str, Evaluat
     assert caption.title == "walker on short-walk, seed 1" and caption.scores is not None
     assert caption.scores[-1, 1] == walk.results[0].score != caption.scores[60, 1]
     paper = np.zeros((160, 320, 3), np.uint8)
-    first, last = (caption.draw(paper, caption.scores[row, 0])[:16, 200:] for row in (0, -1))
-    assert (first != last).any()
+    middle = float(caption.scores[60, 0])
+    for row, differs in ((59, False), (60, True), (61, False), (-1, False)):  # the score is that of the moment
+        scores = caption.scores.copy()
+        scores[row, 1] += 5.0
+        changed = Caption(caption.title, scores).draw(paper, middle) != caption.draw(paper, middle)
+        assert changed.any() == differs, row
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(source.path.read_bytes()[: -source.path.stat().st_size // 3])
     torn = Caption.of(Recording(cut))
