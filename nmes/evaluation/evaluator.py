@@ -12,6 +12,7 @@ Invariants:
 
 from __future__ import annotations
 
+import operator
 import os
 import re
 import secrets
@@ -243,13 +244,14 @@ class Evaluator:
             whichever machine did the work, in a directory of the name that is given.
 
     Raises:
+        TypeError: The number of jobs is no whole number.
         ValueError: There is no job.
         MissingPackage: Ray is not installed.
         MachineError: There is no cluster (`no_cluster`).
     """
 
     def __init__(self, jobs: int | None = None, *, ray: str | None = None) -> None:
-        jobs = os.cpu_count() or 1 if jobs is None else jobs
+        jobs = os.cpu_count() or 1 if jobs is None else operator.index(jobs)
         if jobs < 1:
             raise ValueError(f"jobs must be 1 or more, not {jobs}")
         self._pool: Pool = Cluster(ray) if ray is not None else Workers(jobs) if jobs > 1 else Here()
@@ -261,7 +263,7 @@ class Evaluator:
         self.close()
 
     def close(self) -> None:
-        """Ends the processes; later calls start others."""
+        """Ends the processes, or parts from the cluster; processes are started anew where they are needed again."""
         self._pool.__exit__(None, None, None)
 
     def evaluate(

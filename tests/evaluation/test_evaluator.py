@@ -85,6 +85,9 @@ def test_an_evaluator_has_one_job_or_more() -> None:
     for jobs in (0, -1):
         with pytest.raises(ValueError, match="1 or more"):
             Evaluator(jobs)
+    halves: Any = 2.5
+    with pytest.raises(TypeError, match="float"):
+        Evaluator(halves)
 
 
 def with_pid(portion: Sequence[Job]) -> list[Evaluation]:
