@@ -168,7 +168,7 @@ OUTPUTS: list[tuple[str, ...]] = [
     ("export", "GOOD", "--to", "csv", "-o", "FILE"),
     ("export", "GOOD", "--to", "parquet", "-o", "FILE"),
     ("fork", "GOOD", "-o", "FILE"),
-    ("diff", "GOOD", "GOOD", "--plot", "FILE"),
+    ("diff", "GOOD", "OTHER", "--plot", "FILE"),  # of equal ones there is nothing to plot
     ("replay", "GOOD", "--backend", "mujoco", "--plot", "FILE"),
     ("genome", "show", "walker", "-o", "FILE"),
     ("leaderboard", "export", "BOARD", "-o", "FILE"),
@@ -178,8 +178,10 @@ OUTPUTS: list[tuple[str, ...]] = [
 
 @pytest.mark.parametrize("arguments", OUTPUTS, ids=" ".join)
 def test_a_file_that_cannot_be_written_is_an_error(arguments: tuple[str, ...], tmp_path: Path) -> None:
-    words = {"GOOD": tmp_path / "good.mcap", "BOARD": tmp_path / "board.sqlite", "FILE": tmp_path / "nowhere" / "x"}
+    names = {"GOOD": "good.mcap", "OTHER": "other.mcap", "BOARD": "board.sqlite", "FILE": "nowhere/x"}
+    words = {word: tmp_path / name for word, name in names.items()}
     record(words["GOOD"], busy, {"backend": "ballistic"})
+    record(words["OTHER"], busy, {"backend": "ballistic", "gravity": [0, -5, 0]})
     Leaderboard(words["BOARD"], create=True).close()
     result = run(*(str(words.get(word, word)) for word in arguments))
     assert isinstance(result.exception, SystemExit) and result.exit_code in (1, 2), result.output
