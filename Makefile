@@ -82,6 +82,7 @@ layout: $(READY)
 
 format: layout
 	$(BIN)/python tools/client_docs.py
+	$(BIN)/python tools/reference_docs.py
 	$(BIN)/python -m nmes.schemas > build/messages.md && mv build/messages.md docs/messages.md
 	$(BIN)/python -m nmes.conformance > build/cases.md && mv build/cases.md docs/conformance-cases.md
 	$(BIN)/ruff check --fix .
