@@ -72,7 +72,7 @@ def judge_each(files: Sequence[File[Opened]], judge: Callable[[Opened], Finding]
 
 
 def _failed(error: click.ClickException | NmesError) -> Finding:
-    """Returns what is to be told of a file of which nothing else can be."""
+    """Returns the finding of a file that cannot be read or judged."""
     report = {"error": error.message}
     if isinstance(error, click.ClickException):
         return Finding(report, [f"cannot be read: {error.message}"], error.exit_code)

@@ -73,7 +73,7 @@ def command(genome: str, task: str, seed: int | None, output: Path | None, size:
 
 
 def _outcome(evaluation: Evaluation, asked: Task) -> str:
-    """Returns what came of the one episode.
+    """Returns a line about the one episode: its score.
 
     Raises:
         ClickException: The creature could not be evaluated.

@@ -127,7 +127,7 @@ def command(files: list[File[Recording | Log]], **options: Any) -> None:
 
 
 def _recording(opened: Recording | Log, used: set[str]) -> Recording:
-    """Returns what was opened, with options that do not go with a log."""
+    """Returns the recording, for options that do not go with a log."""
     if isinstance(opened, Log):
         raise click.UsageError(f"{opened.path}: of the options, a log goes with --json only")
     return opened

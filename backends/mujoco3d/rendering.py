@@ -117,7 +117,7 @@ class Renderer:
         return image[::-1]  # OpenGL's rows begin at the bottom
 
     def _scene(self, model: mujoco.MjModel, qpos: Array) -> tuple[mujoco.MjvScene, list[mujoco.MjvGeom]]:
-        """Returns what is drawn, and those things in it that get outlines."""
+        """Returns the scene to draw, and the things in it that get outlines."""
         data = mujoco.MjData(model)
         data.qpos[:] = qpos
         mujoco.mj_kinematics(model, data)

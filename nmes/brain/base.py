@@ -307,7 +307,7 @@ class Brain(ABC):
         self._form: str | None = None
 
     def _sound(self, findings: Findings) -> JsonObject:
-        """Returns what of the document is as its schema says; raises where without the rest it is no brain."""
+        """Returns the parts of the document that fit its schema; raises where without the rest it is no brain."""
         unsound = []
         for problem in problems(self.shape, self._given):
             findings.add(problem.pointer, problem.message)

@@ -209,7 +209,7 @@ def _password(given: str | None) -> str:
 
 
 def _trust(tls: bool | ssl.SSLContext, authority: str | os.PathLike[str] | None) -> ssl.SSLContext | None:
-    """Returns what says which certificates are trusted; None for plain TCP."""
+    """Returns the context that knows which certificates are trusted; None for plain TCP."""
     if authority is None:
         return ssl.create_default_context() if tls is True else tls or None
     if isinstance(tls, ssl.SSLContext):

@@ -216,9 +216,8 @@ def run(target: Target, options: Options | None = None, on_result: Callable[[Res
 
     playable: list[Case] = []
     for case in cases:
-        reasons = [reason for need in case.needs if (reason := probe.lacks(need)) is not None]
-        if reasons:
-            take(Result(case, Verdict.SKIPPED, reason="; ".join(dict.fromkeys(reasons))))
+        if reason := _lacking(probe, case):
+            take(Result(case, Verdict.SKIPPED, reason=reason))
         else:
             playable.append(case)
     by_scope = {scope: [case for case in playable if case.scope is scope] for scope in Scope}
@@ -246,6 +245,12 @@ def run(target: Target, options: Options | None = None, on_result: Callable[[Res
     ordered = [results[case.number] for case in cases]
     halted = halt.reason if any(result.reason == halt.reason for result in ordered if result.reason) else None
     return Report(target, probe, options, ordered, started, time.monotonic() - began, halted)
+
+
+def _lacking(probe: Probe, case: Case) -> str:
+    """Returns the words for everything that a case needs and the server lacks; empty where that is nothing."""
+    reasons = [reason for need in case.needs if (reason := probe.lacks(need)) is not None]
+    return "; ".join(dict.fromkeys(reasons))
 
 
 @contextmanager

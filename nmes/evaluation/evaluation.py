@@ -111,7 +111,7 @@ class Evaluation:
         return sum(result.fault is not None for result in self.results)
 
     def _repr_html_(self) -> str:
-        """Returns what a notebook shows of it."""
+        """Returns its card in a notebook, HTML."""
         facts = {
             "score": self.score,
             "spread": self.spread,

@@ -135,7 +135,7 @@ def _rounded(value: Any) -> Any:
 
 @cache
 def shipped_task(name: str) -> Task:
-    """Returns the task of that name that ships with the package, of which there must be one."""
+    """Returns the shipped task of a name, of which there must be one."""
     # Not Task.load, to which a file of that name comes first.
     return Task(parse_document((files(SHIPPED.package) / SHIPPED.folder / f"{name}.json").read_bytes()))
 

@@ -177,7 +177,7 @@ class Task:
         return cls(source if isinstance(source, Mapping) else parse_document(SHIPPED.read(os.fspath(source))))
 
     def _repr_html_(self) -> str:
-        """Returns what a notebook shows of it."""
+        """Returns its card in a notebook, HTML."""
         facts = {
             "what": self.description,
             "score": f"{self.document['objective']}{f' ({self.unit})' if self.unit else ''}",
@@ -433,7 +433,7 @@ def _top(root: Array, size: Vector) -> Vector:
 
 
 def task_identity(document: Mapping[str, Any]) -> JsonObject:
-    """Returns what of a task's document it is known by: all but the unit, which changes no figure."""
+    """Returns a task's document without the unit, which changes no figure: the part that its hash is of."""
     return {name: value for name, value in document.items() if name != "unit"}
 
 

@@ -148,7 +148,7 @@ class Genome:
         return file.getvalue()
 
     def _repr_html_(self) -> str:
-        """Returns what a notebook shows of it."""
+        """Returns its card in a notebook, HTML."""
         body = self.body
         facts = {
             "cubes": len(body.cubes),

@@ -165,7 +165,7 @@ class Recording:
         return f"Recording({str(self.path)!r})"
 
     def _repr_html_(self) -> str:
-        """Returns what a notebook shows of it; only its beginning is read for that."""
+        """Returns its card in a notebook, HTML; only its beginning is read for that."""
         config, about = self.config, self.metadata.get("nmes.evaluation", {})
         facts = {
             "size": f"{self.size:,} bytes",

@@ -158,7 +158,7 @@ class _Card:
         return f" {unit}" if unit else ""
 
     def about_task(self) -> str:
-        """Returns what the task asks for, as HTML."""
+        """Returns the task's description, as HTML."""
         if self._task is None or self._task.hash != self._entry.task_hash:
             return ""
         unit = f" Scores are in{text(self._unit)}." if self._unit else ""
