@@ -163,6 +163,8 @@ def check(context: click.Context, files: list[str], as_json: bool) -> None:
 
 
 def _verdict(problems: list[Any]) -> str:
+    if len(problems) > DocumentError.MOST:
+        return f"over {DocumentError.MOST} problems"
     return "good" if not problems else "1 problem" if len(problems) == 1 else f"{len(problems)} problems"
 
 

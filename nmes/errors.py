@@ -77,17 +77,18 @@ class DocumentError(NmesError):
 
     Attributes:
         problems: The first of them, at most `MOST`.
+        found: These, and one more where there are others.
         lines: A line for each of these, and a last one, `and more`, where there are others.
     """
 
     MOST = 20
 
     def __init__(self, problems: Iterable[tuple[str, str]]) -> None:
-        first = tuple(islice(problems, self.MOST + 1))
-        self.problems = first[: self.MOST]
-        more = ["and more"] if len(first) > self.MOST else []
+        self.found = tuple(islice(problems, self.MOST + 1))
+        self.problems = self.found[: self.MOST]
+        more = ["and more"] if len(self.found) > self.MOST else []
         self.lines = [*(f"{visible(path)}: {words}" if path else words for path, words in self.problems), *more]
-        super().__init__("invalid", "\n".join(self.lines), first[0][0])
+        super().__init__("invalid", "\n".join(self.lines), self.found[0][0])
 
 
 class SimulationFault(NmesError):

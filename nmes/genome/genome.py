@@ -96,7 +96,7 @@ class Genome:
 
         Returns:
             The JSON Pointer of each value that is wrong, without its leading slash, and words for a person: those of
-            the body first, at most `DocumentError.MOST`, and as many of the brain.
+            the body first, then those of the brain; of either at most one more than a `DocumentError` lists.
         """
         document = plain(document)
         inspection = inspect_body(document)

@@ -54,7 +54,7 @@ def inspect_body(document: Any) -> Inspection:
     try:
         return _remaining(document, unsound) if unsound else _body_of(document)
     except DocumentError as error:  # with more than a list of problems, or one that hides all others
-        return Inspection([*_told(unsound), *error.problems])
+        return Inspection([*_told(unsound), *error.found])
 
 
 def _told(unsound: Iterable[Problem]) -> list[tuple[str, str]]:
@@ -165,7 +165,7 @@ def inspect_brain(document: Any, inspection: Inspection) -> list[tuple[str, str]
     try:
         load_brain(document["brain"], names["sensors"], names["motors"], unsure=unsure)
     except DocumentError as error:
-        return list(error.problems)
+        return list(error.found)
     except MissingPackage as error:
         return [("brain", error.message)]
     return []

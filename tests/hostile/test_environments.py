@@ -37,7 +37,7 @@ FORBIDDEN = {
     *("logaddexp", "sinc", "interp", "unwrap", "polyfit", "polyval", "fft", "corrcoef", "cov"),
 }
 # What `sum` may add up: whole numbers, and estimates of times. From Python 3.12 on it has other bits for floats.
-WHOLE = re.compile(r"len\(|len,|size\(|ticks|steps|!=|is not None|i \* i|command_cost")
+WHOLE = re.compile(r"len\(|len,|size\(|\.file_size|\.episodes|ticks|steps|!=|is not None|i \* i|command_cost")
 JUDGED = (
     *("nmes/backend", "nmes/brain", "nmes/world", "nmes/genome", "nmes/objective", "nmes/evaluation", "nmes/evolution"),
     *("nmes/learning/learners", "backends"),

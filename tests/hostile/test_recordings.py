@@ -34,6 +34,12 @@ def busy_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return record(tmp_path_factory.mktemp("hostile") / "busy.mcap", busy)
 
 
+@pytest.fixture(scope="module")
+def lighter_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same where less pulls: recordings that are equal have no difference to draw."""
+    return record(tmp_path_factory.mktemp("hostile") / "lighter.mcap", busy, {"gravity": [0, -5, 0]})
+
+
 def run(*arguments: str | Path) -> tuple[int, str]:
     """Runs `nmes` with arguments, and returns its exit status and what it printed; no exception may come out of it."""
     result = CliRunner().invoke(main, [str(argument) for argument in arguments])
@@ -120,14 +126,14 @@ def full_disk(room: int) -> Iterator[None]:
 
 @pytest.mark.parametrize("command", WRITERS)
 def test_a_full_disk_costs_no_older_file_and_leaves_no_half_one(
-    command: str, busy_file: Path, tmp_path: Path, key: Path
+    command: str, busy_file: Path, lighter_file: Path, tmp_path: Path, key: Path
 ) -> None:
     output = tmp_path / "older.gif"
     if command not in ("fork", "sign"):  # which never write to a file that is there
         output.write_bytes(b"older")
     before = {path: path.read_bytes() for path in tmp_path.iterdir()}
     with full_disk(100):
-        code, text = write(command, busy_file, output, busy_file, key)
+        code, text = write(command, busy_file, output, lighter_file, key)
     assert code == 1
     assert "cannot write" in text and "older.gif" in text
     assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before

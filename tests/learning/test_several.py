@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import sys
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,6 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 import nmes.learning
 from creatures import snake
@@ -24,6 +24,10 @@ from nmes.learning.several import METADATA, CreaturesEnv, parallel_env
 from nmes.playback import replay
 from nmes.recording import Recorder, Recording
 from nmes.recording.records import Kind
+
+with warnings.catch_warnings():  # of the games that its tests load, where pygame is installed
+    warnings.simplefilter("ignore", DeprecationWarning)
+    from pettingzoo.test import parallel_api_test, parallel_seed_test
 
 Actions = dict[str, np.ndarray]
 
