@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -105,7 +106,7 @@ def film(
     ]
     if path.suffix == ".png":
         takes = [_Take(take.caption, take.config, take.moments[-1:], take.cameras[-1:]) for take in takes]
-    with _whole(path) as unfinished, closing(_pictures(takes, columns, rows, tile, progress)) as pictures:
+    with _whole(path) as unfinished, closing(_ahead(_pictures(takes, columns, rows, tile, progress))) as pictures:
         _WRITERS[path.suffix](pictures, unfinished, fps)
 
 
@@ -183,6 +184,15 @@ def _pictures(
     finally:
         for stage in stages:
             stage.close()
+
+
+def _ahead(pictures: Generator[Pixels]) -> Generator[Pixels]:
+    """Yields pictures while the next one is drawn in another thread, so that it need not wait for the encoder."""
+    with closing(pictures), ThreadPoolExecutor(1, "drawing") as thread:
+        coming = thread.submit(next, pictures, None)
+        while (picture := coming.result()) is not None:
+            coming = thread.submit(next, pictures, None)
+            yield picture
 
 
 @contextmanager
