@@ -208,7 +208,7 @@ def command(log_format: str, view: bool, as_json: bool, **options: Any) -> None:
         if not as_json and reason != signal.SIGHUP:  # else the terminal is gone, and writing to it fails
             for line in stopped_lines(running):
                 click.echo(line)
-    lost = [hosted for hosted in running.host.worlds.values() if hosted.lost is not None]
+    lost = [hosted for hosted in (*running.host.worlds.values(), *running.host.closed) if hosted.lost is not None]
     for hosted in lost:
         click.echo(f"Error: the recording of world {hosted.name!r} is not whole: {hosted.lost}", err=True)
     if running.host.abandoned:  # else Python waits at its end for the thread, until the engine is done

@@ -22,6 +22,7 @@ from nmes.protocol import validate_reply
 @click.option("--resume", is_flag=True, help="Let the clock of a paused world go on.")
 @click.option("--step", metavar="N", type=click.IntRange(1, 10_000), help="Tick so often, in lockstep or while paused.")
 @click.option("--reset", is_flag=True, help="Empty the world, back to tick 0 and its seed.")
+@click.option("--close", is_flag=True, help="Close the world for good; its recording ends whole.")
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
 def command(
     address: tuple[str, int],
@@ -30,6 +31,7 @@ def command(
     resume: bool,
     step: int | None,
     reset: bool,
+    close: bool,
     as_json: bool,
     **connection: Any,
 ) -> None:
@@ -37,6 +39,7 @@ def command(
 
     Looking creates none of them: a world that nobody has used yet has no frame. With --pause, --resume, --step or
     --reset, one of them, the world is entered as by any client, which its recording tells, and is listed as it is then.
+    With --close, for which the host's own password is needed, it ends for good, and those that are left are listed.
     Where there are several, --world says which.
 
     For example:
@@ -45,12 +48,19 @@ def command(
         nmes worlds 127.0.0.1:14000 --password-file secret
         nmes worlds 127.0.0.1:14000 --world red --world green --pause
         nmes worlds 127.0.0.1:14000 --world red --step 60
+        nmes worlds 127.0.0.1:14000 --world red --close
     """
     message = _message(pause, resume, step, reset)
+    if close and message is not None:
+        raise click.UsageError("--close goes with none of --pause, --resume, --step and --reset")
     worlds = _list(connector(address, **connection)(), address, names)
-    if message is not None:
-        if len(worlds) > 1 and not names:
-            raise click.UsageError(f"there are {len(worlds)} worlds: say with --world which is meant")
+    if (message is not None or close) and len(worlds) > 1 and not names:
+        raise click.UsageError(f"there are {len(worlds)} worlds: say with --world which is meant")
+    if close:
+        for world in worlds:
+            _close(connector(address, **connection)(), world["world"])
+        worlds = _list(connector(address, **connection)(), address, ())
+    elif message is not None:
         for world in worlds:
             _steer(connector(address, **connection, world=world["world"])(), message)
         worlds = _list(connector(address, **connection)(), address, names)
@@ -108,6 +118,16 @@ def _steer(client: Client, message: dict[str, Any]) -> None:
         raise click.ClickException(str(error)) from error
     except CommandFailed as error:
         raise click.ClickException(f"world {client.world!r}: {error.message}") from error
+
+
+def _close(client: Client, name: str) -> None:
+    """Closes a world for good, however long that takes."""
+    client.timeout = None
+    try:
+        client.close_world(name)
+    except CommandFailed as error:
+        hint = ", or not the host's own" if error.code == "auth_failed" else ""
+        raise click.ClickException(f"world {name!r} was not closed: {error.message}{hint}") from error
 
 
 def _row(world: Any) -> tuple[str, str, str, str, str, str]:

@@ -72,6 +72,26 @@ class AsyncClient(ClientBase, AsyncCommands):
         finally:
             await other.close()
 
+    async def close_world(self, name: str) -> list[WorldSummary]:
+        """Closes a world of the server for good, over another connection; returns the worlds that are left.
+
+        Its clients are told `world_closed`, and its recording ends whole. The password must be the host's own.
+
+        Args:
+            name: The world's.
+
+        Raises:
+            CommandFailed: The server refused it: `auth_failed`, `too_many_connections`, `world_not_found`; or it cannot
+                close worlds (`unsupported`).
+            Disconnected: Nothing listens there (`unreachable`), or the server closed the connection.
+            TimeoutError: No reply came in time.
+        """
+        other = AsyncClient(self.host, self.port, password=self._password, timeout=self.timeout, tls=self._tls or False)
+        try:
+            return world_list(await other._enter(close=name), "close")
+        finally:
+            await other.close()
+
     async def _enter(self, **options: Any) -> Any:
         """Connects and authenticates; returns the server's answer."""
         if self._link is not None:

@@ -71,6 +71,7 @@ class Auth:
     error: RejectedMessage | None = None
     id: Any = NO_ID
     list: bool = False
+    close: str | None = None
 
 
 class FrameSplitter:
@@ -217,7 +218,8 @@ class Session:
             error = find_error(AUTH, message)
         if error is not None:
             return Auth("json", error=error, id=self._auth_id)
-        return Auth("json", message["password"], message.get("world"), None, self._auth_id, message.get("list", False))
+        asked = message.get("list", False), message.get("close")
+        return Auth("json", message["password"], message.get("world"), None, self._auth_id, *asked)
 
     def accept(self, welcome: Mapping[str, Any]) -> bytes:
         """Opens the session and returns the bytes that say so; `welcome` is `auth_success`, or `world_list`."""

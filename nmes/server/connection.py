@@ -18,7 +18,7 @@ import asyncio
 import contextlib
 import logging
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from concurrent.futures import Future
 from math import ceil
 from time import monotonic
@@ -163,15 +163,16 @@ class Connection(asyncio.BufferedProtocol):
         every, own = self._host.accepts(auth.password), self._host.opened_by(auth.password)
         if not every and own and default is None:
             default = own[0]
-        right = every or (bool(own) if auth.list else (auth.world or default) in own)
+        right = every or (auth.close is None and (bool(own) if auth.list else (auth.world or default) in own))
         error = auth.error or self._wrong_password(right)
         if error is not None:
             self._refuse(error)
+        elif auth.close is not None:
+            logger.info("%s closes world %r", self._peer, auth.close)
+            self._transport.pause_reading()
+            self._host.close_world(auth.close, self)
         elif auth.list:
-            port = int(self._transport.get_extra_info("sockname")[1])
-            self._output.put(self._session.accept(self._host.list_worlds(port, None if every else own)))
-            self._visit.ends("listed")
-            self.hang_up()
+            self.show_worlds(None if every else own)
         elif not self._host.let_in(self):
             most = self._limits.connections
             self.hang_up(RejectedMessage("too_many_connections", f"this host serves {most} connections at once"))
@@ -183,6 +184,13 @@ class Connection(asyncio.BufferedProtocol):
                 return
             self._transport.pause_reading()
             self._join()
+
+    def show_worlds(self, only: Collection[str] | None = None) -> None:
+        """Answers with the worlds, all if not some, and hangs up."""
+        port = int(self._transport.get_extra_info("sockname")[1])
+        self._output.put(self._session.accept(self._host.list_worlds(port, only)))
+        self._visit.ends("listed")
+        self.hang_up()
 
     def _wrong_password(self, right: bool) -> RejectedMessage | None:
         """Returns why a password does not let anybody in: it is wrong, or there were too many guesses of late."""

@@ -13,7 +13,7 @@ import contextlib
 import hmac
 import logging
 import ssl
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Coroutine, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from hashlib import blake2b
 from pathlib import Path
@@ -84,6 +84,7 @@ class Host:
         self._flush_interval = flush_interval
         self._pool = WorkerPool()
         self.worlds: dict[str, HostedWorld] = {}  # those that were created
+        self.closed: list[HostedWorld] = []  # those that were closed while the host goes on
         self._offered: dict[str, dict[str, Any]] = {}  # the configs of all, by name
         self._ports: dict[str, int] = {}  # the port whose clients get a world without naming it
         self.buffer = memoryview(bytearray(READ))
@@ -99,7 +100,7 @@ class Host:
         self.guesses = self._door.guesses
         self._reader = ThreadPoolExecutor(1, "nmes-reader")  # one: a frame is read without a pause for others
         self._creating: dict[str, dict[Connection, None]] = {}  # worlds made in a thread now, and who waits for them
-        self._makers: set[asyncio.Task[None]] = set()  # that create them
+        self._makers: set[asyncio.Task[None]] = set()  # that create and close them
         self._open = False  # whether it listens
         self._metrics_servers: list[asyncio.Server] = []
         self._connections: set[Connection] = set()
@@ -208,9 +209,7 @@ class Host:
             return self.worlds[name]
         if name not in self._creating:
             self._creating[name] = {}
-            task = asyncio.get_running_loop().create_task(self._create_in_thread(name))
-            self._makers.add(task)
-            task.add_done_callback(self._makers.discard)
+            _spawn(self._create_in_thread(name), self._makers)
         self._creating[name][connection] = None
         return None
 
@@ -233,6 +232,33 @@ class Host:
                 connection.resume()
             else:
                 connection.hang_up(failure)
+
+    def close_world(self, name: str, connection: Connection) -> None:
+        """Closes a world for good: it stops, its clients are told and hung up on, its recording is completed.
+
+        Args:
+            name: The world's.
+            connection: Who asked for it; it is shown the others then, or told that there is no such world.
+        """
+
+        async def close() -> None:
+            while name in self._creating:
+                await asyncio.sleep(0.01)
+            try:
+                self.world_name(name)
+            except WorldError as error:
+                connection.hang_up(error)
+                return
+            del self._offered[name]
+            self._own_passwords.pop(name, None)
+            hosted = self.worlds.pop(name, None)
+            if hosted is not None:
+                self.closed.append(hosted)
+                await hosted.close()
+                hosted.hang_up()
+            connection.show_worlds()
+
+        _spawn(close(), self._makers)
 
     def list_worlds(self, port: int, only: Collection[str] | None = None) -> dict[str, Any]:
         """Returns the `world_list` message for a client of a port, of all worlds if not of some. Creates none."""
@@ -395,7 +421,7 @@ class Host:
     @property
     def abandoned(self) -> bool:
         """Whether a world was left in the middle of a tick when the host closed: its thread goes on until that ends."""
-        return any(hosted.abandoned for hosted in self.worlds.values())
+        return any(hosted.abandoned for hosted in (*self.worlds.values(), *self.closed))
 
     async def close(self) -> None:
         """Stops listening, closes the worlds and their recordings, tells the clients, and hangs up."""
@@ -424,3 +450,10 @@ class Host:
 
 def _digest(password: str) -> bytes:
     return blake2b(password.encode("utf-8", "surrogatepass")).digest()
+
+
+def _spawn(work: Coroutine[Any, Any, None], among: set[asyncio.Task[None]]) -> None:
+    """Has work done beside all else; it is among the tasks until it is over."""
+    task = asyncio.get_running_loop().create_task(work)
+    among.add(task)
+    task.add_done_callback(among.discard)

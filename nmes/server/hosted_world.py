@@ -424,6 +424,10 @@ class HostedWorld:
         self.durable = False
         self._peers.flush()
 
+    def hang_up(self) -> None:
+        """Hangs up on all clients, once the world is closed."""
+        self._peers.hang_up()
+
 
 def _begin(world: World, record_to: Path | None, flush_interval: float, origin: Origin | None) -> WorldRecorder | None:
     """Brings a new world to where it begins; returns the recorder of what follows, if it is to be recorded."""

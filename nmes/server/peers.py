@@ -26,8 +26,8 @@ class Peer(Protocol):
     def discard_output(self) -> None:
         """Drops what is queued."""
 
-    def hang_up(self, error: NmesError) -> None:
-        """Sends the error and closes."""
+    def hang_up(self, error: NmesError | None = None) -> None:
+        """Sends the error, if there is one, and closes."""
 
 
 class Peers(dict[int, Peer]):
@@ -70,7 +70,7 @@ class Peers(dict[int, Peer]):
         for peer in self.values():
             peer.discard_output()
 
-    def hang_up(self, error: NmesError) -> None:
-        """Sends an error to all and closes their connections."""
+    def hang_up(self, error: NmesError | None = None) -> None:
+        """Sends an error, if there is one, to all and closes their connections."""
         for peer in list(self.values()):
             peer.hang_up(error)

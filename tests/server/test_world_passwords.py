@@ -103,6 +103,9 @@ def test_nmes_serve_takes_a_folder_of_passwords_and_lists_only_what_they_open(tm
             assert old.frame() == b"auth_success"
         with pytest.raises(CommandFailed, match="not the password"):
             Client(port=line["port"], password=OWN["red"], world="blue", timeout=PATIENCE).connect()
+        with pytest.raises(CommandFailed, match="not the password"):  # of the host, which closing takes
+            Client(port=line["port"], password=OWN["red"], timeout=PATIENCE).close_world("red")
+        assert names(PASSWORD) == ["red", "green", "blue"]
 
 
 @pytest.mark.parametrize(("file", "text", "says"), [("pink", "x", "no world 'pink'"), ("main", "\n", "is empty")])

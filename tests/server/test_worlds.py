@@ -8,6 +8,7 @@ import socket
 import threading
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from nmes.cli import main
 from nmes.errors import CommandFailed, Disconnected, RecordingError, RejectedMessage, WorldError
 from nmes.playback import replay
 from nmes.protocol import validate_reply
+from nmes.protocol.session import Session
 from nmes.recording import Kind, Recording
 from nmes.server import Host
 from nmes.server.hosted_world import HostedWorld
@@ -205,6 +207,68 @@ def test_nmes_worlds_prints_the_list(server: Served) -> None:
     assert "cannot connect" in run("worlds", f"127.0.0.1:{free}").output
     with pytest.raises(Disconnected):
         Client(port=free, password=PASSWORD).worlds()
+
+
+# -- closed while the host goes on -----------------------------------------------------------------------------------
+
+
+def test_a_world_that_is_closed_ends_whole_and_alone(server: Served, tmp_path: Path) -> None:
+    with server.client(world="red") as other, server.client(world="green") as client:
+        client.step(3)
+        other.step(2)
+        assert [world["world"] for world in server.client().close_world("green")] == ["red", "blue"]
+        with pytest.raises(Disconnected):
+            client.step()
+        assert other.step()["frame"] == 3
+        with pytest.raises(CommandFailed) as gone:
+            server.client(world="green").connect()
+        assert gone.value.code == "world_not_found"
+    (recording,) = tmp_path.glob("green-*.mcap")
+    report = replay(recording)  # while the host goes on
+    assert (report.verdict, report.ticks) == ("reproduced", 3) and Recording(recording).damage is None
+
+
+def test_whoever_subscribed_is_told_that_the_world_closes(server: Served) -> None:
+    with server.peer() as peer:
+        peer.say({"type": "subscribe", "events": ["tick"]})
+        assert json.loads(peer.frame())["type"] == "subscribed"
+        server.client().close_world("red")
+        assert types(peer.rest()) == ["world_closed"]
+
+
+def test_a_world_is_closed_that_nobody_has_used_and_none_that_there_is_not(server: Served) -> None:
+    assert len(server.client().close_world("blue")) == 2
+    for name in ("blue", "black"):
+        with pytest.raises(CommandFailed) as refused:
+            server.client().close_world(name)
+        assert refused.value.code == "world_not_found"
+    with pytest.raises(CommandFailed) as refused:
+        Client(port=server.port, password="guess", timeout=PATIENCE).close_world("red")
+    assert refused.value.code == "auth_failed" and len(server.client().worlds()) == 2
+
+
+async def test_an_awaiting_client_closes_a_world(server: Served) -> None:
+    asker = AsyncClient(port=server.port, password=PASSWORD, timeout=PATIENCE)
+    assert [world["world"] for world in await asker.close_world("red")] == ["green", "blue"]
+    async with asker:  # who names none gets the first of those that are left
+        assert asker.welcome["world"] == "green"
+
+
+async def test_a_server_that_cannot_close_worlds_is_an_error(server: Served, monkeypatch: pytest.MonkeyPatch) -> None:
+    read = Session._read_auth  # as of a server that does not know the field
+    monkeypatch.setattr(Session, "_read_auth", lambda self, frame: replace(read(self, frame), close=None))
+    with pytest.raises(CommandFailed) as failed:
+        server.client().close_world("red")
+    assert failed.value.code == "unsupported" and len(server.client().worlds()) == 3
+
+
+def test_nmes_worlds_closes_a_world(server: Served) -> None:
+    address = f"127.0.0.1:{server.port}"
+    assert "say with --world" in run("worlds", address, "--close").output
+    assert run("worlds", address, "--close", "--reset", "--world", "red").exit_code == 2
+    shown = run("worlds", address, "--close", "--world", "red", "--world", "blue")
+    assert shown.exit_code == 0 and [line.split()[0] for line in shown.output.splitlines()[1:]] == ["green"]
+    assert "no world 'red'" in run("worlds", address, "--close", "--world", "red").output
 
 
 # -- nmes serve ------------------------------------------------------------------------------------------------------
