@@ -60,8 +60,6 @@ class _Keep(click.ParamType["tuple[float, str]"]):
     def convert(
         self, value: Any, parameter: click.Parameter | None, context: click.Context | None
     ) -> tuple[float, str]:
-        if not isinstance(value, str):
-            return value  # type: ignore[no-any-return]
         match = re.fullmatch(r"([0-9]{1,9}(?:\.[0-9]{1,3})?)(d|MB|GB|TB)", value)
         if match is None or float(match[1]) == 0.0:
             self.fail("say how many days or bytes, such as 30d, 500MB or 20GB", parameter, context)

@@ -66,11 +66,7 @@ class AsyncClient(ClientBase, AsyncCommands):
             Disconnected: Nothing listens there (`unreachable`), or the server closed the connection.
             TimeoutError: No reply came in time.
         """
-        other = AsyncClient(self.host, self.port, password=self._password, timeout=self.timeout, tls=self._tls or False)
-        try:
-            return world_list(await other._enter(list=True))
-        finally:
-            await other.close()
+        return await self._ask_host("list", True)
 
     async def close_world(self, name: str) -> list[WorldSummary]:
         """Closes a world of the server for good, over another connection; returns the worlds that are left.
@@ -86,9 +82,13 @@ class AsyncClient(ClientBase, AsyncCommands):
             Disconnected: Nothing listens there (`unreachable`), or the server closed the connection.
             TimeoutError: No reply came in time.
         """
+        return await self._ask_host("close", name)
+
+    async def _ask_host(self, verb: str, value: bool | str) -> list[WorldSummary]:
+        """Asks the host for something that is of no single world; returns the worlds that it answers with."""
         other = AsyncClient(self.host, self.port, password=self._password, timeout=self.timeout, tls=self._tls or False)
         try:
-            return world_list(await other._enter(close=name), "close")
+            return world_list(await other._enter(**{verb: value}), verb)
         finally:
             await other.close()
 

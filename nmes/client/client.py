@@ -78,11 +78,7 @@ class Client(ClientBase, BlockingCommands):
             Disconnected: Nothing listens there (`unreachable`), or the server closed the connection.
             TimeoutError: No reply came in time.
         """
-        other = Client(self.host, self.port, password=self._password, timeout=self.timeout, tls=self._tls or False)
-        try:
-            return world_list(other._enter(list=True))
-        finally:
-            other.close()
+        return self._ask_host("list", True)
 
     def close_world(self, name: str) -> list[WorldSummary]:
         """Closes a world of the server for good, over another connection; returns the worlds that are left.
@@ -98,9 +94,13 @@ class Client(ClientBase, BlockingCommands):
             Disconnected: Nothing listens there (`unreachable`), or the server closed the connection.
             TimeoutError: No reply came in time.
         """
+        return self._ask_host("close", name)
+
+    def _ask_host(self, verb: str, value: bool | str) -> list[WorldSummary]:
+        """Asks the host for something that is of no single world; returns the worlds that it answers with."""
         other = Client(self.host, self.port, password=self._password, timeout=self.timeout, tls=self._tls or False)
         try:
-            return world_list(other._enter(close=name), "close")
+            return world_list(other._enter(**{verb: value}), verb)
         finally:
             other.close()
 

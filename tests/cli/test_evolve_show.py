@@ -16,6 +16,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 from PIL import Image
 
+from command_line import run
 from made_up_runs import SHORT, candidates, genomes, make_run, real
 from nmes.cli import main
 from nmes.evaluation import Task
@@ -28,10 +29,8 @@ MEASURES = [
 ]
 
 
-def run(*arguments: str | Path) -> Result:
-    result = CliRunner().invoke(main, ["evolve", *map(str, arguments)])
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result
+def evolve(*arguments: str | Path) -> Result:
+    return run("evolve", *arguments)
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +61,7 @@ def best_of(folder: Path) -> dict[str, Any]:
 
 
 def test_show_tells_how_far_a_run_is_and_what_came_out(archive: Path) -> None:
-    result = run("show", archive)
+    result = evolve("show", archive)
     assert result.exit_code == 0
     best = best_of(archive)
     lines = (archive / "log.jsonl").read_text().splitlines()
@@ -84,7 +83,7 @@ def test_show_tells_how_far_a_run_is_and_what_came_out(archive: Path) -> None:
 
 
 def test_show_as_json_has_the_same(archive: Path) -> None:
-    told = json.loads(run("show", archive, "--json").stdout)
+    told = json.loads(evolve("show", archive, "--json").stdout)
     best = best_of(archive)
     assert told["best"] == {"index": best["index"], "score": best["score"]}
     assert told["told"] == 200 and told["settings"]["algorithm"] == "map-elites" and len(told["top"]) == 10
@@ -122,7 +121,7 @@ def test_a_folder_gets_each_picture_and_the_page_of_all_which_needs_nothing_from
     archive: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "new" / "pictures"
-    assert run("show", archive, "-o", folder).exit_code == 0
+    assert evolve("show", archive, "-o", folder).exit_code == 0
     pictures = {"scores", "lineage", "archive", "front", "groups"}
     files = {f"{name}.{ending}" for name in pictures for ending in ("svg", "png")}
     assert {path.name for path in folder.iterdir()} == {"index.html", *files}
@@ -142,7 +141,7 @@ def test_a_folder_gets_each_picture_and_the_page_of_all_which_needs_nothing_from
 
 
 def test_a_page_alone_has_only_what_there_is(walk: Path, tmp_path: Path) -> None:
-    assert run("show", walk, "-o", tmp_path / "run.html").exit_code == 0
+    assert evolve("show", walk, "-o", tmp_path / "run.html").exit_code == 0
     page = Page((tmp_path / "run.html").read_text())
     assert page.tags.count("svg") == 2 and page.tags.count("img") == 4
     assert [path.name for path in tmp_path.iterdir()] == ["run.html"]
@@ -150,16 +149,16 @@ def test_a_page_alone_has_only_what_there_is(walk: Path, tmp_path: Path) -> None
 
 def test_a_run_that_has_not_begun_or_has_no_score_is_shown(tmp_path: Path) -> None:
     make_run(tmp_path / "empty", [])
-    assert "0 of 1,000" in run("show", tmp_path / "empty").output
+    assert "0 of 1,000" in evolve("show", tmp_path / "empty").output
     unlucky = [{**record, "score": None} for record in candidates(3)]
     make_run(tmp_path / "unlucky", unlucky)
-    shown = run("show", tmp_path / "unlucky")
+    shown = evolve("show", tmp_path / "unlucky")
     assert shown.exit_code == 0 and "3 of 1,000, 3 without a score" in shown.output
     for name in ("empty", "unlucky"):
-        assert run("show", tmp_path / name, "-o", tmp_path / f"{name}.html").exit_code == 0
+        assert evolve("show", tmp_path / name, "-o", tmp_path / f"{name}.html").exit_code == 0
         assert "<svg" not in (tmp_path / f"{name}.html").read_text()
         for command in (("best",), ("film", "-o", tmp_path / "x.gif")):
-            result = run(command[0], tmp_path / name, *command[1:])
+            result = evolve(command[0], tmp_path / name, *command[1:])
             assert result.exit_code == 1 and "no candidate" in result.output and "has a score" in result.output
     assert not list(tmp_path.glob("*/best-*")) and not (tmp_path / "x.gif").exists()
 
@@ -170,7 +169,7 @@ def test_a_run_is_shown_while_its_log_is_being_written(archive: Path, tmp_path: 
     whole = log.read_bytes()
     log.write_bytes(whole + b'{"index":40,"operator":"weig')
     before = {path: path.read_bytes() for path in (tmp_path / "run").iterdir()}
-    assert "40 of 1,000" in run("show", tmp_path / "run").output
+    assert "40 of 1,000" in evolve("show", tmp_path / "run").output
     assert {path: path.read_bytes() for path in (tmp_path / "run").iterdir()} == before
 
 
@@ -181,7 +180,7 @@ def test_what_is_no_run_is_refused_in_words(command: str, tmp_path: Path) -> Non
     (tmp_path / "damaged").mkdir()
     (tmp_path / "damaged" / "run.json").write_text("{")
     for name in ("nothing", "empty", "damaged"):
-        result = run(command, tmp_path / name, *output)
+        result = evolve(command, tmp_path / name, *output)
         assert result.exit_code == 1 and str(tmp_path / name) in result.output and "Traceback" not in result.output
     assert sorted(path.name for path in tmp_path.iterdir()) == ["damaged", "empty"]
 
@@ -189,8 +188,8 @@ def test_what_is_no_run_is_refused_in_words(command: str, tmp_path: Path) -> Non
 def test_what_strangers_named_is_shown_as_text(tmp_path: Path) -> None:
     hostile = '\x1b[2J<script>alert("x")</script>'
     make_run(tmp_path / "run", [{**record, "operator": hostile, "group": hostile} for record in candidates(30)])
-    shown = run("show", tmp_path / "run", "-o", tmp_path / "run.html")
-    text = (tmp_path / "run.html").read_text() + run("show", tmp_path / "run").output + shown.output
+    shown = evolve("show", tmp_path / "run", "-o", tmp_path / "run.html")
+    text = (tmp_path / "run.html").read_text() + evolve("show", tmp_path / "run").output + shown.output
     assert "\x1b" not in text and "\\x1b" in text and Page((tmp_path / "run.html").read_text()).scripts == 0
 
 
@@ -200,7 +199,7 @@ def test_best_writes_a_champion_that_a_leaderboard_takes(walk: Path, tmp_path: P
         Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()
     )
     key.write_bytes(pem)
-    told = json.loads(run("best", walk, "-o", tmp_path / "champion", "--sign", key, "--json").stdout)
+    told = json.loads(evolve("best", walk, "-o", tmp_path / "champion", "--sign", key, "--json").stdout)
     best = best_of(walk)
     assert (told["index"], told["score"]) == (best["index"], best["score"])
     assert Genome.load(told["files"][0]).document == best["genome"]
@@ -210,32 +209,34 @@ def test_best_writes_a_champion_that_a_leaderboard_takes(walk: Path, tmp_path: P
         assert done.exit_code == 0, done.output
     listed = json.loads(CliRunner().invoke(main, ["leaderboard", "show", f"{tmp_path}/board.sqlite", "--json"]).stdout)
     assert [entry["score"] for entry in listed] == [best["score"]] and listed[0]["key"]
-    again = run("best", walk, "-o", tmp_path / "champion", "--sign", key)  # the old signatures are of other recordings
+    again = evolve(
+        "best", walk, "-o", tmp_path / "champion", "--sign", key
+    )  # the old signatures are of other recordings
     assert again.exit_code == 0 and f"candidate {best['index']}" in again.output
     assert "nmes leaderboard add board.sqlite" in again.output
 
 
 def test_best_writes_into_the_run_and_another_candidate_if_asked(walk: Path) -> None:
-    told = json.loads(run("best", walk, "--index", "1", "--json").stdout)
+    told = json.loads(evolve("best", walk, "--index", "1", "--json").stdout)
     assert told["index"] == 1 and Path(told["files"][0]).parent == walk / "best-1"
     assert Genome.load(told["files"][0]).hash == genomes()[1].hash
-    result = run("best", walk, "--index", "4")
+    result = evolve("best", walk, "--index", "4")
     assert result.exit_code == 2 and "no candidate 4" in result.output
-    result = run("best", walk, "--cell", "0,0")
+    result = evolve("best", walk, "--cell", "0,0")
     assert result.exit_code == 2 and "no such cell" in result.output
-    assert run("best", walk, "--index", "1", "--cell", "0").exit_code == 2
-    assert run("best", walk, "--cell", "a").exit_code == 2
+    assert evolve("best", walk, "--index", "1", "--cell", "0").exit_code == 2
+    assert evolve("best", walk, "--cell", "a").exit_code == 2
 
 
 def test_best_of_a_cell_is_its_elite(tmp_path: Path) -> None:
     task = Task(SHORT)
     records = [{**real(genome, task), "measures": [0.1 + 0.3 * i, 0.5]} for i, genome in enumerate(genomes()[:2])]
     make_run(tmp_path / "run", records, elites=(1, 0), algorithm="map-elites", measures=MEASURES)
-    told = json.loads(run("best", tmp_path / "run", "--cell", "1,1", "-o", tmp_path / "elite", "--json").stdout)
+    told = json.loads(evolve("best", tmp_path / "run", "--cell", "1,1", "-o", tmp_path / "elite", "--json").stdout)
     assert told["index"] == 1
-    result = run("best", tmp_path / "run", "--cell", "3,2")
+    result = evolve("best", tmp_path / "run", "--cell", "3,2")
     assert result.exit_code == 2 and "is empty" in result.output
-    assert run("best", tmp_path / "run", "--cell", "4,0").exit_code == 2
+    assert evolve("best", tmp_path / "run", "--cell", "4,0").exit_code == 2
 
 
 @pytest.mark.parametrize("elsewhere", [False, True])
@@ -245,7 +246,7 @@ def test_a_score_that_does_not_come_out_again_is_not_proved(tmp_path: Path, else
     document = {"format": "nmes-run/1", "task": SHORT, "algorithm": "random", "budget": 9}
     here = RunSettings.reopen(document).fingerprint()
     make_run(tmp_path / "run", [record], fingerprint={**here, "probe": "0ff"} if elsewhere else here, budget=9)
-    result = run("best", tmp_path / "run", "-o", tmp_path / "champion")
+    result = evolve("best", tmp_path / "run", "-o", tmp_path / "champion")
     assert result.exit_code == (3 if elsewhere else 1)
     assert "candidate 0" in result.output and ("other numbers come out" in result.output) == elsewhere
     assert list((tmp_path / "champion").iterdir()) == []
@@ -260,13 +261,13 @@ def test_a_score_that_does_not_follow_from_its_episodes_is_not_proved(tmp_path: 
         record |= {"results": record["results"][:1], "score": record["results"][0]["score"]}
     document = {"format": "nmes-run/1", "task": SHORT, "algorithm": "random", "budget": 9}
     make_run(tmp_path / "run", [record], fingerprint=RunSettings.reopen(document).fingerprint(), budget=9)
-    result = run("best", tmp_path / "run", "-o", tmp_path / "champion")
+    result = evolve("best", tmp_path / "run", "-o", tmp_path / "champion")
     assert result.exit_code == 1 and "candidate 0" in result.output
     assert list((tmp_path / "champion").iterdir()) == []
 
 
 def test_a_film_shows_the_champions(walk: Path, tmp_path: Path) -> None:
-    result = run("film", walk, "-o", tmp_path / "film.gif", "--size", "160x120", "--fps", "2")
+    result = evolve("film", walk, "-o", tmp_path / "film.gif", "--size", "160x120", "--fps", "2")
     if "no OpenGL that works without a display" in result.output:
         pytest.skip(f"no picture to judge: {result.output}")
     assert result.exit_code == 0
@@ -281,11 +282,11 @@ def test_outputs_that_cannot_be_are_refused_before_the_work(
 ) -> None:
     monkeypatch.setattr("nmes.view.run_film.record_candidate", None)
     for name, words in (("film.txt", ".mp4 or .gif"), ("nowhere/film.gif", "no folder")):
-        result = run("film", walk, "-o", tmp_path / name)
+        result = evolve("film", walk, "-o", tmp_path / name)
         assert result.exit_code == 1 and words in result.output
     before = (walk / "log.jsonl").read_bytes()
     for command in ("show", "best"):
-        result = run(command, walk, "-o", walk / "log.jsonl")
+        result = evolve(command, walk, "-o", walk / "log.jsonl")
         assert result.exit_code == 2 and "log.jsonl" in result.output
     assert (walk / "log.jsonl").read_bytes() == before
 

@@ -10,21 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner, Result
 from PIL import Image
 
 from boards import DASH
+from command_line import run
 from creatures import SINE, cpg, snake
-from nmes.cli import main
 from nmes.genome import Genome
 
 TASK: dict[str, Any] = {**DASH, "unit": "m"}
-
-
-def run(*arguments: str | Path) -> Result:
-    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result
 
 
 @pytest.fixture

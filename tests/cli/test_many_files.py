@@ -7,17 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from click.testing import CliRunner, Result
 
-from nmes.cli import main
+from command_line import run
 from nmes.world import World
 from recordings import Line, busy, commands_of, record, rewrite, send
-
-
-def run(*arguments: str | Path) -> Result:
-    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result
 
 
 def falling(world: World, client: int) -> None:

@@ -6,19 +6,12 @@ import json
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
 from PIL import Image, ImageSequence
 
-from nmes.cli import main
+from command_line import run
 from nmes.recording import Recording
 from nmes.world import World
 from recordings import record, send
-
-
-def run(*arguments: str | Path) -> Result:
-    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
-    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
-    return result
 
 
 def falling(world: World, client: int) -> None:
