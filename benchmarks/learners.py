@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 
 from nmes.evaluation import Environments, Task
-from nmes.evolution.draw import Draw
 from nmes.genome import Genome
 from nmes.learning.learners import arithmetic
 from nmes.learning.learners.cube import TargetCube, arrivals, learn_to_arrive
@@ -29,6 +28,7 @@ from nmes.learning.learners.experience import Collector
 from nmes.learning.learners.networks import Network
 from nmes.learning.learners.ppo import Ppo
 from nmes.learning.learners.rows import GymnasiumRows, Spaces
+from nmes.variation.draw import Draw
 
 EPISODES, TESTS = 1200, 30  # of the cube: learned from, and tried
 STEPS, TRIED = 100_000, 20  # of Gymnasium's tasks: steps learned from, and episodes tried

@@ -27,8 +27,8 @@ from nmes.schemas import load
 from nmes.schemas.documents import parse_document
 
 if TYPE_CHECKING:
-    from nmes.evaluation import Task
-    from nmes.evolution import Difference, Draw
+    from nmes.evolution import Difference
+    from nmes.variation import Draw, Requirements
 
 __all__ = ["command"]
 
@@ -380,10 +380,10 @@ def mutate(file: str, kind: str | None, task: str | None, seed: int, count: int,
         nmes genome mutate walker --kind add-part --seed 7 --task walk -o mutant.json
         nmes genome mutate walker -n 20 -o mutants/
     """
-    from nmes import evolution
+    from nmes.variation import mutate as vary
 
-    parent, allowed = _load(file), _load_task(task)
-    mutants = [_bred(lambda d: evolution.mutate(parent, d, kind=kind, task=allowed), seed, i) for i in range(count)]
+    parent, needs = _load(file), _load_requirements(task)
+    mutants = [_bred(lambda d: vary(parent, d, kind=kind, requirements=needs), seed, i) for i in range(count)]
     _write_bred([(mutant.genome, mutant.kind) for mutant in mutants], output, seed, file)
 
 
@@ -403,10 +403,10 @@ def cross(first: str, second: str, task: str | None, seed: int, count: int, outp
         nmes genome cross walker roller -o child.json
         nmes genome cross centipede inchworm -n 10 --task walk -o children/
     """
-    from nmes import evolution
+    from nmes.variation import cross as breed
 
-    one, other, allowed = _load(first), _load(second), _load_task(task)
-    children = [_bred(lambda d: evolution.cross(one, other, d, task=allowed), seed, i) for i in range(count)]
+    one, other, needs = _load(first), _load(second), _load_requirements(task)
+    children = [_bred(lambda d: breed(one, other, d, requirements=needs), seed, i) for i in range(count)]
     _write_bred([(child, f"cross with {other.name}") for child in children], output, seed, first, second)
 
 
@@ -481,18 +481,20 @@ def from_sb3(model: Path, file: str, statistics: Path | None, output: Path | Non
         click.echo(f"wrote {visible(str(output))}: {visible(trained.name)} with the policy of {visible(str(model))}")
 
 
-def _load_task(name: str | None) -> Task | None:
+def _load_requirements(name: str | None) -> Requirements:
+    """Returns what a body must be like to take part in a task, if one is named."""
     from nmes.evaluation import Task
+    from nmes.variation import ANY
 
     try:
-        return None if name is None else Task.load(name)
+        return ANY if name is None else Task.load(name).requirements
     except DocumentError as error:
         raise click.ClickException(f"{visible(str(name))}:\n{error.message}") from error
 
 
 def _bred(breed: Callable[[Draw], Bred], seed: int, number: int) -> Bred:
     """Makes the genome of that number; every number has choices of its own."""
-    from nmes.evolution import Draw
+    from nmes.variation import Draw
 
     try:
         return breed(Draw(seed, "genome", number))

@@ -8,7 +8,8 @@ from nmes.evaluation.evaluation import Evaluation
 from nmes.evaluation.evaluator import Evaluator, Job, evaluate
 from nmes.evaluation.parallel import Workers
 from nmes.evaluation.proof import Course, Proof, prove, retrace, scores_so_far
-from nmes.evaluation.task import Limits, Task
+from nmes.evaluation.task import Task
+from nmes.genome.limits import Limits
 
 __all__ = [
     "Course",

@@ -19,10 +19,11 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from nmes.backend import Array, Quaternion, Vector
+from nmes.backend import Array, Quaternion, Vector, load_backend
 from nmes.backend.rotation import multiply, quaternion_from_euler, rotate, total
 from nmes.errors import DocumentError, NmesError
 from nmes.genome.body import Body, corners
+from nmes.genome.limits import Limits
 from nmes.objective import Condition, Objective, Quantity
 from nmes.objective.trajectory import Trajectory
 from nmes.protocol import complete_config
@@ -37,14 +38,14 @@ from nmes.schemas.documents import (
     plain,
 )
 from nmes.schemas.notebook import card
+from nmes.variation import Requirements
 
-__all__ = ["CREATURE", "SHIPPED", "Limits", "Place", "Task", "TaskLike", "task_identity"]
+__all__ = ["CREATURE", "SHIPPED", "Place", "Task", "TaskLike", "task_identity"]
 
 SHIPPED: Final = ShippedDocuments("task", "nmes.evaluation", "tasks")
 """The tasks that ship with the package."""
 _TASK: Final = compile_schema("task.json")
 _OURS = ("name", "seed", "mode", "rate")  # of the world's config: the task, its seeds and the evaluation say these
-_GRAVITY = 9.81  # m/s^2, by which efforts are judged, wherever a task's world is
 _TICKS, _STEPS = 100_000, 1_000_000  # ticks and engine steps of an episode: its rows are kept, and somebody waits
 _GAP = 0.001  # m between a prop that lies and what it lies on, so that the engine does not find them overlapping
 TaskLike: TypeAlias = "Task | Mapping[str, Any] | str | os.PathLike[str]"
@@ -80,35 +81,6 @@ class Place:
 
 ALONE: Final = Place()
 """The place of a creature that has the world for itself."""
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """The limits of a creature's body and of what it does; None is no limit.
-
-    Attributes:
-        cubes: How many cubes.
-        mass: Of all of them, kg.
-        size: Longest edge of the box around the body, m.
-        density: Of each cube, kg/m^3.
-        neighbours: Mass of a cube, of that of another to which a joint joins it.
-        effort: Of each motor: of a slide's, of the body's weight at 9.81 m/s^2; of a hinge's, of weight times size.
-        restitution: Of each cube.
-        energy: Work of its motors, J.
-        speed: Of the centre of each cube, m/s.
-        spin: Of each cube, rad/s.
-    """
-
-    cubes: int | None = None
-    mass: float | None = None
-    size: float | None = None
-    density: float | None = None
-    neighbours: float | None = None
-    effort: float | None = None
-    restitution: float | None = None
-    energy: float | None = None
-    speed: float | None = None
-    spin: float | None = None
 
 
 class Task:
@@ -359,19 +331,18 @@ class Task:
 
     def check(self, body: Body) -> list[str]:
         """Returns the reasons why a body may not take part, in words; none if it may."""
-        limits, low, high = self.limits, *body.bounds
-        size = max(b - a for a, b in zip(low, high, strict=True))
-        reasons = []
-        for limit, value, words in (
-            (limits.cubes, len(body.cubes), "{} cubes, at most {} are allowed"),
-            (limits.mass, body.mass, "{:g} kg, at most {:g} are allowed"),
-            (limits.size, size, "{:g} m from end to end, at most {:g} are allowed"),
-        ):
-            if limit is not None and value > limit * (1.0 + 1e-9):
-                reasons.append(f"the body has {words.format(value, limit)}")
-        reasons += self._unbuildable(body, size)
+        return [*self.limits.check(body), *self._unsuited(body)]
+
+    @property
+    def requirements(self) -> Requirements:
+        """What a body must be like to take part, for whoever varies genomes."""
+        planar = load_backend(self._config["backend"]).dims == 2
+        return Requirements(self.limits, planar, self._unsuited)
+
+    def _unsuited(self, body: Body) -> list[str]:
+        """Returns the reasons why a body within the limits may not take part."""
         ids, props = {cube.id for cube in body.cubes}, self.prop_ids()
-        reasons += [
+        reasons = [
             f"the task puts a cube {name!r} there, and the body has one of that id" for name in props if name in ids
         ]
         reasons += [
@@ -382,33 +353,6 @@ class Task:
             f"the task is about a cube {name!r}, which the body has not" for name in sorted(cubes - ids - {*props})
         ]
         return reasons
-
-    def _unbuildable(self, body: Body, size: float) -> Iterator[str]:
-        """Yields the reasons why nothing of this kind could be built: the worst of its cubes, pairs and motors."""
-        masses = {cube.id: cube.mass for cube in body.cubes}
-        weight = _GRAVITY * body.mass
-        densities = [(cube.mass / math.prod(cube.size), cube.id) for cube in body.cubes]
-        bounces = [(cube.restitution or 0.0, cube.id) for cube in body.cubes]
-        pairs = [(masses[joint.cube1] / masses[joint.cube2], joint.id) for joint in body.joints]
-        pairs += [(1.0 / ratio, joint) for ratio, joint in pairs]
-        efforts = [
-            (joint.motor.max_effort / (weight if joint.kind == "slide" else weight * size), joint.id)
-            for joint in body.joints
-            if joint.motor is not None
-        ]
-        for limit, values, words in (
-            (self.limits.density, densities, "cube {!r} has {:g} kg/m^3, at most {:g} are allowed"),
-            (self.limits.neighbours, pairs, "joint {!r} joins masses of 1 to {:g}, at most 1 to {:g} are allowed"),
-            (self.limits.restitution, bounces, "cube {!r} has a restitution of {:g}, at most {:g} is allowed"),
-            (
-                self.limits.effort,
-                efforts,
-                "the motor of joint {!r} has an effort of {:g}, at most {:g} is allowed",
-            ),
-        ):
-            value, name = max(values, default=(0.0, ""), key=lambda each: each[0])
-            if limit is not None and value > limit * (1.0 + 1e-9):
-                yield words.format(name, value, limit)
 
     def _covered(self, body: Body) -> Iterator[tuple[str, str]]:
         """Yields pairs of a prop and a cube of the body at rest that is in its place."""

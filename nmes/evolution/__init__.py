@@ -1,14 +1,11 @@
-"""Evolution: how genomes are varied, so that bodies and brains change together.
+"""Evolution: runs of algorithms that vary genomes, by what `nmes.variation` can do to one.
 
-    child = mutate(Genome.load("walker"), Draw(seed=1)).genome
-
-A genome's body is changed part by part, and its sensors and brain go along by the names of parts. What comes out is a
-good genome by construction. `docs/evolution.md` describes the operators.
+What varies one is here too, since most who come for a run come for that; `docs/evolution.md` describes the operators.
 """
 
-from nmes.evolution.crossover import cross
 from nmes.evolution.difference import Difference, differences
-from nmes.evolution.draw import Draw
-from nmes.evolution.mutation import KINDS, Mutant, mutate
+from nmes.variation.crossover import cross
+from nmes.variation.draw import Draw
+from nmes.variation.mutation import KINDS, Mutant, mutate
 
 __all__ = ["KINDS", "Difference", "Draw", "Mutant", "cross", "differences", "mutate"]

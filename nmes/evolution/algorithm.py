@@ -21,8 +21,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from nmes.evaluation import Task
-from nmes.evolution.draw import Draw
 from nmes.genome import Genome
+from nmes.variation.draw import Draw
 
 __all__ = ["Algorithm", "Candidate", "Measure", "Problem", "Score"]
 

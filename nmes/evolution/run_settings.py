@@ -21,7 +21,6 @@ from nmes.evaluation.population import admit
 from nmes.evaluation.task import task_identity
 from nmes.evolution.algorithm import Algorithm, Measure, Problem
 from nmes.evolution.algorithms import algorithm_options, load_algorithm
-from nmes.evolution.draw import Draw
 from nmes.evolution.quantities import read_expressions
 from nmes.genome import Genome
 from nmes.objective import Objective
@@ -35,6 +34,7 @@ from nmes.schemas.documents import (
     plain,
     write_json,
 )
+from nmes.variation.draw import Draw
 
 __all__ = ["FORMAT", "RunSettings"]
 

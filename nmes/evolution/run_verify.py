@@ -17,10 +17,10 @@ from nmes.errors import DocumentError, RunError, VariationError
 from nmes.evaluation.parallel import Pool
 from nmes.evaluation.queue import EvaluationQueue
 from nmes.evolution.algorithm import Candidate
-from nmes.evolution.draw import Draw
 from nmes.evolution.run import Order, Run
 from nmes.evolution.run_entry import Entry, told
 from nmes.schemas.documents import write_json
+from nmes.variation.draw import Draw
 
 __all__ = ["RunVerdict", "verify_run"]
 

@@ -23,7 +23,6 @@ from nmes.backend import Array
 from nmes.brain.base import JsonObject
 from nmes.errors import DocumentError, RunError
 from nmes.evaluation import Environments, evaluate
-from nmes.evolution.draw import Draw
 from nmes.genome import Genome
 from nmes.learning.learners.actor_critic import ActorCritic, Report
 from nmes.learning.learners.arithmetic import average
@@ -34,6 +33,7 @@ from nmes.learning.learners.reinforce import Reinforce
 from nmes.learning.learners.rows import Spaces
 from nmes.learning.settings import LearningSettings, read_lessons
 from nmes.learning.state import State, state_digest
+from nmes.variation.draw import Draw
 
 __all__ = ["Champion", "Learning"]
 

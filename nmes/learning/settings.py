@@ -19,7 +19,6 @@ from nmes.errors import DocumentError, NmesError
 from nmes.evaluation import Task
 from nmes.evaluation.progress import read_reward
 from nmes.evolution.algorithms.bounds import read_options
-from nmes.evolution.draw import Draw
 from nmes.genome import Genome
 from nmes.learning.episodes import read_episodes
 from nmes.learning.learners.cloning import Cloning
@@ -27,6 +26,7 @@ from nmes.learning.learners.networks import Network, read_layers
 from nmes.learning.learners.ppo import Ppo
 from nmes.learning.learners.reinforce import Reinforce
 from nmes.schemas.documents import JsonObject, check, compile_schema, complete, did_you_mean, plain
+from nmes.variation.draw import Draw
 
 __all__ = ["ALGORITHMS", "FORMAT", "LearningSettings", "Lessons", "read_lessons"]
 

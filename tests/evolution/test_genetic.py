@@ -7,9 +7,9 @@ from typing import Any
 from nmes.evaluation import Task
 from nmes.evolution.algorithm import Algorithm, Candidate, Problem, Score
 from nmes.evolution.algorithms import load_algorithm
-from nmes.evolution.draw import Draw
-from nmes.evolution.mutation import mutate
 from nmes.genome import Genome
+from nmes.variation.draw import Draw
+from nmes.variation.mutation import mutate
 
 
 def new(name: str, seed: int = 1, *starts: Genome, task: Task | None = None, **options: Any) -> Algorithm:

@@ -16,8 +16,8 @@ from nmes.evolution.algorithm import Algorithm, Problem, Score
 from nmes.evolution.algorithms import load_algorithm
 from nmes.evolution.algorithms.neat_networks import Network, add_link, cross_networks, distance, perturb, split_link
 from nmes.evolution.algorithms.species import Individual, Species, divided, speciate
-from nmes.evolution.draw import Draw
 from nmes.genome import Genome
+from nmes.variation.draw import Draw
 
 Json = dict[str, Any]
 

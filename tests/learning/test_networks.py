@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from nmes.brain import load_brain
-from nmes.evolution.draw import Draw
 from nmes.learning.learners.networks import Adam, Network, clipped, read_layers
+from nmes.variation.draw import Draw
 from slopes import slopes
 
 NETWORK = Network((5, 7, 6, 3))

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from nmes.brain import load_brain
-from nmes.evolution.draw import Draw
 from nmes.learning.learners.cloning import Cloning, squares
 from nmes.learning.learners.cube import TargetCube, arrivals, learn_to_arrive
 from nmes.learning.learners.networks import Network
@@ -14,6 +13,7 @@ from nmes.learning.learners.novelty import ForwardModel
 from nmes.learning.learners.pca import principal_components
 from nmes.learning.learners.q_learning import QLearning
 from nmes.learning.learners.rows import Spaces
+from nmes.variation.draw import Draw
 from slopes import slopes
 
 # -- cloning ----------------------------------------------------------------------------------------------------------

@@ -8,9 +8,9 @@ from statistics import NormalDist
 import numpy as np
 import pytest
 
-from nmes.evolution.draw import Draw
 from nmes.learning.learners.policies import Policy, policy_of
 from nmes.learning.learners.rows import Spaces
+from nmes.variation.draw import Draw
 from slopes import slopes
 
 CONTROLS, CHOICES = policy_of(Spaces(4, 3)), policy_of(Spaces(4, 3, choices=True))

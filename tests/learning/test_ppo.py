@@ -10,11 +10,11 @@ import pytest
 
 from nmes.brain import load_brain
 from nmes.errors import DocumentError
-from nmes.evolution.draw import Draw
 from nmes.learning.learners.experience import Collector
 from nmes.learning.learners.networks import read_layers
 from nmes.learning.learners.ppo import Batch, Ppo, losses
 from nmes.learning.learners.rows import GymnasiumRows, Spaces
+from nmes.variation.draw import Draw
 from slopes import slopes
 from teaching import SPACES, Follow, mean_returns
 

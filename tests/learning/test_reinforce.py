@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from nmes.evolution.draw import Draw
 from nmes.learning.learners.reinforce import Reinforce, policy_loss
 from nmes.learning.learners.rows import Spaces
+from nmes.variation.draw import Draw
 from slopes import slopes
 from teaching import Follow, mean_returns
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from nmes.evolution.draw import Draw
 from nmes.learning.learners.actor_critic import ActorCritic
 from nmes.learning.learners.experience import Collector
 from nmes.learning.learners.rows import Spaces, Step
+from nmes.variation.draw import Draw
 
 __all__ = ["SPACES", "Follow", "mean_returns"]
 

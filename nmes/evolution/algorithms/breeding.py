@@ -12,11 +12,11 @@ from typing import Final
 
 from nmes.errors import VariationError
 from nmes.evolution.algorithm import Candidate, Problem
-from nmes.evolution.crossover import cross
-from nmes.evolution.draw import Draw
-from nmes.evolution.mutation import mutate
-from nmes.evolution.random_genomes import random_genome
 from nmes.genome import Genome
+from nmes.variation.crossover import cross
+from nmes.variation.draw import Draw
+from nmes.variation.mutation import mutate
+from nmes.variation.random_genomes import random_genome
 
 __all__ = ["Parent", "breed", "found", "newcomer"]
 
@@ -39,7 +39,7 @@ def newcomer(problem: Problem, index: int, generation: int = 0) -> Candidate:
     Raises:
         VariationError: `no_offspring`: the task allows none.
     """
-    genome = random_genome(problem.draw("candidate", index, "random"), problem.task, f"random-{index}")
+    genome = random_genome(problem.draw("candidate", index, "random"), problem.task.requirements, f"random-{index}")
     return Candidate(genome, "random", (), generation)
 
 
@@ -92,7 +92,7 @@ def _offspring(problem: Problem, draw: Draw, parent: Parent, other: Parent | Non
     """
     genome, operators, parents = parent.genome, list[str](), [parent]
     if other is not None and other.index != parent.index:
-        genome = cross(genome, other.genome, draw, task=problem.task)
+        genome = cross(genome, other.genome, draw, requirements=problem.task.requirements)
         operators.append("cross")
         parents.append(other)
     mutations = 0 if operators and draw.chance(0.5) else 1
@@ -106,5 +106,5 @@ def _offspring(problem: Problem, draw: Draw, parent: Parent, other: Parent | Non
 
 
 def _mutated(genome: Genome, draw: Draw, problem: Problem) -> tuple[Genome, str]:
-    mutant = mutate(genome, draw, task=problem.task)
+    mutant = mutate(genome, draw, requirements=problem.task.requirements)
     return mutant.genome, mutant.kind

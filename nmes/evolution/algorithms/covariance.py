@@ -22,7 +22,7 @@ from nmes.backend.rotation import total
 from nmes.errors import DocumentError, MissingPackage
 from nmes.evolution.algorithm import Problem
 from nmes.evolution.algorithms.brain_space import BrainSpace
-from nmes.evolution.draw import Draw
+from nmes.variation.draw import Draw
 
 __all__ = ["CovarianceAdaptation", "adaptable_brain", "probe"]
 

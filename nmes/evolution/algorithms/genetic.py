@@ -17,8 +17,8 @@ from nmes.evolution.algorithm import Algorithm, Candidate, Problem, Score
 from nmes.evolution.algorithms.bounds import within_bounds
 from nmes.evolution.algorithms.breeding import Parent, breed, found, newcomer
 from nmes.evolution.algorithms.requirements import check_problem
-from nmes.evolution.draw import Draw
 from nmes.schemas.documents import canonical_hash
+from nmes.variation.draw import Draw
 
 __all__ = ["AgeFitness", "Genetic", "SteadyStateOptions"]
 

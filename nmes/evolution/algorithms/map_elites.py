@@ -10,7 +10,7 @@ from nmes.evolution.algorithms.bounds import within_bounds
 from nmes.evolution.algorithms.breeding import Parent, breed, found
 from nmes.evolution.algorithms.requirements import check_problem
 from nmes.evolution.archive import Archive, Elite
-from nmes.evolution.draw import Draw
+from nmes.variation.draw import Draw
 
 __all__ = ["MapElites"]
 

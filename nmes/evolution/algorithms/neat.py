@@ -18,10 +18,10 @@ from nmes.evolution.algorithms.bounds import within_bounds
 from nmes.evolution.algorithms.neat_networks import Network, add_link, cross_networks, perturb, split_link
 from nmes.evolution.algorithms.requirements import check_problem
 from nmes.evolution.algorithms.species import Individual, Species, divided, speciate
-from nmes.evolution.brains import motor_names, sensor_names
-from nmes.evolution.draw import Draw
 from nmes.genome import Genome
 from nmes.schemas.documents import JsonObject
+from nmes.variation.brains import motor_names, sensor_names
+from nmes.variation.draw import Draw
 
 __all__ = ["Neat"]
 

@@ -13,9 +13,9 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from nmes.backend.rotation import total
-from nmes.evolution.brain_changes import splitting_node
-from nmes.evolution.draw import Draw
 from nmes.schemas.documents import JsonObject
+from nmes.variation.brain_changes import splitting_node
+from nmes.variation.draw import Draw
 
 __all__ = ["Gene", "Network", "add_link", "cross_networks", "distance", "perturb", "split_link"]
 

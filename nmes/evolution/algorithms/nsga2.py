@@ -17,7 +17,7 @@ from nmes.evolution.algorithm import Algorithm, Candidate, Problem, Score
 from nmes.evolution.algorithms.bounds import within_bounds
 from nmes.evolution.algorithms.breeding import Parent, breed, found
 from nmes.evolution.algorithms.requirements import check_problem
-from nmes.evolution.draw import Draw
+from nmes.variation.draw import Draw
 
 __all__ = ["Nsga2", "crowding", "fronts", "survivors"]
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from nmes.backend.rotation import total
 from nmes.evolution.algorithms.neat_networks import Network, distance
-from nmes.evolution.draw import Draw
+from nmes.variation.draw import Draw
 
 __all__ = ["Individual", "Species", "divided", "speciate"]
 

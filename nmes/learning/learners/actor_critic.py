@@ -11,11 +11,11 @@ import numpy as np
 
 from nmes.backend import Array
 from nmes.brain.base import JsonObject
-from nmes.evolution.draw import Draw
 from nmes.learning.learners.experience import Collector, Experience, Scale
 from nmes.learning.learners.networks import Network, Pass, together
 from nmes.learning.learners.policies import Likelihood, policy_of
 from nmes.learning.learners.rows import Spaces
+from nmes.variation.draw import Draw
 
 __all__ = ["ActorCritic", "Report"]
 

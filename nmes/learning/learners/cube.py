@@ -16,9 +16,9 @@ from math import cos, hypot, pi, sin
 from typing import Final
 
 from nmes.errors import WorldError
-from nmes.evolution.draw import Draw
 from nmes.learning.learners.q_learning import QLearning
 from nmes.schemas.documents import JsonObject
+from nmes.variation.draw import Draw
 from nmes.world import World
 
 __all__ = ["ACTIONS", "NEAR", "STATES", "TargetCube", "arrivals", "learn_to_arrive"]

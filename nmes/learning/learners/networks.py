@@ -22,8 +22,8 @@ from math import sqrt
 import numpy as np
 
 from nmes.brain.base import Array, JsonObject
-from nmes.evolution.draw import Draw
 from nmes.learning.learners.arithmetic import dot, gathered, spread, tanh, weighed
+from nmes.variation.draw import Draw
 
 __all__ = ["Adam", "Network", "Pass", "clipped", "read_layers", "together"]
 

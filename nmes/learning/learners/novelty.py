@@ -12,10 +12,10 @@ from __future__ import annotations
 import numpy as np
 
 from nmes.backend import Array
-from nmes.evolution.draw import Draw
 from nmes.learning.learners.experience import Scale
 from nmes.learning.learners.networks import Adam, Network, together
 from nmes.learning.learners.rows import Spaces
+from nmes.variation.draw import Draw
 
 __all__ = ["ForwardModel"]
 

@@ -15,9 +15,9 @@ import numpy as np
 
 from nmes.brain.arithmetic import each
 from nmes.brain.base import Array
-from nmes.evolution.draw import Draw
 from nmes.learning.learners import arithmetic
 from nmes.learning.learners.rows import Spaces
+from nmes.variation.draw import Draw
 
 __all__ = ["Choices", "Controls", "Likelihood", "Policy", "policy_of"]
 

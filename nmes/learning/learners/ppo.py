@@ -24,13 +24,13 @@ import numpy as np
 from nmes.backend import Array
 from nmes.brain.base import Indices
 from nmes.evolution.algorithms.bounds import within_bounds
-from nmes.evolution.draw import Draw
 from nmes.learning.learners.actor_critic import ActorCritic, Report
 from nmes.learning.learners.arithmetic import average, exp
 from nmes.learning.learners.experience import Collector, Experience, Scale, advantages, discounted
 from nmes.learning.learners.networks import Adam, Network, clipped, together
 from nmes.learning.learners.novelty import ForwardModel
 from nmes.learning.learners.rows import Spaces
+from nmes.variation.draw import Draw
 
 __all__ = ["Batch", "Ppo", "losses"]
 

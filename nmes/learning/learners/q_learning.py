@@ -16,7 +16,7 @@ import numpy as np
 
 from nmes.backend import Array
 from nmes.evolution.algorithms.bounds import within_bounds
-from nmes.evolution.draw import Draw
+from nmes.variation.draw import Draw
 
 __all__ = ["QLearning"]
 

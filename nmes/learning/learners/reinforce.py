@@ -13,12 +13,12 @@ import numpy as np
 
 from nmes.backend import Array
 from nmes.evolution.algorithms.bounds import within_bounds
-from nmes.evolution.draw import Draw
 from nmes.learning.learners.actor_critic import ActorCritic, Report
 from nmes.learning.learners.arithmetic import average
 from nmes.learning.learners.experience import Collector, Scale, advantages, discounted
 from nmes.learning.learners.networks import Adam, Network, clipped, together
 from nmes.learning.learners.rows import Spaces
+from nmes.variation.draw import Draw
 
 __all__ = ["Reinforce"]
 

@@ -1,8 +1,8 @@
 """Mutation: from a genome to one that differs from it a little, and is as good a genome.
 
 Hides how the two ways of writing a body are changed, and that what does not fit is drawn again. Invariants: a mutant
-is a good genome with a good brain, and may take part in the task that it was bred for; it follows from its parent, the
-kind of change, the task and the draw alone.
+is a good genome with a good brain, and meets the requirements; it follows from its parent, the kind of change, the
+requirements and the draw alone.
 """
 
 from __future__ import annotations
@@ -12,14 +12,14 @@ from dataclasses import dataclass
 from typing import Final
 
 from nmes.errors import DocumentError, VariationError
-from nmes.evaluation import Task
-from nmes.evolution import brain_changes, cube_bodies, graph_bodies
-from nmes.evolution.draw import Draw
-from nmes.evolution.offspring import is_planar, offspring, written_sensors
 from nmes.genome import Genome
 from nmes.genome.body import Body
 from nmes.genome.sensors import OF_CUBE, OF_JOINT
 from nmes.schemas.documents import JsonObject, did_you_mean
+from nmes.variation import brain_changes, cube_bodies, graph_bodies
+from nmes.variation.draw import Draw
+from nmes.variation.offspring import offspring, written_sensors
+from nmes.variation.requirements import ANY, Requirements
 
 __all__ = ["KINDS", "Mutant", "mutate"]
 
@@ -58,34 +58,33 @@ class Mutant:
     kind: str
 
 
-def mutate(genome: Genome, draw: Draw, *, kind: str | None = None, task: Task | None = None) -> Mutant:
+def mutate(genome: Genome, draw: Draw, *, kind: str | None = None, requirements: Requirements = ANY) -> Mutant:
     """Changes a genome a little.
 
     Args:
         genome: The parent. Its brain, if it has one, must be a good one.
         draw: All choices.
         kind: One of `KINDS`; drawn by their weights if None.
-        task: What the mutant must be allowed to take part in, if anything.
+        requirements: What the mutant's body must be like.
 
     Raises:
         DocumentError: The parent's brain is none for its body.
-        VariationError: There is no such kind (`unknown_mutation`), or none of many tries gave a good genome that may
-            take part (`no_offspring`), as when the kind has nothing to change in this genome.
+        VariationError: There is no such kind (`unknown_mutation`), or none of many tries gave a good genome that meets
+            the requirements (`no_offspring`), as when the kind has nothing to change in this genome.
     """
     if kind is not None and kind not in KINDS:
         hint = did_you_mean(kind, KINDS) or f": there are {', '.join(KINDS)}"
         raise VariationError("unknown_mutation", f"there is no kind of mutation {kind!r}{hint}")
     if "brain" in genome.document:
         genome.brain()
-    planar = is_planar(task)
     reason = "there is nothing of that kind to change"
     given, fruitless = genome.document, 0
     for _ in range(_TRIES):
         chosen = draw.one_of(tuple(KINDS), tuple(KINDS.values())) if kind is None else kind
         document = genome.document
-        if _change(document, genome.body, chosen, draw, planar):
+        if _change(document, genome.body, chosen, draw, requirements.planar):
             try:
-                child = offspring(document, genome.body, [genome], draw, task)
+                child = offspring(document, genome.body, [genome], draw, requirements)
             except DocumentError as error:
                 reason, fruitless = f"the last {error.problems[0][1]}", 0
                 continue

@@ -2,7 +2,7 @@
 
 Hides the tree that hangs on the root, and the geometry by which what hangs on a cube goes along when it moves. Each
 returns False where the body has nothing that it could change. What comes out fits its schema and stands where the body
-stood, but may overlap, or may not take part in a task: whoever mutates looks and draws again.
+stood, but may overlap, or may not meet the requirements: whoever mutates looks and draws again.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ import numpy as np
 
 from nmes.backend import Array, Quaternion
 from nmes.backend.rotation import conjugate, multiply, quaternion_from_euler, rotate
-from nmes.evolution.draw import Draw
-from nmes.evolution.joints import CHANGES_OF_JOINTS, JointChange, draw_joint
 from nmes.genome.body import Body, BodyCube, BodyJoint, corners, read_cube
 from nmes.schemas.documents import JsonObject
+from nmes.variation.draw import Draw
+from nmes.variation.joints import CHANGES_OF_JOINTS, JointChange, draw_joint
 
 __all__ = ["CHANGES", "graft"]
 

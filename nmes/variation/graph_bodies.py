@@ -3,7 +3,7 @@
 The kinds of change are those of K. Sims, "Evolving Virtual Creatures" (SIGGRAPH 1994): parts and connections come, go
 and change their numbers; a connection is mirrored or not; a part may be grown again. Each returns False where the
 graph has nothing that it could change. What comes out fits its schema, but may grow into a body that overlaps, is too
-large, or may not take part in a task: whoever mutates looks and draws again.
+large, or may not meet the requirements: whoever mutates looks and draws again.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from nmes.evolution.draw import Draw
-from nmes.evolution.joints import CHANGES_OF_JOINTS, JointChange, draw_joint
 from nmes.genome.body import PALETTE, Body
 from nmes.schemas.documents import JsonObject
+from nmes.variation.draw import Draw
+from nmes.variation.joints import CHANGES_OF_JOINTS, JointChange, draw_joint
 
 __all__ = ["CHANGES", "graft", "prune"]
 

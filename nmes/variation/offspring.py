@@ -9,19 +9,20 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from nmes.backend import load_backend
 from nmes.errors import DocumentError
-from nmes.evaluation import Task
-from nmes.evolution.brains import carry_over, motor_names, sensor_names
-from nmes.evolution.draw import Draw
 from nmes.genome import Genome
 from nmes.genome.body import Body
 from nmes.schemas.documents import JsonObject, fits
+from nmes.variation.brains import carry_over, motor_names, sensor_names
+from nmes.variation.draw import Draw
+from nmes.variation.requirements import Requirements
 
-__all__ = ["admitted", "is_planar", "offspring", "written_sensors"]
+__all__ = ["admitted", "offspring", "written_sensors"]
 
 
-def offspring(document: JsonObject, before: Body, parents: Sequence[Genome], draw: Draw, task: Task | None) -> Genome:
+def offspring(
+    document: JsonObject, before: Body, parents: Sequence[Genome], draw: Draw, requirements: Requirements
+) -> Genome:
     """Returns the genome that a changed document becomes.
 
     Args:
@@ -29,43 +30,36 @@ def offspring(document: JsonObject, before: Body, parents: Sequence[Genome], dra
         before: That body.
         parents: Of whom it comes.
         draw: What is new in the brain.
-        task: What the genome must be allowed to take part in, if anything.
+        requirements: What the genome's body must be like.
 
     Raises:
-        DocumentError: It is no good genome, its brain is none for its body, or it may not take part.
+        DocumentError: It is no good genome, its brain is none for its body, or it does not meet the requirements.
     """
     child = {name: value for name, value in document.items() if name not in ("author", "description")}
     child["parents"] = list(dict.fromkeys(parent.hash for parent in parents))
     after = _body_of(child)
     if "brain" in child and _names(before) != _names(after):
         child["brain"] = carry_over(child["brain"], before, after, draw)
-    return admitted(child, task)
+    return admitted(child, requirements)
 
 
-def admitted(document: JsonObject, task: Task | None) -> Genome:
+def admitted(document: JsonObject, requirements: Requirements) -> Genome:
     """Returns the genome of a document.
 
     Args:
         document: It, whole.
-        task: What it must be allowed to take part in, if anything.
+        requirements: What its body must be like.
 
     Raises:
-        DocumentError: It is no good genome, its brain is none for its body, or it may not take part.
+        DocumentError: It is no good genome, its brain is none for its body, or it does not meet the requirements.
     """
     genome = Genome(document)
     if "brain" in document:
         genome.brain()
-    reasons = [] if task is None else task.check(genome.body)
-    if is_planar(task) and not genome.body.planar:
-        reasons.append("it leaves the plane z = 0, and the task's engine knows no other")
+    reasons = requirements.check(genome.body)
     if reasons:
         raise DocumentError([("body", reason) for reason in reasons])
     return genome
-
-
-def is_planar(task: Task | None) -> bool:
-    """Tells whether a task is in a world of one plane."""
-    return task is not None and load_backend(task.world_config(task.seeds[0])["backend"]).dims == 2
 
 
 def _names(body: Body) -> tuple[list[str], list[str]]:

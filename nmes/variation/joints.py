@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Final
 
-from nmes.evolution.draw import Draw
 from nmes.schemas.documents import JsonObject
+from nmes.variation.draw import Draw
 
 __all__ = ["CHANGES_OF_JOINTS", "JointChange", "draw_joint"]
 

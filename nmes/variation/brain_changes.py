@@ -17,10 +17,10 @@ from typing import Final
 import numpy as np
 
 from nmes.brain import load_brain
-from nmes.evolution.brains import motor_names, sensor_names
-from nmes.evolution.draw import Draw
 from nmes.genome.body import Body
 from nmes.schemas.documents import JsonObject, fits
+from nmes.variation.brains import motor_names, sensor_names
+from nmes.variation.draw import Draw
 
 __all__ = ["CHANGES", "splitting_node"]
 

@@ -11,15 +11,17 @@ import pytest
 from nmes.errors import VariationError
 from nmes.evaluation import Evaluator, Task
 from nmes.evolution import Draw, mutate
-from nmes.evolution.random_genomes import random_genome
 from nmes.genome import Genome
+from nmes.variation.random_genomes import random_genome
 
 SHORT, LONG = 6, 20_000
 """How many creatures of each task."""
 
 
 def creatures(task: Task, count: int) -> list[Genome]:
-    return [random_genome(Draw(19, task.name, number), task, f"random-{number}") for number in range(count)]
+    return [
+        random_genome(Draw(19, task.name, number), task.requirements, f"random-{number}") for number in range(count)
+    ]
 
 
 def narrow(**limits: float) -> Task:
@@ -75,13 +77,13 @@ def test_they_keep_within_narrow_limits() -> None:
 
 def test_a_task_that_allows_none_says_why() -> None:
     with pytest.raises(VariationError) as caught:
-        random_genome(Draw(1), narrow(cubes=1), "nobody")
+        random_genome(Draw(1), narrow(cubes=1).requirements, "nobody")
     assert caught.value.code == "no_offspring" and "at most 1 are allowed" in caught.value.message
 
 
 def test_the_draw_decides_and_nothing_else() -> None:
     task = Task.load("walk")
-    one, same, other = (random_genome(Draw(seed, "x"), task, "it") for seed in (1, 1, 2))
+    one, same, other = (random_genome(Draw(seed, "x"), task.requirements, "it") for seed in (1, 1, 2))
     assert one.hash == same.hash != other.hash
     assert one.name == "it" and "parents" not in one.document
 
@@ -89,11 +91,11 @@ def test_the_draw_decides_and_nothing_else() -> None:
 def test_they_can_be_mutated() -> None:
     task = Task.load("walk")
     for number, genome in enumerate(creatures(task, 30)):
-        assert mutate(genome, Draw(5, number), task=task).genome.hash != genome.hash
+        assert mutate(genome, Draw(5, number), requirements=task.requirements).genome.hash != genome.hash
 
 
 def test_parts_can_be_told_apart_by_colour_and_new_ones_have_another() -> None:
-    genome = random_genome(Draw(4, "colours"), Task.load("walk"), "colourful")
+    genome = random_genome(Draw(4, "colours"), Task.load("walk").requirements, "colourful")
     colours = [tuple(part["color"]) for part in genome.document["body"]["graph"]["parts"]]
     assert len(set(colours)) == len(colours) > 1
     child = mutate(genome, Draw(5, "one more"), kind="add-part").genome

@@ -9,8 +9,8 @@ import pytest
 from nmes.errors import VariationError
 from nmes.evaluation import Task
 from nmes.evolution import Draw, cross, mutate
-from nmes.evolution.brains import motor_names
 from nmes.genome import Genome
+from nmes.variation.brains import motor_names
 
 PAIRS = [("walker", "roller"), ("centipede", "inchworm"), ("centipede", "walker"), ("juggler", "lurcher")]
 
@@ -19,7 +19,7 @@ PAIRS = [("walker", "roller"), ("centipede", "inchworm"), ("centipede", "walker"
 def test_children_are_good_genomes_of_two_parents(first: str, second: str) -> None:
     one, other, task = Genome.load(first), Genome.load(second), Task.load("walk")
     for number in range(6):
-        child = cross(one, other, Draw(4, number), task=task)
+        child = cross(one, other, Draw(4, number), requirements=task.requirements)
         assert Genome(child.document).brain().outputs == tuple(motor_names(child.body))
         assert child.document["parents"] == [one.hash, other.hash]
         assert task.check(child.body) == []

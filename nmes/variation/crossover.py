@@ -15,13 +15,13 @@ import numpy as np
 
 from nmes.brain import load_brain
 from nmes.errors import DocumentError, VariationError
-from nmes.evaluation import Task
-from nmes.evolution import cube_bodies, graph_bodies
-from nmes.evolution.brains import motor_names, sensor_names
-from nmes.evolution.draw import Draw
-from nmes.evolution.offspring import offspring
 from nmes.genome import Genome
 from nmes.schemas.documents import JsonObject, fits
+from nmes.variation import cube_bodies, graph_bodies
+from nmes.variation.brains import motor_names, sensor_names
+from nmes.variation.draw import Draw
+from nmes.variation.offspring import offspring
+from nmes.variation.requirements import ANY, Requirements
 
 __all__ = ["cross"]
 
@@ -29,19 +29,19 @@ _TRIES = 100
 _OF_JOINTS: Final = ("type", "axis", "limits", "motor", "stiffness", "damping")
 
 
-def cross(first: Genome, second: Genome, draw: Draw, *, task: Task | None = None) -> Genome:
+def cross(first: Genome, second: Genome, draw: Draw, *, requirements: Requirements = ANY) -> Genome:
     """Breeds a child of two genomes.
 
     Args:
         first: The parent whose body the child's is mostly like. Brains must be good ones.
         second: The other.
         draw: All choices.
-        task: What the child must be allowed to take part in, if anything.
+        requirements: What the child's body must be like.
 
     Raises:
         DocumentError: A parent's brain is none for its body.
-        VariationError: `no_offspring`: none of many tries gave a good genome that may take part and has something of
-            each.
+        VariationError: `no_offspring`: none of many tries gave a good genome that meets the requirements and has
+            something of each.
     """
     for parent in (first, second):
         if "brain" in parent.document:
@@ -55,11 +55,11 @@ def cross(first: Genome, second: Genome, draw: Draw, *, task: Task | None = None
         document = one.document
         names = draw.one_of(_WAYS)(document, one, other, draw)
         try:
-            child = offspring(document, one.body, [first, second], draw, None)
+            child = offspring(document, one.body, [first, second], draw, ANY)
             document = _with_brain(child, other, names, draw)
             if child.body == one.body and document.get("brain") == one.document.get("brain"):
                 continue
-            return offspring(document, child.body, [first, second], draw, task)
+            return offspring(document, child.body, [first, second], draw, requirements)
         except DocumentError as error:
             reason = f"the last {error.problems[0][1]}"
     raise VariationError("no_offspring", f"no try gave a good child of {first.name!r} and {second.name!r}: {reason}")

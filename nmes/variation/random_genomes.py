@@ -3,7 +3,7 @@
 Bodies are graphs of parts as K. Sims, "Evolving Virtual Creatures" (SIGGRAPH 1994), draws them: a trunk that may repeat
 itself as segments do, and limbs on it, mostly mirrored, some of them with several links. Brains are mostly oscillators
 of one frequency, since those move from the first tick on; some are small networks. Invariants: what is drawn is a good
-genome that may take part in the task, and follows from the draw and the task alone.
+genome that meets the requirements, and follows from the draw and the requirements alone.
 """
 
 from __future__ import annotations
@@ -14,21 +14,21 @@ from typing import Final
 
 from nmes.backend.rotation import total
 from nmes.errors import DocumentError, VariationError
-from nmes.evaluation import Task
-from nmes.evolution.brains import motor_names, sensor_names
-from nmes.evolution.draw import Draw
-from nmes.evolution.joints import draw_joint
-from nmes.evolution.offspring import admitted, is_planar
 from nmes.genome import Genome
 from nmes.genome.body import PALETTE, Body
 from nmes.schemas.documents import JsonObject, fits
+from nmes.variation.brains import motor_names, sensor_names
+from nmes.variation.draw import Draw
+from nmes.variation.joints import draw_joint
+from nmes.variation.offspring import admitted
+from nmes.variation.requirements import Requirements
 
 __all__ = ["random_genome"]
 
 _TRIES: Final = 150
 _SMALLER: Final = 0.98  # from try to try, so that limits of mass and size are met in the end
 _TRUNK: Final = "trunk"
-_LARGEST: Final = 4.0  # m: the size for which bodies are drawn where the task has no limit
+_LARGEST: Final = 4.0  # m: the size for which bodies are drawn where there is no limit
 _THINNEST: Final = 0.02  # m
 _DENSITY: Final = (200.0, 1500.0)  # kg/m^3
 _LIMBS: Final = 4
@@ -43,19 +43,19 @@ _GAIN: Final = 1.1  # of a clock: above 1 it goes on by itself
 _HEEDED: Final = 4  # sensors that a network listens to
 
 
-def random_genome(draw: Draw, task: Task, name: str) -> Genome:
+def random_genome(draw: Draw, requirements: Requirements, name: str) -> Genome:
     """Draws a creature.
 
     Args:
         draw: All choices.
-        task: What it must be allowed to take part in; a body for a task in a planar world lies in its plane.
+        requirements: What its body must be like.
         name: The genome's.
 
     Raises:
-        VariationError: `no_offspring`: none of many tries may take part, as when the task allows one cube.
+        VariationError: `no_offspring`: none of many tries meets the requirements, as when they allow one cube.
     """
-    planar, reason = is_planar(task), "its parts are in each other's way"
-    most = min(task.limits.size or _LARGEST, _LARGEST)
+    planar, reason = requirements.planar, "its parts are in each other's way"
+    most = min(requirements.limits.size or _LARGEST, _LARGEST)
     for number in range(_TRIES):
         graph = _graph(draw, most * _SMALLER**number, planar)
         document: JsonObject = {"format": "nmes-genome/1", "name": name, "body": {"graph": graph}}
@@ -68,10 +68,10 @@ def random_genome(draw: Draw, task: Task, name: str) -> Genome:
             continue
         document["brain"] = draw.one_of(tuple(_BRAINS), tuple(_BRAINS.values()))(body, draw)
         try:
-            return admitted(document, task)
+            return admitted(document, requirements)
         except DocumentError as error:
             reason = error.problems[0][1]
-    raise VariationError("no_offspring", f"no try gave a random creature for {task.name!r}: the last: {reason}")
+    raise VariationError("no_offspring", f"no try gave a random creature: the last: {reason}")
 
 
 # -- bodies -----------------------------------------------------------------------------------------------------------

@@ -11,9 +11,9 @@ from collections.abc import Callable, Mapping, Sequence
 from math import pi, sqrt
 from typing import Any, Final
 
-from nmes.evolution.draw import Draw
 from nmes.genome.body import Body
 from nmes.schemas.documents import JsonObject, fits
+from nmes.variation.draw import Draw
 
 __all__ = ["carry_over", "draw_oscillator", "motor_names", "sensor_names"]
 

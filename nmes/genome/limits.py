@@ -1,0 +1,84 @@
+"""The limits of a creature's body, and of what it does: what a task or a world allows."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from nmes.genome.body import Body
+
+__all__ = ["Limits"]
+
+_GRAVITY = 9.81  # m/s^2, by which efforts are judged, wherever a body is
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """The limits of a creature's body and of what it does; None is no limit.
+
+    Attributes:
+        cubes: How many cubes.
+        mass: Of all of them, kg.
+        size: Longest edge of the box around the body, m.
+        density: Of each cube, kg/m^3.
+        neighbours: Mass of a cube, of that of another to which a joint joins it.
+        effort: Of each motor: of a slide's, of the body's weight at 9.81 m/s^2; of a hinge's, of weight times size.
+        restitution: Of each cube.
+        energy: Work of its motors, J.
+        speed: Of the centre of each cube, m/s.
+        spin: Of each cube, rad/s.
+    """
+
+    cubes: int | None = None
+    mass: float | None = None
+    size: float | None = None
+    density: float | None = None
+    neighbours: float | None = None
+    effort: float | None = None
+    restitution: float | None = None
+    energy: float | None = None
+    speed: float | None = None
+    spin: float | None = None
+
+    def check(self, body: Body) -> list[str]:
+        """Returns the reasons why a body is not within the limits, in words; none if it is."""
+        low, high = body.bounds
+        size = max(b - a for a, b in zip(low, high, strict=True))
+        reasons = []
+        for limit, value, words in (
+            (self.cubes, len(body.cubes), "{} cubes, at most {} are allowed"),
+            (self.mass, body.mass, "{:g} kg, at most {:g} are allowed"),
+            (self.size, size, "{:g} m from end to end, at most {:g} are allowed"),
+        ):
+            if limit is not None and value > limit * (1.0 + 1e-9):
+                reasons.append(f"the body has {words.format(value, limit)}")
+        reasons += self._unbuildable(body, size)
+        return reasons
+
+    def _unbuildable(self, body: Body, size: float) -> Iterator[str]:
+        """Yields the reasons why nothing of this kind could be built: the worst of its cubes, pairs and motors."""
+        masses = {cube.id: cube.mass for cube in body.cubes}
+        weight = _GRAVITY * body.mass
+        densities = [(cube.mass / math.prod(cube.size), cube.id) for cube in body.cubes]
+        bounces = [(cube.restitution or 0.0, cube.id) for cube in body.cubes]
+        pairs = [(masses[joint.cube1] / masses[joint.cube2], joint.id) for joint in body.joints]
+        pairs += [(1.0 / ratio, joint) for ratio, joint in pairs]
+        efforts = [
+            (joint.motor.max_effort / (weight if joint.kind == "slide" else weight * size), joint.id)
+            for joint in body.joints
+            if joint.motor is not None
+        ]
+        for limit, values, words in (
+            (self.density, densities, "cube {!r} has {:g} kg/m^3, at most {:g} are allowed"),
+            (self.neighbours, pairs, "joint {!r} joins masses of 1 to {:g}, at most 1 to {:g} are allowed"),
+            (self.restitution, bounces, "cube {!r} has a restitution of {:g}, at most {:g} is allowed"),
+            (
+                self.effort,
+                efforts,
+                "the motor of joint {!r} has an effort of {:g}, at most {:g} is allowed",
+            ),
+        ):
+            value, name = max(values, default=(0.0, ""), key=lambda each: each[0])
+            if limit is not None and value > limit * (1.0 + 1e-9):
+                yield words.format(name, value, limit)
