@@ -174,6 +174,8 @@ class BallisticSimulation(Simulation):
     def snapshot(self) -> bytes:
         # JSON, for Python's floats survive it bit for bit and a stranger's snapshot can do no harm.
         bodies = [asdict(b) for b in self._bodies.values()]
+        for body in bodies:
+            del body["spec"]["group"]  # there are none without collisions
         return json.dumps([bodies, [(n, asdict(spec)) for n, spec in self._joints.items()]]).encode()
 
     def members(self) -> tuple[dict[int, bool], dict[int, tuple[str, int, int]]]:

@@ -42,6 +42,7 @@ class MujocoBackend(Backend):
             "friction",
             "restitution",
             "collisions",
+            "collision_groups",
             "contacts",
             "sensors.inertial",
             "sensors.range",

@@ -23,7 +23,7 @@ import mujoco
 from nmes.backend import Quaternion, SceneSpec, Vector
 from nmes.backend.rotation import conjugate, rotate
 from nmes.backends.mujoco3d.forest import Body, Forest, Joint, perpendicular_axes, spanning_forest
-from nmes.backends.mujoco3d.model import SPARE, CompiledModel, Slot, park, set_mean_inertia
+from nmes.backends.mujoco3d.model import GROUP_BITS, SPARE, CompiledModel, Slot, park, set_mean_inertia
 from nmes.backends.mujoco3d.scenery import Scenery, set_options
 
 __all__ = ["arena_bytes", "compile_lone_body", "compile_model"]
@@ -75,15 +75,24 @@ def compile_model(
     return compiled
 
 
-def compile_lone_body(timestep: float, body: Body) -> mujoco.MjModel:
-    """Compiles a model of one free body: what the compiler makes of its mass and shape."""
-    return _lone_body(timestep, body.size, body.mass, body.friction, body.restitution)
+def compile_lone_body(scene: SceneSpec, body: Body) -> mujoco.MjModel:
+    """Compiles a model of one free body: what the compiler makes of its mass, shape and group."""
+    surface = body.friction, body.restitution
+    return _lone_body(scene.timestep, scene.passes, body.size, body.mass, *surface, body.group)
 
 
 @lru_cache(maxsize=64)
-def _lone_body(timestep: float, size: Vector, mass: float, friction: float, restitution: float) -> mujoco.MjModel:
-    bodies = {1: Body(1, size, mass, friction, restitution, frozen=False)}
-    builder = _Builder(SceneSpec(timestep=timestep), bodies, {}, spanning_forest(bodies, ()))
+def _lone_body(
+    timestep: float,
+    passes: tuple[int, ...],
+    size: Vector,
+    mass: float,
+    friction: float,
+    restitution: float,
+    group: int,
+) -> mujoco.MjModel:
+    bodies = {1: Body(1, size, mass, friction, restitution, frozen=False, group=group)}
+    builder = _Builder(SceneSpec(timestep=timestep, passes=passes), bodies, {}, spanning_forest(bodies, ()))
     return builder.build(None, {}, [1]).model
 
 
@@ -206,7 +215,15 @@ class _Builder:
             friction=[body.friction, 0.005, 0.0001],
             solref=_bounce(body.restitution, self.scene.timestep),
             priority=1,  # over the ground, which has no surface of its own
+            **self._masks(body),
         )
+
+    def _masks(self, body: Body) -> dict[str, int]:
+        """Returns the collision masks of a body in a group; all others, and the scenery, have bit 0 alone in both."""
+        if not body.group:
+            return {}
+        meets = ~self.scene.passes[body.group - 1] & GROUP_BITS
+        return {"contype": 1 << body.group, "conaffinity": meets}
 
     def _spare(self, place: int) -> mujoco.MjsBody:
         handle = self.spec.worldbody.add_body(name=f"p{place}")

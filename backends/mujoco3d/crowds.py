@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nmes.backend import Array
-from nmes.backends.mujoco3d.model import CompiledModel
+from nmes.backends.mujoco3d.model import GROUP_BITS, CompiledModel
 from nmes.backends.mujoco3d.scenery import Scenery
 
 __all__ = ["Crowds"]
@@ -28,7 +28,7 @@ _CROWD = 4  # bodies that edits may have left in others before some glide
 _PLACE = 0.57  # m: the edge of a place of boxes that have balls of half a metre within them; below 1 / sqrt(3)
 _ROOM = 3.0  # the edge of the cells of which 27 must be empty where there is room, in radii of the ball
 _SPEED = 3.0  # m/s
-_GLIDING = 2  # the bit of MuJoCo's collision masks by which those that glide touch what cannot move
+_GLIDING = GROUP_BITS.bit_length()  # bits by which collision masks are shifted of what glides, and of what it meets
 _SPREAD = np.array([0.7548776662466927, 0.5698402909980532])  # of the sequence R2 (Roberts, 2018), which is even
 _FARTHEST = 2.0**40  # cells from the origin; what is further away is in the last one
 _NEAR = np.stack(np.meshgrid(*[[-1, 0, 1]] * 3, indexing="ij"), axis=-1).reshape(27, 3)
@@ -74,9 +74,9 @@ class Crowds:
         trees = model.body_treeid
         theirs = trees[[compiled.body_index[body] for body in gliding]]
         for (kind, affinity), tree in ((masks[:2], trees[model.geom_bodyid]), (masks[2:], trees)):
-            affinity[(kind != 0) & (tree < 0)] |= _GLIDING
-            glides = np.isin(tree, theirs)
-            kind[glides], affinity[glides] = _GLIDING, 0
+            fixed, glides = (kind != 0) & (tree < 0), np.isin(tree, theirs)
+            affinity[fixed] |= affinity[fixed] << _GLIDING
+            kind[glides], affinity[glides] = kind[glides] << _GLIDING, 0
         try:
             yield
         finally:
@@ -89,7 +89,10 @@ class Crowds:
         A place is a cell of a grid, so fine that two boxes which do not overlap are never in one.
         """
         gliding = self.gliding & compiled.free.keys()
-        bodies = [body for body in sorted(compiled.free.keys() & edited) if body not in gliding]
+        model, index = compiled.model, compiled.body_index
+        # Those whose group passes through itself are in no one's way there.
+        meets = (model.body_contype & model.body_conaffinity) != 0
+        bodies = [body for body in sorted(compiled.free.keys() & edited) if body not in gliding and meets[index[body]]]
         if len(bodies) <= _CROWD:
             return gliding
         free = _Free(compiled, bodies)

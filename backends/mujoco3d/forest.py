@@ -36,21 +36,27 @@ class Body:
     friction: float
     restitution: float
     frozen: bool
+    group: int = field(default=0, repr=False)
 
     @classmethod
     def from_spec(cls, number: int, spec: BodySpec) -> Body:
         """Returns the body that a spec describes."""
-        return cls(number, spec.size, spec.mass, spec.friction, spec.restitution, spec.frozen)
+        return cls(number, spec.size, spec.mass, spec.friction, spec.restitution, spec.frozen, spec.group)
 
     @classmethod
     def from_json(cls, fields: dict[str, Any]) -> Body:
         """Returns the body of a snapshot."""
         return cls(**{**fields, "size": tuple(fields["size"])})
 
+    def to_json(self) -> dict[str, Any]:
+        """Returns the fields for a snapshot: `group` only where it is in one."""
+        fields = {name: getattr(self, name) for name in self.__slots__}
+        return fields if self.group else {name: value for name, value in fields.items() if name != "group"}
+
     @property
     def identity(self) -> int:
         """A hash of all that MuJoCo's state does not hold."""
-        return _hash("body", self.number, self)
+        return _hash("body", self.number, self, *([self.group] if self.group else []))
 
 
 @dataclass(slots=True)

@@ -16,12 +16,25 @@ import numpy as np
 
 from nmes.backends.mujoco3d.forest import Body, Forest, Joint
 
-__all__ = ["SPARE", "CompiledModel", "Slot", "occupy", "park", "set_mean_inertia", "vacate", "write_params"]
+__all__ = [
+    "GROUP_BITS",
+    "SPARE",
+    "CompiledModel",
+    "Slot",
+    "occupy",
+    "park",
+    "set_mean_inertia",
+    "vacate",
+    "write_params",
+]
 
 SPARE = -1
 """In place of a root: a parked body, ready to become the next free one without compiling the model anew."""
 
-# What depends on a free body's mass and shape in a model (seen by comparing models; a test does so still).
+GROUP_BITS = (1 << 16) - 1
+"""The bits of MuJoCo's collision masks that are groups: bit 0 what is in none. The upper half is for what glides."""
+
+# What depends on a free body's mass, shape and group in a model (seen by comparing models; a test does so still).
 _OF_BODY = (
     "body_mass",
     "body_inertia",

@@ -71,7 +71,7 @@ def _fill_places(running: RunningModel, structure: Structure, scene: SceneSpec) 
         tree = int(model.body_treeid[index])
         running.asleep[tree] = tree
     for body in structure.arrived:
-        lone = compile_lone_body(scene.timestep, structure.bodies[body])
+        lone = compile_lone_body(scene, structure.bodies[body])
         index = occupy(compiled, structure.bodies[body], lone)
         running.asleep[model.body_treeid[index]] = AWAKE
     for body in structure.touched:

@@ -44,8 +44,8 @@ def write_snapshot(running: RunningModel, structure: Structure, wrenches: Wrench
     later = {"gliding": sorted(running.depenetration.crowds.gliding), "heaped": running.heaped}
     return orjson.dumps(
         {
-            "bodies": list(structure.bodies.values()),  # orjson writes dataclasses by their fields
-            "joints": list(structure.joints.values()),
+            "bodies": [body.to_json() for body in structure.bodies.values()],
+            "joints": list(structure.joints.values()),  # orjson writes dataclasses by their fields
             "frozen_at": frozen_at,
             "force": list(wrenches.forces.items()),
             "impulse": list(wrenches.impulses.items()),
@@ -80,6 +80,8 @@ def _take_up(
     structure.replace([*map(Body.from_json, fields["bodies"])], [*map(Joint.from_json, fields["joints"])])
     bodies, joints = structure.bodies, structure.joints
     _check_structure(fields, bodies, joints)
+    groups = range(len(scene.passes) + 1)
+    _require(all(type(body.group) is int and body.group in groups for body in bodies.values()), "groups of the scene")
     movable = {number for number, body in bodies.items() if not body.frozen}
     frozen_at = {int(number): _numbers(pose, 7) for number, pose in fields["frozen_at"].items()}
     _require(frozen_at.keys() == bodies.keys() - movable, "a place for each frozen body, and for no other")

@@ -29,7 +29,7 @@ class PymunkBackend(Backend):
     dims = 2
     capabilities = frozenset(
         {"joint.fixed", "joint.hinge", "joint.slide", "joint.pin", "joint.conetwist", "joint.several", "motor", "servo"}
-        | {"limits", "spring", "friction", "restitution", "contacts", "collisions", "sleep"}
+        | {"limits", "spring", "friction", "restitution", "contacts", "collisions", "collision_groups", "sleep"}
         | {"scene.obstacles", "scene.heightfield", "scene.damping"}
     )
 

@@ -44,6 +44,7 @@ OVERLAP = 0.0005  # m that touching bodies may overlap: without it contacts flic
 SLEEP_SPEED, SLEEP_TIME = 0.005, 0.5  # m/s and s: what is slower for longer sleeps
 CORRECTION = 0.2  # of a joint's position error that one engine step takes away
 NUDGE = 1e-7  # m by which bodies in exactly the same place are moved apart
+_ALL = pymunk.ShapeFilter.ALL_MASKS()
 ROW = pymunk.batch.BodyFields
 FIELDS = ROW.BODY_ID | ROW.POSITION | ROW.ANGLE | ROW.VELOCITY | ROW.ANGULAR_VELOCITY
 
@@ -59,6 +60,7 @@ class PymunkSimulation(Simulation):
         space.gravity = scene.gravity[:2]
         space.collision_slop = OVERLAP
         space.idle_speed_threshold, space.sleep_time_threshold = SLEEP_SPEED, SLEEP_TIME
+        self._passes = scene.passes
         self._bodies: dict[int, Body] = {}
         self._joints: dict[int, Joint] = {}
         self._numbers: dict[pymunk.Shape, int] = {}
@@ -90,6 +92,8 @@ class PymunkSimulation(Simulation):
             b.velocity, b.angular_velocity = spec.linear_velocity[:2], spec.angular_velocity[2]
         shape = pymunk.Poly.create_box(b, (width, height))
         shape.friction, shape.elasticity = spec.friction, spec.restitution
+        if spec.group:  # all others are of all categories
+            shape.filter = pymunk.ShapeFilter(categories=1 << spec.group, mask=~self._passes[spec.group - 1] & _ALL)
         self._space.add(b, shape)
         self._bodies[body] = self._placed[body] = Body(body, spec, b, shape, spec.frozen)
         self._numbers[shape] = body
@@ -410,6 +414,8 @@ class PymunkSimulation(Simulation):
         for b in self._bodies.values():
             spec = b.spec
             yield struct.pack("<8d", b.number, *spec.size, spec.mass, spec.friction, spec.restitution, b.frozen)
+            if spec.group:
+                yield struct.pack("<d", spec.group)
         for number, j in self._joints.items():
             p = j.params
             fields = (number, j.one.number, j.two.number, *j.anchor1, *j.anchor2, *j.axis, j.sign, j.twists, j.zero)

@@ -25,6 +25,7 @@ CAPABILITIES = frozenset(
     | {"joint.several"}  # between one pair of bodies
     | {"motor", "servo", "spring", "limits"}  # what hinges and slides have; `limits` are also a conetwist's
     | {"collisions", "friction", "restitution", "contacts"}  # between bodies; on the ground; and whether it tells
+    | {"collision_groups"}  # of bodies that pass through each other
     | {"scene.obstacles", "scene.heightfield", "scene.planets", "scene.arena"}  # what a SceneSpec may hold
     | {"scene.damping"}  # and how the velocities of its bodies may decay
     | {"sensors.inertial", "sensors.range", "camera"}  # what else than contacts a body can feel and see
@@ -130,6 +131,8 @@ class SceneSpec:
         linear_damping: Of each body's own velocity (`scene.damping`), 1/s: without anything else that acts, a velocity
             v decays as v exp(-c t). It acts as a force at the body's centre would, whatever it is joined to.
         angular_damping: Likewise of the angular velocity, 1/s.
+        passes: Of each collision group, the first being 1 (`collision_groups`), the groups whose bodies its own pass
+            through, as bits: 1 << group. Where one has another's, that one has its own; there are at most 15.
         options: The world config's `engine` object: settings of one engine, which it validates itself.
     """
 
@@ -143,6 +146,7 @@ class SceneSpec:
     arena: Arena | None = None
     linear_damping: float = 0.0
     angular_damping: float = 0.0
+    passes: tuple[int, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
 
 
@@ -150,7 +154,8 @@ class SceneSpec:
 class BodySpec:
     """A box: full edge lengths `size` (m), `mass` (kg), surface, and its state when it appears.
 
-    `frozen` bodies are immovable: infinite mass, no velocity.
+    `frozen` bodies are immovable: infinite mass, no velocity. `group` is the collision group, of those in the scene's
+    `passes`; bodies of none (0) meet everything.
     """
 
     size: Vector
@@ -162,6 +167,7 @@ class BodySpec:
     linear_velocity: Vector = (0.0, 0.0, 0.0)
     angular_velocity: Vector = (0.0, 0.0, 0.0)
     frozen: bool = False
+    group: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -38,6 +38,7 @@ class CubeCommands:
         friction: float | None = None,
         restitution: float | None = None,
         color: Vector | None = None,
+        group: str | None = None,
         is_base: bool | None = None,
         linear_velocity: Vector | None = None,
         angular_velocity: Vector | None = None,
@@ -59,6 +60,8 @@ class CubeCommands:
             restitution: Coefficient of restitution, from 0 to 1; the world's (config) if left out.
             color: Colour as red, green, blue and, if given, opacity, each from 0 to 1. It has no effect on the physics.
                 Default: [0.8, 0.8, 0.8, 1].
+            group: Its collision group, one of the world's (config): with whom it collides. If left out it meets
+                everything.
             is_base: Whether it starts frozen, `_BASE` appended to its name. Default: False.
             linear_velocity: Velocity of the centre of mass, in m/s, each number from -100,000 to 100,000. Default:
                 [0, 0, 0].

@@ -188,6 +188,7 @@ class CubeInfo(CubeMotion):
     friction: float
     restitution: float
     color: list[float]
+    group: NotRequired[str]
     frozen: bool
     sleeping: bool
     joints: Names

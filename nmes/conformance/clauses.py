@@ -96,6 +96,9 @@ _PROSE: Final[Mapping[str, str]] = {
     "3.7.3": "`target` is what its sensors of a target are about: a point or a cube, which need not be there yet.",
     "3.7.4": "A creature is nothing but its cubes and joints: when one of them is taken away it is a creature no more, "
     "and what is left stays.",
+    "3.8.1": "A world's config may name `collision_groups`: cubes of groups that pass through each other do not "
+    "collide, all others do.",
+    "3.8.2": "A cube of a group that the config has not is refused.",
     "5.1.1": "Required of every conforming server: sections 1 to 3, and the commands that messages.md says "
     "every server must have (of the joints `fixed`, `hinge` and `slide`).",
     "5.1.2": "The rest is optional and named in the `capabilities` of `world_info`; a server answers a command"

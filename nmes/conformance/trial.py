@@ -111,8 +111,12 @@ class Probe:
 
         A need is a command, a capability of an engine, or one of: `3d`, `planar`; `stepping` (the suite can move the
         time on), `time` (that, or time passes by the clock), `lockstep` (the world was found in that mode, so that it
-        is a test world which may be reset).
+        is a test world which may be reset); or `config.` and a field that the world's config must have.
         """
+        if need.startswith("config."):
+            name, config = need.removeprefix("config."), self.info.get("config")
+            has = isinstance(config, Mapping) and config.get(name)
+            return None if has else f"the world's config has no {name}"
         if need in ("3d", "planar"):
             return None if self.planar == (need == "planar") else f"the world is {'planar' if self.planar else '3d'}"
         if need == "stepping":

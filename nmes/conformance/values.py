@@ -18,6 +18,7 @@ __all__ = ["FIELD_NEEDS", "command_needs", "edges", "fields", "wrong"]
 _HUGE = 1e300
 # What a field needs that not every server which has the command must have: elsewhere it is an unknown field.
 FIELD_NEEDS: dict[tuple[str, str], tuple[str, ...]] = {
+    ("spawn_cube", "group"): ("collision_groups",),
     ("get_cube_info", "sensors"): ("sensors.inertial",),
     ("get_world_state", "sensors"): ("sensors.inertial",),
     ("get_cube_info", "rays"): ("sensors.range",),

@@ -41,7 +41,10 @@ _ROOT = ("height", "up", "velocity", "spin")  # what the root senses where a doc
 
 @dataclass(frozen=True, slots=True)
 class BodyCube:
-    """A cube as the document has it: m, kg; `friction` and `restitution` None where they are the world's."""
+    """A cube as the document has it: m, kg; `friction` and `restitution` None where they are the world's.
+
+    `group` is its collision group, None for none.
+    """
 
     id: str
     size: Vector
@@ -51,6 +54,7 @@ class BodyCube:
     friction: float | None
     restitution: float | None
     color: tuple[float, ...] | None
+    group: str | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -390,6 +394,7 @@ def read_cube(entry: JsonObject) -> BodyCube:
         friction=None if "friction" not in entry else float(entry["friction"]),
         restitution=None if "restitution" not in entry else float(entry["restitution"]),
         color=None if color is None else tuple(map(float, color)),
+        group=entry.get("group"),
     )
 
 

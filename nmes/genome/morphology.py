@@ -284,7 +284,7 @@ def _cube(grown: _Grown, position: Sequence[float], turn: Sequence[float]) -> di
         "mass": round(float(part.get("density", 500.0)) * size[0] * size[1] * size[2], _DIGITS),
         "position": _rounded(position),
         "rotation": _rounded(turn),
-        **{name: part[name] for name in ("friction", "restitution", "color") if name in part},
+        **{name: part[name] for name in ("friction", "restitution", "color", "group") if name in part},
     }
 
 

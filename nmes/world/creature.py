@@ -466,6 +466,8 @@ class Creatures:
             raise WorldError("invalid", message, "name")
         self._entities.require_room(len(body.cubes), len(body.joints))
         self._entities.require_plane(body.planar, "body that leaves the XY plane", "genome/body")
+        for cube in body.cubes:
+            self._entities.require_group(cube.group, "genome/body")
         for joint in body.joints:
             path = "genome/body"
             self._entities.require(f"joint.{joint.kind}", f"joints of type {joint.kind}", path)
@@ -488,7 +490,7 @@ def _spawn_command(part: BodyCube, name: str, position: Vector) -> JsonObject:
         "position": _shifted(part.position, position),
         "rotation": list(part.quaternion),
     }
-    surface = {"friction": part.friction, "restitution": part.restitution, "color": part.color}
+    surface = {name: getattr(part, name) for name in ("friction", "restitution", "color", "group")}
     return {**command, **{field: value for field, value in surface.items() if value is not None}}
 
 

@@ -48,6 +48,7 @@ class Cube:
     frozen: bool
     origin: Vector  # where it was spawned
     past_work: float = 0.0  # J that motors of joints which it had, and has no more, have worked
+    group: str | None = None  # the collision group
     joints: dict[str, None] = field(default_factory=dict)  # in order of creation
 
 
@@ -97,6 +98,7 @@ class Entities:
         self._config = config
         self._seed = seed
         self.fields = FieldReader(backend.dims == 2)
+        self._groups = scenery.group_numbers(config)
         for capability, path in scenery.needs(config).items():
             self.require(capability, f"scenery of this kind ({capability})", path)
         scene = scenery.scene_spec(config, seed)
@@ -121,7 +123,11 @@ class Entities:
     def assembly(self) -> JsonObject:
         """Returns the cubes and joints as plain JSON data."""
         cubes = [
-            {name: getattr(cube, name) for name in Cube.__slots__ if name != "joints"} for cube in self.cubes.values()
+            {
+                **{name: getattr(cube, name) for name in Cube.__slots__ if name not in ("joints", "group")},
+                **({} if cube.group is None else {"group": cube.group}),
+            }
+            for cube in self.cubes.values()
         ]
         joints = [
             {
@@ -154,6 +160,7 @@ class Entities:
         self._check_numbers(state)
         self.version, self._spawned, self._joined = state["version"], state["spawned"], state["joined"]
         for values in state["cubes"]:
+            self.require_group(values.get("group"), "group")
             vectors = {name: vector(values[name]) for name in ("size", "origin")}
             self._add_cube(Cube(**{**values, **vectors, "color": tuple(values["color"])}))
         for values in state["joints"]:
@@ -229,6 +236,12 @@ class Entities:
             if count + more > most:
                 raise WorldError("limit_reached", f"the world holds {count} of its {most} {what} already")
 
+    def require_group(self, group: str | None, path: str) -> None:
+        """Raises `invalid` unless the config has this collision group; `path` is the field to blame."""
+        if group is not None and group not in self._groups:
+            known = f"it has {', '.join(self._groups)}" if self._groups else "its config has no collision_groups"
+            raise WorldError("invalid", f"the world has no collision group {group!r}: {known}", path)
+
     def require_plane(self, planar: bool, what: str, path: str) -> None:
         """Raises `unsupported` where the engine is one of the XY plane and the thing is not in it."""
         if self._backend.dims == 2 and not planar:
@@ -238,9 +251,10 @@ class Entities:
         """Makes the cube that a `spawn_cube` command describes; where that is in the ground, on top of it.
 
         Raises:
-            WorldError: `limit_reached`, `cube_exists`, or `invalid` for a name or a rotation.
+            WorldError: `limit_reached`, `cube_exists`, or `invalid` for a name, a group or a rotation.
         """
         self.require_room(cubes=1)
+        self.require_group(command.get("group"), "group")
         fields, default = self.fields, protocol.COMMANDS["spawn_cube"].defaults
         frozen = bool(command.get("is_base"))
         name, count = self._new_cube_name(command.get("cube_name"), "_BASE" if frozen else "")
@@ -255,6 +269,7 @@ class Entities:
             restitution=float(command.get("restitution", self._config["restitution"])),
             color=(color[0], color[1], color[2], color[3] if len(color) == 4 else 1.0),
             frozen=frozen,
+            group=command.get("group"),
             origin=fields.position(command.get("position", default["position"])),
         )
         quaternion = fields.rotation(command.get("rotation", default["rotation"]))
@@ -272,6 +287,7 @@ class Entities:
                 linear_velocity=fields.position(command.get("linear_velocity", ZERO)),
                 angular_velocity=fields.turn(command.get("angular_velocity", ZERO)),
                 frozen=cube.frozen,
+                group=0 if cube.group is None else self._groups[cube.group],
             ),
         )
         self._spawned = count

@@ -59,6 +59,8 @@ def cube_info(entities: Entities, cube: Cube) -> JsonObject:
     reply["friction"] = cube.friction
     reply["restitution"] = cube.restitution
     reply["color"] = cube.color
+    if cube.group is not None:
+        reply["group"] = cube.group
     reply["frozen"] = cube.frozen
     reply["sleeping"] = simulation.sleeping(cube.body)
     reply["joints"] = list(cube.joints)

@@ -360,7 +360,7 @@ def test_a_body_that_takes_a_parked_place_acts_like_a_compiled_one(
 
     compiled, filled = laid(1, 1), laid(0, 2)
     body = Body(9, size, mass, friction, restitution, False)
-    occupy(filled, body, compile_lone_body(STEP, body))
+    occupy(filled, body, compile_lone_body(SceneSpec(timestep=STEP), body))
     set_mean_inertia(filled)
     for name in dir(compiled.model):
         one, other = getattr(compiled.model, name), getattr(filled.model, name)

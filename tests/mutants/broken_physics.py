@@ -173,6 +173,27 @@ def ice(patch: MonkeyPatch) -> None:
     patch.setattr(entities_module, "BodySpec", lambda **fields: BodySpec(**{**fields, "friction": 0.0}))
 
 
+GROUPS = {"collision_groups": {"runners": ["runners"], "walls": []}}
+
+
+@defect("13.45", backend="mujoco", config=GROUPS)
+def groups_that_change_nothing(patch: MonkeyPatch) -> None:
+    """It lets all cubes collide, whatever their groups."""
+    patch.setattr(entities_module, "BodySpec", lambda **fields: BodySpec(**{**fields, "group": 0}))
+
+
+@defect("13.46", backend="pymunk", config=GROUPS)
+def groups_that_are_not_there(patch: MonkeyPatch) -> None:
+    """It makes a cube of a group that the world has not, as one of none."""
+    spawn = Entities.spawn
+
+    def lenient(entities: Entities, command: JsonObject) -> Cube:
+        known = command.get("group") in entities._groups
+        return spawn(entities, command if known else {k: v for k, v in command.items() if k != "group"})
+
+    patch.setattr(Entities, "spawn", lenient)
+
+
 @defect("13.17")
 def frozen_cubes_move(patch: MonkeyPatch) -> None:
     """It moves a frozen cube that something pushes."""

@@ -413,6 +413,22 @@ class BodyChecks(Checks):
         left, right = sim.states([0, 1])[:, 0]
         assert left < right, "the bodies passed through each other"
 
+    def test_lets_groups_pass_through_each_other(self) -> None:
+        """Bodies of groups pass through those that the scene names, free or frozen, and meet all others."""
+        self.need("collision_groups")
+        # Group 1 passes through itself and through group 2, which meets its own.
+        for lower, upper, passes in ((1, 1, True), (1, 2, True), (2, 1, True), (2, 2, False), (0, 1, False)):
+            for frozen in (False, True):
+                sim = self.sim(passes=(0b110, 0b010))
+                sim.add_body(0, replace(box((0.0, 0.5, 0.0)), group=lower, frozen=frozen))
+                sim.add_body(1, replace(box((0.0, 2.0, 0.0)), group=upper))
+                run(sim, 2.0)
+                height = 0.5 if passes else 1.5
+                what = f"of group {upper} over one of {lower}"
+                assert_close(sim.states([1])[:, 1], [height], 0.02, f"height of a body {what}")
+                if self.can("contacts"):
+                    assert {contact.other for contact in sim.contacts(1)} == {None if passes else 0}, what
+
     def test_stands_a_stack(self) -> None:
         """Ten cubes on each other stand."""
         self.need("collisions")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -303,3 +304,33 @@ def nothing_is_touched_in_the_air(t: Trial) -> None:
     name = t.spawn(wire, position=t.at(y=30))
     t.advance(wire, 0.1)
     t.equal(t.info(wire, name)["contacts"], [], "contacts")
+
+
+@case(45, "3.8.1", needs=("time", "collision_groups", "config.collision_groups"), scope=Scope.TIME)
+def groups(t: Trial) -> None:
+    """A cube falls through a frozen one where the config lets their groups pass, and lands on it where it does not."""
+    wire = t.join()
+    config = t.probe.info["config"]["collision_groups"]
+    passing = {frozenset((one, other)) for one, others in config.items() for other in others}
+    for x, (one, other) in zip(
+        (-4.0, 0.0, 4.0), itertools.combinations_with_replacement(sorted(config), 2), strict=False
+    ):
+        t.base(wire, position=t.at(x, 3), group=one)
+        name = t.spawn(wire, position=t.at(x, 4.5), group=other)
+        passes = frozenset((one, other)) in passing
+        height = 0.5 if passes else 4.0
+
+        def rests(info: Message, height: float = height) -> bool:
+            return abs(info["position"][1] - height) < GIVE and math.hypot(*info["linear_velocity"]) < STILL
+
+        t.until(wire, name, 3.0, rests, f"a cube of {other} {'below' if passes else 'at rest on'} one of {one}")
+
+
+@case(46, "3.8.2", needs=("collision_groups",))
+def an_unknown_group(t: Trial) -> None:
+    """A cube of a group that the config has not is refused, and not made."""
+    wire = t.join()
+    name = t.name()
+    command = {"type": "spawn_cube", "cube_name": name, "group": f"{t.probe.tag}-nobody"}
+    t.equal(t.refused(wire, command, "invalid").get("field"), "group", "field")
+    t.true(name not in t.cubes(wire), "no cube", name)

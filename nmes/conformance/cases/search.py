@@ -30,7 +30,9 @@ EXAMPLES = 60  # conversations a case
 STEPS = 30  # commands in each, at most
 CUBES = 3  # names that a script gives
 MILD = 5.0  # numbers that move things are drawn up to this, so that no engine goes wild
-FIXED = frozenset({"type", "id", "cube_name", "position", "cube1", "cube2", "joint_type", "list", "sensors", "rays"})
+FIXED = frozenset(
+    {"type", "id", "cube_name", "position", "cube1", "cube2", "joint_type", "list", "sensors", "rays", "group"}
+)
 
 
 def values(part: Schema) -> st.SearchStrategy[Any]:
