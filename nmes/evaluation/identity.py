@@ -81,7 +81,11 @@ def _body(body: Body) -> list[Any]:
         ends = cubes[joint.cube1], cubes[joint.cube2], np.array(joint.anchor) - origin
         bonds.append((joint.kind, *ends, _axis(joint), joint.limits, joint.stiffness, joint.damping, drive))
     senses = [
-        (sensor.type, sensor.axis, (cubes if sensor.of == "cube" else joints)[sensor.target]) for sensor in body.sensors
+        (
+            *(sensor.type, sensor.axis, (cubes if sensor.of == "cube" else joints)[sensor.target]),
+            *([] if sensor.range is None else [sensor.range]),
+        )
+        for sensor in body.sensors
     ]
     return [shapes, bonds, senses]
 

@@ -20,7 +20,7 @@ import numpy as np
 from nmes.backend import Array, Quaternion, Vector
 from nmes.backend.rotation import normalize, quaternion_from_euler, rotate, total
 from nmes.errors import DocumentError
-from nmes.genome.sensors import OF_CUBE, OF_JOINT, VECTORS
+from nmes.genome.sensors import OF_CUBE, OF_JOINT, OF_OTHERS, VECTORS
 from nmes.schemas.documents import did_you_mean, fits, nor_at
 
 __all__ = ["PALETTE", "Body", "BodyCube", "BodyJoint", "Motor", "Sensor", "corners", "read_body", "read_cube"]
@@ -102,6 +102,7 @@ class Sensor:
         of: Whether it is on a joint or a cube.
         target: The id of that.
         axis: `x`, `y` or `z` of a vector, else None.
+        range: How far another creature is seen, m; None: at any distance.
     """
 
     id: str
@@ -109,6 +110,7 @@ class Sensor:
     of: Literal["joint", "cube"]
     target: str
     axis: str | None
+    range: float | None = None
 
 
 @dataclass(frozen=True)
@@ -337,6 +339,10 @@ class _Reader:
         if axis is not None and not vector:
             self.note(f"{path}/axis", f"{kind} is one number and has no axis")
             return []
+        if "range" in entry and kind not in OF_OTHERS:
+            self.note(f"{path}/range", f"{kind} has no range; only {', '.join(OF_OTHERS)} have")
+            return []
+        reach = float(entry["range"]) if "range" in entry else None
         targets = self.targets(entry[of], of, kind, f"{path}/{of}", cubes, joints)
         if "id" in entry and len(targets) > 1:
             message = f"{entry[of]!r} fits {len(targets)} {of}s, so that one id is not enough: leave it out"
@@ -346,11 +352,11 @@ class _Reader:
         for target in targets:
             name = entry.get("id", f"{target}.{kind}")
             if not vector:
-                result.append(Sensor(name, kind, of, target, None))
+                result.append(Sensor(name, kind, of, target, None, reach))
             elif axis is not None:
-                result.append(Sensor(entry.get("id", f"{name}.{axis}"), kind, of, target, axis))
+                result.append(Sensor(entry.get("id", f"{name}.{axis}"), kind, of, target, axis, reach))
             else:
-                result += [Sensor(f"{name}.{each}", kind, of, target, each) for each in "xyz"]
+                result += [Sensor(f"{name}.{each}", kind, of, target, each, reach) for each in "xyz"]
         return result
 
     def targets(

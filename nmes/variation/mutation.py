@@ -14,7 +14,7 @@ from typing import Final
 from nmes.errors import DocumentError, VariationError
 from nmes.genome import Genome
 from nmes.genome.body import Body
-from nmes.genome.sensors import OF_CUBE, OF_JOINT
+from nmes.genome.sensors import OF_CUBE, OF_JOINT, OF_OTHERS
 from nmes.schemas.documents import JsonObject, did_you_mean
 from nmes.variation import brain_changes, cube_bodies, graph_bodies
 from nmes.variation.draw import Draw
@@ -40,6 +40,7 @@ KINDS: Final[Mapping[str, float]] = {
     "topology": 1.0,
 }
 """The kinds of mutation, each with how often it is drawn where it can be, relative to the others."""
+_CUBE_SENSORS: Final = tuple(kind for kind in OF_CUBE if kind not in OF_OTHERS)
 _TRIES = 100
 _FRUITLESS = 20  # draws in a row after which a kind that is asked for has nothing to change
 _MOST_SENSORS = 1024
@@ -127,5 +128,5 @@ def _change_sensors(document: JsonObject, body: Body, draw: Draw) -> bool:
     if driven and draw.chance(0.4):
         sensors.append({"type": draw.one_of(OF_JOINT), "joint": draw.one_of(driven)})
     else:
-        sensors.append({"type": draw.one_of(OF_CUBE), "cube": draw.one_of(body.cubes).id})
+        sensors.append({"type": draw.one_of(_CUBE_SENSORS), "cube": draw.one_of(body.cubes).id})
     return True

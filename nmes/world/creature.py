@@ -11,7 +11,7 @@ would, in order; `sense` changes nothing; creatures are in order of creation.
 from __future__ import annotations
 
 from collections.abc import Callable, Hashable
-from math import sqrt
+from math import inf, sqrt
 from typing import Any
 
 import numpy as np
@@ -24,11 +24,12 @@ from nmes.backend.rotation import conjugate, minus, plus, rotate
 from nmes.errors import WorldError
 from nmes.genome import Genome
 from nmes.genome.body import Body, BodyCube, BodyJoint, Motor, Sensor
-from nmes.genome.sensors import READING_OF, TURNING, CubeReading, Read
+from nmes.genome.sensors import OF_OTHERS, READING_OF, TURNING, CubeReading, Read
 from nmes.protocol import Request
 from nmes.schemas.documents import JsonObject
 from nmes.world import joint_params
 from nmes.world.entities import Cube, Entities, Joint
+from nmes.world.nearby import Nearby
 
 __all__ = ["Creature", "CreatureRows", "Creatures"]
 
@@ -45,6 +46,7 @@ class Creature:
         name: Unique among the creatures of its world.
         genome: What it was made from; `body` is the genome's.
         target: What its target sensors point to: a point (m) or the name of a cube; None: nothing.
+        root: The number of its root in the engine: where others see it.
         cubes: The names of its cubes in the world by the ids in its body; `joints` likewise.
         motors: In the order of controls.
         sensors: In the order of values.
@@ -59,8 +61,9 @@ class Creature:
         cubes: dict[str, Cube],
         joints: dict[str, Joint],
         target: Vector | str | None,
+        others: Nearby,
     ) -> None:
-        self._entities, self._simulation = entities, entities.simulation
+        self._entities, self._simulation, self._nearby = entities, entities.simulation, others
         self.name, self.genome, self.body = name, genome, (body := genome.body)
         self.target = target
         self.motors: tuple[Motor, ...] = body.motors
@@ -68,6 +71,7 @@ class Creature:
         self.controls: Array | None = None
         self._shape = (len(self.motors),)
         self._cubes, self._joints = cubes, joints
+        self.root = cubes[body.cubes[0].id].body
         self.cubes: dict[str, str] = {part: cube.name for part, cube in cubes.items()}
         self.joints: dict[str, str] = {part: joint.name for part, joint in joints.items()}
         self._low = np.array([motor.low for motor in self.motors])
@@ -162,6 +166,7 @@ class Creature:
         self._scale = np.array([self._joint_scale(sensor) for _, sensor in on_joints])
         felt: dict[tuple[str, CubeReading], list[tuple[int, int]]] = {}
         aimed: dict[str, list[tuple[int, int]]] = {}
+        seen: dict[tuple[str, float], list[tuple[int, int]]] = {}
         touched = []
         for row, sensor in enumerate(sensors):
             if sensor.of == "cube" and sensor.type == "touch":
@@ -169,7 +174,10 @@ class Creature:
             elif sensor.of == "cube":
                 axis = 0 if sensor.axis is None else "xyz".index(sensor.axis)
                 reading = READING_OF.get(sensor.type)
-                if reading is None:
+                if sensor.type in OF_OTHERS:
+                    reach = inf if sensor.range is None else sensor.range
+                    seen.setdefault((sensor.target, reach), []).append((row, _AIMED[sensor.type] + axis))
+                elif reading is None:
                     aimed.setdefault(sensor.target, []).append((row, _AIMED[sensor.type] + axis))
                 else:
                     felt.setdefault((sensor.target, reading), []).append((row, reading.first(sensor.type) + axis))
@@ -182,6 +190,10 @@ class Creature:
         self._aimed: list[tuple[int, slice | list[int], list[int]]] = [
             (self._cubes[part].body, _rows([row for row, _ in wanted]), [number for _, number in wanted])
             for part, wanted in aimed.items()
+        ]
+        self._seen: list[tuple[int, float, slice | list[int], list[int]]] = [
+            (self._cubes[part].body, reach, _rows([row for row, _ in wanted]), [number for _, number in wanted])
+            for (part, reach), wanted in seen.items()
         ]
         self._touch_rows = [row for row, _ in touched]
         self._touch_bodies = [body for _, body in touched]
@@ -209,7 +221,19 @@ class Creature:
             out[self._touch_rows] = simulation.touching(self._touch_bodies)
         if self._aimed:
             self._sense_target(out)
+        if self._seen:
+            self._sense_others(out)
         return out
+
+    def _sense_others(self, out: Array) -> None:
+        for body, reach, rows, picked in self._seen:
+            state = self._simulation.body_state(body)
+            other = self._nearby.nearest(state.position, reach, (self.root,))
+            if other is None:
+                out[rows] = 0.0
+            else:
+                seen = _aim(state, other.position, other.velocity)
+                out[rows] = [seen[i] for i in picked]
 
     def _sense_target(self, out: Array) -> None:
         target, simulation = self.target, self._simulation
@@ -230,8 +254,9 @@ class Creature:
                 out[rows] = [seen[i] for i in picked]
 
 
+_PLACES = {"direction": 0, "distance": 3, "velocity": 4}
 # The place of the first number of each type of sensor in what `_aim` returns.
-_AIMED = {"target_direction": 0, "target_distance": 3, "target_velocity": 4}
+_AIMED = {f"{whose}_{what}": at for whose in ("target", "other") for what, at in _PLACES.items()}
 
 
 def _aim(state: BodyState, place: Vector, motion: Vector) -> tuple[float, ...]:
@@ -325,6 +350,8 @@ class CreatureRows:
             out[:, plan._touch_rows] = rows.touching(plan._touch_bodies)
         if plan._aimed:
             self._sense_targets(out)
+        for _, _, columns, _ in plan._seen:
+            out[:, columns] = 0.0  # each is alone in its scene
         return out
 
     def _sense_targets(self, out: Array) -> None:
@@ -358,11 +385,16 @@ class Creatures:
         self._creatures: dict[str, Creature] = {}
         self._count = 0
         self._version = entities.version
+        self._nearby = Nearby(entities, lambda: [creature.root for creature in self._present().values()])
+
+    def _present(self) -> dict[str, Creature]:
+        if self._version != self._entities.version:
+            self._forget_dissolved()
+        return self._creatures
 
     def names(self) -> list[str]:
         """Returns the names of the creatures in order of creation."""
-        self._forget_dissolved()
-        return list(self._creatures)
+        return list(self._present())
 
     def find(self, name: str) -> Creature:
         """Returns a creature.
@@ -377,9 +409,7 @@ class Creatures:
 
     def get(self, name: str) -> Creature | None:
         """Returns a creature, or None."""
-        if self._version != self._entities.version:
-            self._forget_dissolved()
-        return self._creatures.get(name)
+        return self._present().get(name)
 
     def _forget_dissolved(self) -> None:
         self._creatures = {name: creature for name, creature in self._creatures.items() if creature.whole}
@@ -412,7 +442,7 @@ class Creatures:
             command = _joint_command(joint, name, position)
             joints[joint.id] = entities.joint(entities.connect(command, joint.kind, "joint"))
         self._count = count
-        self._creatures[name] = creature = Creature(entities, name, genome, cubes, joints, target)
+        self._creatures[name] = creature = Creature(entities, name, genome, cubes, joints, target, self._nearby)
         self._version = entities.version
         return creature
 
@@ -440,7 +470,7 @@ class Creatures:
             joints = {part.id: entities.joint(f"{name}.{part.id}") for part in genome.body.joints}
             target = values["target"]
             target = (target[0], target[1], target[2]) if isinstance(target, list) else target
-            self._creatures[name] = Creature(entities, name, genome, cubes, joints, target)
+            self._creatures[name] = Creature(entities, name, genome, cubes, joints, target, self._nearby)
 
     def _taken(self, name: str, body: Body) -> WorldError | None:
         """Returns the error to raise where a name is taken that a creature of this name would need, else None."""

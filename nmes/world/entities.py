@@ -85,6 +85,7 @@ class Entities:
         tick_rate: Ticks per second.
         version: Increases with every change of cubes, joints, frozenness or colours.
         tuned: Increases with every `set_params`.
+        ticks: How often the world has ticked with these.
 
     Raises:
         WorldError: The engine cannot make the config's scene, or does not know its settings.
@@ -92,7 +93,7 @@ class Entities:
 
     def __init__(self, backend: Backend, config: Mapping[str, Any], seed: int, version: int) -> None:
         self.version = version
-        self.tuned = 0
+        self.tuned = self.ticks = 0
         self._reshaped = self._painted = 0
         self._backend = backend
         self._config = config
@@ -117,6 +118,11 @@ class Entities:
     def edits(self) -> int:
         """How often something was done that an engine may compile its model anew for."""
         return self.version + self._reshaped - self._painted
+
+    @property
+    def moment(self) -> tuple[int, int]:
+        """What is another whenever a cube may have come, gone or moved."""
+        return self.ticks, self.edits
 
     # -- snapshots -----------------------------------------------------------------------------------------------
 

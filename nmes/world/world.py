@@ -231,6 +231,7 @@ class World(WorldQueries):
         try:
             simulation.step(self._substeps)
             self._built = self.entities.edits
+            self.entities.ticks += 1
             self.entities.meter.tick()
             self._clients.measure(self.entities)
             digest = b"" if self.journal is None else simulation.digest()  # nobody else is told
