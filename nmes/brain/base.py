@@ -213,6 +213,7 @@ class Kernel(ABC):
     """The running part of one brain or of many; `lead` is the shape in front of its arrays, () or (brains,)."""
 
     open_loop = False
+    _lead: tuple[int, ...] = ()
 
     @abstractmethod
     def reset(self, seeds: Sequence[int], dt: float) -> None:
@@ -226,6 +227,24 @@ class Kernel(ABC):
         """Goes many steps on; returns the outputs (ticks, *lead, motors). Only if `open_loop`."""
         raise ValueError("this brain needs its sensors: only step by step can it be known what it does")
 
+    def memory(self) -> Array:
+        """Returns what it remembers of its steps, (*lead, k): with `recall` it goes on bit for bit."""
+        return np.empty((*self._lead, 0))
+
+    def recall(self, memory: Array) -> None:
+        """Takes up what `memory` of a kernel of the same arrays, seeds and dt returned; after `reset`.
+
+        Raises:
+            ValueError: It is none of this kernel.
+        """
+        if memory.shape != self.memory().shape or not np.isfinite(memory).all():
+            raise ValueError("this is no memory of this brain")
+        self._take_up(memory)
+
+    def _take_up(self, memory: Array) -> None:
+        """Takes up a memory of the right shape, and finite."""
+        return
+
 
 class OpenLoop(Kernel):
     """A kernel that looks at nothing and so computes many steps at once."""
@@ -236,14 +255,37 @@ class OpenLoop(Kernel):
         """Goes to the start."""
         self._block = self._more(0)
         self._next = 0
+        self._begun = self._moment()  # when the block was begun
 
     @abstractmethod
     def _more(self, count: int) -> Array:
         """Computes the next steps' outputs (count, *lead, motors)."""
 
+    @abstractmethod
+    def _moment(self) -> Array:
+        """Returns what the next `_more` follows from, (*lead, k)."""
+
+    @abstractmethod
+    def _go_to(self, moment: Array) -> None:
+        """Goes to where `_moment` was asked."""
+
+    def memory(self) -> Array:
+        """Returns what it remembers: where its block began, and how much of that is done."""
+        begun, done = (self._moment(), 0) if self._next == len(self._block) else (self._begun, self._next)
+        return np.concatenate([begun, np.full((*self._lead, 1), float(done))], axis=-1)
+
+    def _take_up(self, memory: Array) -> None:
+        done = float(memory[..., -1].flat[0])
+        if not (done.is_integer() and 0 <= done < _BLOCK):
+            raise ValueError("this is no memory of this brain")
+        self._begun = memory[..., :-1].copy()
+        self._go_to(self._begun)
+        self._block, self._next = self._more(_BLOCK if done else 0), int(done)
+
     def step(self, inputs: Array) -> Array:
         """Goes one control step on."""
         if self._next == len(self._block):
+            self._begun = self._moment()
             self._block = self._more(_BLOCK)
             self._next = 0
         row: Array = self._block[self._next]
@@ -390,6 +432,18 @@ class Brain(ABC):
             ValueError: The brain is not `open_loop`.
         """
         return self._running().controls(ticks)
+
+    def memory(self) -> Array:
+        """Returns what it remembers of its steps since `reset`, shape (k,): where `recall` goes on bit for bit."""
+        return self._running().memory()
+
+    def recall(self, memory: Array) -> None:
+        """Goes on where `memory` was asked of a brain of the same document; after `reset` with the same seed and dt.
+
+        Raises:
+            ValueError: It is no memory of such a brain.
+        """
+        self._running().recall(memory)
 
     def _running(self) -> Kernel:
         if self._kernel is None:

@@ -200,6 +200,7 @@ class CtrnnKernel(Kernel):
     def __init__(self, owner: Sequence[int], taus: Array, biases: Array, weights: Array, input_weights: Array) -> None:
         """Takes taus, biases (*lead, n), weights (*lead, n, n) and input_weights (*lead, n, inputs)."""
         *lead, n, m = input_weights.shape
+        self._lead = tuple(lead)
         self._taus = taus
         self._biases = biases
         self._drive = np.zeros((*lead, n, m + 1 + n))  # of [inputs, 1, u]
@@ -220,6 +221,15 @@ class CtrnnKernel(Kernel):
         np.subtract(1.0, self._keep, out=self._take)
         np.multiply(0.5, self._biases, out=self._v)
         self._sums[...] = self._v
+        self._fire()
+
+    def memory(self) -> Array:
+        """Returns the neurons' states."""
+        return self._v.copy()
+
+    def _take_up(self, memory: Array) -> None:
+        self._v[...] = memory
+        self._sums[...] = memory
         self._fire()
 
     def step(self, inputs: Array) -> Array:
@@ -289,6 +299,13 @@ class GraphKernel(Kernel):
     def reset(self, seeds: Sequence[int], dt: float) -> None:
         """Goes to the start, at which every node is 0."""
         self._now[...] = 0.0
+
+    def memory(self) -> Array:
+        """Returns what the nodes were in the last step."""
+        return self._now.copy()
+
+    def _take_up(self, memory: Array) -> None:
+        self._now[...] = memory
 
     def step(self, inputs: Array) -> Array:
         """Goes one control step on."""

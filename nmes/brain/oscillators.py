@@ -24,6 +24,7 @@ __all__ = ["CpgBrain", "SineBrain"]
 
 _NUMBERS = ("frequency", "amplitude", "phase", "step", "offset")
 _EDGES = 4096  # links between oscillators at most, once wildcards are resolved
+_MOST_STEPS = 2**53  # that a memory may tell of
 
 
 class _Oscillators:
@@ -62,6 +63,7 @@ class SineKernel(OpenLoop):
         self._amplitude: Array = waves[..., 1, :]
         self._phase: Array = waves[..., 2, :]
         self._offset: Array = waves[..., 3, :]
+        self._lead = self._speed.shape[:-1]
 
     def reset(self, seeds: Sequence[int], dt: float) -> None:
         """Goes to the start."""
@@ -75,6 +77,20 @@ class SineKernel(OpenLoop):
         waves = self._speed * times + self._phase
         each(sin, waves)
         return _kept(self._offset + self._amplitude * waves)
+
+    def _moment(self) -> Array:
+        return np.full((*self._lead, 1), float(self._steps))
+
+    def _go_to(self, moment: Array) -> None:
+        self._steps = _steps_of(moment)
+
+
+def _steps_of(memory: Array) -> int:
+    """Returns the number of steps with which a memory begins; raises ValueError where it is none."""
+    steps = float(memory[..., 0].flat[0])
+    if not (steps.is_integer() and 0.0 <= steps < _MOST_STEPS):
+        raise ValueError("this is no memory of this brain")
+    return int(steps)
 
 
 class SineBrain(Brain):
@@ -158,6 +174,13 @@ class CpgKernel(Kernel):
         weigh(self._onward, self._row, self._after)
         self._phases[...] = self._after
 
+    def _moment(self) -> Array:
+        return np.concatenate([np.full((*self._lead, 1), float(self._steps)), self._phases], axis=-1)
+
+    def _go_to(self, moment: Array) -> None:
+        self._steps = _steps_of(moment)
+        self._phases[...] = moment[..., 1:]
+
     def _grown(self, times: Array) -> Array:
         """Returns how far the amplitudes have grown at some times: 1 - (1 + z) exp(-z), z = convergence t / 2.
 
@@ -207,6 +230,17 @@ class ListeningCpgKernel(CpgKernel):
         self._out: Array = np.empty_like(self._after)
         self._swing = on_each(sin, self._after, self._out)
         self._floor, self._ceiling = np.full(self._n, -1.0), np.full(self._n, 1.0)
+
+    def memory(self) -> Array:
+        """Returns the number of its steps and the phases."""
+        return self._moment()
+
+    def _take_up(self, memory: Array) -> None:
+        self._go_to(memory)
+        done = self._steps % self._AHEAD
+        self._steps -= done
+        self._grow()
+        self._steps += done
 
     def _grow(self) -> None:
         """Computes the amplitudes of this step and those that come next."""

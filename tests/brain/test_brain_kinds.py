@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from brain_documents import DT, MOTORS, SENSORS, Made, brains, examples_of, load
+from brain_documents import DT, MOTORS, SENSORS, Made, bits, brains, examples_of, load
 from nmes.brain import load_brain, stack
 from nmes.errors import DocumentError
 
@@ -466,3 +466,37 @@ def test_only_brains_of_the_same_structure_are_stacked() -> None:
     batch = stack([load(sine("*"))] * 3)
     with pytest.raises(ValueError, match="3 brains and 2 seeds"):
         batch.reset([1, 2], DT)
+
+
+# -- memories ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("done", [0, 1, 63, 64, 65, 130])
+@given(made=brains(), seed=st.integers(0, 2**40))
+@settings(max_examples=20)
+def test_a_brain_goes_on_from_its_memory_bit_for_bit(done: int, made: Made, seed: int) -> None:
+    document, sensors, motors = made
+    readings = np.random.default_rng(seed).normal(size=(done + 70, len(sensors)))
+    first, second = load_brain(document, sensors, motors), load_brain(document, sensors, motors)
+    first.reset(seed, DT)
+    for row in readings[:done]:
+        first.step(row)
+    memory = first.memory()
+    second.reset(seed, DT)
+    second.recall(memory)
+    assert bits(second.memory()) == bits(memory)
+    for row in readings[done:]:
+        assert bits(second.step(row)) == bits(first.step(row))
+    assert bits(second.memory()) == bits(first.memory())
+
+
+@pytest.mark.parametrize("kind", ["sine", "cpg", "ctrnn", "graph"])
+def test_a_memory_that_is_none_is_refused(kind: str) -> None:
+    brain = load(examples_of(kind)[0])
+    brain.reset(0, DT)
+    memory = brain.memory()
+    wrong = [np.append(memory, 0.0), memory[:-1], np.full_like(memory, np.nan)]
+    wrong += [np.full_like(memory, value) for value in (-1.0, 0.5, 2.0**60)] if kind == "sine" else []
+    for other in wrong:
+        with pytest.raises(ValueError, match="no memory"):
+            brain.recall(other)
