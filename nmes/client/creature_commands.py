@@ -12,6 +12,7 @@ from nmes.client.declaration import Vector, command
 from nmes.client.replies import (
     CreatureSpawned,
     Driven,
+    GenomeDocument,
     ObjectiveSet,
     Reward,
     Senses,
@@ -31,10 +32,11 @@ class CreatureCommands:
         position: Vector | None = None,
         name: str | None = None,
         target: Vector | str | None = None,
+        autonomous: bool | None = None,
     ) -> type[CreatureSpawned]:
         """Makes the body of a genome live: its cubes and joints, all of them or none.
 
-        The brain stays outside: whoever runs it senses and drives.
+        The brain stays outside, where whoever runs it senses and drives; or the world runs it.
 
         Args:
             genome: The genome, as schemas/genome.json says.
@@ -44,6 +46,8 @@ class CreatureCommands:
             target: What its sensors of a target are about: a point in m, each number within 1,000,000 m of the origin,
                 or the name of a cube. The cube need not be there yet; as long as it is not, they read 0, as without a
                 target.
+            autonomous: Whether the world runs its brain itself: before each tick it senses and drives. Such a creature
+                takes no drive. Default: False.
 
         Returns:
             CreatureSpawned: The creature is there.
@@ -76,6 +80,23 @@ class CreatureCommands:
             TimeoutError: No reply came in time.
         """
         return Driven
+
+    @command
+    def get_genome(self, creature: str) -> type[GenomeDocument]:
+        """Reads the genome of a creature: what it was made from, or born with.
+
+        Args:
+            creature: The creature.
+
+        Returns:
+            GenomeDocument: The genome of a creature.
+
+        Raises:
+            CommandFailed: The server refused it: `creature_not_found`, `invalid`, `unsupported` or `world_faulted`.
+            Disconnected: The connection was lost.
+            TimeoutError: No reply came in time.
+        """
+        return GenomeDocument
 
     @command
     def sense(self, creature: str) -> type[Senses]:

@@ -92,6 +92,12 @@ class Driven(TypedDict):
     creature: str
 
 
+class GenomeDocument(TypedDict):
+    type: Literal["genome"]
+    creature: str
+    genome: dict[str, Any]
+
+
 class Senses(TypedDict):
     type: Literal["senses"]
     creature: str

@@ -29,6 +29,7 @@ from nmes.protocol import Request
 from nmes.schemas.documents import JsonObject
 from nmes.world import joint_params
 from nmes.world.entities import Cube, Entities, Joint
+from nmes.world.mind import Mind, require_mind
 from nmes.world.nearby import Nearby
 
 __all__ = ["Creature", "CreatureRows", "Creatures"]
@@ -51,6 +52,7 @@ class Creature:
         motors: In the order of controls.
         sensors: In the order of values.
         controls: What it was driven with last, shape (m,); None until it is driven, or since it was restored.
+        mind: Its brain, where the world runs it; None where a client drives it.
     """
 
     def __init__(
@@ -62,10 +64,11 @@ class Creature:
         joints: dict[str, Joint],
         target: Vector | str | None,
         others: Nearby,
+        mind: Mind | None = None,
     ) -> None:
         self._entities, self._simulation, self._nearby = entities, entities.simulation, others
         self.name, self.genome, self.body = name, genome, (body := genome.body)
-        self.target = target
+        self.target, self.mind = target, mind
         self.motors: tuple[Motor, ...] = body.motors
         self.sensors: tuple[Sensor, ...] = body.sensors
         self.controls: Array | None = None
@@ -105,8 +108,13 @@ class Creature:
         )
 
     def accepts(self, controls: ArrayLike) -> bool:
-        """Whether `drive` may be called with this: doubles in a row, of the right shape, and from -1 to 1."""
-        if not isinstance(controls, np.ndarray) or controls.shape != self._shape or controls.dtype != np.float64:
+        """Whether a client may `drive` it with this: doubles in a row, of the right shape, and from -1 to 1."""
+        if (
+            self.mind is not None
+            or not isinstance(controls, np.ndarray)
+            or controls.shape != self._shape
+            or controls.dtype != np.float64
+        ):
             return False
         if not controls.flags.c_contiguous:
             return False
@@ -383,6 +391,7 @@ class Creatures:
     def __init__(self, entities: Entities) -> None:
         self._entities = entities
         self._creatures: dict[str, Creature] = {}
+        self._minds: list[Creature] = []  # those whose brains the world runs
         self._count = 0
         self._version = entities.version
         self._nearby = Nearby(entities, lambda: [creature.root for creature in self._present().values()])
@@ -413,9 +422,33 @@ class Creatures:
 
     def _forget_dissolved(self) -> None:
         self._creatures = {name: creature for name, creature in self._creatures.items() if creature.whole}
+        self._minds = [creature for creature in self._creatures.values() if creature.mind is not None]
         self._version = self._entities.version
 
-    def spawn(self, genome: Genome, position: Vector, name: str | None, target: Vector | str | None = None) -> Creature:
+    def act(self) -> None:
+        """Lets those whose brains the world runs sense and drive, in order of creation."""
+        if self._minds:
+            if self._version != self._entities.version:
+                self._forget_dissolved()
+            for creature in self._minds:
+                assert creature.mind is not None
+                creature.mind.act(creature)
+
+    def memory(self) -> bytes:
+        """Returns what the brains that the world runs remember, as bytes; empty where there are none."""
+        if self._minds and self._version != self._entities.version:
+            self._forget_dissolved()
+        return b"".join(each.mind.memory().tobytes() for each in self._minds if each.mind is not None)
+
+    def spawn(
+        self,
+        genome: Genome,
+        position: Vector,
+        name: str | None,
+        target: Vector | str | None = None,
+        *,
+        autonomous: bool = False,
+    ) -> Creature:
         """Makes a creature from a genome, all of it or nothing.
 
         Args:
@@ -423,9 +456,11 @@ class Creatures:
             position: Where the origin of its document comes to be, m.
             name: Of the creature; its cubes and joints are called `NAME.id`. Drawn from the world's seed if None.
             target: What its target sensors point to: a point (m) or the name of a cube, which need not be there yet.
+            autonomous: Whether the world runs its brain.
 
         Raises:
-            WorldError: The name is taken or too long, the world is full, or the engine lacks what the body needs.
+            WorldError: The name is taken or too long, the world is full, the engine lacks what the body needs, or an
+                autonomous creature has no brain that a world can run.
         """
         self._forget_dissolved()
         entities, body = self._entities, genome.body
@@ -436,15 +471,23 @@ class Creatures:
                 count += 1
             name = drawn
         self._check(body, name)
+        if autonomous:
+            require_mind(genome)
         cubes = {part.id: entities.spawn(_spawn_command(part, name, position)) for part in body.cubes}
         joints = {}
         for joint in body.joints:
             command = _joint_command(joint, name, position)
             joints[joint.id] = entities.joint(entities.connect(command, joint.kind, "joint"))
         self._count = count
-        self._creatures[name] = creature = Creature(entities, name, genome, cubes, joints, target, self._nearby)
-        self._version = entities.version
+        mind = Mind(genome, *self._beginning(cubes)) if autonomous else None
+        nearby = self._nearby
+        self._creatures[name] = creature = Creature(entities, name, genome, cubes, joints, target, nearby, mind)
+        self._forget_dissolved()
         return creature
+
+    def _beginning(self, cubes: dict[str, Cube]) -> tuple[int, int, float]:
+        """Returns what the brain of a creature of these cubes begins with: seed, number, and length of a tick (s)."""
+        return self._entities.seed, next(iter(cubes.values())).body, 1.0 / self._entities.tick_rate
 
     def place(self, body: Body, position: Vector) -> Vector:
         """Returns where the origin of a body comes to be, m: there, or above, so that no part is in the ground."""
@@ -456,7 +499,12 @@ class Creatures:
         """Returns the creatures as plain JSON data; their cubes and joints are part of the entities' snapshot."""
         self._forget_dissolved()
         creatures = [
-            {"name": name, "genome": creature.genome.document, "target": creature.target}
+            {
+                "name": name,
+                "genome": creature.genome.document,
+                "target": creature.target,
+                **({} if creature.mind is None else {"mind": creature.mind.state()}),
+            }
             for name, creature in self._creatures.items()
         ]
         return {"count": self._count, "creatures": creatures}
@@ -470,7 +518,9 @@ class Creatures:
             joints = {part.id: entities.joint(f"{name}.{part.id}") for part in genome.body.joints}
             target = values["target"]
             target = (target[0], target[1], target[2]) if isinstance(target, list) else target
-            self._creatures[name] = Creature(entities, name, genome, cubes, joints, target, self._nearby)
+            mind = Mind(genome, *self._beginning(cubes), values["mind"]) if "mind" in values else None
+            self._creatures[name] = Creature(entities, name, genome, cubes, joints, target, self._nearby, mind)
+        self._forget_dissolved()
 
     def _taken(self, name: str, body: Body) -> WorldError | None:
         """Returns the error to raise where a name is taken that a creature of this name would need, else None."""

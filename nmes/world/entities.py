@@ -76,6 +76,7 @@ class Entities:
         version: The first structure version.
 
     Attributes:
+        seed: The world's.
         cubes: The cubes by name, `joints` likewise, in order of creation. To be read only.
         body_names: The cubes' names by their numbers in the engine, in order of creation.
         simulation: The engine's scene.
@@ -97,7 +98,7 @@ class Entities:
         self._reshaped = self._painted = 0
         self._backend = backend
         self._config = config
-        self._seed = seed
+        self.seed = seed
         self.fields = FieldReader(backend.dims == 2)
         self._groups = scenery.group_numbers(config)
         for capability, path in scenery.needs(config).items():
@@ -538,7 +539,7 @@ class Entities:
 
     def draw(self, prefix: str, count: int) -> str:
         """Draws the name of the `count`-th thing of its kind from the seed."""
-        digits = blake2b(f"{self._seed}:{prefix}:{count}".encode(), digest_size=4).hexdigest()
+        digits = blake2b(f"{self.seed}:{prefix}:{count}".encode(), digest_size=4).hexdigest()
         return f"{prefix}_{count}_{digits}"
 
 

@@ -8,6 +8,7 @@ Invariant: queries never change what happens later.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from hashlib import blake2b
 from typing import Any
 
 from nmes import protocol
@@ -101,8 +102,9 @@ class WorldQueries:
         return 0.0 if self.entities.edits == self._built else rebuild_cost(self.entities)
 
     def digest(self) -> bytes:
-        """Returns the hash of the engine's whole state, 16 bytes."""
-        return self.simulation.digest()
+        """Returns the hash of all that decides the future, 16 bytes: the engine's, with what brains here remember."""
+        digest, memory = self.simulation.digest(), self.all_creatures.memory()
+        return blake2b(digest + memory, digest_size=16).digest() if memory else digest
 
     def cubes(self) -> list[str]:
         """Returns the cubes' names in order of creation."""

@@ -229,12 +229,13 @@ class World(WorldQueries):
             return
         simulation = self.entities.simulation
         try:
+            self.all_creatures.act()
             simulation.step(self._substeps)
             self._built = self.entities.edits
             self.entities.ticks += 1
             self.entities.meter.tick()
             self._clients.measure(self.entities)
-            digest = b"" if self.journal is None else simulation.digest()  # nobody else is told
+            digest = b"" if self.journal is None else self.digest()  # nobody else is told
         except Exception as error:
             self._engine_failed(error)
             return

@@ -49,6 +49,7 @@ REFUSED: dict[str, list[dict[str, Any]]] = {
     ],
     "creature_not_found": [
         {"type": "drive", "creature": "x", "controls": []},
+        {"type": "get_genome", "creature": "x"},
         {"type": "sense", "creature": "x"},
         {"type": "set_objective", "expression": "time", "creature": "x"},
     ],

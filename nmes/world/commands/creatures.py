@@ -32,7 +32,8 @@ def spawn_creature(world: World, client: Client, command: JsonObject) -> JsonObj
         target = (float(target[0]), float(target[1]), float(target[2]))
     asked = world.entities.fields.position((x, y, z))
     position = world.all_creatures.place(genome.body, asked)
-    creature = world.all_creatures.spawn(genome, position, command.get("name"), target)
+    alone = bool(command.get("autonomous"))
+    creature = world.all_creatures.spawn(genome, position, command.get("name"), target, autonomous=alone)
     reply: JsonObject = {
         "type": "creature_spawned",
         "creature": creature.name,
@@ -52,6 +53,8 @@ def _bad_genome(error: DocumentError) -> WorldError:
 def drive(world: World, client: Client, command: JsonObject) -> JsonObject:
     """Sets the targets of all motors of a creature."""
     creature, controls = world.creature(command["creature"]), command["controls"]
+    if creature.mind is not None:
+        raise WorldError("invalid", f"creature: {creature.name!r} is driven by its own brain", "creature")
     motors = len(creature.motors)
     if len(controls) != motors:
         expected = "1 number, for its motor" if motors == 1 else f"{motors} numbers, one a motor"
@@ -67,4 +70,10 @@ def sense(world: World, client: Client, command: JsonObject) -> JsonObject:
     return {"type": "senses", "creature": creature.name, "values": creature.sense()}
 
 
-COMMANDS = {"spawn_creature": spawn_creature, "drive": drive, "sense": sense}
+def get_genome(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Tells the genome of a creature."""
+    creature = world.creature(command["creature"])
+    return {"type": "genome", "creature": creature.name, "genome": creature.genome.document}
+
+
+COMMANDS = {"get_genome": get_genome, "spawn_creature": spawn_creature, "drive": drive, "sense": sense}
