@@ -2,6 +2,17 @@
 
 from __future__ import annotations
 
-from nmes.objective.expression import CUBE_QUANTITIES, FOLDS, FUNCTIONS, QUANTITIES, Condition, Objective, Quantity
+from nmes.objective.expression import FUNCTIONS, Condition, Objective
+from nmes.objective.quantities import CUBE_QUANTITIES, FOLDS, MEETING_QUANTITIES, QUANTITIES, Cast, Quantity
 
-__all__ = ["CUBE_QUANTITIES", "FOLDS", "FUNCTIONS", "QUANTITIES", "Condition", "Objective", "Quantity"]
+__all__ = [
+    "CUBE_QUANTITIES",
+    "FOLDS",
+    "FUNCTIONS",
+    "MEETING_QUANTITIES",
+    "QUANTITIES",
+    "Cast",
+    "Condition",
+    "Objective",
+    "Quantity",
+]

@@ -24,55 +24,11 @@ import numpy as np
 import numpy.typing as npt
 
 from nmes.errors import WorldError
+from nmes.objective.quantities import CUBE_QUANTITIES, FOLDS, QUANTITIES, Cast, Quantity
 
-__all__ = ["CUBE_QUANTITIES", "FOLDS", "FUNCTIONS", "QUANTITIES", "Condition", "Objective", "Quantity"]
+__all__ = ["FUNCTIONS", "Condition", "Objective"]
 
 Array = npt.NDArray[np.float64]
-_AXES = {"x": "along x", "y": "upwards", "z": "along z"}
-
-
-def _vector(name: str, meaning: str, unit: str) -> dict[str, tuple[str, str]]:
-    return {f"{name}.{axis}": (f"{meaning}, {along}", unit) for axis, along in _AXES.items()}
-
-
-# What can be said of one cube as well as of a whole body.
-CUBE_QUANTITIES: Final[Mapping[str, tuple[str, str]]] = {
-    **_vector("position", "where the centre of mass is", "m"),
-    **_vector("displacement", "how far the centre of mass is from where it was at the start", "m"),
-    "displacement.horizontal": ("the same over the ground: the length of its x and z", "m"),
-    **_vector("velocity", "velocity of the centre of mass", "m/s"),
-    "speed": ("length of that velocity", "m/s"),
-    "distance": ("from the centre of mass to the target; without one, to where it was at the start", "m"),
-    "height": ("y of the centre of mass: how high it is above y = 0", "m"),
-    "lowest": ("y of the lowest point of any of its cubes", "m"),
-    "highest": ("y of the highest point of any of its cubes", "m"),
-    "reach": ("from the centre of mass to the farthest point of any of its cubes", "m"),
-    "uprightness": ("cosine of the angle between the first cube's own y axis and up: 1 upright, -1 upside down", ""),
-    "contacts": ("how many of its cubes touch something that is not one of them", ""),
-}
-"""What may be asked of a cube, `cube("id").height`: each name with its meaning and unit."""
-
-QUANTITIES: Final[Mapping[str, tuple[str, str]]] = {
-    **CUBE_QUANTITIES,
-    "time": ("since the start", "s"),
-    "time_upright": ("time so far in which uprightness was at least 0.5, which is 60 degrees from upright", "s"),
-    "energy": (
-        "work of its motors since the start: the size of effort times velocity, over time",
-        "J",
-    ),
-    "cubes": ("how many cubes it has", ""),
-    "mass": ("of all its cubes", "kg"),
-}
-"""What an expression may name: each name with its meaning and unit."""
-
-FOLDS: Final[Mapping[str, str]] = {
-    "final": "at the end, as without a word before it",
-    "start": "at the start",
-    "min": "the least of the episode, its start included",
-    "max": "the greatest of the episode, its start included",
-    "mean": "the mean over the episode, its start included",
-}
-"""What may stand before a quantity, `max.height`."""
 
 
 def _total(function: Callable[[float], float], beyond: float) -> Callable[[float], float]:
@@ -195,33 +151,18 @@ class _Value:
     slot: int
 
 
-@dataclass(frozen=True, slots=True)
-class Quantity:
-    """One thing that an expression names.
-
-    Attributes:
-        name: Of `QUANTITIES`, or, where there is a cube, of `CUBE_QUANTITIES`.
-        cube: The cube's id, or None for the whole body.
-        fold: Of `FOLDS`: what is made of its values over the episode.
-    """
-
-    name: str
-    cube: str | None = None
-    fold: str = "final"
-
-    def __str__(self) -> str:
-        """Returns it as an expression names it."""
-        fold = "" if self.fold == "final" else f"{self.fold}."
-        return fold + ("" if self.cube is None else f'cube("{self.cube}").') + self.name
-
-
 class _Expression:
     """An expression that was read and compiled."""
 
     _kind: _Kind
 
     def __init__(
-        self, text: str, path: str = "expression", *, names: Mapping[str, tuple[str, str]] | None = None
+        self,
+        text: str,
+        path: str = "expression",
+        *,
+        names: Mapping[str, tuple[str, str]] | None = None,
+        cast: Cast | None = None,
     ) -> None:
         """Reads an expression.
 
@@ -230,13 +171,14 @@ class _Expression:
             path: The field to blame.
             names: What it may name instead of the quantities of a trajectory: each with its meaning and unit. These
                 are what they are once and for all: nothing stands before them, and they are of no cube.
+            cast: Of a task with roles, one of which stands before each quantity; None elsewhere.
 
         Raises:
             WorldError: `bad_expression`, with line and column of the mistake.
         """
         self.text = text
         self._path = path
-        reader = _Reader(text, path, names)
+        reader = _Reader(text, path, names, cast)
         self._result = reader.read(self._kind)
         self.needs: tuple[Quantity, ...] = tuple(reader.needs)
         """What it needs to know, in order of first use."""
@@ -326,8 +268,8 @@ class _Reader:
             sides of a choice are computed, and nothing but this order is left of how deep the expression was nested.
     """
 
-    def __init__(self, text: str, path: str, names: Mapping[str, object] | None) -> None:
-        self._text, self._path, self._names = text, path, names
+    def __init__(self, text: str, path: str, names: Mapping[str, object] | None, cast: Cast | None) -> None:
+        self._text, self._path, self._names, self._cast = text, path, names, cast
         self.needs: dict[Quantity, int] = {}
         self.slots: list[float | bool] = []
         self.steps: list[tuple[int, Callable[..., Any], tuple[int, ...]]] = []
@@ -533,16 +475,25 @@ class _Reader:
         return self._apply("number", _FUNCTIONS[name.text], *arguments)
 
     def _quantity(self) -> Quantity:
-        """Reads `height`, `displacement.x`, `max.speed`, `min.cube("id").position.y`."""
-        fold, cube, words = "final", None, list[_Token]()
+        """Reads `height`, `displacement.x`, `max.speed`, `min.cube("id").position.y`, `max.prey.height`."""
+        fold, role, cube = "final", None, None
         first = self._token
         if first.text in FOLDS:
             fold = self._take().text
             if not self._is("."):
                 self._refuse(first.at, f"{fold} of what? It goes before a quantity: {fold}.height")
             self._take()
+        if self._cast is not None:
+            role = self._role(self._cast)
         if self._token.text == "cube" and self._tokens[self._next + 1].text == "(":
             cube = self._cube()
+        elif self._cast is not None and role is None:
+            return Quantity(self._time(self._cast), fold=fold)
+        whole = QUANTITIES if self._cast is None or role is None else self._cast.quantities(role)
+        return Quantity(self._quantity_name(whole if cube is None else CUBE_QUANTITIES, cube, whole), cube, fold, role)
+
+    def _quantity_name(self, known: Mapping[str, object], cube: str | None, whole: Mapping[str, object]) -> str:
+        words = list[_Token]()
         while True:
             if self._token.kind != "name":
                 self._refuse(self._token.at, f"expected the name of a quantity, found {self._here()}")
@@ -551,17 +502,33 @@ class _Reader:
                 break
             self._take()
         name = ".".join(word.text for word in words)
-        known = QUANTITIES if cube is None else CUBE_QUANTITIES
         if name not in known:
             parts = [other for other in known if other.startswith(f"{name}.")]
             if parts:
-                message = f"{name} is a vector; take {', '.join(parts[:-1])} or {parts[-1]}"
-            elif name in QUANTITIES:
+                what = "a vector" if name in _VECTORS else "of several"
+                message = f"{name} is {what}; take {' or '.join(filter(None, [', '.join(parts[:-1]), parts[-1]]))}"
+            elif cube is not None and name in whole:
                 message = f"there is {name} of the whole only, not of one cube"
             else:
                 message = f"there is no quantity {_clip(name)!r}{_near(name, known)}"
             self._refuse(words[0].at, message)
-        return Quantity(name, cube, fold)
+        return name
+
+    def _role(self, cast: Cast) -> str | None:
+        """Reads the role that a quantity is of, and the point after it, if one is named."""
+        if self._token.kind != "name" or self._token.text not in cast.roles or self._tokens[self._next + 1].text != ".":
+            return None
+        role = self._take().text
+        self._take()
+        return role
+
+    def _time(self, cast: Cast) -> str:
+        """Reads `time`, the one quantity that is of no role and no prop."""
+        word = self._token
+        if word.text != "time":
+            example = f"one of {', '.join(cast.roles)} goes before a quantity, as in {cast.roles[0]}.height"
+            self._refuse(word.at, f"expected a role, found {self._here()}: {example}")
+        return self._take().text
 
     def _other(self, names: Mapping[str, object]) -> Quantity:
         """Reads one of the names that are given instead of a trajectory's."""
@@ -582,6 +549,9 @@ class _Reader:
                 self._refuse(self._token.at, f"expected {mark!r} {why}, found {self._here()}")
             self._take()
         return token.text[1:-1]
+
+
+_VECTORS = {name.rpartition(".")[0] for name in QUANTITIES if "." in name}
 
 
 def _clip(name: str) -> str:

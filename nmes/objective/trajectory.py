@@ -11,6 +11,7 @@ changes no bit.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -22,13 +23,15 @@ import numpy.typing as npt
 
 from nmes.backend import Array, Contact
 from nmes.errors import WorldError
-from nmes.objective.expression import Condition, Objective, Quantity
+from nmes.objective.expression import Condition, Objective
+from nmes.objective.quantities import Quantity
 
 __all__ = [
     "UPRIGHT",
     "Flags",
     "ObservedBodies",
     "QuantityRows",
+    "Rows",
     "RunningQuantities",
     "Trajectory",
     "beyond",
@@ -75,7 +78,87 @@ class ObservedBodies:
         return slice(column, column + 1)
 
 
-class Trajectory:
+class Rows(ABC):
+    """What the quantities are row by row, and what becomes of them over the rows.
+
+    Attributes:
+        rows: How many rows are written.
+    """
+
+    rows: int
+
+    @abstractmethod
+    def series(self, quantity: Quantity, begin: int = 0, end: int | None = None) -> Array:
+        """Returns a quantity row by row, array (end - begin,), whatever its fold.
+
+        Args:
+            quantity: What is asked.
+            begin: The first row.
+            end: The row after the last, or None for all that are written.
+        """
+
+    def values(self, quantities: Iterable[Quantity]) -> dict[Quantity, float]:
+        """Returns the values of quantities over all rows that are written."""
+        return {quantity: self._fold(quantity) for quantity in quantities}
+
+    def _fold(self, quantity: Quantity) -> float:
+        if quantity.fold in ("start", "final"):
+            row = 0 if quantity.fold == "start" else self.rows - 1
+            return float(self.series(quantity, row, row + 1)[0])
+        series = self.series(quantity)
+        if quantity.fold == "mean":
+            return float(np.add.accumulate(series)[-1] / len(series))
+        return float(series.min() if quantity.fold == "min" else series.max())
+
+    def value(self, objective: Objective) -> float:
+        """Returns an objective's value over all rows that are written.
+
+        Raises:
+            WorldError: `bad_expression`: it is no finite number.
+        """
+        return objective.value(self.values(objective.needs))
+
+    def values_so_far(self, objective: Objective) -> Array:
+        """Returns an objective's value at each row, over the rows up to there, array (rows,); NaN: no finite number."""
+        columns = [self._so_far(quantity, 0, self.rows).tolist() for quantity in objective.needs]
+        scores = np.full(self.rows, np.nan)
+        for row in range(self.rows):
+            values = dict(zip(objective.needs, [column[row] for column in columns], strict=True))
+            with suppress(WorldError):
+                scores[row] = objective.value(values)
+        return scores
+
+    def first(self, condition: Condition, begin: int, end: int) -> int | None:
+        """Returns the first row at which a condition holds.
+
+        Args:
+            condition: It sees the episode as it was at that row; folds are over the rows up to there.
+            begin: The first row to look at.
+            end: The row after the last.
+        """
+        if begin >= end:
+            return None
+        columns = [self._so_far(quantity, begin, end).tolist() for quantity in condition.needs]
+        rows = zip(*columns, strict=True) if columns else ((),) * (end - begin)
+        for row, values in enumerate(rows, begin):
+            if condition.holds(dict(zip(condition.needs, values, strict=True))):
+                return row
+        return None
+
+    def _so_far(self, quantity: Quantity, begin: int, end: int) -> Array:
+        if quantity.fold == "final":
+            return self.series(quantity, begin, end)
+        if quantity.fold == "start":
+            return np.repeat(self.series(quantity, 0, 1), end - begin)
+        series = self.series(quantity, 0, end)
+        if quantity.fold == "mean":
+            folded = np.add.accumulate(series) / np.arange(1, len(series) + 1)
+        else:
+            folded = (np.minimum if quantity.fold == "min" else np.maximum).accumulate(series)
+        return folded[begin:]
+
+
+class Trajectory(Rows):
     """The states, motor work and contacts of an episode, row by row.
 
     Whoever runs the episode writes the rows into the arrays and sets `rows`; nothing is computed until it is asked for.
@@ -117,13 +200,7 @@ class Trajectory:
             self.work[begin : begin + len(sums)] = sums / self.bodies.tick_rate
 
     def series(self, quantity: Quantity, begin: int = 0, end: int | None = None) -> Array:
-        """Returns a quantity row by row, array (end - begin,), whatever its fold.
-
-        Args:
-            quantity: What is asked.
-            begin: The first row.
-            end: The row after the last, or None for all that are written.
-        """
+        """As `Rows.series`."""
         end = self.rows if end is None else end
         if quantity.name == "time_upright":
             upright = self.series(Quantity("uprightness"), 1, end) >= UPRIGHT
@@ -133,19 +210,6 @@ class Trajectory:
         block = _Block(self.bodies, self.states[:1], self.bodies.target, begin, *rows)
         return block.series(quantity)
 
-    def values(self, quantities: Iterable[Quantity]) -> dict[Quantity, float]:
-        """Returns the values of quantities over all rows that are written."""
-        return {quantity: self._fold(quantity) for quantity in quantities}
-
-    def _fold(self, quantity: Quantity) -> float:
-        if quantity.fold in ("start", "final"):
-            row = 0 if quantity.fold == "start" else self.rows - 1
-            return float(self.series(quantity, row, row + 1)[0])
-        series = self.series(quantity)
-        if quantity.fold == "mean":
-            return float(np.add.accumulate(series)[-1] / len(series))
-        return float(series.min() if quantity.fold == "min" else series.max())
-
     def duty(self) -> float:
         """Returns the duty factor of whatever the body goes on, from 0 to 1.
 
@@ -153,41 +217,6 @@ class Trajectory:
         and of these parts the mean; 0 where none does. What a leg's duty factor is in works on gaits, of all feet.
         """
         return duty_of(self.touches[1 : self.rows, : self.bodies.body, 1].sum(axis=0).tolist(), self.rows - 1)
-
-    def value(self, objective: Objective) -> float:
-        """Returns an objective's value over all rows that are written.
-
-        Raises:
-            WorldError: `bad_expression`: it is no finite number.
-        """
-        return objective.value(self.values(objective.needs))
-
-    def values_so_far(self, objective: Objective) -> Array:
-        """Returns an objective's value at each row, over the rows up to there, array (rows,); NaN: no finite number."""
-        columns = [self._so_far(quantity, 0, self.rows).tolist() for quantity in objective.needs]
-        scores = np.full(self.rows, np.nan)
-        for row in range(self.rows):
-            values = dict(zip(objective.needs, [column[row] for column in columns], strict=True))
-            with suppress(WorldError):
-                scores[row] = objective.value(values)
-        return scores
-
-    def first(self, condition: Condition, begin: int, end: int) -> int | None:
-        """Returns the first row at which a condition holds.
-
-        Args:
-            condition: It sees the episode as it was at that row; folds are over the rows up to there.
-            begin: The first row to look at.
-            end: The row after the last.
-        """
-        if begin >= end:
-            return None
-        columns = [self._so_far(quantity, begin, end).tolist() for quantity in condition.needs]
-        rows = zip(*columns, strict=True) if columns else ((),) * (end - begin)
-        for row, values in enumerate(rows, begin):
-            if condition.holds(dict(zip(condition.needs, values, strict=True))):
-                return row
-        return None
 
     def first_beyond(self, begin: int, end: int, *, energy: float, speed: float, spin: float) -> tuple[int, str] | None:
         """Returns the first row at which the body is beyond a limit, and which: energy before speed before spin.
@@ -204,18 +233,6 @@ class Trajectory:
         )
         rows = [(begin + int(flags.argmax()), name) for name, flags in flagged.items() if flags.any()]
         return min(rows, key=lambda row: row[0], default=None)
-
-    def _so_far(self, quantity: Quantity, begin: int, end: int) -> Array:
-        if quantity.fold == "final":
-            return self.series(quantity, begin, end)
-        if quantity.fold == "start":
-            return np.repeat(self.series(quantity, 0, 1), end - begin)
-        series = self.series(quantity, 0, end)
-        if quantity.fold == "mean":
-            folded = np.add.accumulate(series) / np.arange(1, len(series) + 1)
-        else:
-            folded = (np.minimum if quantity.fold == "min" else np.maximum).accumulate(series)
-        return folded[begin:]
 
 
 class RunningQuantities:
