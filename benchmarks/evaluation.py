@@ -23,7 +23,6 @@ import orjson
 from measure import Figure, in_turns, ratio, summary
 from nmes import protocol
 from nmes.evaluation import Episode, Evaluator, Job, Task, brain_of, evaluate
-from nmes.evaluation.task import CREATURE
 from nmes.genome import Genome
 from nmes.world import World
 
@@ -91,8 +90,8 @@ class Bare:
             elif isinstance(step, bytes):
                 world.handle(client, protocol.parse(step))
             else:
-                assert isinstance(step, np.ndarray)
-                world.drive(client, CREATURE, step)
+                assert isinstance(step.controls, np.ndarray)
+                world.drive(client, step.creature, step.controls)
         self.controls = np.array(controls)
         self.data = mujoco.MjData(self.model)
 

@@ -6,6 +6,9 @@ from nmes.evaluation.environments import Environments
 from nmes.evaluation.episode import Episode, Result, brain_of
 from nmes.evaluation.evaluation import Evaluation
 from nmes.evaluation.evaluator import Evaluator, Job, evaluate
+from nmes.evaluation.match import Match, MatchResult, play
+from nmes.evaluation.match_proof import MatchProof, prove_match
+from nmes.evaluation.match_task import MatchTask
 from nmes.evaluation.parallel import Workers
 from nmes.evaluation.proof import Course, Proof, prove, retrace, scores_so_far
 from nmes.evaluation.task import Task
@@ -19,13 +22,19 @@ __all__ = [
     "Evaluator",
     "Job",
     "Limits",
+    "Match",
+    "MatchProof",
+    "MatchResult",
+    "MatchTask",
     "Proof",
     "Result",
     "Task",
     "Workers",
     "brain_of",
     "evaluate",
+    "play",
     "prove",
+    "prove_match",
     "retrace",
     "scores_so_far",
 ]

@@ -84,18 +84,23 @@ class Balance:
             powers: Mean power of each motor in the tick of each row, and its mean size, shape (k, 2, m), W.
             positions: Of the joints with springs, shape (k, s), rad or m.
         """
-        rate = self.bodies.tick_rate
-        sums = _sums(powers)
-        sums[0] = 0.0  # what they gave before the start
-        work, effort = np.add.accumulate(sums, axis=0).T / rate
-        held = _highest(self.energy(states, positions) - work, self.moment)
-        gain = held - np.minimum.accumulate(held)
-        allowed = PART * effort + self.rise
+        gain, allowed = self.gains(states, powers, positions)
         broken = np.flatnonzero(~(gain <= allowed))
         if not len(broken):
             return None
         row = int(broken[0])
-        return Excess(row / rate, float(gain[row]), float(allowed[row]))
+        return Excess(row / self.bodies.tick_rate, float(gain[row]), float(allowed[row]))
+
+    def gains(self, states: Array, powers: Array, positions: Array) -> tuple[Array, Array]:
+        """Returns what the body had gained beyond its motors' work at each row, and what it may, each (k,), J.
+
+        The arguments are those of `excess`.
+        """
+        sums = _sums(powers)
+        sums[0] = 0.0  # what they gave before the start
+        work, effort = np.add.accumulate(sums, axis=0).T / self.bodies.tick_rate
+        held = _highest(self.energy(states, positions) - work, self.moment)
+        return held - np.minimum.accumulate(held), PART * effort + self.rise
 
     @property
     def moment(self) -> int:

@@ -26,7 +26,7 @@ from nmes.backend.arrays import ArrayLike
 from nmes.errors import WorldError
 from nmes.evaluation.driven import DrivenWorld, EngineRows, Scene
 from nmes.evaluation.episode import Result
-from nmes.evaluation.evaluator import recorded
+from nmes.evaluation.evaluator import episode_metadata, recorded
 from nmes.evaluation.judging import JudgeRows
 from nmes.evaluation.progress import read_reward
 from nmes.evaluation.seeding import RowSeeds, check_actions, read_seeds
@@ -217,7 +217,7 @@ class Environments:
             rate, task = self.task.tick_rate, self.task
             rest = min(-(-ticks // rate) * rate, task.ticks) - ticks
             actions = np.concatenate([actions, np.repeat(actions[-1:], rest, axis=0)])
-        with recorded(self.genome, self.task, scene.start.seed, Path(path)) as journal:
+        with recorded(Path(path), episode_metadata(self.genome, self.task, scene.start.seed)) as journal:
             world = DrivenWorld(self.genome, self.task, scene.start.seed, journal)
             try:
                 for action in actions:

@@ -6,10 +6,8 @@ world's ordinary inputs, so that the recording of an episode replays like any ot
 
 from __future__ import annotations
 
-import math
-from collections.abc import Generator, Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from enum import Enum
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -19,16 +17,15 @@ from nmes.backend import Array, Row
 from nmes.brain import Brain
 from nmes.errors import WorldError
 from nmes.evaluation.balance import Balance, Excess
+from nmes.evaluation.steps import ANY_CONTROLS, Drive, Step, perform, settle
 from nmes.evaluation.task import ALONE, CREATURE, Place, Task
 from nmes.genome import Genome
-from nmes.genome.body import Body
 from nmes.objective import Quantity
 from nmes.objective.trajectory import Flags, ObservedBodies, Trajectory
 from nmes.world import World
 from nmes.world.creature import Creature
 
 __all__ = [
-    "ANY_CONTROLS",
     "MEASURED",
     "METADATA",
     "Entrant",
@@ -36,9 +33,7 @@ __all__ = [
     "Handover",
     "Judge",
     "Observer",
-    "Rest",
     "Result",
-    "Step",
     "Watched",
     "brain_of",
     "result_of",
@@ -47,8 +42,6 @@ __all__ = [
 
 METADATA: Final = "nmes.evaluation"
 """The metadata record of an episode's recording: its `task`, the `genome`'s hash and its `seed`."""
-_REST_TIME = 0.25  # s
-_REST_SPEED = 0.05  # of the body's size in a second: in a whole episode it would not come farther than that size
 _ENERGY, _DISTANCE = Quantity("energy"), Quantity("displacement.horizontal")
 MEASURED: Final = (_ENERGY, _DISTANCE)
 """What each result tells besides the score."""
@@ -83,16 +76,6 @@ class Result:
     def to_json(self) -> dict[str, Any]:
         """Returns the fields as plain data, `duty` only where it was asked for."""
         return {name: value for name, value in asdict(self).items() if name != "duty" or value is not None}
-
-
-class _AnyControls(Enum):
-    ANY_CONTROLS = "any controls"
-
-
-ANY_CONTROLS: Final = _AnyControls.ANY_CONTROLS
-"""A step that drives the creature, with whatever controls."""
-Step = bytes | Array | _AnyControls | None
-"""What comes next: a command, controls to drive the creature with (or any at all), or a tick."""
 
 
 def brain_of(genome: Genome) -> Brain | None:
@@ -149,22 +132,11 @@ class Episode:
         return self.result()
 
     def _go(self) -> None:
-        world = self._world
-        client = world.join()
-        drive, tick = world.drive, world.tick
-        for step in self.steps():
-            if step is None:
-                tick()
-            elif isinstance(step, np.ndarray):
-                drive(client, CREATURE, step)
-            else:
-                assert isinstance(step, bytes)
-                reply = protocol.decode(world.handle(client, protocol.parse(step)))
-                if reply["type"] == "error":
-                    raise WorldError(reply["code"], reply["message"], reply.get("field"))
-        world.leave(client)
+        client = self._world.join()
+        perform(self._world, client, self.steps())
+        self._world.leave(client)
 
-    def steps(self) -> Iterator[Step]:
+    def steps(self) -> Generator[Step, None, None]:
         """Yields the episode's steps; each must be done before the next is asked for."""
         yield from self._set_scene()
         observer, world, brain = self._observer, self._world, self._brain
@@ -183,14 +155,14 @@ class Episode:
             if self._leaves and tick and self._leave(tick):
                 return
             if controls is not None:
-                yield controls[tick]
+                yield Drive(CREATURE, controls[tick])
             elif brain is not None:
                 sensed = sense()
                 if self._leaves:
                     self._sensed.append(sensed)
-                yield brain.step(sensed)
+                yield Drive(CREATURE, brain.step(sensed))
             elif self._logged:
-                yield ANY_CONTROLS
+                yield Drive(CREATURE, ANY_CONTROLS, "brain" not in self._genome.document)
             yield None
             if world.fault is not None:
                 self._ended = observer.look()
@@ -227,7 +199,7 @@ class Episode:
         self._observer.look()
         return self._observer.creature, self._observer.watched, self._observer.judge
 
-    def _set_scene(self) -> Iterator[Step]:
+    def _set_scene(self) -> Generator[Step, None, None]:
         """Yields the steps before the start; makes the observer, unless the creature does not come to rest."""
         observers, restless = yield from set_scene(self._world, self._task, self._seed, [Entrant(self._genome)])
         self._restless = restless.get(CREATURE)
@@ -314,76 +286,22 @@ def set_scene(
         Who observes each of them; nobody where the world faulted, or where creatures never came to rest. These are told
         by name, with the reason.
     """
-    for entrant in entrants:
-        for command in task.entry(seed, entrant.genome.document, entrant.genome.body, entrant.place):
-            yield protocol.encode(command)
-    creatures = [world.creature(entrant.place.creature) for entrant in entrants]
-    rests = [Rest(creature.body, task) for creature in creatures]
-    tracks = [
-        world.track([creature.cubes[cube.id] for cube in creature.body.cubes], [], [], task.settle_limit_ticks)
-        for creature in creatures
+    names = [entrant.place.creature for entrant in entrants]
+    commands = [
+        command
+        for entrant in entrants
+        for command in task.entry(seed, entrant.genome.document, entrant.genome.body, entrant.place)
     ]
-    looked = 0  # rows
-    while world.frame < task.settle_ticks or not all(rest.reached for rest in rests):
-        if world.frame == task.settle_limit_ticks:
-            late = zip(creatures, rests, strict=True)
-            return [], {creature.name: rest.why(world.frame) for creature, rest in late if not rest.reached}
-        yield None
-        if world.fault is not None:
-            return [], {}
-        for track in tracks:
-            track.note()
-        if world.frame >= task.settle_ticks:  # the ticks before are looked at all at once
-            for rest, track in zip(rests, tracks, strict=True):
-                rest.look(track.states(looked, track.rows))
-            looked = tracks[0].rows
-    for entrant, rest in zip(entrants, rests, strict=True):
+    rests = yield from settle(world, task, names, commands)
+    if world.fault is not None:
+        return [], {}
+    late = {name: rest.why(world.frame) for name, rest in rests.items() if not rest.reached}
+    if late:
+        return [], late
+    for entrant, rest in zip(entrants, rests.values(), strict=True):
         for command in task.props(seed, entrant.genome.body, rest.states[0], entrant.place):
             yield protocol.encode(command)
-    return [Observer(world, creature, task, seed, e.place) for creature, e in zip(creatures, entrants, strict=True)], {}
-
-
-class Rest:
-    """Tells when a creature is at rest: for a while none of its corners was faster than a part of its size a second.
-
-    Args:
-        body: The creature's, which has just been set down.
-        task: The task.
-
-    Attributes:
-        states: Of its cubes when it was looked at last, array (n, 13) as `Simulation.states` has them.
-        speed: Of the fastest corner, when one was too fast last, m/s.
-    """
-
-    def __init__(self, body: Body, task: Task) -> None:
-        self._arms = np.array([math.hypot(*cube.size) / 2.0 for cube in body.cubes])
-        low, high = body.bounds
-        self._limit = _REST_SPEED * max(b - a for a, b in zip(low, high, strict=True))
-        self._rate, self._still = task.tick_rate, 0
-        self._ticks = max(1, round(_REST_TIME * task.tick_rate))
-        self.states: Array = np.zeros((len(body.cubes), 13))
-        self.speed = 0.0
-
-    @property
-    def reached(self) -> bool:
-        """Whether it has been at rest for long enough."""
-        return self._still >= self._ticks
-
-    def why(self, ticks: int) -> str:
-        """Returns, where it is not at rest after so many ticks, why, in words."""
-        return f"restless: not yet at rest after {ticks / self._rate:g} s: a corner moved at {self.speed:.2g} m/s"
-
-    def look(self, states: Array) -> None:
-        """Takes the states of the tick that has just ended, array (n, 13), or of several, array (ticks, n, 13)."""
-        ticks = states.reshape(-1, len(self._arms), 13)
-        self.states = ticks[-1]
-        squares = ticks[:, :, 7:13] * ticks[:, :, 7:13]
-        speeds, spins = (np.sqrt(squares[:, :, i] + squares[:, :, i + 1] + squares[:, :, i + 2]) for i in (0, 3))
-        for speed in (speeds + spins * self._arms).max(axis=1).tolist():
-            if speed <= self._limit:
-                self._still += 1
-            else:
-                self._still, self.speed = 0, speed
+    return [Observer(world, world.creature(e.place.creature), task, seed, e.place) for e in entrants], {}
 
 
 class Observer:

@@ -18,7 +18,7 @@ import re
 import secrets
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -46,7 +46,7 @@ from nmes.recording import Recorder
 from nmes.schemas.documents import write_json
 from nmes.world import World
 
-__all__ = ["Evaluator", "Job", "evaluate", "evaluate_portion", "recorded"]
+__all__ = ["Evaluator", "Job", "episode_metadata", "evaluate", "evaluate_portion", "file_name", "recorded"]
 
 _POSE_RATE: Final = 1.0  # Hz; pictures for viewers cost as much as all else that is recorded, and follow from it
 
@@ -93,7 +93,7 @@ def evaluate(
         for seed in chosen:
             run = partial(run_alone, genome, brain, task, seed)
             if record is not None:
-                place = f"{_plain(genome.name)}-{genome.hash[:16]}-{task.name}-{task.hash[:16]}-{seed}.mcap"
+                place = f"{file_name(genome.name)}-{genome.hash[:16]}-{task.name}-{task.hash[:16]}-{seed}.mcap"
                 run = partial(recorded, brain, seed, Path(record, place))
             results.append(guarded(run, seed))
     except RecordingError:
@@ -104,13 +104,13 @@ def evaluate(
     return Evaluation(*names, tuple(results), error, tuple(recordings), time.perf_counter() - begin)
 
 
-def _plain(name: str) -> str:
+def file_name(name: str) -> str:
     """Returns a name as a part of a file's name."""
     return re.sub(r"[^A-Za-z0-9_]+", "-", name).strip("-").lower()[:40] or "genome"
 
 
 def _recorded(genome: Genome, brain: Brain | None, task: Task, seed: int, path: Path) -> Result:
-    with recorded(genome, task, seed, path) as journal:
+    with recorded(path, episode_metadata(genome, task, seed)) as journal:
         world = World(task.world_config(seed))
         world.journal = journal(world)
         try:
@@ -122,26 +122,28 @@ def _recorded(genome: Genome, brain: Brain | None, task: Task, seed: int, path: 
     return result
 
 
+def episode_metadata(genome: Genome, task: Task, seed: int) -> dict[str, dict[str, str]]:
+    """Returns the metadata records of an episode's recording."""
+    return {METADATA: {"task": protocol.encode(task.document).decode(), "genome": genome.hash, "seed": str(seed)}}
+
+
 @contextmanager
-def recorded(genome: Genome, task: Task, seed: int, path: Path) -> Iterator[Callable[[World], Recorder]]:
+def recorded(path: Path, about: Mapping[str, Mapping[str, str]]) -> Iterator[Callable[[World], Recorder]]:
     """Gives what makes the journal of an episode's world, which is a recording once all has gone well.
 
     Args:
-        genome: The creature.
-        task: What it is asked to do.
-        seed: The episode's.
         path: The file; one that is there is replaced when the new one is whole.
+        about: Its metadata records.
 
     Raises:
         RecordingError: It cannot be written.
     """
     # So that what has the name of a recording is one; and that of two who make it none takes the other's away.
     part = path.with_suffix(f".{secrets.token_hex(8)}.part")
-    about = {"task": protocol.encode(task.document).decode(), "genome": genome.hash, "seed": str(seed)}
     recorders: list[Recorder] = []
 
     def journal(world: World) -> Recorder:
-        recorders.append(Recorder(part, world, pose_rate=_POSE_RATE, about={METADATA: about}))
+        recorders.append(Recorder(part, world, pose_rate=_POSE_RATE, about=about))
         return recorders[-1]
 
     try:

@@ -23,7 +23,9 @@ import numpy as np
 import orjson
 
 from nmes.brain.base import Brain, Findings
-from nmes.evaluation.task import SHIPPED, Task
+from nmes.evaluation.match_task import MatchTask
+from nmes.evaluation.setting import MATCHES, SHIPPED
+from nmes.evaluation.task import Task
 from nmes.genome import Genome
 from nmes.genome.body import Body, BodyJoint
 from nmes.schemas.documents import parse_document
@@ -145,8 +147,15 @@ def shipped_task(name: str) -> Task:
 
 
 def shipped_hash(task: str) -> str | None:
-    """Returns the hash of the task of that name that ships with the package; None if there is none."""
+    """Returns the hash of the task of that name that ships with the package, with roles or without; None: none does."""
+    if task in MATCHES.names():
+        return _shipped_match(task).hash
     return shipped_task(task).hash if task in Task.names() else None
+
+
+@cache
+def _shipped_match(name: str) -> MatchTask:
+    return MatchTask(parse_document((files(MATCHES.package) / MATCHES.folder / f"{name}.json").read_bytes()))
 
 
 def borrows_name(task: str, task_hash: str) -> bool:

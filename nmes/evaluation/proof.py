@@ -8,29 +8,52 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from hashlib import file_digest
 from itertools import chain, islice
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 
 from nmes import protocol
 from nmes.backend import Array
 from nmes.errors import ProofError, RecordingError, WorldError
-from nmes.evaluation.episode import ANY_CONTROLS, METADATA, Episode, Result, Step, brain_of
+from nmes.evaluation.episode import METADATA, Episode, Result, brain_of
+from nmes.evaluation.match_task import METADATA as MATCH
+from nmes.evaluation.steps import ANY_CONTROLS, Drive, Step
 from nmes.evaluation.task import CREATURE, Task
 from nmes.genome import Genome
 from nmes.playback import replay
 from nmes.playback.report import fingerprint_differences
 from nmes.protocol import Request
 from nmes.recording import Kind, Recording
-from nmes.schemas.documents import parse_document
+from nmes.schemas.documents import JsonObject, parse_document
 from nmes.world import World
 
-__all__ = ["Course", "Proof", "prove", "recorded_episode", "recorded_genome", "retrace", "scores_so_far"]
+__all__ = [
+    "Course",
+    "Proof",
+    "closed",
+    "digest",
+    "follow",
+    "prove",
+    "recorded_episode",
+    "recorded_genome",
+    "retrace",
+    "scores_so_far",
+]
 
+
+class Steps(Protocol):
+    """What a recording may be of: an episode, a match."""
+
+    def steps(self) -> Iterator[Step]:
+        """Yields the steps; each must be done before the next is asked for."""
+
+
+R = TypeVar("R", bound=Steps)
 _MOST = 2**26  # numbers of a course that is kept: half a gigabyte
 
 
@@ -76,10 +99,14 @@ def prove(recording: str | os.PathLike[str], *, brain: bool = False) -> Proof:
         MissingPackage: The brain, which is to be compared, needs a package that is not installed.
     """
     source = Recording(recording)
-    checker, task, genome = _check(source, brain)
+    episode, task, genome = _check(source, brain)
+    return Proof(genome, task, episode.result(), str(recording), digest(recording), source.fingerprint, closed(source))
+
+
+def digest(recording: str | os.PathLike[str]) -> str:
+    """Returns the SHA-256 of a file, hexadecimal."""
     with open(recording, "rb") as file:
-        digest = file_digest(file, "sha256").hexdigest()
-    return Proof(genome, task, checker.result(), str(recording), digest, source.fingerprint, _closed(source))
+        return file_digest(file, "sha256").hexdigest()
 
 
 def recorded_genome(recording: str | os.PathLike[str]) -> Genome:
@@ -91,12 +118,17 @@ def recorded_genome(recording: str | os.PathLike[str]) -> Genome:
     return recorded_episode(Recording(recording))[1]
 
 
-def _closed(source: Recording) -> str:
+def closed(source: Recording) -> str:
+    """Returns when a recording was closed by the clock of who made it: UTC, ISO 8601, to the second.
+
+    Raises:
+        ProofError: It does not say so (`not_an_evaluation`).
+    """
     try:
-        closed = datetime.fromisoformat(source.end["closed"])
-        if closed.tzinfo is None:
+        time = datetime.fromisoformat(source.end["closed"])
+        if time.tzinfo is None:
             raise ValueError("it depends on where it is read")
-        return closed.astimezone(UTC).isoformat(timespec="seconds")
+        return time.astimezone(UTC).isoformat(timespec="seconds")
     except (KeyError, ValueError, OverflowError) as error:
         raise ProofError("not_an_evaluation", f"{source.path} does not say when it was closed") from error
 
@@ -113,8 +145,8 @@ def scores_so_far(recording: Recording) -> Array:
     Raises:
         RecordingError, ProofError, DocumentError: As by `prove`.
     """
-    checker, _task, _genome = _check(recording, False)
-    return checker.episode.scores_so_far()
+    episode, _task, _genome = _check(recording, False)
+    return episode.scores_so_far()
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -160,9 +192,8 @@ def retrace(recording: str | os.PathLike[str]) -> Course:
     if numbers > _MOST:
         what = f"{recording}: its task's episodes have up to {numbers:,} readings and controls"
         raise RecordingError("too_long", f"{what}, and at most {_MOST:,} can be kept")
-    checker, _, _ = _check(source, False, log)
-    episode, result = checker.episode, checker.result()
-    ticks = episode.driven_ticks
+    episode, _, _ = _check(source, False, log)
+    result, ticks = episode.result(), episode.driven_ticks
     if not ticks:
         raise ProofError("nothing_to_export", f"{recording}: the episode has no tick: {result.fault}")
     sensed = np.array(log.sensed[: ticks + 1]).reshape(ticks + 1, len(genome.body.sensors))
@@ -183,8 +214,8 @@ class _Log:
         self.sensed += self.sensed[-1:] if world.fault is not None else [world.creature(CREATURE).sense()]
 
 
-def _check(recording: Recording, brain: bool, log: _Log | None = None) -> tuple[_Checker, Task, Genome]:
-    """Runs a recorded episode again; returns the checker that followed it to its end without finding fault.
+def _check(recording: Recording, brain: bool, log: _Log | None = None) -> tuple[Episode, Task, Genome]:
+    """Runs a recorded episode again; returns it, once a recording was followed to its end without finding fault.
 
     Args:
         recording: The episode's.
@@ -195,11 +226,39 @@ def _check(recording: Recording, brain: bool, log: _Log | None = None) -> tuple[
         ProofError, DocumentError, MissingPackage: As by `prove`.
     """
     task, genome, seed = recorded_episode(recording)
-    if recording.config != protocol.complete_config(task.world_config(seed)):
-        raise ProofError("diverged", f"{recording.path}, frame 0: the world is not the task's")
     driver = brain_of(genome) if brain else None
-    still = "brain" not in genome.document
-    checker = _Checker(lambda world: Episode(world, genome, driver, task, seed, logged=not brain), still, log)
+
+    def make(world: World) -> Episode:
+        return Episode(world, genome, driver, task, seed, logged=not brain)
+
+    return follow(recording, task.world_config(seed), make, [genome] if brain else [], log), task, genome
+
+
+def follow(
+    recording: Recording,
+    config: JsonObject,
+    make: Callable[[World], R],
+    brains: Sequence[Genome],
+    log: _Log | None = None,
+) -> R:
+    """Runs a recording again, and compares each of its inputs with the next step of what it should be of.
+
+    Args:
+        recording: The recording.
+        config: That of the world that it must have.
+        make: Makes what yields the steps, in a new world.
+        brains: The creatures whose brains are compared too.
+        log: Where to write what the creature of an episode senses and does.
+
+    Returns:
+        What was made, all of whose steps were done.
+
+    Raises:
+        ProofError: As by `prove`.
+    """
+    if recording.config != protocol.complete_config(config):
+        raise ProofError("diverged", f"{recording.path}, frame 0: the world is not the task's")
+    checker = _Checker(make, log)
     try:
         report = replay(recording, watch=checker)
         if report.verdict == "not_comparable":
@@ -210,18 +269,17 @@ def _check(recording: Recording, brain: bool, log: _Log | None = None) -> tuple[
             raise ProofError("diverged", f"it diverges at frame {frame}: {report.divergence.message}")
         if report.damage is not None:
             raise ProofError("damaged", report.damage)
-        checker.result()
+        return checker.finished()
     except (ProofError, RecordingError, WorldError) as error:
-        beyond = brain and error.code == "diverged" and _computes_otherwise(recording, genome)
+        beyond = bool(brains) and error.code == "diverged" and _computes_otherwise(recording, brains)
         code = "not_comparable" if beyond else error.code
         raise ProofError(code, f"{recording.path}: {error.message}") from error
-    return checker, task, genome
 
 
-def _computes_otherwise(recording: Recording, genome: Genome) -> bool:
+def _computes_otherwise(recording: Recording, brains: Sequence[Genome]) -> bool:
     """Whether a brain may do here what it did not do there: onnxruntime is no part of what a fingerprint tells."""
     differences = fingerprint_differences(recording.config["backend"], recording.fingerprint)
-    return bool(differences) or genome.document["brain"]["kind"] == "onnx"
+    return bool(differences) or any(genome.document.get("brain", {}).get("kind") == "onnx" for genome in brains)
 
 
 def recorded_episode(recording: Recording) -> tuple[Task, Genome, int]:
@@ -231,6 +289,9 @@ def recorded_episode(recording: Recording) -> tuple[Task, Genome, int]:
         ProofError: It is no recorded episode (`not_an_evaluation`).
         DocumentError: Its task or its genome is not as it must be.
     """
+    if MATCH in recording.metadata:
+        what = f"{recording.path} is of a match, in which there are several creatures"
+        raise ProofError("not_an_evaluation", f"{what}: see `prove_match`")
     about = recording.metadata.get(METADATA)
     begin, first = islice(chain(recording, (None, None)), 2)  # one that goes on from another begins with a keyframe
     spawn = None
@@ -244,36 +305,36 @@ def recorded_episode(recording: Recording) -> tuple[Task, Genome, int]:
     return task, Genome(spawn["genome"]), int(about["seed"])
 
 
-class _Checker:
-    """Follows a replay, and compares each of its inputs with the episode's next step."""
+class _Checker(Generic[R]):
+    """Follows a replay, and compares each of its inputs with the next step."""
 
-    def __init__(self, make: Callable[[World], Episode], still: bool, log: _Log | None) -> None:
-        """Takes what makes the episode, whether its creature may be left alone, and where to write what it does."""
-        self._make, self._still, self._log = make, still, log
-        self._episode: Episode | None = None
+    def __init__(self, make: Callable[[World], R], log: _Log | None) -> None:
+        """Takes what makes that which yields the steps, and where to write what its creature does."""
+        self._make, self._log = make, log
+        self._run: R | None = None
         self._steps: Iterator[Step] = iter(())
         self._next: Step = None
         self._over = False
 
     def __call__(self, world: World, request: Request | None) -> None:
         """Takes one input, after it has acted."""
-        if self._episode is None:
-            self._episode = self._make(world)
-            self._steps = self._episode.steps()
+        if self._run is None:
+            self._run = self._make(world)
+            self._steps = self._run.steps()
             self._advance(world)
         if self._over:
             raise _divergence(world, f"{_input(request)} after the end of the episode")
-        if self._next is ANY_CONTROLS and request is None and self._still:
+        while _leaves_alone(self._next, request):
             self._leave_alone(world)
         if not _agree(self._next, request):
             raise _divergence(world, f"{_input(request)} where there should be {_expected(self._next)}")
-        driven = request.command if request is not None and self._next is ANY_CONTROLS else None
+        driven = request.command if request is not None and _is_free(self._next) else None
         if self._log is not None and driven is not None:
             self._log.controls.append(driven["controls"])
         self._advance(world)
 
     def _leave_alone(self, world: World) -> None:
-        """Goes on to the tick of a creature that has no brain and is not driven."""
+        """Goes on to what comes after a creature that has no brain and is not driven."""
         if self._log is not None:
             what = f"nobody drives the creature at frame {world.frame - 1}, so that there is no action"
             raise RecordingError("nothing_to_export", what)
@@ -284,24 +345,33 @@ class _Checker:
             self._next = next(self._steps)
         except StopIteration:
             self._over = True
-        if self._log is not None and (self._over or self._next is ANY_CONTROLS):
+        if self._log is not None and (self._over or _is_free(self._next)):
             self._log.note(world)
 
-    def result(self) -> Result:
-        """Returns the episode's result.
+    def finished(self) -> R:
+        """Returns what was followed.
 
         Raises:
-            ProofError: The recording ends before the episode does (`damaged`).
+            ProofError: The recording ends before it does (`damaged`).
         """
-        if self._episode is None or not self._over:
+        if self._run is None or not self._over:
             raise ProofError("damaged", "the recording ends before the episode does")
-        return self._episode.result()
+        return self._run
 
-    @property
-    def episode(self) -> Episode:
-        """The episode, once it is over."""
-        assert self._episode is not None
-        return self._episode
+
+def _is_free(step: Step) -> bool:
+    """Whether a creature may be driven with any controls."""
+    return isinstance(step, Drive) and step.controls is ANY_CONTROLS
+
+
+def _leaves_alone(step: Step, request: Request | None) -> bool:
+    """Whether a creature that need not be driven is not: at a tick, or where it is another one's turn."""
+    if not (isinstance(step, Drive) and step.optional and _is_free(step)):
+        return False
+    command = None if request is None else request.command
+    return request is None or (
+        command is not None and command["type"] == "drive" and command["creature"] != step.creature
+    )
 
 
 def _agree(step: Step, request: Request | None) -> bool:
@@ -311,9 +381,9 @@ def _agree(step: Step, request: Request | None) -> bool:
     if isinstance(step, bytes):
         return request.raw == step
     command = request.command
-    if command is None or command["type"] != "drive" or command["creature"] != CREATURE:
+    if command is None or command["type"] != "drive" or command["creature"] != step.creature:
         return False
-    return step is ANY_CONTROLS or np.array_equal(np.array(command["controls"], float), np.asarray(step))
+    return _is_free(step) or np.array_equal(np.array(command["controls"], float), np.asarray(step.controls))
 
 
 def _divergence(world: World, what: str) -> ProofError:
@@ -329,4 +399,5 @@ def _expected(step: Step) -> str:
         return "a tick"
     if isinstance(step, bytes):
         return f"another {protocol.decode(step)['type']}"
-    return "what the brain does" if isinstance(step, np.ndarray) else "a drive of the creature"
+    creature = "the creature" if step.creature == CREATURE else step.creature
+    return f"a drive of {creature}" if _is_free(step) else f"what the brain of {creature} does"

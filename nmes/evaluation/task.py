@@ -14,39 +14,24 @@ import os
 from collections.abc import Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
-from hashlib import blake2b
 from typing import Any, Final, TypeAlias
 
 import numpy as np
 
 from nmes.backend import Array, Quaternion, Vector, load_backend
 from nmes.backend.rotation import multiply, quaternion_from_euler, rotate, total
-from nmes.errors import DocumentError, NmesError
+from nmes.errors import DocumentError
+from nmes.evaluation.setting import SHIPPED, Setting, complete_task, crossed_bounds, infinite, read_task
 from nmes.genome.body import Body, corners
 from nmes.genome.limits import Limits
-from nmes.objective import Condition, Objective, Quantity
+from nmes.objective import Quantity
 from nmes.objective.trajectory import Trajectory
-from nmes.protocol import complete_config
-from nmes.schemas.documents import (
-    JsonObject,
-    ShippedDocuments,
-    canonical_hash,
-    check,
-    compile_schema,
-    complete,
-    parse_document,
-    plain,
-)
+from nmes.schemas.documents import JsonObject, parse_document
 from nmes.schemas.notebook import card
 from nmes.variation import Requirements
 
-__all__ = ["CREATURE", "SHIPPED", "Place", "Task", "TaskLike", "task_identity"]
+__all__ = ["CREATURE", "Place", "Task", "TaskLike"]
 
-SHIPPED: Final = ShippedDocuments("task", "nmes.evaluation", "tasks")
-"""The tasks that ship with the package."""
-_TASK: Final = compile_schema("task.json")
-_OURS = ("name", "seed", "mode", "rate")  # of the world's config: the task, its seeds and the evaluation say these
-_TICKS, _STEPS = 100_000, 1_000_000  # ticks and engine steps of an episode: its rows are kept, and somebody waits
 _GAP = 0.001  # m between a prop that lies and what it lies on, so that the engine does not find them overlapping
 TaskLike: TypeAlias = "Task | Mapping[str, Any] | str | os.PathLike[str]"
 """A task: itself, its document, its file, or the name of one that ships."""
@@ -83,22 +68,13 @@ ALONE: Final = Place()
 """The place of a creature that has the world for itself."""
 
 
-class Task:
-    """A task.
+class Task(Setting):
+    """A task for one creature.
 
     Attributes:
-        document: What it was made from, with every default filled in.
-        name: Its name.
-        description: What is asked, for people.
-        duration: Length of an episode, s.
-        seeds: One episode each.
         limits: What a creature may be and use.
         objective: What an episode is worth.
-        ends: What ends an episode early, and what it is called then.
         duty: Whether episodes tell `Result.duty` too: no part of the document, since it changes nothing else.
-        unit: The unit of a score, for people; empty where it has none.
-        hash: SHA-256 of the document but for the unit, defaults filled in, in canonical form, 64 hexadecimal digits:
-            equal documents (up to white space, the order of keys, `10.0` for `10` and defaults) have equal hashes.
     """
 
     def __init__(self, document: Mapping[str, Any]) -> None:
@@ -110,28 +86,14 @@ class Task:
         Raises:
             DocumentError: It is not, with all that is wrong.
         """
-        self.document = document = _completed(document)
-        objective, *conditions = _expressions(document)
-        self._config = complete_config(document["world"])
-        self.name: str = document["name"]
-        self.description: str = document["description"]
-        self.duration = float(document["duration"])
-        self.seeds: tuple[int, ...] = tuple(document["seeds"])
+        document = complete_task(document)
+        if "roles" in document:
+            names = ", ".join(role["name"] for role in document["roles"])
+            raise DocumentError([("roles", f"this is a match of {names}, and no task for one creature")])
+        super().__init__(document, {"objective": document.get("objective", "0")}, _problems(document))
         self.limits = Limits(**document["limits"])
-        assert isinstance(objective, Objective)
-        self.objective = objective
-        self.ends: tuple[tuple[str, Condition], ...] = tuple(
-            (end["name"], condition)
-            for end, condition in zip(document["ends"], conditions, strict=True)
-            if isinstance(condition, Condition)
-        )
-        self.unit: str = document.get("unit", "")
-        self.hash = canonical_hash(task_identity(document))
+        (self.objective,) = self._objectives
         self.duty = False
-        ticks = self.settle_ticks + self.ticks
-        for count, most, what in ((ticks, _TICKS, "ticks"), (ticks * self._config["substeps"], _STEPS, "engine steps")):
-            if count > most:
-                raise DocumentError([("duration", f"makes episodes of {count:,} {what}, at most {most:,}")])
 
     @classmethod
     def load(cls, source: TaskLike) -> Task:
@@ -146,7 +108,7 @@ class Task:
         """
         if isinstance(source, Task):
             return source
-        return cls(source if isinstance(source, Mapping) else parse_document(SHIPPED.read(os.fspath(source))))
+        return cls(source if isinstance(source, Mapping) else parse_document(read_task(source)))
 
     def _repr_html_(self) -> str:
         """Returns its card in a notebook, HTML."""
@@ -172,40 +134,10 @@ class Task:
         """Returns the names of the tasks that ship with the package, sorted."""
         return SHIPPED.names()
 
-    # -- time ----------------------------------------------------------------------------------------------------
-
-    @property
-    def tick_rate(self) -> int:
-        """Ticks in a second."""
-        rate: int = self._config["tick_rate"]
-        return rate
-
-    @property
-    def substeps(self) -> int:
-        """Engine steps in a tick."""
-        substeps: int = self._config["substeps"]
-        return substeps
-
-    @property
-    def ticks(self) -> int:
-        """Ticks of an episode that is not ended early."""
-        return max(1, round(self.duration * self.tick_rate))
-
-    @property
-    def settle_ticks(self) -> int:
-        """Ticks before the start, at the least: the creature must be at rest."""
-        return round(float(self.document["settle"]) * self.tick_rate)
-
-    @property
-    def settle_limit_ticks(self) -> int:
-        """Ticks before the start, at the most."""
-        return round(float(self.document["settle_limit"]) * self.tick_rate)
-
     @property
     def bounds(self) -> dict[str, float]:
         """The limits of what a creature does, as `first_beyond` takes them: what is not limited is infinite."""
-        limits = {"energy": self.limits.energy, "speed": self.limits.speed, "spin": self.limits.spin}
-        return {name: math.inf if limit is None else limit for name, limit in limits.items()}
+        return infinite(self.limits)
 
     def ended(self, trajectory: Trajectory, begin: int, end: int) -> tuple[int, str] | None:
         """Returns how many rows count where an episode is ended early, and the name of what ended it; None if nothing.
@@ -238,27 +170,12 @@ class Task:
 
     # -- episodes ------------------------------------------------------------------------------------------------
 
-    def _draw(self, seed: int, what: str, bounds: Sequence[float]) -> float:
-        """Draws a number, evenly: the same on every machine."""
-        part = (
-            int.from_bytes(blake2b(f"{self.name}:{seed}:{what}".encode(), digest_size=8).digest(), "little") / 2.0**64
-        )
-        low, high = bounds
-        return float(low + part * (high - low))
-
-    def world_config(self, seed: int) -> JsonObject:
-        """Returns the config of an episode's world: in lockstep, with the task's name."""
-        config = {**self._config, "name": self.name, "seed": seed, "mode": "lockstep"}
-        if "friction" in self.document["vary"]:
-            config["friction"] = self._draw(seed, "friction", self.document["vary"]["friction"])
-        return config
-
     def target(self, seed: int, place: Place = ALONE) -> Vector | str | None:
         """Returns the point of the target, m, or the id of the prop that is it; None if there is no target."""
         target = self.document.get("target")
         if target is None:
             return next((prop["id"] for prop in self.document["props"] if prop["target"]), None)
-        far, bearing = (self._draw(seed, what, target[what]) for what in ("distance", "bearing"))
+        far, bearing = (self.draw(seed, what, target[what]) for what in ("distance", "bearing"))
         x, y, z = place.shifted((far * math.cos(bearing), float(target["height"]), -far * math.sin(bearing)))
         return x, y, z
 
@@ -274,24 +191,20 @@ class Task:
         vary, lowest = self.document["vary"], body.bounds[0][1]
         # Whoever was built beside its origin would begin at a target, or beyond an obstacle.
         x, z = (round(total(cube.mass * cube.position[axis] for cube in body.cubes) / body.mass, 2) for axis in (0, 2))
-        position = [0.0 - x, self._draw(seed, "drop", vary["drop"]) - lowest, 0.0 - z]
+        position = [0.0 - x, self.draw(seed, "drop", vary["drop"]) - lowest, 0.0 - z]
         position = place.shifted(position)
         spawn: JsonObject = {"type": "spawn_creature", "genome": genome, "name": place.creature, "position": position}
         target = self.target(seed, place)
         if target is not None:
             spawn["target"] = place.prop(target) if isinstance(target, str) else target
         commands = [spawn]
-        yaw = self._draw(seed, "yaw", vary["yaw"])
+        yaw = self.draw(seed, "yaw", vary["yaw"])
         if yaw:
             root = body.cubes[0]
             turned = multiply(quaternion_from_euler(0.0, yaw, 0.0), root.quaternion)
             name = f"{place.creature}.{root.id}"
             commands.append({"type": "set_cube_state", "cube_name": name, "rotation": list(turned)})
         return commands
-
-    def prop_ids(self) -> list[str]:
-        """Returns the ids of the props, as expressions have them."""
-        return [prop["id"] for prop in self.document["props"]]
 
     def props(self, seed: int, body: Body, root: Array, place: Place = ALONE) -> list[JsonObject]:
         """Returns the commands that put the props on a creature that has settled.
@@ -305,7 +218,7 @@ class Task:
         commands: list[JsonObject] = []
         cube = body.cubes[0]
         for prop in self.document["props"]:
-            lean = self._draw(seed, f"lean of {prop['id']}", prop["lean"])
+            lean = self.draw(seed, f"lean of {prop['id']}", prop["lean"])
             foot = _top(root, cube.size)
             if not prop["hinge"]:
                 foot = foot[0], foot[1] + _GAP, foot[2]
@@ -376,69 +289,24 @@ def _top(root: Array, size: Vector) -> Vector:
     return x, y + up, z
 
 
-def task_identity(document: Mapping[str, Any]) -> JsonObject:
-    """Returns a task's document without the unit, which changes no figure: the part that its hash is of."""
-    return {name: value for name, value in document.items() if name != "unit"}
-
-
 _UNITS: tuple[Vector, ...] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
 
 
-def _completed(document: Mapping[str, Any]) -> JsonObject:
-    """Returns a sound copy with defaults filled in, but for the world's, which an engine may add to.
-
-    Raises:
-        DocumentError: It is not as the schema says.
-    """
-    copied = plain(document)
-    check(_TASK, copied)
-    full = complete(_TASK.schema, copied)
-    full["world"] = copied.get("world", {})
-    full["seeds"] = [int(seed) for seed in full["seeds"]]
-    return full
-
-
-def _expressions(document: JsonObject) -> list[Objective | Condition]:
-    """Returns the objective and the conditions of a sound document.
-
-    Raises:
-        DocumentError: One of them cannot be read, or something else is wrong that no schema sees.
-    """
-    problems = [
-        (f"world/{name}", "a task does not say this: it is the evaluation's")
-        for name in _OURS
-        if name in document["world"]
-    ]
-    problems += _crossed(document)
-    texts = [("objective", document["objective"])]
-    texts += [(f"ends/{index}/when", end["when"]) for index, end in enumerate(document["ends"])]
-    expressions: list[Objective | Condition] = []
-    for path, text in texts:
-        try:
-            expressions.append((Objective if path == "objective" else Condition)(text, path))
-        except NmesError as error:
-            problems.append((path, error.message.removeprefix(f"{error.path}: ")))
-    if problems:
-        raise DocumentError(problems)
-    return expressions
-
-
-def _crossed(document: JsonObject) -> Iterator[tuple[str, str]]:
-    """Yields the problems that no schema sees: bounds the wrong way round, names that are there twice."""
+def _problems(document: JsonObject) -> Iterator[tuple[str, str]]:
+    """Yields what is wrong with a sound document as a task for one creature, each with its place."""
+    if "objective" not in document:
+        yield "objective", "is missing; expected a string of at most 2000 characters"
+    for name in ("interchangeable", "margin"):
+        if name in document:
+            yield name, "only a task with roles says this"
     props = document["props"]
-    bounds = [(f"vary/{name}", value) for name, value in document["vary"].items()]
-    bounds += [(f"target/{name}", value) for name, value in document.get("target", {}).items() if name != "height"]
-    bounds += [(f"props/{index}/lean", prop["lean"]) for index, prop in enumerate(props)]
-    for path, (low, high) in bounds:
-        if low > high:
-            yield path, f"expected the lowest first, got {low:g} before {high:g}"
-    if document["settle_limit"] < document["settle"]:
-        yield "settle_limit", f"expected settle, {document['settle']:g}, or more, got {document['settle_limit']:g}"
+    bounds = [(f"target/{name}", value) for name, value in document.get("target", {}).items() if name != "height"]
+    yield from crossed_bounds([*bounds, *((f"props/{index}/lean", prop["lean"]) for index, prop in enumerate(props))])
     targets = [f"props/{index}/target" for index, prop in enumerate(props) if prop["target"]]
     for path in targets if "target" in document else targets[1:]:
         yield path, "there is a target already"
     for index, prop in enumerate(props):
-        if prop["id"] in [other["id"] for other in props[:index]]:
-            yield f"props/{index}/id", f"there is a prop {prop['id']!r} already"
+        if "position" in prop:
+            yield f"props/{index}/position", "only a task with roles says this: here it stands on the creature"
         if prop["id"].startswith(f"{CREATURE}."):
             yield f"props/{index}/id", f"names that begin with {CREATURE!r} and a point are the creature's"

@@ -29,7 +29,7 @@ from nmes.errors import DocumentError, RunError
 from nmes.evaluation.evaluation import Evaluation
 from nmes.evaluation.parallel import Pool
 from nmes.evaluation.queue import EvaluationQueue
-from nmes.evaluation.task import task_identity
+from nmes.evaluation.setting import task_identity
 from nmes.evolution.algorithm import Algorithm, Candidate, Score
 from nmes.evolution.run_entry import Entry, told
 from nmes.evolution.run_folder import SETTINGS, begin_run, open_run, text_of

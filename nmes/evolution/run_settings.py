@@ -18,7 +18,7 @@ from nmes.backend.fingerprint import fingerprint
 from nmes.errors import DocumentError, NmesError
 from nmes.evaluation import Task
 from nmes.evaluation.population import admit
-from nmes.evaluation.task import task_identity
+from nmes.evaluation.setting import task_identity
 from nmes.evolution.algorithm import Algorithm, Measure, Problem
 from nmes.evolution.algorithms import algorithm_options, load_algorithm
 from nmes.evolution.quantities import read_expressions

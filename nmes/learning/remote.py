@@ -28,9 +28,10 @@ from nmes.backend.arrays import ArrayLike
 from nmes.client import Client
 from nmes.errors import CommandFailed, Disconnected, WorldError
 from nmes.evaluation.environments import AUTORESET, Autoreset
-from nmes.evaluation.episode import Rest, Result
+from nmes.evaluation.episode import Result
 from nmes.evaluation.progress import Progress, read_reward
 from nmes.evaluation.seeding import RowSeeds, check_actions
+from nmes.evaluation.steps import Rest
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
 from nmes.learning.wire import Moment, WireScene, require_world

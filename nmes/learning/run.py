@@ -26,7 +26,7 @@ import orjson
 
 from nmes.backend.fingerprint import differences
 from nmes.errors import DocumentError, RunError
-from nmes.evaluation.task import task_identity
+from nmes.evaluation.setting import task_identity
 from nmes.evolution.run_folder import begin_run, open_run, require_no_run, text_of
 from nmes.evolution.run_log import Line, RunLog, RunWriter, write_whole
 from nmes.genome import Genome

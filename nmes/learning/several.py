@@ -36,6 +36,7 @@ from nmes.errors import RecordingError, WorldError
 from nmes.evaluation.episode import Entrant, Observer, Result, set_scene
 from nmes.evaluation.progress import Progress
 from nmes.evaluation.seeding import RowSeeds
+from nmes.evaluation.steps import perform
 from nmes.evaluation.task import Place, Task, TaskLike
 from nmes.genome import Genome
 from nmes.genome.body import Body, corners
@@ -324,18 +325,8 @@ class _Episode:
 
     def _begin(self) -> None:
         world, task = self._world, self._task
-        steps = set_scene(world, task, self._seed, list(self._entrants.values()))
-        while True:
-            try:
-                step = next(steps)
-            except StopIteration as end:
-                observers, restless = end.value
-                break
-            if step is None:
-                world.tick()
-            else:
-                assert isinstance(step, bytes)
-                self._do(step)
+        entrants = list(self._entrants.values())
+        observers, restless = perform(world, self._client, set_scene(world, task, self._seed, entrants))
         if not observers:
             reasons = [f"{name}: {reason}" for name, reason in restless.items()] or [str(self._fault())]
             raise WorldError("invalid", f"the creatures cannot begin with seed {self._seed}: {'; '.join(reasons)}")

@@ -9,11 +9,15 @@ __all__ = ["Barrier", "Fault"]
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """Why a world has stopped: a code of `world_fault`, a message for a person, the last good frame."""
+    """Why a world has stopped: a code of `world_fault`, a message for a person, the last good frame.
+
+    `cube` is the cube over which the engine failed, where it says which.
+    """
 
     code: str
     message: str
     frame: int
+    cube: str | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)

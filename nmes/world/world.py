@@ -393,7 +393,7 @@ class World(WorldQueries):
         name = None if body is None else self.entities.body_names.get(body)
         if name is not None:
             message = f"{message} (cube {name})"
-        self.fault = fault = Fault(code, message, self.frame)
+        self.fault = fault = Fault(code, message, self.frame, name)
         self._record(lambda journal: journal.faulted(fault.frame, code, message))
         self.announce({"type": "world_fault", "code": code, "frame": fault.frame, "message": message})
 

@@ -15,6 +15,7 @@ from creatures import snake
 from nmes.errors import ProofError
 from nmes.evaluation import Episode, Task, prove
 from nmes.evaluation.episode import METADATA, brain_of
+from nmes.evaluation.steps import Drive
 from nmes.genome import Genome
 from nmes.protocol import parse
 from nmes.recording import Recorder
@@ -47,10 +48,10 @@ def record(
             world.execute(stranger, extra[number])
         if step is None:
             world.tick()
-        elif isinstance(step, np.ndarray):
-            world.drive(client, "creature", step)
+        elif isinstance(step, Drive):
+            assert isinstance(step.controls, np.ndarray)
+            world.drive(client, step.creature, step.controls)
         else:
-            assert isinstance(step, bytes)
             command = change(json.loads(step))
             world.handle(client, parse(step if command == json.loads(step) else json.dumps(command).encode()))
     world.leave(client)

@@ -22,7 +22,8 @@ from nmes import protocol
 from nmes.backend import Array
 from nmes.errors import WorldError
 from nmes.evaluation import Task
-from nmes.evaluation.episode import Episode, Result, Step, brain_of
+from nmes.evaluation.episode import Episode, Result, brain_of
+from nmes.evaluation.steps import Drive, Step
 from nmes.genome import Genome
 from nmes.world import World
 
@@ -179,10 +180,10 @@ def audited(genome: Genome, task: Task, seed: int) -> Audit:
 def _do(world: World, client: int, step: Step) -> None:
     if step is None:
         world.tick()
-    elif isinstance(step, np.ndarray):
-        world.drive(client, "creature", step)
+    elif isinstance(step, Drive):
+        assert isinstance(step.controls, np.ndarray)
+        world.drive(client, step.creature, step.controls)
     else:
-        assert isinstance(step, bytes)
         reply = protocol.decode(world.handle(client, protocol.parse(step)))
         if reply["type"] == "error":
             raise WorldError(reply["code"], reply["message"])

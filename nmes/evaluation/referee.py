@@ -1,0 +1,243 @@
+"""Who wins a match: what the creatures of its roles did, tick by tick, and what that is worth to each of them.
+
+The rules, which hold in every task with roles:
+
+- A creature that is beyond a limit of its role, that never comes to rest, over one of whose cubes the engine fails, or
+  whose objective has no finite value has lost: it has no score, and its fault says why. The others are scored as it was
+  at the tick before.
+- All bodies together are audited, since who is pushed gains what another's motors gave. Where they had energy that no
+  motor gave them, whoever had gained most at that tick, beyond the work of its own motors, has lost likewise: energy is
+  first where it is made.
+- A match that fails otherwise is void, since it cannot be said whose doing that is: nobody has a score.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from nmes.errors import WorldError
+from nmes.evaluation.balance import Balance
+from nmes.evaluation.episode import MEASURED, Result
+from nmes.evaluation.match_task import MatchTask, Role
+from nmes.objective.trajectories import Trajectories
+from nmes.objective.trajectory import ObservedBodies, Trajectory
+from nmes.world import World
+from nmes.world.creature import Creature
+
+__all__ = ["Referee", "void_results"]
+
+
+def void_results(task: MatchTask, seed: int, fault: str) -> dict[str, Result]:
+    """Returns the results of a match in which nobody has a score, since it could not begin."""
+    return {role: Result(seed, None, 0.0, 0.0, 0, fault=fault) for role in task.roles}
+
+
+class Referee:
+    """Watches a match from its start on.
+
+    Args:
+        world: The match's, with all creatures at their start.
+        task: What is played.
+        seed: The match's.
+
+    Attributes:
+        trajectories: All that was looked at.
+        ended: What ended the match early: a condition, or who was beyond which limit; None where nothing has.
+    """
+
+    def __init__(self, world: World, task: MatchTask, seed: int) -> None:
+        self._world, self._task, self._seed = world, task, seed
+        self._sides = {role: _Side(world, world.creature(role)) for role in task.roles}
+        props, sides = task.prop_ids(), self._sides.values()
+        names = [*(cube for side in sides for cube in side.cubes), *props]
+        self._numbers = [world.entities.cube(name).body for name in names]
+        bodies = _observed(world, names, len(names) - len(props), task.tick_rate)
+        self._columns = _slices([*(len(side.cubes) for side in sides), len(props)])
+        parts = [self._part(side, bodies, columns) for side, columns in zip(sides, self._columns, strict=False)]
+        things = Trajectory(_picked(bodies, self._columns[-1], props, 1), task.ticks, 0, contacts=task.counts_contacts)
+        self._things = things if props else None
+        targets = {role.name: role.target for role in task.roles.values() if isinstance(role.target, str)}
+        named = dict(zip(task.roles, parts, strict=True))
+        self.trajectories = Trajectories(named, self._things, targets, task.ticks, touches=task.touchy)
+        self._watch(bodies)
+        self._losses: dict[str, str] = {}
+        self.ended: str | None = None
+
+    def _part(self, side: _Side, bodies: ObservedBodies, columns: slice) -> Trajectory:
+        target, ids = self._task.roles[side.role].target, side.ids
+        observed = _picked(bodies, columns, ids, len(ids))
+        observed = replace(observed, target=None if isinstance(target, str) else target)
+        return Trajectory(observed, self._task.ticks, len(side.motors), contacts=self._task.counts_contacts)
+
+    def _watch(self, bodies: ObservedBodies) -> None:
+        """Has the engine keep what the rows are made of, and makes room for what the balance of energy is drawn of."""
+        sides, rows = self._sides.values(), self._task.ticks + 1
+        springs, motors = ([number for side in sides for number in numbers(side)] for numbers in (_springs, _motors))
+        self._balance = Balance.of(bodies, self._world.config, [s for side in sides for s in side.stiffnesses])
+        self._track = self._world.simulation.track(self._numbers, springs, motors, rows)
+        self._driven = _slices([len(side.motors) for side in sides])
+        self._sprung = _slices([len(side.springs) for side in sides])
+        self._states, self._powers = np.zeros((rows, len(self._numbers), 13)), np.zeros((rows, 2, len(motors)))
+        self._positions = np.zeros((rows, len(springs)))
+        owners = [index for index, side in enumerate(sides) for _ in side.cubes]
+        things = range(len(self._sides), len(self._sides) + len(self._task.prop_ids()))
+        self._owners = dict(zip(self._numbers, [*owners, *things], strict=True))
+
+    def note(self) -> None:
+        """Keeps a row, for `look`: at the start, and after each tick that counts."""
+        if self._task.touchy or self._task.counts_contacts:
+            self._note_touches(self._track.rows)
+        self._track.note()
+
+    def _note_touches(self, row: int) -> None:
+        trajectories, simulation = self.trajectories, self._world.simulation
+        parts = [*trajectories.of.values(), *([] if self._things is None else [self._things])]
+        for index, (part, columns) in enumerate(zip(parts, self._columns, strict=False)):
+            for column, number in enumerate(self._numbers[columns]):
+                others = [contact.other for contact in simulation.contacts(number)]
+                touched = {None if other is None else self._owners.get(other) for other in others}
+                if self._task.counts_contacts:
+                    part.touches[row, column] = bool(touched), bool(touched - {index})
+                if self._task.touchy and index < len(trajectories.of):
+                    for other in touched - {None, index}:
+                        trajectories.touching[row, index, other] = True
+
+    def look(self) -> bool:
+        """Has the new rows judged; returns whether the match is over."""
+        trajectories, track = self.trajectories, self._track
+        begin, end = trajectories.rows, track.rows
+        if begin == end:
+            return self.ended is not None
+        rows = slice(begin, end)
+        self._states[rows], self._powers[rows] = track.states(begin, end), track.powers(begin, end)
+        self._positions[rows] = track.positions(begin, end)
+        for part, columns, motors in zip(trajectories.of.values(), self._columns, self._driven, strict=False):
+            part.states[rows] = self._states[rows, columns]
+            part.meter(begin, self._powers[rows, 1, motors])
+        if self._things is not None:
+            self._things.states[rows] = self._states[rows, self._columns[-1]]
+        self._count(end)
+        self._stop(max(begin, 1), end)
+        return self.ended is not None
+
+    def _count(self, rows: int) -> None:
+        """Says how many rows count, of everybody."""
+        things = [] if self._things is None else [self._things]
+        for part in (*self.trajectories.of.values(), *things, self.trajectories):
+            part.rows = rows
+
+    def _stop(self, begin: int, end: int) -> None:
+        """Looks for what ended the match: where a condition holds that row still counts, beyond a limit it does not."""
+        trajectories, roles = self.trajectories, self._task.roles
+        held = [
+            (row + 1, name)
+            for name, condition in self._task.ends
+            if (row := trajectories.first(condition, begin, end)) is not None
+        ]
+        beyond = {
+            role: stop
+            for role, part in trajectories.of.items()
+            if (stop := part.first_beyond(begin, end, **roles[role].bounds)) is not None
+        }
+        if not held and not beyond:
+            return
+        rows = min(row for row, _ in (*held, *beyond.values()))
+        self.ended = next((name for row, name in held if row == rows), None)
+        if self.ended is None:
+            self._losses = {role: limit for role, (row, limit) in beyond.items() if row == rows}
+            self.ended = ", ".join(f"{role}: {limit}" for role, limit in self._losses.items())
+        self._count(rows)
+
+    def results(self, restless: Mapping[str, str]) -> dict[str, Result]:
+        """Returns how the match came out for each role, once all steps are done.
+
+        Args:
+            restless: Of the roles whose creatures never came to rest, why.
+        """
+        losses = {role: f"beyond: it was beyond its limit of {limit}" for role, limit in self._losses.items()}
+        losses |= restless
+        void, fault = None, self._world.fault
+        if fault is not None and self.ended is None:
+            loser, reason = (fault.cube or "").partition(".")[0], f"{fault.code}: {fault.message}"
+            void = None if loser in self._sides else reason
+            losses |= {loser: reason} if loser in self._sides else {}
+        losses |= self._audit()
+        return {role.name: self._result(role, void or losses.get(role.name)) for role in self._task.roles.values()}
+
+    def _audit(self) -> dict[str, str]:
+        """Draws the balance of energy; where it does not hold, the match was over at the tick before.
+
+        Returns:
+            Who has made energy of nothing, with the reason.
+        """
+        rows = slice(0, self.trajectories.rows)
+        excess = self._balance.excess(self._states[rows], self._powers[rows], self._positions[rows])
+        if excess is None:
+            return {}
+        last = round(excess.time * self._task.tick_rate)
+        rows, gains = slice(0, last + 1), {}
+        for index, (role, side) in enumerate(self._sides.items()):
+            balance = Balance.of(self.trajectories.of[role].bodies, self._world.config, side.stiffnesses)
+            own = self._states[rows, self._columns[index]], self._powers[rows, :, self._driven[index]]
+            gains[role] = float(balance.gains(*own, self._positions[rows, self._sprung[index]])[0][-1])
+        self._count(last)
+        most = max(gains.values())
+        makers = [role for role, gain in gains.items() if gain == most]
+        self.ended = ", ".join(f"{role}: energy of nothing" for role in makers)
+        return dict.fromkeys(makers, str(excess))
+
+    def _result(self, role: Role, fault: str | None) -> Result:
+        measured = [replace(quantity, role=role.name) for quantity in MEASURED]
+        values = self.trajectories.values(dict.fromkeys((*measured, *role.objective.needs)))
+        score = None
+        if fault is None:
+            try:
+                score = role.objective.value(values)
+            except WorldError as error:
+                fault = f"{error.code}: {error.message}"
+        energy, distance = (values[quantity] for quantity in measured)
+        return Result(self._seed, score, energy, distance, self.trajectories.rows - 1, ended=self.ended, fault=fault)
+
+
+class _Side:
+    """The creature of one role, and its parts in the world."""
+
+    def __init__(self, world: World, creature: Creature) -> None:
+        self.role, self._world, self._creature = creature.name, world, creature
+        self.ids = [cube.id for cube in creature.body.cubes]
+        self.cubes = [creature.cubes[part] for part in self.ids]
+        self.motors = [creature.joints[joint.id] for joint in creature.body.joints if joint.motor is not None]
+        sprung = [joint for joint in creature.body.joints if joint.stiffness]
+        self.springs = [creature.joints[joint.id] for joint in sprung]
+        self.stiffnesses = [joint.stiffness for joint in sprung]
+
+    def numbers(self, joints: list[str]) -> list[int]:
+        """Returns the engine's numbers of joints."""
+        return [self._world.entities.joint(name).number for name in joints]
+
+
+def _springs(side: _Side) -> list[int]:
+    return side.numbers(side.springs)
+
+
+def _motors(side: _Side) -> list[int]:
+    return side.numbers(side.motors)
+
+
+def _slices(counts: list[int]) -> list[slice]:
+    ends = np.cumsum(counts).tolist()
+    return [slice(end - count, end) for end, count in zip(ends, counts, strict=True)]
+
+
+def _observed(world: World, names: list[str], body: int, tick_rate: int) -> ObservedBodies:
+    cubes = [world.entities.cube(name) for name in names]
+    sizes, masses = np.array([cube.size for cube in cubes]), np.array([cube.mass for cube in cubes], float)
+    return ObservedBodies(tuple(names), body, sizes, masses, tick_rate)
+
+
+def _picked(bodies: ObservedBodies, columns: slice, ids: list[str], body: int) -> ObservedBodies:
+    """Returns some of the bodies, by the ids that expressions have for them."""
+    return ObservedBodies(tuple(ids), body, bodies.sizes[columns], bodies.masses[columns], bodies.tick_rate)

@@ -1,0 +1,213 @@
+"""What a task for one creature and one with roles have in common: a world, a time, seeds, and what ends an episode.
+
+Hides how a document and a seed become a world's config, and how what a seed decides is drawn: by hashing, and so the
+same everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from hashlib import blake2b
+from typing import Any, Final
+
+from nmes.errors import DocumentError, NmesError
+from nmes.genome.limits import Limits
+from nmes.objective import Cast, Condition, Objective
+from nmes.protocol import complete_config
+from nmes.schemas.documents import (
+    JsonObject,
+    ShippedDocuments,
+    canonical_hash,
+    check,
+    compile_schema,
+    complete,
+    plain,
+)
+
+__all__ = ["MATCHES", "SHIPPED", "Setting", "complete_task", "crossed_bounds", "infinite", "read_task", "task_identity"]
+
+SHIPPED: Final = ShippedDocuments("task", "nmes.evaluation", "tasks")
+"""The tasks for one creature that ship with the package."""
+MATCHES: Final = ShippedDocuments("task", "nmes.evaluation", "matches")
+"""The tasks with roles that ship with the package."""
+_TASK: Final = compile_schema("task.json")
+_OURS = ("name", "seed", "mode", "rate")  # of the world's config: the task, its seeds and the evaluation say these
+_TICKS, _STEPS = 100_000, 1_000_000  # ticks and engine steps of an episode: its rows are kept, and somebody waits
+
+
+class Setting:
+    """What is set for an episode, whoever takes part.
+
+    Attributes:
+        document: What it was made from, with every default filled in.
+        name: Its name.
+        description: What is asked, for people.
+        duration: Length of an episode, s.
+        seeds: One episode each.
+        ends: What ends an episode early, and what it is called then.
+        unit: The unit of a score, for people; empty where it has none.
+        hash: SHA-256 of the document but for the unit, defaults filled in, in canonical form, 64 hexadecimal digits:
+            equal documents (up to white space, the order of keys, `10.0` for `10` and defaults) have equal hashes.
+    """
+
+    def __init__(
+        self,
+        document: JsonObject,
+        objectives: Mapping[str, str],
+        problems: Iterable[tuple[str, str]],
+        cast: Cast | None = None,
+    ) -> None:
+        """Reads what is common.
+
+        Args:
+            document: As `complete_task` returns it.
+            objectives: The texts of the objectives, by their places in the document.
+            problems: What is wrong besides, each with its place.
+            cast: Whom expressions may name, where there are roles.
+
+        Raises:
+            DocumentError: Something is wrong, with all of it.
+        """
+        self.document = document
+        self._objectives, self.ends = _expressions(document, objectives, problems, cast)
+        self._config = complete_config(document["world"])
+        self.name: str = document["name"]
+        self.description: str = document["description"]
+        self.duration = float(document["duration"])
+        self.seeds: tuple[int, ...] = tuple(document["seeds"])
+        self.unit: str = document.get("unit", "")
+        self.hash = canonical_hash(task_identity(document))
+        ticks = self.settle_ticks + self.ticks
+        for count, most, what in ((ticks, _TICKS, "ticks"), (ticks * self._config["substeps"], _STEPS, "engine steps")):
+            if count > most:
+                raise DocumentError([("duration", f"makes episodes of {count:,} {what}, at most {most:,}")])
+
+    @property
+    def tick_rate(self) -> int:
+        """Ticks in a second."""
+        rate: int = self._config["tick_rate"]
+        return rate
+
+    @property
+    def substeps(self) -> int:
+        """Engine steps in a tick."""
+        substeps: int = self._config["substeps"]
+        return substeps
+
+    @property
+    def ticks(self) -> int:
+        """Ticks of an episode that is not ended early."""
+        return max(1, round(self.duration * self.tick_rate))
+
+    @property
+    def settle_ticks(self) -> int:
+        """Ticks before the start, at the least: the creatures must be at rest."""
+        return round(float(self.document["settle"]) * self.tick_rate)
+
+    @property
+    def settle_limit_ticks(self) -> int:
+        """Ticks before the start, at the most."""
+        return round(float(self.document["settle_limit"]) * self.tick_rate)
+
+    def draw(self, seed: int, what: str, bounds: Sequence[float]) -> float:
+        """Draws a number, evenly: the same on every machine."""
+        part = (
+            int.from_bytes(blake2b(f"{self.name}:{seed}:{what}".encode(), digest_size=8).digest(), "little") / 2.0**64
+        )
+        low, high = bounds
+        return float(low + part * (high - low))
+
+    def world_config(self, seed: int) -> JsonObject:
+        """Returns the config of an episode's world: in lockstep, with the task's name."""
+        config = {**self._config, "name": self.name, "seed": seed, "mode": "lockstep"}
+        if "friction" in self.document["vary"]:
+            config["friction"] = self.draw(seed, "friction", self.document["vary"]["friction"])
+        return config
+
+    def prop_ids(self) -> list[str]:
+        """Returns the ids of the props, as expressions have them."""
+        return [prop["id"] for prop in self.document["props"]]
+
+
+def read_task(name: str | os.PathLike[str]) -> bytes:
+    """Returns the bytes of the file at a path or, where there is none, of the task of that name that ships.
+
+    Raises:
+        DocumentError: There is neither, or the file cannot be read, or is too large.
+    """
+    path = os.fspath(name)
+    return (MATCHES if path in MATCHES.names() else SHIPPED).read(path)
+
+
+def task_identity(document: Mapping[str, Any]) -> JsonObject:
+    """Returns a task's document without the unit, which changes no figure: the part that its hash is of."""
+    return {name: value for name, value in document.items() if name != "unit"}
+
+
+def complete_task(document: Mapping[str, Any]) -> JsonObject:
+    """Returns a sound copy with defaults filled in, but for the world's, which an engine may add to.
+
+    Raises:
+        DocumentError: It is not as the schema says.
+    """
+    copied = plain(document)
+    check(_TASK, copied)
+    full = complete(_TASK.schema, copied)
+    full["world"] = copied.get("world", {})
+    full["seeds"] = [int(seed) for seed in full["seeds"]]
+    return full
+
+
+def infinite(limits: Limits) -> dict[str, float]:
+    """Returns the limits of what a creature does, as `first_beyond` takes them: what is not limited is infinite."""
+    bounds = {"energy": limits.energy, "speed": limits.speed, "spin": limits.spin}
+    return {name: math.inf if limit is None else limit for name, limit in bounds.items()}
+
+
+def crossed_bounds(bounds: Iterable[tuple[str, Sequence[float]]]) -> Iterator[tuple[str, str]]:
+    """Yields the problems of bounds, each with its place, that are the wrong way round."""
+    for path, (low, high) in bounds:
+        if low > high:
+            yield path, f"expected the lowest first, got {low:g} before {high:g}"
+
+
+def _expressions(
+    document: JsonObject, objectives: Mapping[str, str], further: Iterable[tuple[str, str]], cast: Cast | None
+) -> tuple[tuple[Objective, ...], tuple[tuple[str, Condition], ...]]:
+    """Returns the objectives and the conditions of a sound document.
+
+    Raises:
+        DocumentError: One of them cannot be read, or something else is wrong that no schema sees.
+    """
+    problems = [*_problems(document), *further]
+    read: list[Objective] = []
+    ends: list[tuple[str, Condition]] = []
+    for path, text in objectives.items():
+        try:
+            read.append(Objective(text, path, cast=cast))
+        except NmesError as error:
+            problems.append((path, error.message.removeprefix(f"{error.path}: ")))
+    for index, end in enumerate(document["ends"]):
+        path = f"ends/{index}/when"
+        try:
+            ends.append((end["name"], Condition(end["when"], path, cast=cast)))
+        except NmesError as error:
+            problems.append((path, error.message.removeprefix(f"{error.path}: ")))
+    if problems:
+        raise DocumentError(problems)
+    return tuple(read), tuple(ends)
+
+
+def _problems(document: JsonObject) -> Iterator[tuple[str, str]]:
+    for name in _OURS:
+        if name in document["world"]:
+            yield f"world/{name}", "a task does not say this: it is the evaluation's"
+    yield from crossed_bounds((f"vary/{name}", value) for name, value in document["vary"].items())
+    if document["settle_limit"] < document["settle"]:
+        yield "settle_limit", f"expected settle, {document['settle']:g}, or more, got {document['settle_limit']:g}"
+    props = document["props"]
+    for index, prop in enumerate(props):
+        if prop["id"] in [other["id"] for other in props[:index]]:
+            yield f"props/{index}/id", f"there is a prop {prop['id']!r} already"

@@ -1,0 +1,164 @@
+"""The steps of an episode, which are a world's ordinary inputs; and the first of them, until creatures are at rest.
+
+Whoever evaluates does the steps; whoever proves compares them with a recording.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator, Sequence
+from enum import Enum
+from typing import Final, NamedTuple, TypeVar
+
+import numpy as np
+
+from nmes import protocol
+from nmes.backend import Array
+from nmes.errors import WorldError
+from nmes.evaluation.setting import Setting
+from nmes.genome.body import Body
+from nmes.schemas.documents import JsonObject
+from nmes.world import World
+
+__all__ = ["ANY_CONTROLS", "Drive", "Rest", "Step", "perform", "settle"]
+
+T = TypeVar("T")
+
+_REST_TIME = 0.25  # s
+_REST_SPEED = 0.05  # of the body's size in a second: in a whole episode it would not come farther than that size
+
+
+class _AnyControls(Enum):
+    ANY_CONTROLS = "any controls"
+
+
+ANY_CONTROLS: Final = _AnyControls.ANY_CONTROLS
+"""Whatever controls a creature is driven with."""
+
+
+class Drive(NamedTuple):
+    """A step that drives a creature.
+
+    Attributes:
+        creature: Its name.
+        controls: What with, array (motors,); or anything.
+        optional: Whether it may be left alone instead, since it has no brain.
+    """
+
+    creature: str
+    controls: Array | _AnyControls
+    optional: bool = False
+
+
+Step = bytes | Drive | None
+"""What comes next: a command, controls to drive a creature with, or a tick."""
+
+
+def perform(world: World, client: int, steps: Generator[Step, None, T]) -> T:
+    """Does steps in the world that they are for; returns what they come to.
+
+    Args:
+        world: The world.
+        client: Who does them.
+        steps: Each is done before the next is asked for.
+
+    Raises:
+        WorldError: The world refuses a command.
+    """
+    drive, tick = world.drive, world.tick
+    while True:
+        try:
+            step = next(steps)
+        except StopIteration as end:
+            value: T = end.value
+            return value
+        if step is None:
+            tick()
+        elif isinstance(step, Drive):
+            assert isinstance(step.controls, np.ndarray)
+            drive(client, step.creature, step.controls)
+        else:
+            reply = protocol.decode(world.handle(client, protocol.parse(step)))
+            if reply["type"] == "error":
+                raise WorldError(reply["code"], reply["message"], reply.get("field"))
+
+
+def settle(
+    world: World, setting: Setting, names: Sequence[str], commands: Sequence[JsonObject]
+) -> Generator[Step, None, dict[str, Rest]]:
+    """Yields the steps that set creatures down, and the ticks until all are at rest, or it takes too long.
+
+    Args:
+        world: New and empty.
+        setting: How long that is.
+        names: The creatures'.
+        commands: What sets them down.
+
+    Returns:
+        How each of them came to rest, by name.
+    """
+    for command in commands:
+        yield protocol.encode(command)
+    creatures = [world.creature(name) for name in names]
+    rests = {creature.name: Rest(creature.body, setting) for creature in creatures}
+    tracks = [
+        world.track([creature.cubes[cube.id] for cube in creature.body.cubes], [], [], setting.settle_limit_ticks)
+        for creature in creatures
+    ]
+    looked = 0  # rows
+    while world.frame < setting.settle_ticks or not all(rest.reached for rest in rests.values()):
+        if world.frame == setting.settle_limit_ticks:
+            break
+        yield None
+        if world.fault is not None:
+            break
+        for track in tracks:
+            track.note()
+        if world.frame >= setting.settle_ticks:  # the ticks before are looked at all at once
+            for rest, track in zip(rests.values(), tracks, strict=True):
+                rest.look(track.states(looked, track.rows))
+            looked = tracks[0].rows
+    return rests
+
+
+class Rest:
+    """Tells when a creature is at rest: for a while none of its corners was faster than a part of its size a second.
+
+    Args:
+        body: The creature's, which has just been set down.
+        task: The task.
+
+    Attributes:
+        states: Of its cubes when it was looked at last, array (n, 13) as `Simulation.states` has them.
+        speed: Of the fastest corner, when one was too fast last, m/s.
+    """
+
+    def __init__(self, body: Body, task: Setting) -> None:
+        self._arms = np.array([math.hypot(*cube.size) / 2.0 for cube in body.cubes])
+        low, high = body.bounds
+        self._limit = _REST_SPEED * max(b - a for a, b in zip(low, high, strict=True))
+        self._rate, self._still = task.tick_rate, 0
+        self._ticks = max(1, round(_REST_TIME * task.tick_rate))
+        self.states: Array = np.zeros((len(body.cubes), 13))
+        self.speed = 0.0
+
+    @property
+    def reached(self) -> bool:
+        """Whether it has been at rest for long enough."""
+        return self._still >= self._ticks
+
+    def why(self, ticks: int) -> str:
+        """Returns, where it is not at rest after so many ticks, why, in words."""
+        return f"restless: not yet at rest after {ticks / self._rate:g} s: a corner moved at {self.speed:.2g} m/s"
+
+    def look(self, states: Array) -> None:
+        """Takes the states of the tick that has just ended, array (n, 13), or of several, array (ticks, n, 13)."""
+        ticks = states.reshape(-1, len(self._arms), 13)
+        self.states = ticks[-1]
+        squares = ticks[:, :, 7:13] * ticks[:, :, 7:13]
+        speeds, spins = (np.sqrt(squares[:, :, i] + squares[:, :, i + 1] + squares[:, :, i + 2]) for i in (0, 3))
+        for speed in (speeds + spins * self._arms).max(axis=1).tolist():
+            if speed <= self._limit:
+                self._still += 1
+            else:
+                self._still, self.speed = 0, speed
