@@ -210,6 +210,7 @@ class CtrnnKernel(Kernel):
         self._row = np.zeros((*lead, m + 1 + n))
         self._inputs = Inputs(self._row, m)
         self._u = self._row[..., m + 1 : m + 1 + n]
+        self._v: Array
         self._v, self._sums, self._keep, self._take = np.empty((4, *biases.shape))
         self._fire = on_each(math.tanh, self._sums, self._u)
         self._outputs = Outputs(owner, unbounded=False)

@@ -82,7 +82,7 @@ class Nearby:
             self._moment = self._entities.moment
         x, y, z = (self._states[:, :3] - place).T
         # Of roots and products alone, in one order: the same bits on every machine.
-        distances = np.sqrt(x * x + y * y + z * z)
+        distances: Array = np.sqrt(x * x + y * y + z * z)
         for body in but:
             row = self._rows.get(body)
             if row is not None:
