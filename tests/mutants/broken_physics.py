@@ -383,11 +383,11 @@ def names_without_the_seed(patch: MonkeyPatch) -> None:
     draw = Entities.draw
 
     def constant(entities: Entities, prefix: str, count: int) -> str:
-        seed, entities._seed = entities._seed, 7
+        seed, entities.seed = entities.seed, 7
         try:
             return draw(entities, prefix, count)
         finally:
-            entities._seed = seed
+            entities.seed = seed
 
     patch.setattr(Entities, "draw", constant)
 

@@ -131,7 +131,7 @@ def test_a_restored_world_senses_the_same() -> None:
 def test_alone_in_a_row_nobody_is_seen(tmp_path: Path) -> None:
     """A creature that is driven by what it sees of others scores alike as a row and in a world by itself."""
     sensors = [{"type": "other_distance", "cube": "root"}, {"type": "height", "cube": "root"}]
-    joint = {"id": "j", "cube1": "root", "cube2": "tail", "type": "slide", "anchor": [-1, 0.2, 0]}
+    joint: dict[str, Any] = {"id": "j", "cube1": "root", "cube2": "tail", "type": "slide", "anchor": [-1, 0.2, 0]}
     joint["motor"] = {"mode": "velocity", "range": [-1, 1], "max_effort": 20}
     document = puck(*sensors)
     document["body"]["joints"] = [joint]
