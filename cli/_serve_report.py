@@ -46,6 +46,8 @@ def ready_object(running: Running) -> dict[str, Any]:
         "password_source": settings.password_source,
         **(_many_worlds(running) if settings.names else _one_world(running)),
     }
+    if running.sample.roles:
+        ready["roles"] = list(running.sample.roles)
     if running.metrics_port is not None:
         ready["metrics_port"] = running.metrics_port
     if settings.password_source == MADE_UP:
@@ -87,11 +89,21 @@ def ready_lines(running: Running) -> list[str]:
         lines.append(f"Password: {settings.password}  (made up for this run)")
     else:
         lines.append(f"Password: given by {settings.password_source}")
+    lines.append(_roles_line(running))
     if running.metrics_port is not None:
         lines.append(f"Metrics on http://127.0.0.1:{running.metrics_port}/metrics")
     if settings.parent is not None:
         lines.append(f"Going on from frame {running.start:,} of {settings.parent[0].path}")
     return [*lines, _recording_line(running), "Ctrl-C stops"]
+
+
+def _roles_line(running: Running) -> str:
+    """Returns who may do what, in short: which roles there are, and what opens each."""
+    if not running.sample.roles:
+        return "Everybody with the password may do everything: the world's config names no roles"
+    own = running.settings.role_passwords
+    by = {role: "its own password" if role in own else "the host's password" for role in running.sample.roles}
+    return f"Roles: {', '.join(f'{role} (by {password})' for role, password in by.items())}"
 
 
 def _recording_line(running: Running) -> str:

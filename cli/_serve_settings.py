@@ -7,7 +7,7 @@ import ipaddress
 import secrets
 import ssl
 import string
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from nmes.errors import RejectedMessage
 from nmes.protocol import parse_json
 from nmes.recording import Recording
 from nmes.server.retention import Retention
+from nmes.world.roles import OWNER
 
 __all__ = ["DIALECTS", "MADE_UP", "MOST_WORLDS", "Settings", "read_settings"]
 
@@ -53,6 +54,7 @@ class Settings:
         password: The password that clients must give.
         password_source: Where the password is from.
         world_passwords: What opens one world alone, by its name.
+        role_passwords: What opens all worlds in one role alone, by the role's name.
         record_to: Directory for the recordings; None: nothing is recorded.
         flush_interval: How much (s) of a recording a crash may lose.
         tls_cert: The file of the host's certificate; None: no TLS.
@@ -70,6 +72,7 @@ class Settings:
     password: str
     password_source: str
     world_passwords: Mapping[str, str]
+    role_passwords: Mapping[str, str]
     record_to: Path | None
     flush_interval: float
     tls_cert: Path | None
@@ -89,6 +92,7 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
     password, source = _password(options)
     name = config.get("name", "main")
     names, ports = _layout(options, name)
+    worlds = _world_passwords(options["world_passwords"], names or [name])
     return Settings(
         config=config,
         parent=parent,
@@ -97,7 +101,8 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
         ports=ports,
         password=password,
         password_source=source,
-        world_passwords=_world_passwords(options["world_passwords"], names or [name]),
+        world_passwords=worlds,
+        role_passwords=_role_passwords(options["role"], config, [password, *worlds.values()]),
         record_to=None if options["no_record"] else options["record_to"],
         flush_interval=options["flush_interval"],
         tls_cert=options["tls_cert"],
@@ -174,6 +179,26 @@ def _world_passwords(folder: Path | None, names: Collection[str]) -> dict[str, s
         if file.name not in names:  # else whoever was given this password would learn at the door that it opens nothing
             raise click.UsageError(f"{file}: there is no world {file.name!r} here; a file is named after its world")
         passwords[file.name] = read_password(file)
+    return passwords
+
+
+def _role_passwords(
+    options: Sequence[tuple[str, Path]], config: Mapping[str, Any], others: Sequence[str]
+) -> dict[str, str]:
+    """Returns the passwords of roles, by name, each the first line of its file; `others` open something already."""
+    roles = config.get("roles")
+    known = (OWNER, *roles) if isinstance(roles, dict) else ()
+    passwords: dict[str, str] = {}
+    for role, file in options:
+        if role not in known:
+            has = f"its roles are {', '.join(known)}" if known else "it names no roles"
+            raise click.UsageError(f"--role {role}: the world's config has no such role; {has}")
+        password = read_password(file)
+        if role in passwords:
+            raise click.UsageError(f"--role {role} is given twice")
+        if password in (*others, *passwords.values()):  # it could not be told who comes
+            raise click.UsageError(f"--role {role}: {file} has a password that opens something else already")
+        passwords[role] = password
     return passwords
 
 

@@ -52,6 +52,18 @@ class _Worlds(click.ParamType["int | list[str]"]):
         return int(value)
 
 
+class _Role(click.ParamType["tuple[str, Path]"]):
+    """A role and the file of its password."""
+
+    name = "NAME=FILE"
+
+    def convert(self, value: Any, parameter: click.Parameter | None, context: click.Context | None) -> tuple[str, Path]:
+        role, separator, file = value.partition("=")
+        if not (role and separator and file):
+            self.fail("say which role, and the file of its password, such as player=secrets/player", parameter, context)
+        return role, Path(file)
+
+
 class _Keep(click.ParamType["tuple[float, str]"]):
     """How long or how much is kept: a number of days or of bytes."""
 
@@ -149,6 +161,12 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
     help="Folder of files named after worlds: the first line of each is a password for that world alone.",
 )
 @click.option(
+    "--role",
+    type=_Role(),
+    multiple=True,
+    help="A password for one of the roles that the world's config names: the first line of the file.",
+)
+@click.option(
     "--tls-cert",
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
     help="Speak TLS, with the certificate in this PEM file.",
@@ -229,6 +247,7 @@ async def _serve(settings: Settings, report: Callable[[Running], None]) -> tuple
             asyncio.get_running_loop().add_signal_handler(number, signals.put_nowait, number)
     host = Host(
         settings.password,
+        role_passwords=settings.role_passwords,
         record_to=settings.record_to,
         flush_interval=settings.flush_interval,
         tls=settings.tls,

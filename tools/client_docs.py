@@ -40,6 +40,7 @@ _MORE = {
     "create_bone": ["joint_exists", "limit_reached", "self_joint"],
     "create_joint": ["joint_exists", "limit_reached", "self_joint", "unsupported"],
     "get_cube_info": ["unsupported"],
+    "give": ["player_not_found", "unsupported"],
     "link_body_cubes": ["limit_reached"],
     "link_cube_chains": ["limit_reached", "self_joint"],
     "set_joint_param": ["unsupported"],
@@ -52,6 +53,8 @@ _MORE = {
 }
 # Fields that name what is not there yet.
 _NEW = {("spawn_cube", "cube_name"), ("create_joint", "joint_name"), ("create_bone", "joint_name")}
+# Commands that every role may do.
+_FREE = {"batch", "get_planets", "get_world_info", "ping", "unsubscribe"}
 # Commands that a world answers after its engine has failed.
 _WHEN_FAULTED = {"get_world_info", "ping", "subscribe", "unsubscribe"}
 
@@ -68,7 +71,10 @@ def error_codes(kind: str) -> list[str]:
     if kind not in _WHEN_FAULTED:
         codes.add("world_faulted")
     codes |= {_MISSING[name] for name in fields if name in _MISSING and (kind, name) not in _NEW}
-    if "cube_name" in fields and "cube_name" not in command.schema["required"] and (kind, "cube_name") not in _NEW:
+    if kind not in _FREE:
+        codes.add("not_allowed")
+    own = "cube_name" in fields and "cube_name" not in command.schema["required"] and "creature" not in fields
+    if own and (kind, "cube_name") not in _NEW:
         codes.add("nothing_owned")
     return sorted(codes)
 

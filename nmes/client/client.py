@@ -60,13 +60,13 @@ class Client(ClientBase, BlockingCommands):
             The client itself.
 
         Raises:
-            CommandFailed: The server refused it: `auth_failed`, `invalid`, `too_many_connections`, `world_not_found` or
-                `world_unavailable`.
+            CommandFailed: The server refused it: `auth_failed`, `invalid`, `role_not_found`, `too_many_connections`,
+                `world_not_found` or `world_unavailable`.
             Disconnected: Nothing listens there (`unreachable`), or the server closed the connection.
             RuntimeError: The client is connected already.
             TimeoutError: No reply came in time.
         """
-        self._welcome = self._enter(world=self.world)
+        self._entered(self._enter(world=self.world, role=self.role, token=self.token))
         return self
 
     def worlds(self) -> list[WorldSummary]:
@@ -127,7 +127,7 @@ class Client(ClientBase, BlockingCommands):
             raise
 
     def reconnect(self) -> Self:
-        """Closes the connection and connects anew, as another client of the world.
+        """Closes the connection and connects anew, as another client of the world; with roles, as the same player.
 
         Subscriptions, objectives and events that were not yet read are gone.
 

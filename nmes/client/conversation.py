@@ -119,7 +119,17 @@ class Conversation:
 
 
 class ClientBase:
-    """The base of both clients: settings, the event queue, and errors."""
+    """The base of both clients: settings, the event queue, and errors.
+
+    Attributes:
+        host: Name or address of the server.
+        port: Its TCP port.
+        world: The name of the world; None: the server's first.
+        role: The role that is asked for; None: the first that the password opens.
+        token: In a world with roles, the secret that makes the next connection the same player's; else None.
+        timeout: How long a reply may take, s; None: for ever.
+        on_event: What is called with each event.
+    """
 
     def __init__(
         self,
@@ -128,6 +138,8 @@ class ClientBase:
         *,
         password: str | None = None,
         world: str | None = None,
+        role: str | None = None,
+        token: str | None = None,
         timeout: float | None = 10.0,
         tls: bool | ssl.SSLContext = False,
         tls_ca: str | os.PathLike[str] | None = None,
@@ -140,6 +152,8 @@ class ClientBase:
             port: Its TCP port. Default: 14000.
             password: The server's password. Default: what the environment's variable `NMES_PASSWORD` says.
             world: The name of one of the server's worlds. Default: its first.
+            role: In a world with roles, one that the password opens. Default: the first of those.
+            token: That of an earlier connection (`token`), to be its player again. Default: somebody new.
             timeout: How long a reply may take, in s, before `TimeoutError` is raised; None waits for ever. May be
                 changed later. Default: 10.
             tls: True speaks TLS with a server whose certificate the system trusts; an SSL context says more than that.
@@ -155,6 +169,8 @@ class ClientBase:
         self.host = host
         self.port = port
         self.world = world
+        self.role = role
+        self.token = token
         self.timeout = timeout
         self.on_event = on_event
         self._tls = _trust(tls, tls_ca)
@@ -177,6 +193,11 @@ class ClientBase:
         if self._welcome is None:
             raise Disconnected("not_connected", "the client has not connected yet")
         return self._welcome
+
+    def _entered(self, welcome: AuthSuccess) -> None:
+        """Keeps the server's answer, and the token in it, with which the next connection is the same player's."""
+        self._welcome = welcome
+        self.token = welcome.get("token", self.token)
 
     def _new_conversation(self) -> Conversation:
         self._queue.clear()

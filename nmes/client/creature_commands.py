@@ -54,7 +54,7 @@ class CreatureCommands:
 
         Raises:
             CommandFailed: The server refused it: `creature_exists`, `cube_exists`, `invalid`, `limit_reached`,
-                `unsupported` or `world_faulted`.
+                `not_allowed`, `unsupported` or `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -75,7 +75,8 @@ class CreatureCommands:
             Driven: The motors have their targets.
 
         Raises:
-            CommandFailed: The server refused it: `creature_not_found`, `invalid`, `unsupported` or `world_faulted`.
+            CommandFailed: The server refused it: `creature_not_found`, `invalid`, `not_allowed`, `unsupported` or
+                `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -109,7 +110,8 @@ class CreatureCommands:
             Senses: What the sensors of a creature read.
 
         Raises:
-            CommandFailed: The server refused it: `creature_not_found`, `invalid`, `unsupported` or `world_faulted`.
+            CommandFailed: The server refused it: `creature_not_found`, `invalid`, `not_allowed`, `unsupported` or
+                `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -146,7 +148,7 @@ class CreatureCommands:
 
         Raises:
             CommandFailed: The server refused it: `bad_expression`, `creature_not_found`, `cube_not_found`, `invalid`,
-                `limit_reached`, `nothing_owned`, `unsupported` or `world_faulted`.
+                `limit_reached`, `not_allowed`, `nothing_owned`, `unsupported` or `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -179,8 +181,8 @@ class CreatureCommands:
             Reward: What an objective or a metric is worth now.
 
         Raises:
-            CommandFailed: The server refused it: `bad_expression`, `cube_not_found`, `invalid`, `nothing_owned`,
-                `unsupported` or `world_faulted`.
+            CommandFailed: The server refused it: `bad_expression`, `cube_not_found`, `invalid`, `not_allowed`,
+                `nothing_owned`, `unsupported` or `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """

@@ -17,6 +17,7 @@ from nmes.client.replies import (
     CubeList,
     CubeState,
     CubeStateSet,
+    Given,
     PhysicsApplied,
 )
 
@@ -73,7 +74,8 @@ class CubeCommands:
             CubeList: The cube that was spawned, the cubes of the world, or both.
 
         Raises:
-            CommandFailed: The server refused it: `cube_exists`, `invalid`, `limit_reached` or `world_faulted`.
+            CommandFailed: The server refused it: `cube_exists`, `invalid`, `limit_reached`, `not_allowed` or
+                `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -90,7 +92,7 @@ class CubeCommands:
             CubeDespawned: The cube is gone.
 
         Raises:
-            CommandFailed: The server refused it: `cube_not_found`, `invalid` or `world_faulted`.
+            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `not_allowed` or `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -124,7 +126,8 @@ class CubeCommands:
             PhysicsApplied: What was asked will act in the next tick.
 
         Raises:
-            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `nothing_owned` or `world_faulted`.
+            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `not_allowed`, `nothing_owned` or
+                `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -146,8 +149,8 @@ class CubeCommands:
             PhysicsApplied: What was asked will act in the next tick.
 
         Raises:
-            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `nothing_owned`, `unsupported` or
-                `world_faulted`.
+            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `not_allowed`, `nothing_owned`,
+                `unsupported` or `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -179,7 +182,8 @@ class CubeCommands:
             CubeStateSet: The cube is where it was to be, or on top of the ground there.
 
         Raises:
-            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `unsupported` or `world_faulted`.
+            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `not_allowed`, `unsupported` or
+                `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -197,7 +201,8 @@ class CubeCommands:
             ColorSet: A cube has another colour.
 
         Raises:
-            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `unsupported` or `world_faulted`.
+            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `not_allowed`, `unsupported` or
+                `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -215,11 +220,32 @@ class CubeCommands:
             CubeFrozen: The cube is frozen, or free.
 
         Raises:
-            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `unsupported` or `world_faulted`.
+            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `not_allowed`, `unsupported` or
+                `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
         return CubeFrozen
+
+    @command
+    def give(self, player: int, *, cube_name: str | None = None, creature: str | None = None) -> type[Given]:
+        """Makes a cube or a creature, with all that joints connect to it, belong to another player.
+
+        Args:
+            player: The number of the player, as auth_success tells him, from 1 to 9,007,199,254,740,991.
+            cube_name: The cube. Either this or creature.
+            creature: The creature. Either this or cube_name.
+
+        Returns:
+            Given: The cubes belong to that player.
+
+        Raises:
+            CommandFailed: The server refused it: `creature_not_found`, `cube_not_found`, `invalid`, `not_allowed`,
+                `player_not_found`, `unsupported` or `world_faulted`.
+            Disconnected: The connection was lost.
+            TimeoutError: No reply came in time.
+        """
+        return Given
 
     @command
     def get_cube_list(self) -> type[CubeList]:
@@ -229,7 +255,7 @@ class CubeCommands:
             CubeList: The cube that was spawned, the cubes of the world, or both.
 
         Raises:
-            CommandFailed: The server refused it: `world_faulted`.
+            CommandFailed: The server refused it: `not_allowed` or `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -257,7 +283,8 @@ class CubeCommands:
             CubeInfo: All about a cube.
 
         Raises:
-            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `unsupported` or `world_faulted`.
+            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `not_allowed`, `unsupported` or
+                `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -274,8 +301,8 @@ class CubeCommands:
             CubeState: The moving part of a cube's state.
 
         Raises:
-            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `nothing_owned`, `unsupported` or
-                `world_faulted`.
+            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `not_allowed`, `nothing_owned`,
+                `unsupported` or `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -312,8 +339,8 @@ class CubeCommands:
                 not compare them.
 
         Raises:
-            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `nothing_owned`, `unsupported` or
-                `world_faulted`.
+            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `not_allowed`, `nothing_owned`,
+                `unsupported` or `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """

@@ -96,7 +96,7 @@ class JointCommands:
 
         Raises:
             CommandFailed: The server refused it: `cube_not_found`, `invalid`, `joint_exists`, `limit_reached`,
-                `self_joint`, `unsupported` or `world_faulted`.
+                `not_allowed`, `self_joint`, `unsupported` or `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -133,7 +133,7 @@ class JointCommands:
 
         Raises:
             CommandFailed: The server refused it: `cube_not_found`, `invalid`, `joint_exists`, `limit_reached`,
-                `self_joint`, `unsupported` or `world_faulted`.
+                `not_allowed`, `self_joint`, `unsupported` or `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -150,7 +150,8 @@ class JointCommands:
             JointRemoved: The joint is gone.
 
         Raises:
-            CommandFailed: The server refused it: `invalid`, `joint_not_found`, `unsupported` or `world_faulted`.
+            CommandFailed: The server refused it: `invalid`, `joint_not_found`, `not_allowed`, `unsupported` or
+                `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -173,7 +174,8 @@ class JointCommands:
             JointParamSet: The parameter is set.
 
         Raises:
-            CommandFailed: The server refused it: `invalid`, `joint_not_found`, `unsupported` or `world_faulted`.
+            CommandFailed: The server refused it: `invalid`, `joint_not_found`, `not_allowed`, `unsupported` or
+                `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -187,7 +189,7 @@ class JointCommands:
             JointList: The joints of the world.
 
         Raises:
-            CommandFailed: The server refused it: `unsupported` or `world_faulted`.
+            CommandFailed: The server refused it: `not_allowed`, `unsupported` or `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -204,7 +206,8 @@ class JointCommands:
             JointInfo: One joint's reading.
 
         Raises:
-            CommandFailed: The server refused it: `invalid`, `joint_not_found`, `unsupported` or `world_faulted`.
+            CommandFailed: The server refused it: `invalid`, `joint_not_found`, `not_allowed`, `unsupported` or
+                `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -227,8 +230,8 @@ class JointCommands:
             JointParamsSet: Parameters of a joint were set.
 
         Raises:
-            CommandFailed: The server refused it: `invalid`, `joint_not_found`, `limit_reached`, `unsupported` or
-                `world_faulted`.
+            CommandFailed: The server refused it: `invalid`, `joint_not_found`, `limit_reached`, `not_allowed`,
+                `unsupported` or `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -245,7 +248,8 @@ class JointCommands:
             JointsForCube: The joints of a cube.
 
         Raises:
-            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `unsupported` or `world_faulted`.
+            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `not_allowed`, `unsupported` or
+                `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -277,8 +281,8 @@ class JointCommands:
             CubesLinked: Cubes were joined.
 
         Raises:
-            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `limit_reached`, `self_joint`,
-                `unsupported` or `world_faulted`.
+            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `limit_reached`, `not_allowed`,
+                `self_joint`, `unsupported` or `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -312,8 +316,8 @@ class JointCommands:
             CubesLinked: Cubes were joined.
 
         Raises:
-            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `limit_reached`, `unsupported` or
-                `world_faulted`.
+            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `limit_reached`, `not_allowed`,
+                `unsupported` or `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """

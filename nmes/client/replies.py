@@ -23,6 +23,9 @@ class AuthSuccess(TypedDict):
     timestep: float
     tick_rate: float
     mode: str
+    role: NotRequired[str]
+    player: NotRequired[int]
+    token: NotRequired[str]
 
 
 class CubeList(TypedDict):
@@ -36,6 +39,12 @@ class CubeDespawned(TypedDict):
     type: Literal["cube_despawned"]
     cube_name: str
     joints: Names
+
+
+class Given(TypedDict):
+    type: Literal["given"]
+    player: int
+    cubes: Names
 
 
 class JointCreated(TypedDict):
@@ -196,6 +205,7 @@ class CubeInfo(CubeMotion):
     color: list[float]
     group: NotRequired[str]
     frozen: bool
+    player: NotRequired[int | None]
     sleeping: bool
     joints: Names
     contacts: list[Touch]

@@ -44,7 +44,8 @@ class WorldCommands:
             WorldState: Many cubes at one moment.
 
         Raises:
-            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `unsupported` or `world_faulted`.
+            CommandFailed: The server refused it: `cube_not_found`, `invalid`, `not_allowed`, `unsupported` or
+                `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -92,7 +93,7 @@ class WorldCommands:
             WorldReset: The world is as it was created.
 
         Raises:
-            CommandFailed: The server refused it: `invalid`, `unsupported` or `world_faulted`.
+            CommandFailed: The server refused it: `invalid`, `not_allowed`, `unsupported` or `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -111,7 +112,8 @@ class WorldCommands:
             Stepped: The world has ticked.
 
         Raises:
-            CommandFailed: The server refused it: `invalid`, `unsupported`, `world_faulted` or `wrong_mode`.
+            CommandFailed: The server refused it: `invalid`, `not_allowed`, `unsupported`, `world_faulted` or
+                `wrong_mode`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -125,7 +127,7 @@ class WorldCommands:
             Paused: The world does not tick by itself.
 
         Raises:
-            CommandFailed: The server refused it: `unsupported` or `world_faulted`.
+            CommandFailed: The server refused it: `not_allowed`, `unsupported` or `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -139,7 +141,7 @@ class WorldCommands:
             Resumed: The world ticks by itself again.
 
         Raises:
-            CommandFailed: The server refused it: `unsupported` or `world_faulted`.
+            CommandFailed: The server refused it: `not_allowed`, `unsupported` or `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -173,7 +175,8 @@ class WorldCommands:
             ModeSet: What makes the world tick.
 
         Raises:
-            CommandFailed: The server refused it: `invalid`, `unsupported`, `world_faulted` or `wrong_mode`.
+            CommandFailed: The server refused it: `invalid`, `not_allowed`, `unsupported`, `world_faulted` or
+                `wrong_mode`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -204,7 +207,7 @@ class WorldCommands:
             Subscribed: What the connection is subscribed to.
 
         Raises:
-            CommandFailed: The server refused it: `invalid` or `unsupported`.
+            CommandFailed: The server refused it: `invalid`, `not_allowed` or `unsupported`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """

@@ -19,7 +19,7 @@ from itertools import zip_longest
 from typing import Any, Generic, NamedTuple, TypeVar
 
 from nmes import protocol
-from nmes.errors import RejectedMessage
+from nmes.errors import RejectedMessage, WorldError
 from nmes.playback.divergence import message_or_text
 from nmes.playback.report import departure
 from nmes.protocol import NO_ID, Request
@@ -141,11 +141,19 @@ def apply_input(world: World, record: Record, reply: Record | None = None) -> No
         case Kind.TICKS | Kind.FAULT:
             world.tick()
         case Kind.JOINED:
-            world.join()
+            _join(world, record)
         case Kind.LEFT if record.client in world.clients():
             world.leave(record.client)
         case Kind.COMMAND | Kind.REFUSED if record.client in world.clients():
             world.handle(record.client, _request(record, reply))
+
+
+def _join(world: World, record: Record) -> None:
+    about = record.about or {}
+    try:
+        world.join(about.get("role"), about.get("player"))
+    except WorldError:
+        pass  # no world lets such a client in: somebody has edited the file, as what is missing now will show
 
 
 def advance(world: World, recording: Recording, records: Iterable[Record], frame: int) -> None:

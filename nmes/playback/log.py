@@ -28,6 +28,7 @@ _DEFAULT = {"mode": "lockstep"}  # the config of a world that the log does not d
 _AT_ONCE = 256  # lines
 _LONGEST = 256 << 20  # bytes of a line
 _SHAPES: dict[Any, jsonschema_rs.Draft202012Validator] = {
+    Kind.JOINED: jsonschema_rs.Draft202012Validator(load("recording/clients.json")),
     Kind.TICKS: jsonschema_rs.Draft202012Validator(load("recording/ticks.json")),
     Kind.FAULT: jsonschema_rs.Draft202012Validator(load("recording/faults.json")),
     Kind.REPLY: jsonschema_rs.Draft202012Validator({"type": "object"}),

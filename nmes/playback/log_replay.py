@@ -127,13 +127,13 @@ class _LogReplay(Journal):
                     self._tick(line)
                 case Kind.FAULT:
                     self._fault(line)
-                case Kind.JOINED if self.world.join() != line.client:
-                    self._diverge("client", f"client {line.client} joined; now it has another number")
+                case Kind.JOINED:
+                    self._join(line)
                 case Kind.KEYFRAME:
                     self._restore(line)
                 case Kind.LEFT if line.client in self.world.clients():
                     self.world.leave(line.client)
-                case Kind.JOINED | Kind.LEFT:
+                case Kind.LEFT:
                     pass
                 case Kind.REFUSED:
                     # What is no valid command changes nothing, and its bytes are not in the log.
@@ -144,6 +144,14 @@ class _LogReplay(Journal):
             if self.report.divergence is not None:
                 return
         self._end()
+
+    def _join(self, line: Line) -> None:
+        try:
+            client = self.world.join(line.message.get("role"), line.message.get("player"))
+        except WorldError as error:
+            return self._diverge("client", f"client {line.client} joined; now it cannot: {error.message}")
+        if client != line.client:
+            self._diverge("client", f"client {line.client} joined; now it has another number")
 
     def _pass_over(self, what: str) -> None:
         if what != "the beginning":

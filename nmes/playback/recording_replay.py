@@ -192,19 +192,25 @@ class _RecordingReplay(Journal):
 
     # -- the journal -----------------------------------------------------------------------------------------------
 
-    def joined(self, client: int) -> None:
+    def joined(self, client: int, role: str | None, player: int | None) -> None:
         """A client came."""
-        self._client(Kind.JOINED, client)
+        record = self._client(Kind.JOINED, client)
+        about = {} if record is None else record.about or {}
+        if record is not None and (about.get("role"), about.get("player")) != (role, player):
+            self._diverge("client", record, f"client {client} joined otherwise; now as {role}, player {player}")
+            self._over = True
 
     def left(self, client: int) -> None:
         """A client went."""
         self._client(Kind.LEFT, client)
 
-    def _client(self, kind: Kind, client: int) -> None:
+    def _client(self, kind: Kind, client: int) -> Record | None:
         record = self._expect(kind)
         if record is not None and record.client != client:
             self._diverge("client", record, f"client {record.client} {kind}; now it has number {client}")
             self._over = True
+            return None
+        return record
 
     def received(self, client: int, request: Request) -> None:
         """A frame is executed next: the one that was just fed."""

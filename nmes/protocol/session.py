@@ -31,7 +31,7 @@ from nmes.schemas.documents import parse_json
 __all__ = ["REDACTED", "Auth", "FrameSplitter", "Limits", "Session"]
 
 REDACTED: Final = b"(a frame with a password, which is not kept)"
-"""What is recorded of a refused frame with the password in it."""
+"""What is recorded of a refused frame with the password, or a token, in it."""
 _WHITE: Final = b" \t\r\n"
 _MOST_TOLD: Final = 200  # things of a session's frames that do nothing
 
@@ -72,6 +72,8 @@ class Auth:
     id: Any = NO_ID
     list: bool = False
     close: str | None = None
+    role: str | None = None
+    token: str | None = field(default=None, repr=False)
 
 
 class FrameSplitter:
@@ -167,7 +169,7 @@ class Session:
         self._splitter = FrameSplitter(self._limits.auth_frame)
         self._state: Literal["new", "waiting", "open", "closed"] = "new"
         self._auth_id: Any = NO_ID
-        self._secrets: tuple[bytes, ...] = ()  # the forms that the password takes in frames
+        self._secrets: tuple[bytes, ...] = ()  # the forms that the password and tokens take in frames
         self._told: set[str] = set()  # what `without_effect` has returned
 
     def receive(self, data: bytes) -> list[Auth | bytes]:
@@ -183,7 +185,7 @@ class Session:
         elif self._state == "new":
             for frame in self._splitter.feed(data, 1):
                 auth = self._read_auth(frame)
-                self._secrets = _secret_forms(auth.password)
+                self._secrets = _secret_forms(auth.password) + _secret_forms(auth.token or "")
                 received.append(auth)
                 self._state = "waiting"
         else:
@@ -218,12 +220,13 @@ class Session:
             error = find_error(AUTH, message)
         if error is not None:
             return Auth("json", error=error, id=self._auth_id)
-        asked = message.get("list", False), message.get("close")
-        return Auth("json", message["password"], message.get("world"), None, self._auth_id, *asked)
+        asked = {name: message[name] for name in ("world", "list", "close", "role", "token") if name in message}
+        return Auth("json", message["password"], id=self._auth_id, **asked)
 
     def accept(self, welcome: Mapping[str, Any]) -> bytes:
         """Opens the session and returns the bytes that say so; `welcome` is `auth_success`, or `world_list`."""
         self._state = "open"
+        self._secrets += _secret_forms(welcome.get("token", ""))
         self._splitter.limit = self._limits.frame
         if self.dialect == "raw":
             return b"auth_success" + DELIMITER
@@ -258,9 +261,10 @@ class Session:
         return cast(Request, backlog[0])
 
     def redacted(self, request: Request) -> Request:
-        """Returns a request in which the password is not, be it said once more: for logs, recordings and replies.
+        """Returns a request in which no secret is, be it said once more: for logs, recordings and replies.
 
-        A second `auth` never comes through, nor any frame that is refused and holds the password, be it by itself.
+        A second `auth` never comes through, nor any frame that is refused and holds the password or a token, be it by
+        itself.
         """
         if request.error is None:
             return request

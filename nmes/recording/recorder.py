@@ -128,9 +128,12 @@ class Recorder:
 
     # -- the journal -----------------------------------------------------------------------------------------------
 
-    def joined(self, client: int) -> None:
-        """Records that a client came."""
-        self._notes.append((CLIENTS, self._world.frame, time_ns(), b'{"client":%d,"event":"joined"}' % client))
+    def joined(self, client: int, role: str | None, player: int | None) -> None:
+        """Records that a client came; in a world with roles, in a role and as a player."""
+        about: dict[str, Any] = {"client": client, "event": "joined"}
+        if role is not None:
+            about.update(role=role, player=player)
+        self._notes.append((CLIENTS, self._world.frame, time_ns(), orjson.dumps(about)))
         self._pack()
 
     def left(self, client: int) -> None:

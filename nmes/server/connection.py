@@ -29,6 +29,7 @@ from nmes.protocol import Auth, Request, Session
 from nmes.server.access_log import Visit
 from nmes.server.door import address_of
 from nmes.server.hosted_world import HostedWorld
+from nmes.server.keys import Seat
 from nmes.server.outbox import Outbox
 from nmes.server.threads import SLICE
 
@@ -61,6 +62,7 @@ class Connection(asyncio.BufferedProtocol):
         self._peer = "a client"
         self._visit = Visit(host.access_log, self._peer)
         self._destination: str | None = None  # the world to join
+        self._seat = Seat(None, None)  # as what
         self._world: HostedWorld | None = None  # the world joined
         self._client = 0
         self._timer: asyncio.TimerHandle | None = None  # the deadline that applies: auth, its answer, hanging up
@@ -160,7 +162,7 @@ class Connection(asyncio.BufferedProtocol):
         self._cancel_timer()
         auth = cast(Auth, messages[0])
         default = self._default_world
-        every, own = self._host.accepts(auth.password), self._host.opened_by(auth.password)
+        every, own = self._host.keys.accepts(auth.password), self._host.keys.opened_by(auth.password)
         if not every and own and default is None:
             default = own[0]
         right = every or (auth.close is None and (bool(own) if auth.list else (auth.world or default) in own))
@@ -178,10 +180,12 @@ class Connection(asyncio.BufferedProtocol):
             self.hang_up(RejectedMessage("too_many_connections", f"this host serves {most} connections at once"))
         else:
             try:
-                self._destination = self._host.world_name(auth.world or default)
-            except WorldError as error:
+                name = self._host.world_name(auth.world or default)
+                self._seat = self._host.keys.seat(name, auth)
+            except (WorldError, RejectedMessage) as error:
                 self.hang_up(error)
                 return
+            self._destination = name
             self._transport.pause_reading()
             self._join()
 
@@ -210,9 +214,11 @@ class Connection(asyncio.BufferedProtocol):
         if self._destination is None:
             return
         world = self._host.find(self._destination, self)
-        if world is not None and (joined := world.join(self)) is not None:
+        if world is not None and (joined := world.join(self, *self._seat)) is not None:
             self._destination, self._world, self._output.world = None, world, world
             self._client, welcome = joined
+            if "player" in welcome:
+                welcome["token"] = self._host.keys.token(world.name, welcome["role"], welcome["player"])
             self._visit.enter(world.name, self._client, self._session.dialect)
             self._output.put(self._session.accept(welcome))
             self._work(self._session.receive(b""))

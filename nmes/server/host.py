@@ -3,19 +3,17 @@
 A `Host` listens and keeps the connections' limits and the worlds; a `Connection` moves bytes between one socket and one
 hosted world.
 
-Invariant: passwords are kept only as digests.
+Invariant: nothing is served to who has not said a password, of which `Keys` knows what it opens.
 """
 
 from __future__ import annotations
 
 import asyncio
 import contextlib
-import hmac
 import logging
 import ssl
 from collections.abc import Collection, Coroutine, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
-from hashlib import blake2b
 from pathlib import Path
 from time import monotonic, time
 from types import TracebackType
@@ -28,6 +26,7 @@ from nmes.server.access_log import AccessLog
 from nmes.server.connection import LINGER, READ, Connection
 from nmes.server.door import Door, cannot_listen
 from nmes.server.hosted_world import HostedWorld
+from nmes.server.keys import Keys
 from nmes.server.metrics import CONTENT_TYPE, Figures, Metrics
 from nmes.server.retention import Retention
 from nmes.server.threads import WorkerPool
@@ -55,6 +54,7 @@ class Host:
         self,
         password: str,
         *,
+        role_passwords: Mapping[str, str] | None = None,
         limits: Limits | None = None,
         auth_delay: float = 1.0,
         record_to: Path | None = None,
@@ -67,7 +67,8 @@ class Host:
         """Makes a host that serves nothing yet.
 
         Args:
-            password: What opens all worlds.
+            password: What opens all worlds, in any role.
+            role_passwords: What opens, in one role alone, all worlds whose configs name it, by the role's name.
             limits: The protocol's limits of a connection.
             auth_delay: How long a client that failed to authenticate waits for the answer, s.
             record_to: Directory for the recordings of all worlds; None: nothing is recorded.
@@ -88,8 +89,7 @@ class Host:
         self._offered: dict[str, dict[str, Any]] = {}  # the configs of all, by name
         self._ports: dict[str, int] = {}  # the port whose clients get a world without naming it
         self.buffer = memoryview(bytearray(READ))
-        self._password = _digest(password)
-        self._own_passwords: dict[str, bytes] = {}  # their digests, by world
+        self.keys = Keys(password, role_passwords or {})
         self.record_to = record_to
         self._metrics = metrics
         if metrics is not None:
@@ -155,7 +155,7 @@ class Host:
             return self._create(name, origin)
         except NmesError:
             del self._offered[name]
-            self._own_passwords.pop(name, None)
+            self.keys.remove(name)
             raise
 
     def offer(self, config: Mapping[str, Any], password: str | None = None) -> str:
@@ -174,8 +174,7 @@ class Host:
         if name in self._offered:
             raise WorldError("world_exists", f"two worlds are called {name!r}", "name")
         self._offered[name] = complete
-        if password is not None:
-            self._own_passwords[name] = _digest(password)
+        self.keys.add(name, complete.get("roles", {}), password)
         return name
 
     def _create(self, name: str, origin: Origin | None = None) -> HostedWorld:
@@ -250,7 +249,7 @@ class Host:
                 connection.hang_up(error)
                 return
             del self._offered[name]
-            self._own_passwords.pop(name, None)
+            self.keys.remove(name)
             hosted = self.worlds.pop(name, None)
             if hosted is not None:
                 self.closed.append(hosted)
@@ -287,15 +286,6 @@ class Host:
         return Figures(len(self._connections), self.received, self.sent, worlds)
 
     # -- connections -----------------------------------------------------------------------------------------------
-
-    def accepts(self, password: str) -> bool:
-        """Tells whether a password is the host's, in a time that does not depend on how much of it is right."""
-        return hmac.compare_digest(self._password, _digest(password))
-
-    def opened_by(self, password: str) -> list[str]:
-        """Returns the worlds whose own password it is, in a time that does not depend on how much of it is right."""
-        digest = _digest(password)
-        return [name for name, own in self._own_passwords.items() if hmac.compare_digest(own, digest)]
 
     @property
     def connections(self) -> int:
@@ -446,10 +436,6 @@ class Host:
         self._open = False
         self._reader.shutdown()
         self._pool.close(wait=not self.abandoned)
-
-
-def _digest(password: str) -> bytes:
-    return blake2b(password.encode("utf-8", "surrogatepass")).digest()
 
 
 def _spawn(work: Coroutine[Any, Any, None], among: set[asyncio.Task[None]]) -> None:

@@ -137,8 +137,10 @@ class HostedWorld:
 
     # -- requests --------------------------------------------------------------------------------------------------
 
-    def join(self, connection: Peer) -> tuple[int, dict[str, Any]] | None:
-        """Lets a connection in.
+    def join(
+        self, connection: Peer, role: str | None = None, player: int | None = None
+    ) -> tuple[int, dict[str, Any]] | None:
+        """Lets a connection in, in a role and as a player as `World.join` says.
 
         Returns:
             Its client number and its `auth_success`; or None if it has to wait: its `resume` is called when it may try
@@ -147,7 +149,7 @@ class HostedWorld:
         if self._worker.away or self._closing:
             self._waiting[connection] = None
             return None
-        client = self.world.join()
+        client = self.world.join(role, player)
         self._peers[client] = connection
         self._settle_soon()
         return client, self.world.welcome(client)
@@ -195,7 +197,7 @@ class HostedWorld:
             return result.result()
         if command is None or world.fault is not None:
             return world.handle(client, request)
-        if world.barrier is not None and request.type == "step":
+        if world.barrier is not None and request.type == "step" and world.may(client, "step"):
             waits = self._barrier.arrive(client, command.get("ticks", 1))
             return None if waits else world.handle(client, request)
         worker = self._worker

@@ -192,6 +192,11 @@ class ClientObjectives:
         needs = [str(quantity) for quantity in objective.needs]
         return {"type": "objective_set", "name": name, "cubes": [cube.name for cube in cubes.values()], "needs": needs}
 
+    def cubes(self, name: str | None) -> list[Cube]:
+        """Returns the cubes that an objective observes, of the default one if none is named; none if it is not set."""
+        objective = self._objectives.get(protocol.COMMANDS["set_objective"].defaults["name"] if name is None else name)
+        return [] if objective is None else [*objective.body.values(), *objective.others.values()]
+
     def tick(self, entities: Entities) -> None:
         """Measures the quantities of all objectives after a tick."""
         self._set_lost_aside(entities)

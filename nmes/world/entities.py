@@ -50,6 +50,7 @@ class Cube:
     past_work: float = 0.0  # J that motors of joints which it had, and has no more, have worked
     group: str | None = None  # the collision group
     joints: dict[str, None] = field(default_factory=dict)  # in order of creation
+    player: int | None = None  # whose it is; None: nobody's
 
 
 @dataclass(slots=True)
@@ -131,7 +132,7 @@ class Entities:
         """Returns the cubes and joints as plain JSON data."""
         cubes = [
             {
-                **{name: getattr(cube, name) for name in Cube.__slots__ if name not in ("joints", "group")},
+                **{name: getattr(cube, name) for name in Cube.__slots__ if name not in ("joints", "group", "player")},
                 **({} if cube.group is None else {"group": cube.group}),
             }
             for cube in self.cubes.values()

@@ -21,8 +21,8 @@ class Journal(Protocol):
 
     # `return` makes each method a default that subclasses inherit; without it a type checker takes it for abstract.
 
-    def joined(self, client: int) -> None:
-        """A client came."""
+    def joined(self, client: int, role: str | None, player: int | None) -> None:
+        """A client came; in a world with roles, in a role and as a player."""
         return
 
     def left(self, client: int) -> None:

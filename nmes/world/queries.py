@@ -14,6 +14,7 @@ from typing import Any
 from nmes import protocol
 from nmes.backend import Array, Backend, Contact, Simulation, Track, Vector
 from nmes.backend.rotation import total
+from nmes.errors import WorldError
 from nmes.objective.trajectory import Flags, touches
 from nmes.schemas.documents import JsonObject
 from nmes.world import readings
@@ -21,6 +22,7 @@ from nmes.world.clients import Clients
 from nmes.world.costs import command_cost, rebuild_cost
 from nmes.world.creature import Creature, Creatures
 from nmes.world.entities import Entities
+from nmes.world.roles import Role
 from nmes.world.state import Barrier, Fault
 
 __all__ = ["WorldQueries"]
@@ -41,6 +43,7 @@ class WorldQueries:
         fault: Why the world has stopped; None while it goes on.
         entities: Its cubes and joints.
         all_creatures: Its creatures.
+        roles: What those who are in it may do, by name; empty: everybody may do everything.
     """
 
     config: JsonObject
@@ -54,6 +57,7 @@ class WorldQueries:
     fault: Fault | None
     entities: Entities
     all_creatures: Creatures
+    roles: Mapping[str, Role]
     _clients: Clients
     _tick_rate: int
     _past: int  # ticks before the last reset
@@ -117,6 +121,17 @@ class WorldQueries:
     def clients(self) -> list[int]:
         """Returns the numbers of the clients that are in, in the order in which they came."""
         return list(self._clients)
+
+    def may(self, client: int, kind: str) -> bool:
+        """Whether a client may do a command of this type, of those that are about the world as a whole."""
+        role = self._clients[client].role
+        return role is None or role.allows(kind, None, None)
+
+    def require_player(self, player: int) -> None:
+        """Raises `player_not_found` unless a player of that number has ever come."""
+        if not 1 <= player <= self._clients.players:
+            message = f"there is no player {player}; {self._clients.players} have come so far"
+            raise WorldError("player_not_found", message, "player")
 
     def creatures(self) -> list[str]:
         """Returns the creatures' names in order of creation."""
@@ -182,6 +197,7 @@ class WorldQueries:
 
     def welcome(self, client: int) -> JsonObject:
         """Returns the `auth_success` message for a client that has joined."""
+        role, player = self._clients[client].role, self._clients[client].player
         return {
             "type": "auth_success",
             "protocol": protocol.PROTOCOL_VERSION,
@@ -192,4 +208,5 @@ class WorldQueries:
             "timestep": 1.0 / self._tick_rate,
             "tick_rate": self._tick_rate,
             "mode": self.mode,
+            **({} if role is None else {"role": role.name, "player": player}),
         }

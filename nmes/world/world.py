@@ -34,6 +34,7 @@ from nmes.world.entities import Entities
 from nmes.world.journal import Journal
 from nmes.world.keyframes import KeyframeSchedule
 from nmes.world.queries import WorldQueries
+from nmes.world.roles import OWNER, read_roles
 from nmes.world.snapshot import pack, unpack
 from nmes.world.state import Barrier, Fault
 
@@ -83,11 +84,12 @@ class World(WorldQueries):
         self.barrier = None
         self._tick_rate = self.config["tick_rate"]
         self._substeps: int = self.config["substeps"]
-        self._clients = Clients()
         self._past = 0
         self._stepping = False  # within the ticks of a command
         self._keyframes = KeyframeSchedule(self.config, self.backend)
         try:
+            self.roles = read_roles(self.config.get("roles"))
+            self._clients = Clients(self.roles)
             self._begin(self.config["seed"], version=0)
         except WorldError as error:
             raise RejectedMessage(error.code, error.message, error.path) from error
@@ -103,10 +105,21 @@ class World(WorldQueries):
 
     # -- clients -------------------------------------------------------------------------------------------------
 
-    def join(self) -> int:
-        """Lets a client in and returns its number, never used before in this world."""
-        number = self._clients.join()
-        self._record(lambda journal: journal.joined(number))
+    def join(self, role: str | None = None, player: int | None = None) -> int:
+        """Lets a client in and returns its number, never used before in this world.
+
+        Args:
+            role: In a world with roles, its role there; None: `owner`.
+            player: The number of a player who comes back; None: somebody new.
+
+        Raises:
+            WorldError: `role_not_found`, `player_not_found`.
+        """
+        if role is None and self.roles:
+            role = OWNER
+        client = self._clients.join(role, player)
+        number, player = client.number, client.player
+        self._record(lambda journal: journal.joined(number, role, player))
         return number
 
     def leave(self, client: int) -> None:
@@ -165,6 +178,8 @@ class World(WorldQueries):
         try:
             if self.fault is not None:
                 self._refuse_when_faulted(kind, self.fault)
+            if client.role is not None:
+                client.role.require(self, client, command)
             reply = COMMANDS[kind](self, client, command)
         except RecordingError:
             raise
@@ -203,7 +218,7 @@ class World(WorldQueries):
             WorldError: As the reply `error` to the command says; that is what the journal has, too.
         """
         driven = self.all_creatures.get(creature)
-        if driven is None or self.fault is not None or not driven.accepts(controls):
+        if driven is None or self.fault is not None or self.roles or not driven.accepts(controls):
             answer = self.execute(client, {"type": "drive", "creature": creature, "controls": controls})
             if answer["type"] == "error":
                 raise WorldError(answer["code"], answer["message"], answer.get("field"))
@@ -337,7 +352,7 @@ class World(WorldQueries):
             entities.restore(state["assembly"], engine)
             creatures = Creatures(entities)
             creatures.restore(state["creatures"])
-            clients = Clients.restored(state, entities)
+            clients = Clients.restored(state, entities, self.roles)
             _require_same(state, entities, creatures, clients)
         except Exception as error:  # an engine's bytes may be anything, and so may what its library thinks of them
             entities.simulation.close()
@@ -401,7 +416,7 @@ class World(WorldQueries):
 def _require_same(state: JsonObject, entities: Entities, creatures: Creatures, clients: Clients) -> None:
     """Raises WorldError unless what was restored, the engine's part aside, would be saved as the very same bytes."""
     parts = {"assembly": entities.assembly(), "creatures": creatures.snapshot(), **clients.snapshot(entities)}
-    told = {name: state[name] for name in parts}
+    told = {name: state[name] for name in (*parts, "roles") if name in state}
     counts = [state[name] for name in ("seed", "frame", "ticks", "next_client")]
     if any(type(count) is not int for count in counts) or state["ticks"] < state["frame"]:
         raise WorldError("bad_snapshot", "its numbers of ticks, or of clients, are none")

@@ -247,7 +247,7 @@ def test_a_signal_ends_everything_properly(tmp_path: Path, number: int) -> None:
 def test_serve_prints_its_state_for_people(tmp_path: Path) -> None:
     with process("serve", "--port", "0", "--backend", "ballistic", "--record", str(tmp_path)) as server:
         assert server.stdout is not None
-        lines = [server.stdout.readline() for _ in range(5)]
+        lines = [server.stdout.readline() for _ in range(6)]
         text = "".join(lines)
         assert re.match(r"World 'main': ballistic \S+, realtime x 1, seed 0\nListening on 127\.0\.0\.1:\d+\n", text)
         password = re.search(r"^Password: (\S+)  \(made up for this run\)$", text, flags=re.MULTILINE)

@@ -14,6 +14,7 @@ from client_docs import MODULES, docstring, error_codes, rewrite
 from nmes.client import AsyncClient, Client
 from nmes.errors import CommandFailed
 from nmes.protocol import COMMANDS
+from nmes.world.commands import RIGHTS
 from servers import served
 
 ROCKER = COMMANDS["spawn_creature"].schema["examples"][0]["genome"]  # two cubes and a joint
@@ -30,6 +31,7 @@ REFUSED: dict[str, list[dict[str, Any]]] = {
     "cube_not_found": [
         *({"type": kind, "cube_name": "x"} for kind in ("apply_physics", "despawn_cube", "get_cube_info")),
         *({"type": kind, "cube_name": "x"} for kind in ("get_cube_state", "set_cube_state", "get_camera")),
+        {"type": "give", "cube_name": "x", "player": 1},
         {"type": "apply_force", "cube_name": "x", "force": [1, 0, 0]},
         {"type": "freeze_cube", "cube_name": "x", "freeze": True},
         {"type": "get_world_state", "cubes": ["x"]},
@@ -52,6 +54,7 @@ REFUSED: dict[str, list[dict[str, Any]]] = {
         {"type": "get_genome", "creature": "x"},
         {"type": "sense", "creature": "x"},
         {"type": "set_objective", "expression": "time", "creature": "x"},
+        {"type": "give", "creature": "x", "player": 1},
     ],
     "nothing_owned": [
         *({"type": kind} for kind in ("apply_physics", "get_cube_state", "get_camera")),
@@ -87,6 +90,8 @@ REFUSED: dict[str, list[dict[str, Any]]] = {
         {"type": "set_mode", "mode": "realtime", "barrier": True},
     ],
     "unknown_type": [{"type": "batch", "commands": [{"type": "fly"}]}],
+    "player_not_found": [{"type": "give", "cube_name": "a", "player": 9}],
+    "not_allowed": [COMMANDS[kind].schema["examples"][0] for kind, right in RIGHTS.items() if right.kind is not None],
 }
 
 
@@ -96,12 +101,15 @@ def refusing(code: str) -> Iterator[Client]:
     config: dict[str, Any] = {"backend": "mujoco", "mode": "realtime" if code == "wrong_mode" else "lockstep"}
     if code == "limit_reached":
         config["limits"] = {"cubes": len(CUBES) + 2, "joints": 2}
-    with served(config) as server, server.client() as builder, server.client() as client:
+    if any(command["type"] == "give" for command in REFUSED[code]):
+        config["roles"] = {"guest": {"own": []}}
+    role = "guest" if code == "not_allowed" else None
+    with served(config) as server, server.client() as builder, server.client(role=role) as client:
         for number, name in enumerate(CUBES):
             builder.spawn_cube(name, position=[3 * number, 1, 0])
         builder.create_joint("a", "b", "fixed", joint_name="ab", notes={f"note_{n}": n for n in range(32)})
         builder.spawn_creature(ROCKER, name="r", position=[0, 5, 0])
-        for name in ("endless", *map(str, range(1, OBJECTIVES))):
+        for name in ("endless", *map(str, range(1, OBJECTIVES))) if role is None else ():
             client.set_objective("1.0 / (time - time)", name=name, cubes=["a"])
         yield client
 
@@ -115,7 +123,7 @@ def test_a_docstring_tells_units_bounds_defaults_and_errors() -> None:
     text = docstring("step", ["ticks"], "Stepped")
     assert "ticks: How many ticks, from 1 to 10,000. Default: 1." in text
     assert "Stepped: The world has ticked." in text
-    assert "refused it: `invalid`, `unsupported`, `world_faulted` or `wrong_mode`." in text
+    assert "refused it: `invalid`, `not_allowed`, `unsupported`, `world_faulted` or" in text
 
 
 @pytest.mark.parametrize("kind", [Client, AsyncClient])

@@ -36,7 +36,7 @@ class Script(Journal):
     def __init__(self) -> None:
         self.entries: list[tuple[Any, ...]] = []
 
-    def joined(self, client: int) -> None:
+    def joined(self, client: int, role: str | None, player: int | None) -> None:
         self.entries.append(("joined", client))
 
     def left(self, client: int) -> None:

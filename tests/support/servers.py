@@ -145,10 +145,12 @@ def served(
     tls: ssl.SSLContext | None = None,
     metrics: Metrics | None = None,
     access_log: Path | None = None,
+    passwords: Mapping[str, str] | None = None,
+    role_passwords: Mapping[str, str] | None = None,
 ) -> Iterator[Served]:
     """Runs a host with a world for each config; by default worlds are in lockstep on the `ballistic` engine.
 
-    If `lazy`, worlds are created when first used.
+    If `lazy`, worlds are created when first used. `passwords` are those of single worlds, by name.
     """
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever, daemon=True)
@@ -157,6 +159,7 @@ def served(
     async def start() -> tuple[Host, int]:
         host = Host(
             PASSWORD,
+            role_passwords=role_passwords,
             limits=limits,
             auth_delay=auth_delay,
             record_to=record_to,
@@ -166,7 +169,8 @@ def served(
             access_log=None if access_log is None else AccessLog(access_log),
         )
         for config in configs or [{}]:
-            (host.offer if lazy else host.add)({"backend": "ballistic", "mode": "lockstep", **config})
+            own = (passwords or {}).get(config.get("name", "main"))
+            (host.offer if lazy else host.add)({"backend": "ballistic", "mode": "lockstep", **config}, own)
         return host, (await host.listen("127.0.0.1", 0))[1]
 
     host, port = asyncio.run_coroutine_threadsafe(start(), loop).result(PATIENCE)

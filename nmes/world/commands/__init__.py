@@ -1,8 +1,8 @@
-"""The command table: one plain function for each type of command.
+"""The command table: one plain function for each type of command, and what it needs where there are roles.
 
 A command function takes the world, the client that sent the command and the command itself, which its schema has found
 valid, and returns the reply as a dict without `id`. It knows the fields of its command and nothing of sockets,
-recordings. A new command is one function here and its two schemas; CONTRIBUTING.md shows it.
+recordings. A new command is one function here, its line in two tables, and its two schemas; CONTRIBUTING.md shows it.
 
 Invariant: a function that raises WorldError has changed nothing; but `step` has ticked until the world stopped.
 """
@@ -13,12 +13,13 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from nmes.world.clients import Client
-from nmes.world.commands import clients, creatures, cubes, general, joints, timing
+from nmes.world.commands import clients, creatures, cubes, general, joints, ownership, timing
+from nmes.world.rights import Right
 
 if TYPE_CHECKING:
     from nmes.world.world import World
 
-__all__ = ["COMMANDS", "HARMLESS", "CommandFunction"]
+__all__ = ["COMMANDS", "HARMLESS", "RIGHTS", "CommandFunction"]
 
 CommandFunction = Callable[["World", Client, dict[str, Any]], dict[str, Any]]
 
@@ -26,11 +27,23 @@ COMMANDS: dict[str, CommandFunction] = {
     **cubes.COMMANDS,
     **joints.COMMANDS,
     **creatures.COMMANDS,
+    **ownership.COMMANDS,
     **clients.COMMANDS,
     **timing.COMMANDS,
     **general.COMMANDS,
 }
 """The function of every command, by the command's type."""
+
+RIGHTS: dict[str, Right] = {
+    **cubes.RIGHTS,
+    **joints.RIGHTS,
+    **creatures.RIGHTS,
+    **ownership.RIGHTS,
+    **clients.RIGHTS,
+    **timing.RIGHTS,
+    **general.RIGHTS,
+}
+"""What every command needs in a world with roles; one that is left out is allowed to nobody there but the owner."""
 
 HARMLESS = frozenset(
     {"ping", "sense", "subscribe", "unsubscribe", "set_objective", "compute_reward"}

@@ -6,17 +6,19 @@ from typing import TYPE_CHECKING
 
 from nmes import protocol
 from nmes.errors import WorldError
+from nmes.objective import Objective
 from nmes.schemas.documents import JsonObject
 from nmes.world.client_objectives import metric
 from nmes.world.clients import Client
 from nmes.world.commands.cubes import named_or_own_cube
 from nmes.world.entities import Cube
+from nmes.world.rights import Right, Touched, nothing
 from nmes.world.subscription import Subscription
 
 if TYPE_CHECKING:
     from nmes.world.world import World
 
-__all__ = ["COMMANDS"]
+__all__ = ["COMMANDS", "RIGHTS", "observed_cubes"]
 
 
 def subscribe(world: World, client: Client, command: JsonObject) -> JsonObject:
@@ -45,10 +47,15 @@ def unsubscribe(world: World, client: Client, command: JsonObject) -> JsonObject
 
 def set_objective(world: World, client: Client, command: JsonObject) -> JsonObject:
     """Sets an objective over a creature, over some cubes, or over the client's own cube."""
-    return client.objectives.set(world.entities, world.frame, _observed_cubes(world, client, command), command)
+    return client.objectives.set(world.entities, world.frame, observed_cubes(world, client, command), command)
 
 
-def _observed_cubes(world: World, client: Client, command: JsonObject) -> dict[str, Cube]:
+def observed_cubes(world: World, client: Client, command: JsonObject) -> dict[str, Cube]:
+    """Returns the cubes that a `set_objective` command is about, by the ids that its expression may use for them.
+
+    Raises:
+        WorldError: `cube_not_found`, `creature_not_found`, `nothing_owned`; `invalid`: it names cubes and a creature.
+    """
     entities = world.entities
     if "creature" in command:
         if "cubes" in command:
@@ -77,4 +84,32 @@ COMMANDS = {
     "unsubscribe": unsubscribe,
     "set_objective": set_objective,
     "compute_reward": compute_reward,
+}
+
+
+def _events(world: World, client: Client, command: JsonObject) -> Touched:
+    return () if command.get("events") == ["tick"] else None  # `state` is about all cubes
+
+
+def _observed(world: World, client: Client, command: JsonObject) -> Touched:
+    """The cubes of an objective, and those that its expression names besides."""
+    cubes = observed_cubes(world, client, command)
+    needs = Objective(command["expression"]).needs
+    others = dict.fromkeys(need.cube for need in needs if need.cube is not None and need.cube not in cubes)
+    return [*cubes.values(), *(world.entities.cube(name, "expression") for name in others)]
+
+
+def _rewarded(world: World, client: Client, command: JsonObject) -> Touched:
+    if "metric" not in command:
+        return client.objectives.cubes(command.get("objective"))
+    if "cube" in command:
+        return [world.entities.cube(command["cube"], "cube")]
+    return [named_or_own_cube(world, client, None)]
+
+
+RIGHTS = {
+    "subscribe": Right("look", _events),
+    "unsubscribe": Right(None, nothing),
+    "set_objective": Right("look", _observed),
+    "compute_reward": Right("look", _rewarded),
 }

@@ -11,11 +11,12 @@ from nmes.errors import DocumentError, WorldError
 from nmes.genome import Genome
 from nmes.schemas.documents import JsonObject
 from nmes.world.clients import Client
+from nmes.world.rights import Right, Touched, nothing
 
 if TYPE_CHECKING:
     from nmes.world.world import World
 
-__all__ = ["COMMANDS"]
+__all__ = ["COMMANDS", "RIGHTS"]
 
 _PROBLEM_LENGTH = 300  # characters of each problem of a bad genome that a reply names
 
@@ -34,6 +35,8 @@ def spawn_creature(world: World, client: Client, command: JsonObject) -> JsonObj
     position = world.all_creatures.place(genome.body, asked)
     alone = bool(command.get("autonomous"))
     creature = world.all_creatures.spawn(genome, position, command.get("name"), target, autonomous=alone)
+    for name in creature.cubes.values():
+        world.entities.cube(name).player = client.player
     reply: JsonObject = {
         "type": "creature_spawned",
         "creature": creature.name,
@@ -77,3 +80,22 @@ def get_genome(world: World, client: Client, command: JsonObject) -> JsonObject:
 
 
 COMMANDS = {"get_genome": get_genome, "spawn_creature": spawn_creature, "drive": drive, "sense": sense}
+
+
+def _cubes_of(world: World, client: Client, command: JsonObject) -> Touched:
+    return [world.entities.cube(name) for name in world.creature(command["creature"]).cubes.values()]
+
+
+def _with_target(world: World, client: Client, command: JsonObject) -> Touched:
+    """The creature, and the cube that its sensors of a target are about."""
+    creature, cubes = world.creature(command["creature"]), world.entities.cubes
+    names = [*creature.cubes.values(), *([creature.target] if isinstance(creature.target, str) else [])]
+    return [cubes[name] for name in names if name in cubes]
+
+
+RIGHTS = {
+    "spawn_creature": Right("build", nothing),
+    "drive": Right("act", _cubes_of),
+    "sense": Right("look", _with_target),
+    "get_genome": Right("look", _cubes_of),
+}

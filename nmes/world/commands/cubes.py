@@ -10,11 +10,13 @@ from nmes.schemas.documents import JsonObject
 from nmes.world import readings
 from nmes.world.clients import Client
 from nmes.world.entities import Cube, cube_not_found
+from nmes.world.rights import Right, Touched, everything, named, nothing
+from nmes.world.structure import connected_cubes
 
 if TYPE_CHECKING:
     from nmes.world.world import World
 
-__all__ = ["COMMANDS", "named_or_own_cube"]
+__all__ = ["COMMANDS", "RIGHTS", "named_or_own_cube"]
 
 _ACTING = frozenset({"force", "torque", "impulse", "angular_impulse"})
 
@@ -39,12 +41,13 @@ def named_or_own_cube(world: World, client: Client, name: str | None) -> Cube:
 def spawn_cube(world: World, client: Client, command: JsonObject) -> JsonObject:
     """Makes a cube, which its client then owns."""
     cube = world.entities.spawn(command)
-    client.owned = cube.name
+    cube.player, client.owned = client.player, cube.name
     reply: JsonObject = {"type": "cube_list", "spawned": cube.name}
     asked = command.get("position", protocol.COMMANDS["spawn_cube"].defaults["position"])
     if cube.origin != world.entities.fields.position(asked):
         reply["moved_to"] = cube.origin
-    if command.get("list", True):
+    role = client.role
+    if command.get("list", True) and (role is None or role.allows("get_cube_list", client.player, None)):
         reply["cubes"] = world.cubes()
     return reply
 
@@ -102,6 +105,8 @@ def get_cube_info(world: World, client: Client, command: JsonObject) -> JsonObje
     entities = world.entities
     cube = entities.cube(command["cube_name"])
     reply = {"type": "cube_info", **readings.cube_info(entities, cube)}
+    if world.roles:
+        reply["player"] = cube.player
     if command.get("sensors"):
         reply.update(readings.inertial(entities, [cube])[0])
     if "rays" in command:
@@ -129,4 +134,35 @@ COMMANDS = {
     "get_cube_info": get_cube_info,
     "get_cube_state": get_cube_state,
     "get_camera": get_camera,
+}
+
+
+def _named_or_own(world: World, client: Client, command: JsonObject) -> Touched:
+    return [named_or_own_cube(world, client, command.get("cube_name"))]
+
+
+def _with_structure(world: World, client: Client, command: JsonObject) -> Touched:
+    """All that joints connect with the cube: it is moved along."""
+    return connected_cubes(world.entities.cube(command["cube_name"]), world.entities.joints)
+
+
+def _with_neighbours(world: World, client: Client, command: JsonObject) -> Touched:
+    """The cube, and those that it is joined to: they lose a joint."""
+    cube = world.entities.cube(command["cube_name"])
+    joints = [world.entities.joints[name] for name in cube.joints]
+    return [cube, *(end for joint in joints for end in (joint.cube1, joint.cube2))]
+
+
+RIGHTS = {
+    "spawn_cube": Right("build", nothing),
+    "despawn_cube": Right("build", _with_neighbours),
+    "apply_physics": Right("act", _named_or_own),
+    "apply_force": Right("act", _named_or_own),
+    "set_color": Right("act", named("cube_name")),
+    "set_cube_state": Right("act", _with_structure),
+    "freeze_cube": Right("act", named("cube_name")),
+    "get_cube_list": Right("look", everything),
+    "get_cube_info": Right("look", named("cube_name")),
+    "get_cube_state": Right("look", _named_or_own),
+    "get_camera": Right("look", _named_or_own),
 }

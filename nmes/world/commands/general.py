@@ -11,6 +11,7 @@ from nmes.protocol import Request
 from nmes.schemas.documents import JsonObject
 from nmes.world import readings
 from nmes.world.clients import Client
+from nmes.world.rights import Right, Touched, nothing
 from nmes.world.scenery import planet_list
 
 if TYPE_CHECKING:
@@ -18,12 +19,13 @@ if TYPE_CHECKING:
     from nmes.world.entities import Entities
     from nmes.world.world import World
 
-__all__ = ["COMMANDS", "capabilities"]
+__all__ = ["COMMANDS", "RIGHTS", "capabilities"]
 
 _BATCH_TICKS = 10_000  # as many as one `step` may ask for: others wait meanwhile
 _BATCH_REPLY = 8 << 20  # bytes of replies after which the rest of a batch is refused
 
-_NEEDED = {"create_bone": "joint.conetwist", "get_camera": "camera"}  # capabilities of the engine, by command
+# Capabilities, of the engine or of a world with roles, by command.
+_NEEDED = {"create_bone": "joint.conetwist", "get_camera": "camera", "give": "roles"}
 
 
 def ping(world: World, client: Client, command: JsonObject) -> JsonObject:
@@ -64,26 +66,33 @@ def get_world_info(world: World, client: Client, command: JsonObject) -> JsonObj
             "clients": len(world.clients()),
         },
         "limits": world.config["limits"],
-        "skeletons": _skeletons(entities),
-        "capabilities": capabilities(backend),
+        "skeletons": _skeletons(entities, client),
+        "capabilities": capabilities(backend, roles=bool(world.roles)),
         "fault": None if fault is None else {"code": fault.code, "frame": fault.frame, "message": fault.message},
     }
 
 
-def _skeletons(entities: Entities) -> list[JsonObject]:
-    """Returns the skeletons in order of their oldest bones."""
-    bones: dict[str | int, list[str]] = {}
+def _skeletons(entities: Entities, client: Client) -> list[JsonObject]:
+    """Returns the skeletons in order of their oldest bones, without bones that the client may not look at."""
+    role, bones = client.role, dict[str | int, list[str]]()
     for joint in entities.joints.values():
-        if joint.skeleton is not None:
+        ends = joint.cube1, joint.cube2
+        if joint.skeleton is not None and (role is None or role.allows("get_joint_info", client.player, ends)):
             bones.setdefault(joint.skeleton, []).append(joint.name)
     return [{"snake_id": snake, "bones": names} for snake, names in bones.items()]
 
 
-def capabilities(backend: Backend) -> list[str]:
-    """Returns the optional commands that a world with this engine serves and what the engine can do, sorted."""
+def capabilities(backend: Backend, roles: bool) -> list[str]:
+    """Returns the optional commands that a world with this engine serves and what the engine can do, sorted.
+
+    Args:
+        backend: The engine.
+        roles: Whether the world's config names roles.
+    """
     optional = {kind for kind, schema in protocol.COMMANDS.items() if not schema.required}
-    lacking = {kind for kind, capability in _NEEDED.items() if capability not in backend.capabilities}
-    return sorted((optional - lacking) | backend.capabilities)
+    able = backend.capabilities | {"roles"} if roles else backend.capabilities
+    lacking = {kind for kind, capability in _NEEDED.items() if capability not in able}
+    return sorted((optional - lacking) | able)
 
 
 def get_planets(world: World, client: Client, command: JsonObject) -> JsonObject:
@@ -127,4 +136,18 @@ COMMANDS = {
     "get_world_info": get_world_info,
     "get_planets": get_planets,
     "batch": batch,
+}
+
+
+def _listed(world: World, client: Client, command: JsonObject) -> Touched:
+    names = command.get("cubes")
+    return None if names is None else [world.entities.cube(name, f"cubes/{i}") for i, name in enumerate(names)]
+
+
+RIGHTS = {
+    "ping": Right(None, nothing),
+    "get_world_state": Right("look", _listed),
+    "get_world_info": Right(None, nothing),
+    "get_planets": Right(None, nothing),
+    "batch": Right(None, nothing),  # its parts are judged one by one
 }

@@ -9,11 +9,12 @@ from nmes.schemas.documents import JsonObject
 from nmes.world import linking, readings
 from nmes.world.clients import Client
 from nmes.world.entities import identity
+from nmes.world.rights import Right, Touched, everything, named
 
 if TYPE_CHECKING:
     from nmes.world.world import World
 
-__all__ = ["COMMANDS"]
+__all__ = ["COMMANDS", "RIGHTS"]
 
 
 def create_joint(world: World, client: Client, command: JsonObject) -> JsonObject:
@@ -86,4 +87,32 @@ COMMANDS = {
     "get_joints_for_cube": get_joints_for_cube,
     "link_body_cubes": link_body_cubes,
     "link_cube_chains": link_cube_chains,
+}
+
+
+def _ends(world: World, client: Client, command: JsonObject) -> Touched:
+    joint = world.entities.joint(command["joint_name"])
+    return [joint.cube1, joint.cube2]
+
+
+def _chains(world: World, client: Client, command: JsonObject) -> Touched:
+    chains = enumerate(command["chains"])
+    return [world.entities.cube(name, f"chains/{i}/{j}") for i, chain in chains for j, name in enumerate(chain)]
+
+
+def _prefixed(world: World, client: Client, command: JsonObject) -> Touched:
+    return [cube for name, cube in world.entities.cubes.items() if name.startswith(command["prefix"])]
+
+
+RIGHTS = {
+    "create_joint": Right("build", named("cube1", "cube2")),
+    "create_bone": Right("build", named("cube1", "cube2")),
+    "remove_joint": Right("build", _ends),
+    "set_joint_param": Right("act", _ends),
+    "set_joint_params": Right("act", _ends),
+    "get_joint_list": Right("look", everything),
+    "get_joint_info": Right("look", _ends),
+    "get_joints_for_cube": Right("look", named("cube_name")),
+    "link_body_cubes": Right("build", _prefixed),
+    "link_cube_chains": Right("build", _chains),
 }

@@ -8,12 +8,13 @@ from nmes import protocol
 from nmes.errors import WorldError
 from nmes.schemas.documents import JsonObject
 from nmes.world.clients import Client
+from nmes.world.rights import Right, everything
 from nmes.world.state import Barrier
 
 if TYPE_CHECKING:
     from nmes.world.world import World
 
-__all__ = ["COMMANDS"]
+__all__ = ["COMMANDS", "RIGHTS"]
 
 
 def step(world: World, client: Client, command: JsonObject) -> JsonObject:
@@ -61,3 +62,10 @@ def reset(world: World, client: Client, command: JsonObject) -> JsonObject:
 
 
 COMMANDS = {"step": step, "pause": pause, "resume": resume, "set_mode": set_mode, "reset": reset}
+RIGHTS = {
+    "step": Right("time", everything),
+    "pause": Right("time", everything),
+    "resume": Right("time", everything),
+    "set_mode": Right("time", everything),
+    "reset": Right("reset", everything),
+}

@@ -1,0 +1,143 @@
+"""What opens which world of a host, and in which role: passwords, and the tokens by which players come back.
+
+Hides how secrets are kept and compared. A token is the player's number and a code for it, made with a key that is drawn
+for each world when it is offered, and that nobody sees: so no token need be kept, and none outlives the host.
+
+Invariants: passwords are kept only as digests; secrets are compared in a time that does not depend on how much of one
+is right.
+"""
+
+from __future__ import annotations
+
+import hmac
+import re
+import secrets
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass
+from hashlib import blake2b
+from typing import NamedTuple
+
+from nmes.errors import RejectedMessage
+from nmes.protocol import Auth
+from nmes.world.roles import OWNER
+
+__all__ = ["Keys", "Seat"]
+
+_TOKEN = re.compile(r"([1-9][0-9]{0,15})-([0-9a-f]{64})")
+
+
+class Seat(NamedTuple):
+    """As what somebody joins a world.
+
+    Attributes:
+        role: The role; None in a world without roles.
+        player: The number of the player who comes back; None: somebody new.
+    """
+
+    role: str | None
+    player: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class _World:
+    """What opens one world: its roles by name, none where it has none; the digest of its own password; its key."""
+
+    roles: tuple[str, ...]
+    password: bytes | None
+    key: bytes
+
+
+class Keys:
+    """The passwords of a host, and the tokens of those who play in its worlds.
+
+    Args:
+        password: The host's, which opens all worlds, in any role.
+        roles: Passwords of roles, by their names: each opens all worlds that have such a role, in that role alone.
+    """
+
+    def __init__(self, password: str, roles: Mapping[str, str]) -> None:
+        self._password = _digest(password)
+        self._roles = {role: _digest(word) for role, word in roles.items()}
+        self._worlds: dict[str, _World] = {}
+
+    def add(self, world: str, roles: Collection[str], password: str | None) -> None:
+        """Adds a world.
+
+        Args:
+            world: Its name.
+            roles: Those that its config names; none where it is open.
+            password: Its own, which opens it alone, in any role; None: it has none.
+        """
+        names = tuple(dict.fromkeys((OWNER, *roles))) if roles else ()
+        self._worlds[world] = _World(names, None if password is None else _digest(password), secrets.token_bytes(32))
+
+    def remove(self, world: str) -> None:
+        """Forgets a world; what its tokens said is true no more."""
+        del self._worlds[world]
+
+    def accepts(self, password: str) -> bool:
+        """Tells whether a password is the host's."""
+        return hmac.compare_digest(self._password, _digest(password))
+
+    def opened_by(self, password: str) -> list[str]:
+        """Returns the worlds that a password opens which is not the host's."""
+        digest = _digest(password)
+        return [name for name, world in self._worlds.items() if self._is_own(world, digest) or self._of(world, digest)]
+
+    def seat(self, world: str, auth: Auth) -> Seat:
+        """Returns as what somebody joins a world that the password of his `auth` opens.
+
+        Raises:
+            RejectedMessage: `role_not_found`: there is no such role, or the password does not open it; `auth_failed`:
+                the token is none of a player of this world in such a role.
+        """
+        about = self._worlds[world]
+        roles = self._opened(about, auth.password)
+        if auth.role is not None:
+            if auth.role not in roles:
+                reason = f"this password opens no role {auth.role!r} of the world {world!r}"
+                raise RejectedMessage("role_not_found", reason, "role")
+            roles = (auth.role,)
+        if auth.token is None:
+            return Seat(roles[0] if roles else None, None)
+        for role in roles:
+            if (player := _player(about.key, role, auth.token)) is not None:
+                return Seat(role, player)
+        raise RejectedMessage(
+            "auth_failed", "that token is of no player here, in a role that the password opens", "token"
+        )
+
+    def token(self, world: str, role: str, player: int) -> str:
+        """Returns the secret by which a player comes back to a world in his role."""
+        return f"{player}-{_code(self._worlds[world].key, role, player)}"
+
+    def _opened(self, world: _World, password: str) -> tuple[str, ...]:
+        """Returns the roles of a world that a password opens, the one first that it is for."""
+        digest = _digest(password)
+        every = self.accepts(password) or self._is_own(world, digest)
+        return world.roles if every else self._of(world, digest)
+
+    def _is_own(self, world: _World, digest: bytes) -> bool:
+        return world.password is not None and hmac.compare_digest(world.password, digest)
+
+    def _of(self, world: _World, digest: bytes) -> tuple[str, ...]:
+        """Returns the roles of a world whose password it is."""
+        right = [role for role, own in self._roles.items() if hmac.compare_digest(own, digest)]
+        return tuple(role for role in right if role in world.roles)
+
+
+def _player(key: bytes, role: str, token: str) -> int | None:
+    """Returns the number of the player whose token it is; None: nobody's, in that role."""
+    match = _TOKEN.fullmatch(token)
+    if match is None:
+        return None
+    player = int(match[1])
+    return player if hmac.compare_digest(_code(key, role, player), match[2]) else None
+
+
+def _code(key: bytes, role: str, player: int) -> str:
+    return blake2b(f"{player} {role}".encode(), key=key, digest_size=32).hexdigest()
+
+
+def _digest(password: str) -> bytes:
+    return blake2b(password.encode("utf-8", "surrogatepass")).digest()
