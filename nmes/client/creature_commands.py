@@ -93,7 +93,8 @@ class CreatureCommands:
             GenomeDocument: The genome of a creature.
 
         Raises:
-            CommandFailed: The server refused it: `creature_not_found`, `invalid`, `unsupported` or `world_faulted`.
+            CommandFailed: The server refused it: `creature_not_found`, `invalid`, `not_allowed`, `unsupported` or
+                `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """

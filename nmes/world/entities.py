@@ -410,7 +410,8 @@ class Entities:
         self.require_room(joints=1)
         self.require_joinable([(cube1, cube2)], "cube2")
         anchor, axis = self._joint_geometry(command, kind, cube1, cube2)
-        params, notes = self._first_params(command, kind), _notes(command.get("notes", {}))
+        params = joint_params.first_params(kind, command, self._engine_step, self.require)
+        notes = _notes(command.get("notes", {}))
         name, count = self._new_joint_name(command, prefix)
         spec = JointSpec(kind, cube1.body, cube2.body, anchor, axis, joint_params.engine_params(params))
         self.simulation.add_joint(count, spec)
@@ -477,15 +478,6 @@ class Entities:
             axis = (1.0, 0.0, 0.0) if kind == "slide" else (0.0, 0.0, 1.0)
         return anchor, axis
 
-    def _first_params(self, command: JsonObject, kind: str) -> JsonObject:
-        """Returns the parameters that a new joint begins with: its fields, and over them `joint_params`."""
-        changes = {name: command[name] for name in joint_params.CAPABILITY if name in command}
-        if "limits" in command:
-            changes["limit_lower"], changes["limit_upper"] = command["limits"]
-            changes["limit_enabled"] = True
-        params = self._adjusted(kind, joint_params.default_params(self._engine_step), changes, "{}")
-        return self._adjusted(kind, params, command.get("joint_params", {}), "joint_params/{}")
-
     def cut(self, joint: Joint) -> None:
         """Removes a joint; its cubes keep their motion."""
         self.simulation.remove_joint(joint.number)
@@ -508,7 +500,8 @@ class Entities:
         Raises:
             WorldError: `unsupported`, `invalid`, or `limit_reached` for the notes.
         """
-        params = self._adjusted(joint.kind, joint.params, changes, path)
+        now, step = joint.params, self._engine_step
+        params = joint_params.changed_params(joint.kind, now, changes, step, path, self.require)
         kept = {**joint.notes, **_notes(notes or {})}
         if len(kept) > _NOTES:
             raise WorldError("limit_reached", f"a joint keeps at most {_NOTES} notes", "notes")
@@ -522,16 +515,6 @@ class Entities:
         if params["motor_enabled"]:
             self.meter.add(joint.number)
         self.tuned += 1
-
-    def _adjusted(self, kind: str, params: JsonObject, changes: JsonObject, path: str) -> JsonObject:
-        """Returns parameters with changes made, in the order in which they act whatever theirs is."""
-        known = {name: changes[name] for name in joint_params.CAPABILITY if name in changes}
-        for name in known:
-            field = "param_name" if path == "value" else path.format(name)
-            if kind not in ("hinge", "slide") and not (kind == "conetwist" and name.startswith("limit")):
-                raise WorldError("unsupported", f"a {kind} joint has no {name}", field)
-            self.require(joint_params.CAPABILITY[name], f"{name} for joints", field)
-        return joint_params.adjust(kind, params, known, self._engine_step, path)
 
     def work(self, cube: Cube) -> float:
         """Returns the work that the motors of all joints that a cube has, or had, have done so far, J."""

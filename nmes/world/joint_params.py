@@ -6,16 +6,18 @@ effort has two units, a position target makes the motor a servo), so that no eng
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
 from nmes.backend import JointParams
 from nmes.errors import WorldError
 
-__all__ = ["CAPABILITY", "adjust", "default_params", "engine_params", "is_complete"]
+__all__ = ["CAPABILITY", "adjust", "changed_params", "engine_params", "first_params", "is_complete"]
 
 Params = dict[str, Any]
+Require = Callable[[str, str, str], None]
+"""Raises `unsupported` unless an engine has a capability, for what is told in words; then the field to blame."""
 
 CAPABILITY = {
     "motor_target_velocity": "motor",
@@ -36,7 +38,7 @@ _NOT_NEGATIVE = frozenset({"motor_max_impulse", "motor_max_force", "stiffness", 
 _DEFAULT_MAX_IMPULSE = 1.0  # N m s or N s per engine step
 
 
-def default_params(engine_step: float) -> Params:
+def _default_params(engine_step: float) -> Params:
     """Returns the parameters of a new joint; `engine_step` is the length of one engine step in s."""
     return {
         "motor_target_velocity": 0.0,
@@ -54,27 +56,67 @@ def default_params(engine_step: float) -> Params:
 
 def is_complete(params: Mapping[str, Any]) -> bool:
     """Tells whether these are all the parameters of a joint, each of its type."""
-    types = {name: {type(value)} for name, value in default_params(1.0).items()}
+    types = {name: {type(value)} for name, value in _default_params(1.0).items()}
     types["target_position"].add(float)
     return params.keys() == types.keys() and all(type(params[name]) in types[name] for name in types)
+
+
+def first_params(kind: str, command: Mapping[str, Any], engine_step: float, require: Require) -> Params:
+    """Returns the parameters that a new joint begins with.
+
+    Args:
+        kind: Its type.
+        command: What makes it: fields that are parameters, `limits`, and over these `joint_params`.
+        engine_step: Length of one engine step, s.
+        require: See `Require`.
+
+    Raises:
+        WorldError: As by `changed_params`.
+    """
+    changes = {name: command[name] for name in CAPABILITY if name in command}
+    if "limits" in command:
+        changes["limit_lower"], changes["limit_upper"] = command["limits"]
+        changes["limit_enabled"] = True
+    params = changed_params(kind, _default_params(engine_step), changes, engine_step, "{}", require)
+    return changed_params(kind, params, command.get("joint_params", {}), engine_step, "joint_params/{}", require)
+
+
+def changed_params(
+    kind: str,
+    params: Mapping[str, Any],
+    changes: Mapping[str, Any],
+    engine_step: float,
+    path: str,
+    require: Require,
+) -> Params:
+    """Returns parameters with changes made, in the order in which they act whatever theirs is, all of them or none.
+
+    Args:
+        kind: The joint's type.
+        params: What the joint has now.
+        changes: New values; what is no parameter is passed over.
+        engine_step: Length of one engine step, s.
+        path: The field to blame, with `{}` for the parameter's name.
+        require: See `Require`.
+
+    Raises:
+        WorldError: `unsupported`: joints of this type, or the engine's, have no such parameter. `invalid`: of the wrong
+            type, negative, or the limits are the wrong way round. A `conetwist` has its largest swing for lower limit
+            and its largest twist for upper one, neither of them negative.
+    """
+    known = {name: changes[name] for name in CAPABILITY if name in changes}
+    for name in known:
+        field = "param_name" if path == "value" else path.format(name)
+        if kind not in ("hinge", "slide") and not (kind == "conetwist" and name.startswith("limit")):
+            raise WorldError("unsupported", f"a {kind} joint has no {name}", field)
+        require(CAPABILITY[name], f"{name} for joints", field)
+    return adjust(kind, params, known, engine_step, path)
 
 
 def adjust(
     kind: str, params: Mapping[str, Any], changes: Mapping[str, float | bool], engine_step: float, path: str
 ) -> Params:
-    """Returns the parameters with changes made, all of them or none.
-
-    Args:
-        kind: The joint's type.
-        params: What the joint has now.
-        changes: New values, in the order in which they act.
-        engine_step: Length of one engine step, s.
-        path: The field to blame, with `{}` for the parameter's name.
-
-    Raises:
-        WorldError: `invalid`: of the wrong type, negative, or the limits are the wrong way round. A `conetwist` has
-            its largest swing for lower limit and its largest twist for upper one, neither of them negative.
-    """
+    """Returns parameters with changes made in this order."""
     result = dict(params)
     for name, value in changes.items():
         field = path.format(name)
