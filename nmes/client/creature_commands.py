@@ -13,8 +13,10 @@ from nmes.client.replies import (
     CreatureSpawned,
     Driven,
     GenomeDocument,
+    Heard,
     ObjectiveSet,
     Reward,
+    Said,
     Senses,
 )
 
@@ -62,14 +64,14 @@ class CreatureCommands:
 
     @command
     def drive(self, creature: str, controls: Vector) -> type[Driven]:
-        """Sets what the motors of a creature aim at, until it is driven again.
+        """Sets what the motors of a creature aim at and what its voices say, until it is driven again.
 
-        What set_joint_param of each motor's target does, in one.
+        What set_joint_param of each motor's target and say of each channel do, in one.
 
         Args:
             creature: The creature.
             controls: One number a motor, in their order, each from -1 to 1: the lower and the upper end of the motor's
-                range.
+                range; then one number a voice.
 
         Returns:
             Driven: The motors have their targets.
@@ -99,6 +101,59 @@ class CreatureCommands:
             TimeoutError: No reply came in time.
         """
         return GenomeDocument
+
+    @command
+    def say(
+        self,
+        channel: str,
+        value: float | Vector | None = None,
+        *,
+        creature: str | None = None,
+        cube_name: str | None = None,
+    ) -> type[Said]:
+        """Says numbers on a channel, where a cube or the root of a creature is.
+
+        Who is in range hears them from the next tick on, until the cube says something else there, or is gone.
+
+        Args:
+            channel: The channel, one of the world's (config).
+            value: What it says: a number from -1 to 1, or as many of them as the channel has. Left out: it falls silent
+                there.
+            creature: The creature whose root says it.
+            cube_name: The cube that says it; without creature and cube_name the one that this connection spawned last.
+
+        Returns:
+            Said: It is said, and will be heard.
+
+        Raises:
+            CommandFailed: The server refused it: `creature_not_found`, `cube_not_found`, `invalid`, `not_allowed`,
+                `unsupported` or `world_faulted`.
+            Disconnected: The connection was lost.
+            TimeoutError: No reply came in time.
+        """
+        return Said
+
+    @command
+    def hear(self, channel: str, *, creature: str | None = None, cube_name: str | None = None) -> type[Heard]:
+        """Tells which voices on a channel are heard where a cube or the root of a creature is, the nearest first.
+
+        Neither hears itself.
+
+        Args:
+            channel: The channel, one of the world's (config).
+            creature: The creature that hears, where its root is.
+            cube_name: The cube that hears; without creature and cube_name the one that this connection spawned last.
+
+        Returns:
+            Heard: What is heard.
+
+        Raises:
+            CommandFailed: The server refused it: `creature_not_found`, `cube_not_found`, `invalid`, `not_allowed`,
+                `unsupported` or `world_faulted`.
+            Disconnected: The connection was lost.
+            TimeoutError: No reply came in time.
+        """
+        return Heard
 
     @command
     def sense(self, creature: str) -> type[Senses]:

@@ -92,6 +92,7 @@ class CreatureSpawned(TypedDict):
     cubes: dict[str, str]
     joints: dict[str, str]
     motors: Names
+    voices: NotRequired[Names]
     sensors: Names
     moved_to: NotRequired[list[float]]
 
@@ -105,6 +106,24 @@ class GenomeDocument(TypedDict):
     type: Literal["genome"]
     creature: str
     genome: dict[str, Any]
+
+
+class Said(TypedDict):
+    type: Literal["said"]
+    channel: str
+    cube_name: str
+
+
+class HeardVoice(TypedDict):
+    cube_name: str
+    value: list[float]
+    distance: float
+
+
+class Heard(TypedDict):
+    type: Literal["heard"]
+    channel: str
+    voices: list[HeardVoice]
 
 
 class Senses(TypedDict):

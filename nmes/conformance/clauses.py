@@ -99,6 +99,10 @@ _PROSE: Final[Mapping[str, str]] = {
     "3.8.1": "A world's config may name `collision_groups`: cubes of groups that pass through each other do not "
     "collide, all others do.",
     "3.8.2": "A cube of a group that the config has not is refused.",
+    "3.9.1": "A world's config may name `channels`: what a cube says on one is heard by others in range from the next "
+    "tick on, the nearest first, until it says something else there, falls silent or is gone.",
+    "3.9.2": "What is said or heard on a channel that the config has not, or with other numbers than it has, is "
+    "refused.",
     "5.1.1": "Required of every conforming server: sections 1 to 3, and the commands that messages.md says "
     "every server must have (of the joints `fixed`, `hinge` and `slide`).",
     "5.1.2": "The rest is optional and named in the `capabilities` of `world_info`; a server answers a command"

@@ -18,7 +18,7 @@ from nmes.brain import Brain, BrainBatch, stack
 from nmes.evaluation.episode import Handover, Result
 from nmes.evaluation.task import Task
 from nmes.objective.trajectory import touches
-from nmes.world.creature import CreatureRows
+from nmes.world.creature_rows import CreatureRows
 
 __all__ = ["Entry", "PlaceOfRows", "run_cohort"]
 
@@ -104,7 +104,7 @@ class _Cohort:
             if entry.form is not None:
                 groups.setdefault(entry.form, []).append(place)
         stacks = [(places, self._stacked(places)) for places in map(np.array, groups.values())]
-        motors = len(self._first.creature.motors) if stacks else 0
+        motors = len(self._first.creature.body.outputs) if stacks else 0
         ahead = all(brains.open_loop for _, brains in stacks)
         block = self._task.tick_rate if ahead and not self._judges[0].touchy else 1
         sensed = np.array([entry.handover.senses for entry in self._entries])

@@ -23,7 +23,8 @@ from nmes.evaluation.task import CREATURE, Task
 from nmes.genome import Genome
 from nmes.objective.trajectory import Flags, touches
 from nmes.world import World
-from nmes.world.creature import Creature, CreatureRows
+from nmes.world.creature import Creature
+from nmes.world.creature_rows import CreatureRows
 
 if TYPE_CHECKING:
     from nmes.world.journal import Journal

@@ -48,7 +48,7 @@ class Environments:
         genome: The creature.
         task: What it is asked to do.
         sensors: The ids of the sensors, the columns of observations.
-        motors: The ids of the motors, the columns of actions.
+        motors: The ids of the motors and voices, the columns of actions.
         observations: Array (count, sensors): what the sensors read.
         rewards: Array (count,). By how much the objective grew in this tick: those of an episode add up to its score;
             where it has none, what it was given is taken back at its end. Or what the expression of `reward` is.
@@ -103,7 +103,7 @@ class Environments:
         self._scenes = [Scene.of(genome, task, seed, touchy=touchy) for seed in seeds]
         first = self._scenes[0]
         self.sensors = tuple(sensor.id for sensor in first.creature.sensors)
-        self.motors = tuple(motor.id for motor in first.creature.motors)
+        self.motors = first.creature.body.outputs
         self._judge, self._touchy = JudgeRows(task, first, count, paid), touchy
         self._engine = None if first.row is None else EngineRows(first, task, count, threads, touchy=touchy)
         self._rows = [_Row(first) for _ in range(count)]

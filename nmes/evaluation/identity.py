@@ -86,10 +86,12 @@ def _body(body: Body) -> list[Any]:
         (
             *(sensor.type, sensor.axis, (cubes if sensor.of == "cube" else joints)[sensor.target]),
             *([] if sensor.range is None else [sensor.range]),
+            *([] if sensor.channel is None else [sensor.channel, sensor.number]),
         )
         for sensor in body.sensors
     ]
-    return [shapes, bonds, senses]
+    voices = [(voice.channel, voice.number) for voice in body.voices]
+    return [shapes, bonds, senses, *([voices] if voices else [])]
 
 
 def _half(quaternion: Sequence[float]) -> np.ndarray[Any, Any]:

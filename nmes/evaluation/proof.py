@@ -188,7 +188,7 @@ def retrace(recording: str | os.PathLike[str]) -> Course:
     """
     source, log = Recording(recording), _Log()
     task, genome, _seed = recorded_episode(source)
-    numbers = task.ticks * (len(genome.body.sensors) + len(genome.body.motors))
+    numbers = task.ticks * (len(genome.body.sensors) + len(genome.body.outputs))
     if numbers > _MOST:
         what = f"{recording}: its task's episodes have up to {numbers:,} readings and controls"
         raise RecordingError("too_long", f"{what}, and at most {_MOST:,} can be kept")
@@ -197,7 +197,7 @@ def retrace(recording: str | os.PathLike[str]) -> Course:
     if not ticks:
         raise ProofError("nothing_to_export", f"{recording}: the episode has no tick: {result.fault}")
     sensed = np.array(log.sensed[: ticks + 1]).reshape(ticks + 1, len(genome.body.sensors))
-    controls = np.array(log.controls[:ticks], float).reshape(ticks, len(genome.body.motors))
+    controls = np.array(log.controls[:ticks], float).reshape(ticks, len(genome.body.outputs))
     times, worth = episode.scores_so_far()[:ticks].T
     return Course(genome, task, result, sensed, controls, worth, episode.lasted, float(times[0]))
 

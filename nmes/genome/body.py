@@ -23,7 +23,7 @@ from nmes.errors import DocumentError
 from nmes.genome.sensors import OF_CUBE, OF_JOINT, OF_OTHERS, VECTORS
 from nmes.schemas.documents import did_you_mean, fits, nor_at
 
-__all__ = ["PALETTE", "Body", "BodyCube", "BodyJoint", "Motor", "Sensor", "corners", "read_body", "read_cube"]
+__all__ = ["PALETTE", "Body", "BodyCube", "BodyJoint", "Motor", "Sensor", "Voice", "corners", "read_body", "read_cube"]
 
 JsonObject = Mapping[str, Any]
 
@@ -103,6 +103,8 @@ class Sensor:
         target: The id of that.
         axis: `x`, `y` or `z` of a vector, else None.
         range: How far another creature is seen, m; None: at any distance.
+        channel: What `hear` hears, else None.
+        number: Which of the channel's numbers that is, from 1.
     """
 
     id: str
@@ -111,20 +113,37 @@ class Sensor:
     target: str
     axis: str | None
     range: float | None = None
+    channel: str | None = None
+    number: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Voice:
+    """One number that a creature says on a channel: the `number`-th, from 1; `id` is unique among all outputs."""
+
+    id: str
+    channel: str
+    number: int
 
 
 @dataclass(frozen=True)
 class Body:
-    """A whole body: cubes, joints and sensors, in the order that the module promises."""
+    """A whole body: cubes, joints, sensors and voices, in the order that the module promises."""
 
     cubes: tuple[BodyCube, ...]
     joints: tuple[BodyJoint, ...]
     sensors: tuple[Sensor, ...]
+    voices: tuple[Voice, ...] = ()
 
     @property
     def motors(self) -> tuple[Motor, ...]:
         """The motors, in the order of their joints."""
         return tuple(joint.motor for joint in self.joints if joint.motor is not None)
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        """The ids of the motors, then those of the voices: what a brain drives, and the order of controls."""
+        return (*(motor.id for motor in self.motors), *(voice.id for voice in self.voices))
 
     @property
     def mass(self) -> float:
@@ -151,13 +170,18 @@ def corners(cube: BodyCube) -> Array:
 
 
 def read_body(
-    body: JsonObject, sensors: Sequence[JsonObject] | None, place: str | None = None, absent: Collection[str] = ()
+    body: JsonObject,
+    sensors: Sequence[JsonObject] | None,
+    voices: Sequence[JsonObject] = (),
+    place: str | None = None,
+    absent: Collection[str] = (),
 ) -> tuple[list[tuple[str, str]], Body]:
-    """Reads the `body` and `sensors` of a document, of which the schema has accepted at least what is given.
+    """Reads the `body`, `sensors` and `voices` of a document, of which the schema has accepted at least what is given.
 
     Args:
         body: Its `cubes` and `joints`.
         sensors: As in the document; None for those that a body has by default.
+        voices: As in the document.
         place: What of the document to blame for the cubes and joints; None where they stand in it themselves.
         absent: The ids of cubes and joints that were left out, `*` for one whose id is not known: what may be due to
             that is no problem.
@@ -169,7 +193,7 @@ def read_body(
         DocumentError: There are more problems than one lists.
     """
     reader = _Reader(place, absent)
-    read = reader.read(body, sensors)
+    read = reader.read(body, sensors, voices)
     return reader.problems, read
 
 
@@ -195,7 +219,7 @@ class _Reader:
         """Returns a suggestion, with the first problems only: each name may be held against hundreds."""
         return did_you_mean(name, known) if len(self.problems) < _HINTS else ""
 
-    def read(self, body: JsonObject, sensors: Sequence[JsonObject] | None) -> Body:
+    def read(self, body: JsonObject, sensors: Sequence[JsonObject] | None, voices: Sequence[JsonObject]) -> Body:
         cubes = [read_cube(entry) for entry in body["cubes"]]
         self.unique([f"body/cubes/{i}/id" for i in range(len(cubes))], [cube.id for cube in cubes], "cube")
         joints = [_joint(entry) for entry in body.get("joints", ())]
@@ -213,7 +237,19 @@ class _Reader:
                 self.note(f"sensors/{i}", f"with it there are over {_MOST_SENSORS:,} single readings")
                 break
         self.unique(paths, [sensor.id for sensor in all_sensors], "sensor")
-        return Body(tuple(cubes), tuple(joints), tuple(all_sensors))
+        return Body(tuple(cubes), tuple(joints), tuple(all_sensors), self.voices(voices, joints))
+
+    def voices(self, entries: Sequence[JsonObject], joints: Sequence[BodyJoint]) -> tuple[Voice, ...]:
+        """Reads the voices, and notes those that are there twice, or called like a joint, which may have a motor."""
+        voices = [_voice(entry) for entry in entries]
+        paths = [f"voices/{i}" for i in range(len(voices))]
+        self.unique(paths, [f"{voice.channel} {voice.number}" for voice in voices], "voice on channel and number")
+        names = {joint.id for joint in joints}
+        for path, voice in zip(paths, voices, strict=True):
+            if voice.id in names:
+                self.note(path, f"there is a joint {voice.id!r}, and both would be outputs of the brain")
+        self.unique(paths, [voice.id for voice in voices], "voice")
+        return tuple(voices)
 
     def unique(self, paths: Iterable[str], ids: Iterable[str], what: str) -> None:
         seen: set[str] = set()
@@ -342,7 +378,15 @@ class _Reader:
         if "range" in entry and kind not in OF_OTHERS:
             self.note(f"{path}/range", f"{kind} has no range; only {', '.join(OF_OTHERS)} have")
             return []
+        for field in ("channel", "number"):
+            if field in entry and kind != "hear":
+                self.note(f"{path}/{field}", f"{kind} has no {field}; only hear has")
+                return []
+        if kind == "hear" and "channel" not in entry:
+            self.note(path, "hear needs a channel")
+            return []
         reach = float(entry["range"]) if "range" in entry else None
+        channel, number = entry.get("channel"), int(entry.get("number", 1))
         targets = self.targets(entry[of], of, kind, f"{path}/{of}", cubes, joints)
         if "id" in entry and len(targets) > 1:
             message = f"{entry[of]!r} fits {len(targets)} {of}s, so that one id is not enough: leave it out"
@@ -351,7 +395,13 @@ class _Reader:
         result = []
         for target in targets:
             name = entry.get("id", f"{target}.{kind}")
-            if not vector:
+            if channel is not None:
+                result.append(
+                    Sensor(
+                        entry.get("id", _heard(name, channel, number)), kind, of, target, None, None, channel, number
+                    )
+                )
+            elif not vector:
                 result.append(Sensor(name, kind, of, target, None, reach))
             elif axis is not None:
                 result.append(Sensor(entry.get("id", f"{name}.{axis}"), kind, of, target, axis, reach))
@@ -402,6 +452,16 @@ def read_cube(entry: JsonObject) -> BodyCube:
         color=None if color is None else tuple(map(float, color)),
         group=entry.get("group"),
     )
+
+
+def _voice(entry: JsonObject) -> Voice:
+    channel, number = entry["channel"], int(entry.get("number", 1))
+    return Voice(entry.get("id", _heard("say", channel, number)), channel, number)
+
+
+def _heard(name: str, channel: str, number: int) -> str:
+    """Returns the name of a number of a channel: the first is called like the channel itself."""
+    return f"{name}.{channel}" if number == 1 else f"{name}.{channel}.{number}"
 
 
 def _joint(entry: JsonObject) -> BodyJoint:

@@ -127,7 +127,7 @@ class Genome:
         document = self.document
         if "brain" not in document:
             raise DocumentError([("brain", f"{self.name!r} has no brain: it is driven from outside")])
-        inputs, outputs = [sensor.id for sensor in self.body.sensors], [motor.id for motor in self.body.motors]
+        inputs, outputs = [sensor.id for sensor in self.body.sensors], self.body.outputs
         return load_brain(document["brain"], inputs, outputs)
 
     def expanded(self) -> Genome:

@@ -24,7 +24,7 @@ from nmes.schemas.documents import JsonObject, Problem, compile_schema, problems
 __all__ = ["Inspection", "inspect_body", "inspect_brain"]
 
 _GENOME: Final = compile_schema("genome.json")
-_PARTS: Final[tuple[tuple[str, ...], ...]] = (("body", "cubes"), ("body", "joints"), ("sensors",))
+_PARTS: Final[tuple[tuple[str, ...], ...]] = (("body", "cubes"), ("body", "joints"), ("sensors",), ("voices",))
 """Where parts stand that can be left out one by one."""
 
 
@@ -67,11 +67,11 @@ def _body_of(document: JsonObject) -> Inspection:
     Raises:
         DocumentError: It cannot be read.
     """
-    body, sensors = document["body"], document.get("sensors")
+    body, sensors, voices = document["body"], document.get("sensors"), document.get("voices", [])
     if ("cubes" in body) == ("graph" in body) or ("graph" in body and "joints" in body):
         raise DocumentError([("body", "must have either cubes (and joints between them) or a graph")])
     if "graph" not in body:
-        return Inspection(*_read_body(write_json([body, sensors, None])))
+        return Inspection(*_read_body(write_json([body, sensors, voices, None])))
     grown = morphology.grow(body["graph"])
     # Scales may have taken a size or a mass out of its bounds.
     outgrown = [
@@ -80,7 +80,7 @@ def _body_of(document: JsonObject) -> Inspection:
     ]
     if outgrown:
         raise DocumentError(outgrown)
-    return Inspection(*_read_body(write_json([grown, sensors, "body/graph"])))
+    return Inspection(*_read_body(write_json([grown, sensors, voices, "body/graph"])))
 
 
 def _remaining(document: Any, unsound: Sequence[Problem]) -> Inspection:
@@ -101,12 +101,12 @@ def _remaining(document: Any, unsound: Sequence[Problem]) -> Inspection:
     if None in left_out or whole or "cubes" not in mended["body"]:
         return Inspection(found)
     kept = {place: [i for i in range(len(_parts(mended, place))) if (place, i) not in left_out] for place in _PARTS}
-    absent = tuple(_name(mended, *part) for part in left_out if part is not None and part[0] != ("sensors",))
+    absent = tuple(_name(mended, *part) for part in left_out if part is not None and part[0][0] == "body")
     if "graph" in mended["body"] or not kept["body", "cubes"]:
         return Inspection(found)
-    cubes, joints, sensors = ([_parts(mended, place)[i] for i in kept[place]] for place in _PARTS)
+    cubes, joints, sensors, voices = ([_parts(mended, place)[i] for i in kept[place]] for place in _PARTS)
     body = {"cubes": cubes, "joints": joints}
-    others, read = read_body(body, sensors if "sensors" in mended else None, absent=absent)
+    others, read = read_body(body, sensors if "sensors" in mended else None, voices, absent=absent)
     return Inspection([*found, *((_original(path, kept), message) for path, message in others)], read, absent)
 
 
@@ -158,10 +158,13 @@ def inspect_brain(document: Any, inspection: Inspection) -> list[tuple[str, str]
     if inspection.body is not None and "*" not in inspection.absent:
         unsure = {"sensors"} if inspection.absent or not wrong <= {"body"} else set()
         names["sensors"] = [sensor.id for sensor in inspection.body.sensors]
-        names["motors"] = [motor.id for motor in inspection.body.motors]
+        names["motors"] = list(inspection.body.outputs)
         if inspection.absent:
             joints = [joint["id"] for joint in document["body"].get("joints", ())]
-            names["motors"] = [name for name in joints if name in {*names["motors"], *inspection.absent}]
+            voices = [voice.id for voice in inspection.body.voices]
+            names["motors"] = [name for name in joints if name in {*names["motors"], *inspection.absent}] + voices
+        if "voices" in wrong:
+            unsure |= {"motors"}
     try:
         load_brain(document["brain"], names["sensors"], names["motors"], unsure=unsure)
     except DocumentError as error:
@@ -179,8 +182,8 @@ def _read_body(text: bytes) -> tuple[list[tuple[str, str]], Body]:
     Raises:
         DocumentError: As `read_body`.
     """
-    body, sensors, place = orjson.loads(text)
-    return read_body(body, sensors, place)
+    body, sensors, voices, place = orjson.loads(text)
+    return read_body(body, sensors, voices, place)
 
 
 def _quantity(body: JsonObject, path: str) -> str:

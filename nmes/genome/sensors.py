@@ -74,7 +74,7 @@ READING_OF = {name: reading for reading in CUBE_READINGS for name in reading.typ
 _STATE_AXES = {name: reading.types[name] for name, reading in READING_OF.items()}
 _TARGET_AXES = {"target_direction": "xyz", "target_distance": "", "target_velocity": "xyz"}
 _OTHER_AXES = {"other_direction": "xyz", "other_distance": "", "other_velocity": "xyz"}
-_AXES = {**_STATE_AXES, "touch": "", **_TARGET_AXES, **_OTHER_AXES}
+_AXES = {**_STATE_AXES, "touch": "", **_TARGET_AXES, **_OTHER_AXES, "hear": ""}
 
 OF_JOINT = ("position", "velocity", "effort")
 OF_CUBE = tuple(_AXES)

@@ -62,8 +62,8 @@ class RecordedEpisode:
 
     @property
     def motors(self) -> tuple[str, ...]:
-        """The ids of the motors, the columns of `actions`."""
-        return tuple(motor.id for motor in self.genome.body.motors)
+        """The ids of the motors and voices, the columns of `actions`."""
+        return self.genome.body.outputs
 
 
 def read_episode(recording: str | os.PathLike[str]) -> RecordedEpisode:

@@ -189,7 +189,7 @@ class RemoteEnvironments:
         genome: The creature.
         task: What it is asked to do.
         sensors: The ids of the sensors, the columns of observations.
-        motors: The ids of the motors, the columns of actions.
+        motors: The ids of the motors and voices, the columns of actions.
         observations: Array (count, sensors): what the sensors read.
         rewards: Array (count,), as those of `Environments`.
         terminated: Array (count,), whether the episode was ended by the task's ends and limits, or by a fault.
@@ -246,7 +246,7 @@ class RemoteEnvironments:
             raise WorldError("invalid", "; ".join(reasons))
         body = genome.body
         self.sensors = tuple(sensor.id for sensor in body.sensors)
-        self.motors = tuple(motor.id for motor in body.motors)
+        self.motors = body.outputs
         paid = None if reward is None else read_reward(reward, genome, task)
         touchy = task.touchy or (paid is not None and any(quantity.name == "contacts" for quantity in paid.needs))
         scene = WireScene(genome, task, touchy=touchy)

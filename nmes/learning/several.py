@@ -215,12 +215,12 @@ class CreaturesEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]
     def _checked(self, name: str, action: Array) -> Array:
         """Returns the controls that an action is; raises ValueError where it is none."""
         controls = floats(action, "actions")
-        motors = self.genomes[name].body.motors
+        motors = self.genomes[name].body.outputs
         if controls.shape != (len(motors),):
             raise ValueError(f"{name}: an action has the shape {(len(motors),)}, one a motor, not {controls.shape}")
         for motor, control in zip(motors, controls.tolist(), strict=True):
             if not -1.0 <= control <= 1.0:
-                raise ValueError(f"{name}: actions are from -1 to 1; that for {motor.id!r} is {control}")
+                raise ValueError(f"{name}: actions are from -1 to 1; that for {motor!r} is {control}")
         return controls
 
     def state(self) -> Array:

@@ -42,7 +42,7 @@ def of(genome: Genome) -> tuple[spaces.Box[Any], spaces.Box[Any]]:
         if not parts:
             raise WorldError("invalid", f"{genome.name!r} has no {what}: there is nothing to learn", "genome")
     low, high = np.array([_BOUNDS.get(sensor.type, (-_FAR, _FAR)) for sensor in body.sensors]).T
-    actions = len(body.motors)
+    actions = len(body.outputs)
     return spaces.Box(low, high, dtype=np.float64), spaces.Box(-1.0, 1.0, (actions,), np.float32)
 
 

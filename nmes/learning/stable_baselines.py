@@ -55,7 +55,7 @@ def with_policy(
     """
     layers = read_policy(model, statistics)
     sees, does = layers[0][0].shape[1], layers[-1][0].shape[0]
-    sensors, motors = len(genome.body.sensors), len(genome.body.motors)
+    sensors, motors = len(genome.body.sensors), len(genome.body.outputs)
     for number, there, what in ((sees, sensors, "sensors"), (does, motors, "motors")):
         if number != there:
             how = "sees" if what == "sensors" else "does"

@@ -123,8 +123,9 @@ class WireScene:
 
     def require_parts(self, spawned: Mapping[str, Any]) -> None:
         """Raises WorldError (`unsupported`) unless the creature's numbers come in the order that its genome says."""
-        for name, parts in (("sensors", self._genome.body.sensors), ("motors", self._genome.body.motors)):
-            if spawned[name] != [part.id for part in parts]:
+        body = self._genome.body
+        for name, parts in (("sensors", body.sensors), ("motors", body.motors), ("voices", body.voices)):
+            if spawned.get(name, []) != [part.id for part in parts]:
                 raise WorldError("unsupported", f"the server has other {name} of this creature, or in another order")
 
     def states(self, cubes: Sequence[Mapping[str, Any]]) -> Array:

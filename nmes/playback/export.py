@@ -126,9 +126,9 @@ def _target(params: Mapping[str, Any]) -> float | None:
 
 
 def control_rows(recording: Recording, *, keep_going: bool = False) -> Iterator[Row]:
-    """Yields a row for each motor of each creature after each tick: what it was driven with last, from -1 to 1.
+    """Yields a row for each motor and voice of each creature after each tick: what it was driven with last.
 
-    It is None before the creature is driven; see `watch` for what is raised.
+    That is from -1 to 1. It is None before the creature is driven; see `watch` for what is raised.
     """
     for frame, time, creatures in watch(recording, _controls, keep_going=keep_going):
         for creature, motors, controls in creatures:
@@ -140,7 +140,7 @@ def _controls(world: World) -> tuple[int, float, list[tuple[str, list[str], list
     found: list[tuple[str, list[str], list[float | None]]] = []
     for name in world.creatures():
         creature = world.creature(name)
-        motors = [motor.id for motor in creature.motors]
+        motors = list(creature.body.outputs)
         controls = creature.controls
         found.append((name, motors, [None] * len(motors) if controls is None else controls.tolist()))
     return world.frame, world.time, found

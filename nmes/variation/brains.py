@@ -26,8 +26,8 @@ def sensor_names(body: Body) -> list[str]:
 
 
 def motor_names(body: Body) -> list[str]:
-    """Returns the names of a body's motors, in the order of a brain's outputs."""
-    return [motor.id for motor in body.motors]
+    """Returns the names of a body's motors and voices, in the order of a brain's outputs."""
+    return list(body.outputs)
 
 
 def carry_over(document: JsonObject, before: Body, after: Body, draw: Draw) -> JsonObject:

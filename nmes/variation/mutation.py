@@ -40,7 +40,7 @@ KINDS: Final[Mapping[str, float]] = {
     "topology": 1.0,
 }
 """The kinds of mutation, each with how often it is drawn where it can be, relative to the others."""
-_CUBE_SENSORS: Final = tuple(kind for kind in OF_CUBE if kind not in OF_OTHERS)
+_CUBE_SENSORS: Final = tuple(kind for kind in OF_CUBE if kind not in (*OF_OTHERS, "hear"))
 _TRIES = 100
 _FRUITLESS = 20  # draws in a row after which a kind that is asked for has nothing to change
 _MOST_SENSORS = 1024

@@ -10,7 +10,7 @@ would, in order; `sense` changes nothing; creatures are in order of creation.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Hashable
+from collections.abc import Hashable
 from math import inf, sqrt
 from typing import Any
 
@@ -18,7 +18,7 @@ import numpy as np
 import orjson
 
 from nmes import protocol
-from nmes.backend import Array, BodyState, Places, Quaternion, Rows, RowsTrack, StaticBox, Vector
+from nmes.backend import Array, BodyState, Quaternion, StaticBox, Vector
 from nmes.backend.arrays import ArrayLike
 from nmes.backend.rotation import conjugate, minus, plus, rotate
 from nmes.errors import WorldError
@@ -28,11 +28,12 @@ from nmes.genome.sensors import OF_OTHERS, READING_OF, TURNING, CubeReading, Rea
 from nmes.protocol import Request
 from nmes.schemas.documents import JsonObject
 from nmes.world import joint_params
+from nmes.world.channels import Channels
 from nmes.world.entities import Cube, Entities, Joint
 from nmes.world.mind import Mind, require_mind
 from nmes.world.nearby import Nearby
 
-__all__ = ["Creature", "CreatureRows", "Creatures"]
+__all__ = ["Creature", "Creatures", "aim"]
 
 _NAME_LENGTH = 128
 _HERE = 1e-9  # m; nearer than this a target is in no direction
@@ -47,11 +48,12 @@ class Creature:
         name: Unique among the creatures of its world.
         genome: What it was made from; `body` is the genome's.
         target: What its target sensors point to: a point (m) or the name of a cube; None: nothing.
-        root: The number of its root in the engine: where others see it.
+        root: The number of its root in the engine: where others see it, and where it speaks.
+        bodies: The numbers of all its cubes.
         cubes: The names of its cubes in the world by the ids in its body; `joints` likewise.
         motors: In the order of controls.
         sensors: In the order of values.
-        controls: What it was driven with last, shape (m,); None until it is driven, or since it was restored.
+        controls: What it was driven with last, shape (m + v,); None until it is driven, or since it was restored.
         mind: Its brain, where the world runs it; None where a client drives it.
     """
 
@@ -64,22 +66,26 @@ class Creature:
         joints: dict[str, Joint],
         target: Vector | str | None,
         others: Nearby,
+        channels: Channels,
         mind: Mind | None = None,
     ) -> None:
-        self._entities, self._simulation, self._nearby = entities, entities.simulation, others
+        self._entities, self._simulation = entities, entities.simulation
+        self._nearby, self._channels = others, channels
         self.name, self.genome, self.body = name, genome, (body := genome.body)
         self.target, self.mind = target, mind
         self.motors: tuple[Motor, ...] = body.motors
         self.sensors: tuple[Sensor, ...] = body.sensors
         self.controls: Array | None = None
-        self._shape = (len(self.motors),)
+        self._shape = (len(body.outputs),)
         self._cubes, self._joints = cubes, joints
+        self.bodies = tuple(cube.body for cube in cubes.values())
         self.root = cubes[body.cubes[0].id].body
         self.cubes: dict[str, str] = {part: cube.name for part, cube in cubes.items()}
         self.joints: dict[str, str] = {part: joint.name for part, joint in joints.items()}
         self._low = np.array([motor.low for motor in self.motors])
         self._half = np.array([(motor.high - motor.low) / 2.0 for motor in self.motors])
-        self._ones, self._wanted = np.ones(self._shape), np.empty(self._shape)
+        self._ones, self._wanted = np.ones(len(self.motors)), np.empty(len(self.motors))
+        self._spoken = _by_channel(body, channels)
         self._driven = tuple(joints[motor.id] for motor in self.motors)
         self._numbers = tuple(joint.number for joint in self._driven)
         self._fields = tuple(
@@ -97,7 +103,7 @@ class Creature:
         """What creatures must have in common to be run as rows of one `CreatureRows`."""
         body = self.body
         parts = tuple(cube.id for cube in body.cubes), tuple((joint.id, joint.kind) for joint in body.joints)
-        return (*parts, tuple(motor.id for motor in self.motors), self.sensors)
+        return (*parts, body.outputs, self.sensors)
 
     @property
     def whole(self) -> bool:
@@ -129,18 +135,28 @@ class Creature:
         command = {"type": "drive", "creature": self.name, "controls": controls.tolist()}
         return Request(raw, command, None, "drive"), self._driven_reply
 
-    # -- motors ---------------------------------------------------------------------------------------------------
+    # -- motors and voices ----------------------------------------------------------------------------------------
 
     def drive(self, controls: Array) -> None:
-        """Sets the motors' targets, until they are driven again.
+        """Sets the motors' targets and what the voices say, until it is driven again.
 
         A motor that was switched off or made one of the other mode since is what it was made as again.
 
         Args:
-            controls: Shape (m,), each from -1 to 1, in the order of `motors`; -1 is a motor's `low`, 1 its `high`.
+            controls: Shape (m + v,), each from -1 to 1, in the order of `motors`, then of the body's voices; -1 is a
+                motor's `low`, 1 its `high`.
         """
         targets = self._wanted
-        np.add(controls, self._ones, out=targets)  # of arrays alone: a float would be made one each time
+        if self.body.voices:
+            motors = controls[: len(targets)]
+            for channel, size, said in self._spoken:
+                values = [0.0] * size
+                for number, at in said:
+                    values[number] = float(controls[at])
+                self._channels.say(self.root, channel, tuple(values))
+        else:
+            motors = controls
+        np.add(motors, self._ones, out=targets)  # of arrays alone: a float would be made one each time
         np.multiply(targets, self._half, out=targets)
         np.add(targets, self._low, out=targets)
         if self._tuned != self._entities.tuned:
@@ -175,6 +191,7 @@ class Creature:
         felt: dict[tuple[str, CubeReading], list[tuple[int, int]]] = {}
         aimed: dict[str, list[tuple[int, int]]] = {}
         seen: dict[tuple[str, float], list[tuple[int, int]]] = {}
+        ears: dict[tuple[str, str], list[tuple[int, int]]] = {}
         touched = []
         for row, sensor in enumerate(sensors):
             if sensor.of == "cube" and sensor.type == "touch":
@@ -182,7 +199,9 @@ class Creature:
             elif sensor.of == "cube":
                 axis = 0 if sensor.axis is None else "xyz".index(sensor.axis)
                 reading = READING_OF.get(sensor.type)
-                if sensor.type in OF_OTHERS:
+                if sensor.channel is not None:
+                    ears.setdefault((sensor.target, sensor.channel), []).append((row, sensor.number - 1))
+                elif sensor.type in OF_OTHERS:
                     reach = inf if sensor.range is None else sensor.range
                     seen.setdefault((sensor.target, reach), []).append((row, _AIMED[sensor.type] + axis))
                 elif reading is None:
@@ -202,6 +221,10 @@ class Creature:
         self._seen: list[tuple[int, float, slice | list[int], list[int]]] = [
             (self._cubes[part].body, reach, _rows([row for row, _ in wanted]), [number for _, number in wanted])
             for (part, reach), wanted in seen.items()
+        ]
+        self._ears: list[tuple[int, str, slice | list[int], list[int]]] = [
+            (self._cubes[part].body, channel, _rows([row for row, _ in wanted]), [number for _, number in wanted])
+            for (part, channel), wanted in ears.items()
         ]
         self._touch_rows = [row for row, _ in touched]
         self._touch_bodies = [body for _, body in touched]
@@ -231,7 +254,14 @@ class Creature:
             self._sense_target(out)
         if self._seen:
             self._sense_others(out)
+        if self._ears:
+            self._sense_voices(out)
         return out
+
+    def _sense_voices(self, out: Array) -> None:
+        for body, channel, rows, picked in self._ears:
+            values = self._channels.nearest(channel, self._simulation.body_state(body).position, self.bodies)
+            out[rows] = 0.0 if values is None else [values[number] for number in picked]
 
     def _sense_others(self, out: Array) -> None:
         for body, reach, rows, picked in self._seen:
@@ -240,7 +270,7 @@ class Creature:
             if other is None:
                 out[rows] = 0.0
             else:
-                seen = _aim(state, other.position, other.velocity)
+                seen = aim(state, other.position, other.velocity)
                 out[rows] = [seen[i] for i in picked]
 
     def _sense_target(self, out: Array) -> None:
@@ -258,16 +288,16 @@ class Creature:
             if place is None:
                 out[rows] = 0.0
             else:
-                seen = _aim(simulation.body_state(body), place, motion)
+                seen = aim(simulation.body_state(body), place, motion)
                 out[rows] = [seen[i] for i in picked]
 
 
 _PLACES = {"direction": 0, "distance": 3, "velocity": 4}
-# The place of the first number of each type of sensor in what `_aim` returns.
+# The place of the first number of each type of sensor in what `aim` returns.
 _AIMED = {f"{whose}_{what}": at for whose in ("target", "other") for what, at in _PLACES.items()}
 
 
-def _aim(state: BodyState, place: Vector, motion: Vector) -> tuple[float, ...]:
+def aim(state: BodyState, place: Vector, motion: Vector) -> tuple[float, ...]:
     """Returns where a target is from a cube, how far, and how it moves past it, directions being the cube's own."""
     back = conjugate(state.quaternion)
     (x, y, z), (vx, vy, vz) = state.position, state.linear_velocity
@@ -278,107 +308,23 @@ def _aim(state: BodyState, place: Vector, motion: Vector) -> tuple[float, ...]:
     return (*direction, distance, *rotate(back, (motion[0] - vx, motion[1] - vy, motion[2] - vz)))
 
 
+def _by_channel(body: Body, channels: Channels) -> list[tuple[str, int, list[tuple[int, int]]]]:
+    """Returns the channels of a world on which a body has voices.
+
+    Of each its name, its size, and pairs: which of its numbers, from 0, and the place of that voice among the outputs.
+    """
+    places = list(enumerate(body.voices, len(body.motors)))
+    return [
+        (name, channel.size, said)
+        for name, channel in channels.channels.items()
+        if (said := [(voice.number - 1, place) for place, voice in places if voice.channel == name])
+    ]
+
+
 def _rows(rows: list[int]) -> slice | list[int]:
     """Returns a slice where rows follow one another: it is written to faster."""
     first, last = rows[0], rows[0] + len(rows)
     return slice(first, last) if rows == list(range(first, last)) else rows
-
-
-class CreatureRows:
-    """Creatures of one plan that are driven and sensed together, each in its place of an engine's rows.
-
-    Args:
-        rows: The places.
-        plan: Any of the creatures.
-    """
-
-    def __init__(self, rows: Rows, plan: Creature) -> None:
-        self._rows, self._plan = rows, plan
-        shape = rows.count, len(plan.motors)
-        self._low, self._half = np.zeros(shape), np.zeros(shape)
-        self._scale = np.zeros((rows.count, len(plan._scale)))
-        self._targets: list[BodyState | int | None] = [None] * rows.count
-
-    def put(self, place: int, creature: Creature) -> None:
-        """Takes a creature whose scene was put into a place of the rows."""
-        self._low[place], self._half[place], self._scale[place] = creature._low, creature._half, creature._scale
-        target = creature.target
-        if isinstance(target, str):
-            cube = creature._entities.cubes.get(target)
-            self._targets[place] = None if cube is None else cube.body
-        else:
-            self._targets[place] = None if target is None else BodyState(target, _UPRIGHT, _STILL, _STILL)
-
-    def drive(self, places: Places, controls: Array) -> None:
-        """Sets the targets of the motors in some places, as `Creature.drive`.
-
-        Args:
-            places: Which.
-            controls: Shape (places, m), each from -1 to 1.
-        """
-        self._rows.set_motor_targets(places, self._plan._numbers, self._aims(places, controls))
-
-    def run(self, places: Places, controls: Array, substeps: int, track: RowsTrack) -> list[int]:
-        """Drives and advances some places for some ticks; see `Rows.run`.
-
-        Args:
-            places: Which.
-            controls: Of each tick, shape (ticks, places, m), each from -1 to 1.
-            substeps: How many engine steps a tick has.
-            track: Where each tick is kept.
-
-        Returns:
-            The places that cannot go on as rows.
-        """
-        return self._rows.run(places, self._plan._numbers, self._aims(places, controls), substeps, track)
-
-    def _aims(self, places: Places, controls: Array) -> Array:
-        targets: Array = controls + 1.0
-        every = slice(None) if len(places) == self._rows.count else places  # the common case, which copies nothing
-        targets *= self._half[every]
-        targets += self._low[every]
-        return targets
-
-    def sense(self, body_state: Callable[[int], BodyState] | None = None) -> Array:
-        """Returns the readings of `Creature.sense` in each place: a new array, shape (places, s).
-
-        Args:
-            body_state: Returns what `Rows.body_state` would, for whoever knows it already.
-        """
-        plan, rows = self._plan, self._rows
-        body_state = body_state or rows.body_state
-        out = np.empty((rows.count, len(plan.sensors)))
-        if plan._read:
-            readings = rows.joint_readings(plan._read).reshape(rows.count, -1)
-            out[:, plan._joint_rows] = readings[:, plan._picked] * self._scale
-        for read, body, columns, picked in plan._felt:
-            felt = read(body_state(body))
-            out[:, columns] = np.array(felt if picked is None else [felt[i] for i in picked]).T
-        if plan._touch_bodies:
-            out[:, plan._touch_rows] = rows.touching(plan._touch_bodies)
-        if plan._aimed:
-            self._sense_targets(out)
-        for _, _, columns, _ in plan._seen:
-            out[:, columns] = 0.0  # each is alone in its scene
-        return out
-
-    def _sense_targets(self, out: Array) -> None:
-        cubes = {target: self._states(target) for target in self._targets if isinstance(target, int)}
-        for body, columns, picked in self._plan._aimed:
-            for place, (state, target) in enumerate(zip(self._states(body), self._targets, strict=True)):
-                if target is None:
-                    out[place, columns] = 0.0
-                else:
-                    cube = cubes[target][place] if isinstance(target, int) else target
-                    seen = _aim(state, cube.position, cube.linear_velocity)
-                    out[place, columns] = [seen[i] for i in picked]
-
-    def _states(self, body: int) -> list[BodyState]:
-        """Returns the state of a body in each place."""
-        state = self._rows.body_state(body)
-        parts = (state.position, state.quaternion, state.linear_velocity, state.angular_velocity)
-        columns = [list(zip(*np.array(part).tolist(), strict=True)) for part in parts]
-        return [BodyState(*each) for each in zip(*columns, strict=True)]
 
 
 class Creatures:
@@ -386,10 +332,11 @@ class Creatures:
 
     Args:
         entities: Where their cubes and joints are made.
+        channels: Where they speak and hear.
     """
 
-    def __init__(self, entities: Entities) -> None:
-        self._entities = entities
+    def __init__(self, entities: Entities, channels: Channels) -> None:
+        self._entities, self._channels = entities, channels
         self._creatures: dict[str, Creature] = {}
         self._minds: list[Creature] = []  # those whose brains the world runs
         self._count = 0
@@ -480,8 +427,8 @@ class Creatures:
             joints[joint.id] = entities.joint(entities.connect(command, joint.kind, "joint"))
         self._count = count
         mind = Mind(genome, *self._beginning(cubes)) if autonomous else None
-        nearby = self._nearby
-        self._creatures[name] = creature = Creature(entities, name, genome, cubes, joints, target, nearby, mind)
+        around = self._nearby, self._channels
+        self._creatures[name] = creature = Creature(entities, name, genome, cubes, joints, target, *around, mind)
         self._forget_dissolved()
         return creature
 
@@ -519,7 +466,8 @@ class Creatures:
             target = values["target"]
             target = (target[0], target[1], target[2]) if isinstance(target, list) else target
             mind = Mind(genome, *self._beginning(cubes), values["mind"]) if "mind" in values else None
-            self._creatures[name] = Creature(entities, name, genome, cubes, joints, target, self._nearby, mind)
+            around = self._nearby, self._channels
+            self._creatures[name] = Creature(entities, name, genome, cubes, joints, target, *around, mind)
         self._forget_dissolved()
 
     def _taken(self, name: str, body: Body) -> WorldError | None:
@@ -557,8 +505,19 @@ class Creatures:
                 self._entities.require("spring", "springs in joints", path)
             if joint.motor is not None:
                 self._entities.require("motor" if joint.motor.mode == "velocity" else "servo", "such motors", path)
+        for ear in body.sensors:
+            self._check_number(ear.channel, ear.number, "genome/sensors")
+        for voice in body.voices:
+            self._check_number(voice.channel, voice.number, "genome/voices")
         if any(sensor.type == "touch" for sensor in body.sensors):
             self._entities.require("contacts", "sense of touch", "genome/sensors")
+
+    def _check_number(self, name: str | None, number: int, path: str) -> None:
+        """Raises `invalid` where the world has the channel, but not that number of it."""
+        channel = None if name is None else self._channels.channels.get(name)
+        if channel is not None and number > channel.size:
+            message = f"the channel {name!r} of this world has {channel.size} numbers, and no number {number}"
+            raise WorldError("invalid", message, path)
 
 
 def _spawn_command(part: BodyCube, name: str, position: Vector) -> JsonObject:

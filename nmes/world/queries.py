@@ -18,6 +18,7 @@ from nmes.errors import WorldError
 from nmes.objective.trajectory import Flags, touches
 from nmes.schemas.documents import JsonObject
 from nmes.world import readings
+from nmes.world.channels import Channels
 from nmes.world.clients import Clients
 from nmes.world.costs import command_cost, rebuild_cost
 from nmes.world.creature import Creature, Creatures
@@ -44,6 +45,7 @@ class WorldQueries:
         entities: Its cubes and joints.
         all_creatures: Its creatures.
         roles: What those who are in it may do, by name; empty: everybody may do everything.
+        channels: What is said and heard in it.
     """
 
     config: JsonObject
@@ -58,6 +60,7 @@ class WorldQueries:
     entities: Entities
     all_creatures: Creatures
     roles: Mapping[str, Role]
+    channels: Channels
     _clients: Clients
     _tick_rate: int
     _past: int  # ticks before the last reset
@@ -106,9 +109,12 @@ class WorldQueries:
         return 0.0 if self.entities.edits == self._built else rebuild_cost(self.entities)
 
     def digest(self) -> bytes:
-        """Returns the hash of all that decides the future, 16 bytes: the engine's, with what brains here remember."""
-        digest, memory = self.simulation.digest(), self.all_creatures.memory()
-        return blake2b(digest + memory, digest_size=16).digest() if memory else digest
+        """Returns the hash of all that decides the future, 16 bytes.
+
+        That is the engine's digest, with what brains here remember and what is said and heard, where there is any.
+        """
+        digest, more = self.simulation.digest(), self.all_creatures.memory() + self.channels.packed()
+        return blake2b(digest + more, digest_size=16).digest() if more else digest
 
     def cubes(self) -> list[str]:
         """Returns the cubes' names in order of creation."""

@@ -26,6 +26,7 @@ from nmes.backend.arrays import ArrayLike
 from nmes.errors import NmesError, RecordingError, RejectedMessage, SimulationFault, WorldError
 from nmes.protocol import Request
 from nmes.schemas.documents import JsonObject
+from nmes.world.channels import Channels
 from nmes.world.client_objectives import ClientObjectives
 from nmes.world.clients import Client, Clients, Emit
 from nmes.world.commands import COMMANDS, HARMLESS
@@ -97,7 +98,8 @@ class World(WorldQueries):
     def _begin(self, seed: int, version: int) -> None:
         """Makes the empty world of frame 0."""
         self.entities = Entities(self.backend, self.config, seed, version)
-        self.all_creatures = Creatures(self.entities)
+        self.channels = Channels(self.config, self.entities)
+        self.all_creatures = Creatures(self.entities, self.channels)
         self.seed = seed
         self.frame = 0
         self.fault = None
@@ -250,6 +252,7 @@ class World(WorldQueries):
             self.entities.ticks += 1
             self.entities.meter.tick()
             self._clients.measure(self.entities)
+            self.channels.tick()
             digest = b"" if self.journal is None else self.digest()  # nobody else is told
         except Exception as error:
             self._engine_failed(error)
@@ -335,6 +338,7 @@ class World(WorldQueries):
             "assembly": self.entities.assembly(),
             "creatures": self.all_creatures.snapshot(),
             **self._clients.snapshot(self.entities),
+            **self.channels.snapshot(),
         }
         return pack(self.config, state, engine)
 
@@ -350,15 +354,17 @@ class World(WorldQueries):
         entities = Entities(self.backend, self.config, state["seed"], version=0)
         try:
             entities.restore(state["assembly"], engine)
-            creatures = Creatures(entities)
+            channels = Channels(self.config, entities)
+            channels.restore(state)
+            creatures = Creatures(entities, channels)
             creatures.restore(state["creatures"])
             clients = Clients.restored(state, entities, self.roles)
-            _require_same(state, entities, creatures, clients)
+            _require_same(state, entities, creatures, clients, channels)
         except Exception as error:  # an engine's bytes may be anything, and so may what its library thinks of them
             entities.simulation.close()
             raise WorldError("bad_snapshot", f"the snapshot does not fit together: {error}") from error
         self.simulation.close()
-        self.entities, self.all_creatures, self._clients = entities, creatures, clients
+        self.entities, self.all_creatures, self._clients, self.channels = entities, creatures, clients, channels
         self._built = entities.edits
         self.seed, self.frame, self._past = state["seed"], state["frame"], state["ticks"] - state["frame"]
         self.fault = None
@@ -413,10 +419,13 @@ class World(WorldQueries):
         self.announce({"type": "world_fault", "code": code, "frame": fault.frame, "message": message})
 
 
-def _require_same(state: JsonObject, entities: Entities, creatures: Creatures, clients: Clients) -> None:
+def _require_same(
+    state: JsonObject, entities: Entities, creatures: Creatures, clients: Clients, channels: Channels
+) -> None:
     """Raises WorldError unless what was restored, the engine's part aside, would be saved as the very same bytes."""
-    parts = {"assembly": entities.assembly(), "creatures": creatures.snapshot(), **clients.snapshot(entities)}
-    told = {name: state[name] for name in (*parts, "roles") if name in state}
+    own = {**clients.snapshot(entities), **channels.snapshot()}
+    parts = {"assembly": entities.assembly(), "creatures": creatures.snapshot(), **own}
+    told = {name: state[name] for name in (*parts, "roles", "channels") if name in state}
     counts = [state[name] for name in ("seed", "frame", "ticks", "next_client")]
     if any(type(count) is not int for count in counts) or state["ticks"] < state["frame"]:
         raise WorldError("bad_snapshot", "its numbers of ticks, or of clients, are none")

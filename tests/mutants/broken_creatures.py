@@ -7,6 +7,7 @@ from pytest import MonkeyPatch
 from defects import Answer, JsonObject, around, defect
 from nmes.errors import NmesError
 from nmes.world import World
+from nmes.world.channels import Channels
 from nmes.world.clients import Client
 
 
@@ -95,6 +96,44 @@ def creatures_driven_backwards(patch: MonkeyPatch) -> None:
         return answer(world, client, {**command, "controls": [-control for control in command["controls"]]})
 
     around(patch, "drive", mirror)
+
+
+CHANNELS = {"channels": {"alarm": {"range": 8, "fades": True}, "map": {"size": 3}}}
+
+
+@defect("18.16", config=CHANNELS)
+def the_farthest_first(patch: MonkeyPatch) -> None:
+    """It tells the voices that are heard with the farthest first."""
+
+    def turn(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        reply = answer(world, client, command)
+        return {**reply, "voices": reply["voices"][::-1]}
+
+    around(patch, "hear", turn)
+
+
+@defect("18.17", config=CHANNELS)
+def heard_at_once(patch: MonkeyPatch) -> None:
+    """It lets be heard at once what is said."""
+    say = Channels.say
+
+    def loud(channels: Channels, body: int, name: str, values: tuple[float, ...] | None) -> None:
+        say(channels, body, name, values)
+        channels.tick()
+
+    patch.setattr(Channels, "say", loud)
+
+
+@defect("18.18")
+def channels_that_are_not_there(patch: MonkeyPatch) -> None:
+    """It lets cubes speak and hear on channels that the world has not."""
+
+    def say(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        if command["channel"] in world.channels.channels:
+            return answer(world, client, command)
+        return {"type": "said", "channel": command["channel"], "cube_name": command["cube_name"]}
+
+    around(patch, "say", say)
 
 
 @defect("18.7", backend="mujoco")

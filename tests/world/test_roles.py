@@ -75,7 +75,7 @@ def state(world: World) -> tuple[Any, ...]:
 
 def furnished() -> Play:
     """A world in which each of two hermits has two cubes with a hinge between them, one alone, and a creature."""
-    play = Play()
+    play = Play(channels={"talk": {}})
     play.join("mine", "hermit")
     play.join("theirs", "hermit")
     for place, who in enumerate(("mine", "theirs")):
@@ -118,6 +118,8 @@ def about(who: str) -> dict[str, list[Reply]]:
         "get_world_state": [{"cubes": [a]}],
         "sense": [{"creature": pet}],
         "get_genome": [{"creature": pet}],
+        "say": [{"cube_name": a, "channel": "talk", "value": 0.5}, {"creature": pet, "channel": "talk", "value": 0.5}],
+        "hear": [{"cube_name": a, "channel": "talk"}, {"creature": pet, "channel": "talk"}],
         "set_objective": [
             {"expression": "displacement.x", "cubes": [a], "name": "new"},
             {"expression": "displacement.x", "creature": pet},

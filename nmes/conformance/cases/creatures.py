@@ -305,3 +305,60 @@ def a_graph_grows(t: Trial) -> None:
     t.equal([len(reply["cubes"]), len(reply["joints"])], [3, 2], "the numbers of cubes and joints")
     places = [t.info(wire, cube)["position"][0] for cube in reply["cubes"].values()]
     t.close([places[1] - places[0], places[2] - places[1]], [0.4, 0.4], 0.02, "the way from part to part")
+
+
+@case(16, "3.9.1", needs=("time", "say", "hear", "config.channels"), scope=Scope.TIME)
+def voices(t: Trial) -> None:
+    """What a cube says others hear from the next tick on, the nearest voice first, until it falls silent."""
+    wire = t.join()
+    for channel, entry in t.probe.info["config"]["channels"].items():
+        size, reach = entry.get("size", 1), entry.get("range", 10.0)
+        ear, near, far = (t.base(wire, position=t.at(x=x * min(reach, 10.0), y=5)) for x in (-0.4, -0.2, 0.3))
+        for name in (far, near):
+            say = {"type": "say", "channel": channel, "value": [0.5] * size, "cube_name": name}
+            t.equal(t.ask(wire, say, "said")["cube_name"], name, "cube_name")
+        t.advance(wire, 2.0 / t.probe.tick_rate)
+        heard = _heard(t, wire, channel, ear)
+        t.equal([voice["cube_name"] for voice in heard], [near, far], f"who is heard on {channel}")
+        for voice in heard:
+            part = 1.0 - voice["distance"] / reach if entry.get("fades") else 1.0
+            t.close(voice["value"], [0.5 * part] * size, 1e-6, "what is heard")
+        t.equal(
+            [voice["cube_name"] for voice in _heard(t, wire, channel, near)], [far], "who is heard by one that speaks"
+        )
+        t.ask(wire, {"type": "say", "channel": channel, "cube_name": near}, "said")
+        t.advance(wire, 2.0 / t.probe.tick_rate)
+        t.equal(
+            [voice["cube_name"] for voice in _heard(t, wire, channel, ear)], [far], "who is heard of two, one silent"
+        )
+
+
+@case(17, "3.9.1", needs=("say", "hear", "step", "config.channels", "lockstep"), scope=Scope.TIME)
+def nothing_is_heard_before_the_next_tick(t: Trial) -> None:
+    """What is said is not heard before the next tick."""
+    wire = t.join()
+    channel, entry = next(iter(t.probe.info["config"]["channels"].items()))
+    ear, voice = (t.base(wire, position=t.at(x=x * min(entry.get("range", 10.0), 10.0))) for x in (-0.4, 0.4))
+    value = [1.0] * entry.get("size", 1)
+    t.ask(wire, {"type": "say", "channel": channel, "value": value, "cube_name": voice}, "said")
+    t.equal(_heard(t, wire, channel, ear), [], "what is heard at once")
+    t.ask(wire, {"type": "step"}, "stepped")
+    t.equal([one["cube_name"] for one in _heard(t, wire, channel, ear)], [voice], "who is heard after the tick")
+
+
+@case(18, "3.9.2", needs=("say", "hear"))
+def no_such_channel(t: Trial) -> None:
+    """A channel that the config has not is refused, and so is a voice of more numbers than it has."""
+    wire = t.join()
+    name = t.spawn(wire)
+    for kind in ("say", "hear"):
+        reply = t.refused(wire, {"type": kind, "channel": "no-such-channel", "cube_name": name}, "invalid")
+        t.equal(reply.get("field"), "channel", "field")
+    for channel, entry in t.probe.info.get("config", {}).get("channels", {}).items():
+        value = [0.0] * (entry.get("size", 1) % 8 + 1)
+        reply = t.refused(wire, {"type": "say", "channel": channel, "value": value, "cube_name": name}, "invalid")
+        t.equal(reply.get("field"), "value", "field")
+
+
+def _heard(t: Trial, wire: Wire, channel: str, cube: str) -> list[dict[str, Any]]:
+    return list(t.ask(wire, {"type": "hear", "channel": channel, "cube_name": cube}, "heard")["voices"])

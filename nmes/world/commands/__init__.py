@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from nmes.world.clients import Client
-from nmes.world.commands import clients, creatures, cubes, general, joints, ownership, timing
+from nmes.world.commands import clients, creatures, cubes, general, joints, ownership, timing, voices
 from nmes.world.rights import Right
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ COMMANDS: dict[str, CommandFunction] = {
     **joints.COMMANDS,
     **creatures.COMMANDS,
     **ownership.COMMANDS,
+    **voices.COMMANDS,
     **clients.COMMANDS,
     **timing.COMMANDS,
     **general.COMMANDS,
@@ -39,6 +40,7 @@ RIGHTS: dict[str, Right] = {
     **joints.RIGHTS,
     **creatures.RIGHTS,
     **ownership.RIGHTS,
+    **voices.RIGHTS,
     **clients.RIGHTS,
     **timing.RIGHTS,
     **general.RIGHTS,
@@ -46,7 +48,7 @@ RIGHTS: dict[str, Right] = {
 """What every command needs in a world with roles; one that is left out is allowed to nobody there but the owner."""
 
 HARMLESS = frozenset(
-    {"ping", "sense", "subscribe", "unsubscribe", "set_objective", "compute_reward"}
+    {"ping", "sense", "hear", "subscribe", "unsubscribe", "set_objective", "compute_reward"}
     | {kind for kind in COMMANDS if kind.startswith("get_")}
 )
 """The commands that change nothing but what their own client is told: a mistake in one leaves the world as it was."""

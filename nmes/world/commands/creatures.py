@@ -37,12 +37,14 @@ def spawn_creature(world: World, client: Client, command: JsonObject) -> JsonObj
     creature = world.all_creatures.spawn(genome, position, command.get("name"), target, autonomous=alone)
     for name in creature.cubes.values():
         world.entities.cube(name).player = client.player
+    voices = [voice.id for voice in creature.body.voices]
     reply: JsonObject = {
         "type": "creature_spawned",
         "creature": creature.name,
         "cubes": creature.cubes,
         "joints": creature.joints,
         "motors": [motor.id for motor in creature.motors],
+        **({"voices": voices} if voices else {}),
         "sensors": [sensor.id for sensor in creature.sensors],
     }
     return reply if position == asked else {**reply, "moved_to": position}
@@ -54,13 +56,17 @@ def _bad_genome(error: DocumentError) -> WorldError:
 
 
 def drive(world: World, client: Client, command: JsonObject) -> JsonObject:
-    """Sets the targets of all motors of a creature."""
+    """Sets the targets of all motors of a creature, and what its voices say."""
     creature, controls = world.creature(command["creature"]), command["controls"]
     if creature.mind is not None:
         raise WorldError("invalid", f"creature: {creature.name!r} is driven by its own brain", "creature")
-    motors = len(creature.motors)
-    if len(controls) != motors:
+    motors, outputs = len(creature.motors), len(creature.body.outputs)
+    if len(controls) != outputs:
         expected = "1 number, for its motor" if motors == 1 else f"{motors} numbers, one a motor"
+        if outputs > motors:
+            expected = (
+                f"{outputs} numbers, one for each of its {motors} motors and then of its {outputs - motors} voices"
+            )
         message = f"controls: {creature.name!r} takes {expected}, got {len(controls)}"
         raise WorldError("invalid", message, "controls")
     creature.drive(np.array(controls, float))
