@@ -32,6 +32,8 @@ REFUSED: dict[str, list[dict[str, Any]]] = {
         *({"type": kind, "cube_name": "x"} for kind in ("apply_physics", "despawn_cube", "get_cube_info")),
         *({"type": kind, "cube_name": "x"} for kind in ("get_cube_state", "set_cube_state", "get_camera")),
         {"type": "give", "cube_name": "x", "player": 1},
+        {"type": "say", "cube_name": "x", "channel": "talk", "value": 1},
+        {"type": "hear", "cube_name": "x", "channel": "talk"},
         {"type": "apply_force", "cube_name": "x", "force": [1, 0, 0]},
         {"type": "freeze_cube", "cube_name": "x", "freeze": True},
         {"type": "get_world_state", "cubes": ["x"]},
@@ -55,6 +57,8 @@ REFUSED: dict[str, list[dict[str, Any]]] = {
         {"type": "sense", "creature": "x"},
         {"type": "set_objective", "expression": "time", "creature": "x"},
         {"type": "give", "creature": "x", "player": 1},
+        {"type": "say", "creature": "x", "channel": "talk", "value": 1},
+        {"type": "hear", "creature": "x", "channel": "talk"},
     ],
     "nothing_owned": [
         *({"type": kind} for kind in ("apply_physics", "get_cube_state", "get_camera")),
@@ -99,6 +103,7 @@ REFUSED: dict[str, list[dict[str, Any]]] = {
 def refusing(code: str) -> Iterator[Client]:
     """Gives a client of a world that refuses the commands of a code: some cubes, a joint and the creature r."""
     config: dict[str, Any] = {"backend": "mujoco", "mode": "realtime" if code == "wrong_mode" else "lockstep"}
+    config["channels"] = {"talk": {}}
     if code == "limit_reached":
         config["limits"] = {"cubes": len(CUBES) + 2, "joints": 2}
     if any(command["type"] == "give" for command in REFUSED[code]):

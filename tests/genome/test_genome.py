@@ -481,7 +481,7 @@ def test_an_expanded_genome_expands_to_itself() -> None:
     document = graph(
         {"from": "body", "to": "body", "face": "+x", "rotation": [0.1, 0.2, 0.3]}, body=([0.3, 0.2, 0.1], 9)
     )
-    assert read_body(grow(document), None, "body/graph")[1] == grown(document).expanded().body
+    assert read_body(grow(document), None, place="body/graph")[1] == grown(document).expanded().body
 
 
 # -- files and names --------------------------------------------------------------------------------------------------

@@ -44,7 +44,7 @@ class Place:
     def tick(self, ticks: int = 1) -> None:
         assert self("step", ticks=ticks)["type"] == "stepped"
 
-    def heard(self, channel: str, cube: str) -> list[tuple[str, list[float], float]]:
+    def heard(self, channel: str, cube: str) -> list[tuple[str, Any, Any]]:
         voices = self("hear", channel=channel, cube_name=cube)["voices"]
         return [(voice["cube_name"], voice["value"], pytest.approx(voice["distance"])) for voice in voices]
 
