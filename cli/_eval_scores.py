@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import sys
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from rich.console import Console
 from rich.table import Table
@@ -59,15 +59,18 @@ def print_table(evaluations: Sequence[Evaluation]) -> None:
         if each.error is not None:
             reason = visible(each.error, keep="\n").replace("\n", "\n  ")
             console.print(f"{visible(each.genome)}: {reason}", soft_wrap=True)
-        for result in each.results:
+        for role, result in zip(each.roles or [""] * len(each.results), each.results, strict=True):
             if result.fault is not None:
-                place = f"{each.genome}, seed {result.seed}, tick {result.ticks}"
+                place = f"{each.genome}{role and f' as {role}'}, seed {result.seed}, tick {result.ticks}"
                 console.print(visible(f"{place}: {result.fault}"), soft_wrap=True)
 
 
 def _table(evaluations: Sequence[Evaluation]) -> Table:
     table = Table("genome", "task", box=None, pad_edge=False)
     table.columns[0].overflow = "fold"
+    with_roles = any(each.roles for each in evaluations)
+    if with_roles:
+        table.add_column("role")
     for title in ("seeds", "score", "spread", "energy\n(J)", "distance\n(m)", "faults", "time\n(s)"):
         table.add_column(title, justify="right", no_wrap=True)
     names = Counter(each.genome for each in evaluations)
@@ -76,7 +79,8 @@ def _table(evaluations: Sequence[Evaluation]) -> Table:
         table.add_row(
             f"{name}\n{each.genome_hash[:16]}" if ambiguous else name,
             each.task,
-            format_seeds([result.seed for result in each.results]),
+            *([", ".join(sorted({*each.roles}))] if with_roles else []),
+            format_seeds({result.seed for result in each.results}),
             _number(each.score, 3),
             _number(each.spread, 3),
             _number(each.energy, 1),
@@ -87,7 +91,7 @@ def _table(evaluations: Sequence[Evaluation]) -> Table:
     return table
 
 
-def format_seeds(seeds: Sequence[int]) -> str:
+def format_seeds(seeds: Iterable[int]) -> str:
     """Writes seeds as `--seeds` reads them: `1-3,7`."""
     runs: list[list[int]] = []
     for seed in sorted(seeds):

@@ -14,8 +14,8 @@ from nmes.genome import Genome
 __all__ = ["find_genomes"]
 
 
-def find_genomes(arguments: Iterable[str]) -> list[str]:
-    """Returns the files and shipped names that arguments mean, each once, in order.
+def find_genomes(arguments: Iterable[str], *, repeated: bool = False) -> list[str]:
+    """Returns the files and shipped names that arguments mean, in order: each once, or as often as it was named.
 
     An argument is a file, a directory (its `*.json`), a pattern, or the name of a genome that ships with the package.
     One that means nothing is wrong usage.
@@ -36,4 +36,4 @@ def find_genomes(arguments: Iterable[str]) -> list[str]:
             raise click.UsageError(
                 f"there is no file {visible(name)}, and no genome of that name ships (there are {shipped})"
             )
-    return list(dict.fromkeys(names))
+    return names if repeated else list(dict.fromkeys(names))

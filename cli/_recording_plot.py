@@ -7,10 +7,12 @@ from pathlib import Path
 
 import numpy as np
 
+from nmes.backend import Array
 from nmes.cli._plot import Bars, Curves, write_plot
 from nmes.cli._progress import progress_bars
 from nmes.errors import ProofError
 from nmes.evaluation import scores_so_far
+from nmes.evaluation.match_proof import is_match, match_scores_so_far
 from nmes.playback import watch
 from nmes.recording import Recording
 from nmes.view.time_series import TimeSeries
@@ -36,12 +38,8 @@ def plot_recordings(recordings: Sequence[Recording], path: Path) -> None:
             total = recording.summary().ticks
             for tick, _ in enumerate(watch(recording, series.note), start=1):
                 progress(f"running {recording.path.name}", tick, total)
-            try:
-                scores = scores_so_far(recording)
-                curves.setdefault("score so far", {})[name] = list(map(tuple, scores[::STEP].tolist()))
-            except ProofError as error:
-                if error.code != "not_an_evaluation":
-                    raise
+            for title, scores in _scores(recording).items():
+                curves.setdefault("score so far", {})[title] = list(map(tuple, scores[::STEP].tolist()))
             for title, values in series.curves().items():
                 points = np.stack([series.times, values], axis=1)[::STEP]
                 curves.setdefault(title, {})[name] = list(map(tuple, points.tolist()))
@@ -49,3 +47,16 @@ def plot_recordings(recordings: Sequence[Recording], path: Path) -> None:
     assert gait is not None
     title = recordings[0].path.stem if len(recordings) == 1 else f"{len(recordings)} recordings"
     write_plot(path, title, [*(Curves(title, lines) for title, lines in curves.items()), gait])
+
+
+def _scores(recording: Recording) -> dict[str, Array]:
+    """Returns the scores so far of an episode, or of each role of a match, by what to call them; none of others."""
+    name = recording.path.stem
+    if is_match(recording):
+        return {f"{role}, {name}": scores for role, scores in match_scores_so_far(recording).items()}
+    try:
+        return {name: scores_so_far(recording)}
+    except ProofError as error:
+        if error.code != "not_an_evaluation":
+            raise
+        return {}

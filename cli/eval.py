@@ -13,6 +13,7 @@ import orjson
 from click.core import ParameterSource
 
 from nmes.cli._eval_jobs import run_jobs
+from nmes.cli._eval_matches import score_matches, score_recorded_matches
 from nmes.cli._eval_scores import format_seeds, print_csv, print_results, print_table
 from nmes.cli._genomes import find_genomes
 from nmes.cli._output import check_output
@@ -20,8 +21,10 @@ from nmes.cli._progress import QUIET
 from nmes.cli._recording_plot import plot_recordings
 from nmes.cli._seeds import read_seeds
 from nmes.errors import DocumentError, visible
-from nmes.evaluation import Evaluation, Job, Proof, Task, prove
+from nmes.evaluation import Evaluation, Job, MatchTask, Proof, Task, prove
 from nmes.evaluation.identity import borrows_name
+from nmes.evaluation.match_proof import is_match
+from nmes.evaluation.match_task import load_task
 from nmes.genome.genome import SHIPPED
 from nmes.recording import Recording
 
@@ -75,7 +78,7 @@ def command(
 
     GENOME is a file, a directory of them, a pattern, or the name of a genome that ships. Each is run once a seed of
     the task; the score is the mean over them, the spread their standard deviation. The figures are the same every
-    time, whatever --jobs says.
+    time, whatever --jobs says. A task with roles, such as sumo, takes a genome for each role, and they play each other.
 
     Ctrl-C keeps what is done: the results so far go to the file of --resume, or to a new one that is named, from which
     the same command goes on.
@@ -91,17 +94,25 @@ def command(
         nmes eval --from-recording proofs/walker-*.mcap --json
         nmes eval walker --seeds 1-3 --record proofs --plot walker.svg
         nmes eval 'generation/*.json' --record proofs --record-best 3
+        nmes eval walker seeker --task sumo
     """
     _check_usage(context)
+    asked = None if recordings else _task(task)
     if recordings:
         # Those behind the options too, where a shell's *.mcap leaves them.
         paths = [*recordings, *map(Path, genomes)]
         check_output(plot_to, *paths)
         evaluations, whole = _score(paths), True
+    elif isinstance(asked, MatchTask):
+        _check_match(context, asked)
+        files = find_genomes(genomes, repeated=True)
+        check_output(plot_to, task, *files)
+        evaluations, whole = score_matches(files, asked, seeds, record, jobs, ray)
     else:
+        assert asked is not None
         files = find_genomes(genomes)
         check_output(plot_to, task, *files, *filter(None, [resume]))
-        work = _jobs(files, task, seeds, record if record_best is None else None)
+        work = _jobs(files, asked, seeds, record if record_best is None else None)
         if record is not None:
             record.mkdir(parents=True, exist_ok=True)
         evaluations, whole = run_jobs(work, jobs, ray, resume)
@@ -139,15 +150,27 @@ def _check_usage(context: click.Context) -> None:
             raise click.UsageError(message)
 
 
-def _jobs(files: Sequence[str], task: str, seeds: tuple[int, ...] | None, record: Path | None) -> list[Job]:
-    """Returns a job for each genome."""
+def _task(name: str) -> Task | MatchTask:
+    """Returns the task of `--task`."""
     try:
-        asked = Task.load(task)
+        asked = load_task(name)
     except DocumentError as error:
-        raise click.BadParameter(f"{visible(task)}:\n{error.message}", param_hint="--task") from error
+        raise click.BadParameter(f"{visible(name)}:\n{error.message}", param_hint="--task") from error
     if borrows_name(asked.name, asked.hash):
-        message = f"{visible(task)} is another task than the {asked.name} that ships: give it a name of its own"
+        message = f"{visible(name)} is another task than the {asked.name} that ships: give it a name of its own"
         raise click.BadParameter(message, param_hint="--task")
+    return asked
+
+
+def _check_match(context: click.Context, task: MatchTask) -> None:
+    """Refuses options that mean nothing where creatures play each other."""
+    for option, value in (("--resume", context.params["resume"]), ("--record-best", context.params["record_best"])):
+        if value is not None:
+            raise click.UsageError(f"{task.name} has roles, and {option} is for tasks of one creature")
+
+
+def _jobs(files: Sequence[str], asked: Task, seeds: tuple[int, ...] | None, record: Path | None) -> list[Job]:
+    """Returns a job for each genome."""
     document = orjson.dumps(asked.document)
     folder = None if record is None else str(record)
     return [Job(Path(name).stem, _read_genome(name), document, seeds, folder) for name in files]
@@ -186,6 +209,11 @@ def _read_genome(name: str) -> bytes:
 
 def _score(recordings: Sequence[Path]) -> list[Evaluation]:
     """Returns the evaluations that recordings prove: those of one genome and task together, in order of their seeds."""
+    matches = [path for path in recordings if is_match(Recording(path))]
+    return [*_score_episodes([path for path in recordings if path not in matches]), *score_recorded_matches(matches)]
+
+
+def _score_episodes(recordings: Sequence[Path]) -> list[Evaluation]:
     groups: dict[tuple[str, str], list[Proof]] = {}
     seconds: dict[tuple[str, str], float] = {}
     for path in recordings:

@@ -8,7 +8,8 @@ from rich.table import Table
 
 from nmes.cli._json import print_json
 from nmes.errors import DocumentError, visible
-from nmes.evaluation import Task
+from nmes.evaluation import MatchTask, Task
+from nmes.evaluation.match_task import load_task
 
 __all__ = ["command"]
 
@@ -30,7 +31,7 @@ def command(name: str | None, as_json: bool) -> None:
     """
     if name is not None:
         try:
-            task = Task.load(name)
+            task = load_task(name)
         except DocumentError as error:
             raise click.UsageError(f"{visible(name)}:\n{error.message}") from error
         if as_json:
@@ -38,25 +39,31 @@ def command(name: str | None, as_json: bool) -> None:
         else:
             _show(task)
         return
-    tasks = [Task.load(name) for name in Task.names()]
+    tasks = [*(Task.load(name) for name in Task.names()), *(MatchTask.load(name) for name in MatchTask.names())]
     if as_json:
         print_json([task.document for task in tasks])
         return
     table = Table("task", "engine", "seconds", "seeds", "unit", "objective", box=None, pad_edge=False)
     for task in tasks:
         engine = task.world_config(task.seeds[0])["backend"]
-        table.add_row(task.name, engine, f"{task.duration:g}", str(len(task.seeds)), task.unit, task.objective.text)
+        asked = task.objective.text if isinstance(task, Task) else f"of each role: {', '.join(task.roles)}"
+        table.add_row(task.name, engine, f"{task.duration:g}", str(len(task.seeds)), task.unit, asked)
     Console(highlight=False, markup=False).print(table)
 
 
-def _show(task: Task) -> None:
+def _show(task: Task | MatchTask) -> None:
     document = task.document
     table = Table(box=None, pad_edge=False, show_header=False)
     table.add_column(style="bold", no_wrap=True)
     table.add_column(overflow="fold")
     table.add_row("task", task.name)
     table.add_row("asked", visible(task.description, keep="\n"))
-    table.add_row("objective", visible(task.objective.text, keep="\n"))
+    if isinstance(task, MatchTask):
+        for role in task.roles.values():
+            table.add_row(f"objective of {role.name}", visible(role.objective.text, keep="\n"))
+        table.add_row("roles", "interchangeable" if task.interchangeable else "in the order of the creatures")
+    else:
+        table.add_row("objective", visible(task.objective.text, keep="\n"))
     table.add_row("unit of scores", visible(task.unit) or "none")
     for title, condition in task.ends:
         table.add_row(f"ends: {title}", visible(condition.text, keep="\n"))

@@ -15,6 +15,8 @@ from nmes.genome import Genome
 from nmes.schemas.notebook import card
 
 if TYPE_CHECKING:
+    from nmes.evaluation.match import MatchResult
+    from nmes.evaluation.match_task import MatchTask
     from nmes.evaluation.proof import Proof
 
 __all__ = ["Evaluation"]
@@ -32,6 +34,7 @@ class Evaluation:
         results: One a seed, in the order of the seeds; none where the creature could not be evaluated.
         error: Why the creature could not be evaluated; None where it could.
         recordings: Where the episodes' recordings are, one a result; none where nothing was recorded.
+        roles: Which role it had in each match, one a result; none where the task has no roles.
         wall_seconds: How long it took, s.
     """
 
@@ -43,6 +46,15 @@ class Evaluation:
     error: str | None = None
     recordings: tuple[str, ...] = field(default=(), compare=False)
     wall_seconds: float = field(default=0.0, compare=False)
+    roles: tuple[str, ...] = ()
+
+    @classmethod
+    def of_matches(cls, genome: Genome, task: MatchTask, matches: Sequence[tuple[str, MatchResult]]) -> Evaluation:
+        """Returns how a creature did in matches, each told with the role that it had there."""
+        recordings = tuple(match.recording for _, match in matches if match.recording is not None)
+        results, roles = tuple(match.results[role] for role, match in matches), tuple(role for role, _ in matches)
+        seconds = fsum(match.wall_seconds for _, match in matches)
+        return cls(genome.name, genome.hash, task.name, task.hash, results, None, recordings, seconds, roles)
 
     @classmethod
     def of(cls, proofs: Sequence[Proof], *, wall_seconds: float = 0.0) -> Evaluation:
@@ -140,6 +152,7 @@ class Evaluation:
             "results": [result.to_json() for result in self.results],
             "recordings": list(self.recordings),
             "wall_seconds": self.wall_seconds,
+            **({"roles": list(self.roles)} if self.roles else {}),
         }
 
     @classmethod

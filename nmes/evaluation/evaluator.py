@@ -12,7 +12,6 @@ Invariants:
 
 from __future__ import annotations
 
-import operator
 import os
 import re
 import secrets
@@ -35,7 +34,7 @@ from nmes.brain import Brain
 from nmes.errors import DocumentError, NmesError, RecordingError
 from nmes.evaluation.episode import METADATA, Episode, Result
 from nmes.evaluation.evaluation import Evaluation
-from nmes.evaluation.parallel import Cluster, Here, Lost, Pool, Workers
+from nmes.evaluation.parallel import Lost, open_pool
 from nmes.evaluation.population import admit, guarded, run_alone, run_population
 from nmes.evaluation.portions import cut
 from nmes.evaluation.seeding import read_seeds
@@ -253,10 +252,7 @@ class Evaluator:
     """
 
     def __init__(self, jobs: int | None = None, *, ray: str | None = None) -> None:
-        jobs = os.cpu_count() or 1 if jobs is None else operator.index(jobs)
-        if jobs < 1:
-            raise ValueError(f"jobs must be 1 or more, not {jobs}")
-        self._pool: Pool = Cluster(ray) if ray is not None else Workers(jobs) if jobs > 1 else Here()
+        self._pool = open_pool(jobs, ray)
 
     def __enter__(self) -> Self:
         return self

@@ -10,8 +10,9 @@ like any other, without the brains. At each tick all creatures sense before any 
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Callable, Generator, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from hashlib import blake2b
 from pathlib import Path
 from typing import SupportsIndex
@@ -46,11 +47,13 @@ class MatchResult:
         seed: The match's.
         results: Of each role.
         recording: The file of its recording; None where none was made.
+        wall_seconds: How long it took, s.
     """
 
     seed: int
     results: Mapping[str, Result]
-    recording: str | None = None
+    recording: str | None = field(default=None, compare=False)
+    wall_seconds: float = field(default=0.0, compare=False)
 
     @property
     def void(self) -> bool:
@@ -228,12 +231,14 @@ def play_match(
         WorldError: They cannot be set down.
         RecordingError: The recording cannot be written.
     """
+    begin = time.perf_counter()
     try:
         if folder is None:
-            return MatchResult(seed, _run(task, genomes, brains, seed, None))
+            return MatchResult(seed, _run(task, genomes, brains, seed, None), None, time.perf_counter() - begin)
         path = folder / recording_name(task, genomes, seed)
         with recorded(path, match_metadata(task, genomes, seed)) as journal:
-            return MatchResult(seed, _run(task, genomes, brains, seed, journal), str(path))
+            results = _run(task, genomes, brains, seed, journal)
+        return MatchResult(seed, results, str(path), time.perf_counter() - begin)
     except NmesError:
         raise
     except Exception as failure:  # of an engine, an expression, a brain: this match's, and no other's

@@ -16,6 +16,7 @@ Invariants:
 from __future__ import annotations
 
 import logging
+import operator
 import os
 import signal
 import traceback
@@ -31,7 +32,7 @@ from typing import Any, Self, TypeVar
 
 from nmes.errors import MachineError, MissingPackage
 
-__all__ = ["Cluster", "Here", "Lost", "Pool", "Workers", "in_processes"]
+__all__ = ["Cluster", "Here", "Lost", "Pool", "Workers", "in_processes", "open_pool"]
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -222,6 +223,25 @@ class Workers(Pool):
         """As `Pool.stop`."""
         while self._busy:
             self._busy.popitem()[1].end()
+
+
+def open_pool(jobs: int | None, ray: str | None = None) -> Pool:
+    """Returns where functions are called.
+
+    Args:
+        jobs: How many processes at most; 1 is this process. None: one a core.
+        ray: The address of a Ray cluster to use instead: `HOST:PORT`, `auto` or `local`.
+
+    Raises:
+        TypeError: The number of jobs is no whole number.
+        ValueError: There is no job.
+        MissingPackage: Ray is not installed.
+        MachineError: There is no cluster (`no_cluster`).
+    """
+    jobs = os.cpu_count() or 1 if jobs is None else operator.index(jobs)
+    if jobs < 1:
+        raise ValueError(f"jobs must be 1 or more, not {jobs}")
+    return Cluster(ray) if ray is not None else Workers(jobs) if jobs > 1 else Here()
 
 
 def in_processes(
