@@ -43,6 +43,7 @@ SUBCOMMANDS = {
     "serve": "Host worlds that clients drive over TCP.",
     "sign": "Vouch for a recording with an Ed25519 key.",
     "tasks": "List the tasks that creatures can be put to.",
+    "tournament": "Have creatures play each other, and rate them.",
     "verify": "Check that a recording is as it was written.",
     "view": "Look at live worlds and at recordings.",
     "worlds": "List and steer the worlds of a host.",

@@ -39,7 +39,8 @@ def command(name: str | None, as_json: bool) -> None:
         else:
             _show(task)
         return
-    tasks = [*(Task.load(name) for name in Task.names()), *(MatchTask.load(name) for name in MatchTask.names())]
+    tasks: list[Task | MatchTask] = [Task.load(name) for name in Task.names()]
+    tasks += [MatchTask.load(name) for name in MatchTask.names()]
     if as_json:
         print_json([task.document for task in tasks])
         return

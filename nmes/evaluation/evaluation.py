@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from nmes.evaluation.match_task import MatchTask
     from nmes.evaluation.proof import Proof
 
-__all__ = ["Evaluation"]
+__all__ = ["Evaluation", "check_types"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,15 +165,15 @@ class Evaluation:
         results = tuple(Result(**result) for result in data["results"])
         plain = {name: data[name] for name in ("genome", "genome_hash", "task", "task_hash", "error", "wall_seconds")}
         evaluation = cls(**plain, results=results, recordings=tuple(data["recordings"]))
-        _check_types(evaluation, plain)
+        check_types(evaluation, plain)
         for result in results:
-            _check_types(result, asdict(result))
+            check_types(result, asdict(result))
         if not all(isinstance(recording, str) for recording in evaluation.recordings):
             raise TypeError("a recording is no text")
         return evaluation
 
 
-def _check_types(value: Evaluation | Result, fields: Mapping[str, Any]) -> None:
+def check_types(value: Evaluation | Result, fields: Mapping[str, Any]) -> None:
     """Compares fields of a dataclass with their types; None stands for what JSON cannot say too."""
     kinds = get_type_hints(type(value))
     for name, field_value in fields.items():
