@@ -11,13 +11,14 @@ from typing import Any
 import pytest
 from click.testing import CliRunner
 
-from nmes import Client
+from nmes import Client, protocol
 from nmes.cli import main
 from nmes.errors import CommandFailed
 from nmes.playback import replay
-from nmes.protocol import DELIMITER
+from nmes.protocol import DELIMITER, EVENTS
 from nmes.recording import Kind, Recording
 from processes import process, ready
+from role_programs import CONFIG, INTRUDER, OWNER, VICTIM, Play, program
 from servers import PASSWORD, PATIENCE, Peer, Served, served
 
 ROLES: dict[str, Any] = {"player": {}, "viewer": {}, "referee": {}}
@@ -283,3 +284,34 @@ def test_nmes_worlds_shows_a_player_the_worlds_with_his_role() -> None:
         for word, names in [(WORDS["player"], ["main"]), (WORDS["viewer"], ["main", "third"]), (PASSWORD, None)]:
             listed = [world["world"] for world in server.client(password=word).worlds()]
             assert listed == (names or ["main", "open", "third"])
+
+
+# -- generated programs ----------------------------------------------------------------------------------------------
+
+
+def heard(peer: Peer, message: dict[str, Any]) -> Any:
+    """Returns the answer to a message, without the events that come before it."""
+    peer.say(message)
+    while (answer := peer.hear())["type"] in EVENTS:
+        pass
+    return answer
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_program_of_two_players_is_answered_alike_over_the_wire(seed: int) -> None:
+    said = Play(program(seed), "ballistic", alone=True).said
+    assert any(one.command is None for one in said) or seed > 0
+    with served(CONFIG, role_passwords=WORDS) as server:
+        peers, tokens = {}, {}
+        for who, password in [(OWNER, PASSWORD), (VICTIM, WORDS["player"]), (INTRUDER, WORDS["player"])]:
+            peers[who], welcome = enter(server, password)
+            tokens[who] = welcome["token"]
+        for who, command, reply in said:
+            if command is None:
+                peers[who].socket.close()
+                peers[who], welcome = enter(server, WORDS["player"], token=tokens[who])
+                assert welcome["token"] == tokens[who]
+            else:
+                assert heard(peers[who], command) == protocol.decode(protocol.encode(reply)), command
+        for peer in peers.values():
+            peer.socket.close()
