@@ -495,7 +495,7 @@ class Creatures:
         self._entities.require_room(len(body.cubes), len(body.joints))
         self._entities.require_plane(body.planar, "body that leaves the XY plane", "genome/body")
         for cube in body.cubes:
-            self._entities.require_group(cube.group, "genome/body")
+            self._entities.groups.number(cube.group, "genome/body")
         for joint in body.joints:
             path = "genome/body"
             self._entities.require(f"joint.{joint.kind}", f"joints of type {joint.kind}", path)

@@ -24,6 +24,7 @@ from nmes.schemas.documents import JsonObject
 from nmes.world import joint_params, scenery
 from nmes.world.energy import EnergyMeter
 from nmes.world.fields import FieldReader, unit_vector, vector
+from nmes.world.groups import CollisionGroups
 from nmes.world.structure import StructureMotion, connected_cubes, most_connected
 from nmes.world.terrain import Terrain
 
@@ -82,6 +83,7 @@ class Entities:
         body_names: The cubes' names by their numbers in the engine, in order of creation.
         simulation: The engine's scene.
         terrain: Where the ground is.
+        groups: The collision groups.
         fields: Reads the geometric fields of commands.
         meter: The work of the joints' motors.
         tick_rate: Ticks per second.
@@ -101,7 +103,7 @@ class Entities:
         self._config = config
         self.seed = seed
         self.fields = FieldReader(backend.dims == 2)
-        self._groups = scenery.group_numbers(config)
+        self.groups = CollisionGroups(config)
         for capability, path in scenery.needs(config).items():
             self.require(capability, f"scenery of this kind ({capability})", path)
         scene = scenery.scene_spec(config, seed)
@@ -120,11 +122,6 @@ class Entities:
     def edits(self) -> int:
         """How often something was done that an engine may compile its model anew for."""
         return self.version + self._reshaped - self._painted
-
-    @property
-    def moment(self) -> tuple[int, int]:
-        """What is another whenever a cube may have come, gone or moved."""
-        return self.ticks, self.edits
 
     # -- snapshots -----------------------------------------------------------------------------------------------
 
@@ -168,7 +165,7 @@ class Entities:
         self._check_numbers(state)
         self.version, self._spawned, self._joined = state["version"], state["spawned"], state["joined"]
         for values in state["cubes"]:
-            self.require_group(values.get("group"), "group")
+            self.groups.number(values.get("group"), "group")
             vectors = {name: vector(values[name]) for name in ("size", "origin")}
             self._add_cube(Cube(**{**values, **vectors, "color": tuple(values["color"])}))
         for values in state["joints"]:
@@ -244,12 +241,6 @@ class Entities:
             if count + more > most:
                 raise WorldError("limit_reached", f"the world holds {count} of its {most} {what} already")
 
-    def require_group(self, group: str | None, path: str) -> None:
-        """Raises `invalid` unless the config has this collision group; `path` is the field to blame."""
-        if group is not None and group not in self._groups:
-            known = f"it has {', '.join(self._groups)}" if self._groups else "its config has no collision_groups"
-            raise WorldError("invalid", f"the world has no collision group {group!r}: {known}", path)
-
     def require_plane(self, planar: bool, what: str, path: str) -> None:
         """Raises `unsupported` where the engine is one of the XY plane and the thing is not in it."""
         if self._backend.dims == 2 and not planar:
@@ -262,7 +253,7 @@ class Entities:
             WorldError: `limit_reached`, `cube_exists`, or `invalid` for a name, a group or a rotation.
         """
         self.require_room(cubes=1)
-        self.require_group(command.get("group"), "group")
+        group = self.groups.number(command.get("group"), "group")
         fields, default = self.fields, protocol.COMMANDS["spawn_cube"].defaults
         frozen = bool(command.get("is_base"))
         name, count = self._new_cube_name(command.get("cube_name"), "_BASE" if frozen else "")
@@ -295,7 +286,7 @@ class Entities:
                 linear_velocity=fields.position(command.get("linear_velocity", ZERO)),
                 angular_velocity=fields.turn(command.get("angular_velocity", ZERO)),
                 frozen=cube.frozen,
-                group=0 if cube.group is None else self._groups[cube.group],
+                group=group,
             ),
         )
         self._spawned = count

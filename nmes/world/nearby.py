@@ -75,11 +75,12 @@ class Nearby:
 
     def _distances(self, place: Vector, but: Iterable[int]) -> Array:
         """Returns how far each body is, m; infinitely far those that do not count."""
-        if self._moment != self._entities.moment:
+        moment = self._entities.ticks, self._entities.edits  # another whenever a body may have come, gone or moved
+        if self._moment != moment:
             self._bodies = self._list()
             self._rows = {body: row for row, body in enumerate(self._bodies)}
             self._states = self._entities.simulation.states(self._bodies)
-            self._moment = self._entities.moment
+            self._moment = moment
         x, y, z = (self._states[:, :3] - place).T
         # Of roots and products alone, in one order: the same bits on every machine.
         distances: Array = np.sqrt(x * x + y * y + z * z)

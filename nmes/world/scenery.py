@@ -27,8 +27,9 @@ from nmes.backend.rotation import normalize, quaternion_from_euler, rotate
 from nmes.errors import WorldError
 from nmes.schemas.documents import JsonObject
 from nmes.world.fields import vector
+from nmes.world.groups import CollisionGroups
 
-__all__ = ["group_numbers", "needs", "planet_list", "scene_spec"]
+__all__ = ["needs", "planet_list", "scene_spec"]
 
 _PLANK = 0.1  # m: thickness of a ramp
 _PLAIN = 1000.0  # m: how far the ground reaches where it has gaps, and thus an end
@@ -51,24 +52,6 @@ def needs(config: Mapping[str, Any]) -> dict[str, str]:
     if config.get("collision_groups"):
         fields["collision_groups"] = "collision_groups"
     return fields
-
-
-def group_numbers(config: Mapping[str, Any]) -> dict[str, int]:
-    """Returns the numbers by which an engine knows the collision groups of a config, from 1, by name."""
-    return {name: number for number, name in enumerate(sorted(config.get("collision_groups", ())), 1)}
-
-
-def _passes(config: Mapping[str, Any]) -> tuple[int, ...]:
-    """Returns through which groups the bodies of each group pass, as `SceneSpec.passes` has it."""
-    numbers = group_numbers(config)
-    passes = dict.fromkeys(numbers, 0)
-    for name, others in config.get("collision_groups", {}).items():
-        for i, other in enumerate(others):
-            if other not in numbers:
-                raise WorldError("invalid", f"there is no group {other!r} here", f"collision_groups/{name}/{i}")
-            passes[name] |= 1 << numbers[other]
-            passes[other] |= 1 << numbers[name]
-    return tuple(passes.values())
 
 
 def scene_spec(config: Mapping[str, Any], seed: int) -> SceneSpec:
@@ -101,7 +84,7 @@ def scene_spec(config: Mapping[str, Any], seed: int) -> SceneSpec:
         arena=None if arena is None else Arena(**{"seed": seed, **arena}),
         linear_damping=float(damping["linear"]),
         angular_damping=float(damping["angular"]),
-        passes=_passes(config),
+        passes=CollisionGroups(config).passes,
         options=config["engine"],
     )
 
