@@ -38,9 +38,11 @@ KINDS: Final[Mapping[str, float]] = {
     "weights": 4.0,
     "oscillators": 4.0,
     "topology": 1.0,
+    "voices": 0.4,
 }
 """The kinds of mutation, each with how often it is drawn where it can be, relative to the others."""
 _CUBE_SENSORS: Final = tuple(kind for kind in OF_CUBE if kind not in (*OF_OTHERS, "hear"))
+_MOST_VOICES = 128
 _TRIES = 100
 _FRUITLESS = 20  # draws in a row after which a kind that is asked for has nothing to change
 _MOST_SENSORS = 1024
@@ -66,7 +68,7 @@ def mutate(genome: Genome, draw: Draw, *, kind: str | None = None, requirements:
         genome: The parent. Its brain, if it has one, must be a good one.
         draw: All choices.
         kind: One of `KINDS`; drawn by their weights if None.
-        requirements: What the mutant's body must be like.
+        requirements: What the mutant's body must be like, and what it may come to sense and say.
 
     Raises:
         DocumentError: The parent's brain is none for its body.
@@ -79,11 +81,12 @@ def mutate(genome: Genome, draw: Draw, *, kind: str | None = None, requirements:
     if "brain" in genome.document:
         genome.brain()
     reason = "there is nothing of that kind to change"
+    kinds = {name: weight for name, weight in KINDS.items() if name != "voices" or requirements.channels}
     given, fruitless = genome.document, 0
     for _ in range(_TRIES):
-        chosen = draw.one_of(tuple(KINDS), tuple(KINDS.values())) if kind is None else kind
+        chosen = draw.one_of(tuple(kinds), tuple(kinds.values())) if kind is None else kind
         document = genome.document
-        if _change(document, genome.body, chosen, draw, requirements.planar):
+        if _change(document, genome.body, chosen, draw, requirements):
             try:
                 child = offspring(document, genome.body, [genome], draw, requirements)
             except DocumentError as error:
@@ -99,15 +102,18 @@ def mutate(genome: Genome, draw: Draw, *, kind: str | None = None, requirements:
 
 
 def _same(document: JsonObject, other: JsonObject) -> bool:
-    return all(document.get(name) == other.get(name) for name in ("body", "sensors", "brain"))
+    return all(document.get(name) == other.get(name) for name in ("body", "sensors", "voices", "brain"))
 
 
-def _change(document: JsonObject, body: Body, kind: str, draw: Draw, planar: bool) -> bool:
+def _change(document: JsonObject, body: Body, kind: str, draw: Draw, requirements: Requirements) -> bool:
     """Makes one change to a document; returns whether there was anything to change."""
     if kind in brain_changes.CHANGES:
         return "brain" in document and brain_changes.CHANGES[kind](document["brain"], body, draw)
     if kind == "sensors":
-        return _change_sensors(document, body, draw)
+        return _change_sensors(document, body, draw, requirements)
+    if kind == "voices":
+        return _change_voices(document, draw, requirements)
+    planar = requirements.planar
     graph = document["body"].get("graph")
     if graph is not None:
         graph.setdefault("connections", [])
@@ -116,7 +122,7 @@ def _change(document: JsonObject, body: Body, kind: str, draw: Draw, planar: boo
     return kind in cube_bodies.CHANGES and cube_bodies.CHANGES[kind](document["body"], body, draw, planar)
 
 
-def _change_sensors(document: JsonObject, body: Body, draw: Draw) -> bool:
+def _change_sensors(document: JsonObject, body: Body, draw: Draw, requirements: Requirements) -> bool:
     """Adds a sensor or takes one away; those of a body by default are written out first."""
     sensors = document.setdefault("sensors", written_sensors(body))
     if len(sensors) > 1 and draw.chance(0.4):
@@ -128,5 +134,27 @@ def _change_sensors(document: JsonObject, body: Body, draw: Draw) -> bool:
     if driven and draw.chance(0.4):
         sensors.append({"type": draw.one_of(OF_JOINT), "joint": draw.one_of(driven)})
     else:
-        sensors.append({"type": draw.one_of(_CUBE_SENSORS), "cube": draw.one_of(body.cubes).id})
+        kinds = (
+            _CUBE_SENSORS + (OF_OTHERS if requirements.others else ()) + (("hear",) if requirements.channels else ())
+        )
+        sensor = {"type": draw.one_of(kinds), "cube": draw.one_of(body.cubes).id}
+        sensors.append({**sensor, **_draw_number(draw, requirements)} if sensor["type"] == "hear" else sensor)
     return True
+
+
+def _change_voices(document: JsonObject, draw: Draw, requirements: Requirements) -> bool:
+    """Adds a voice on one of the channels that there are, or takes one away."""
+    voices = document.setdefault("voices", [])
+    if voices and draw.chance(0.4):
+        voices.remove(draw.one_of(voices))
+        return True
+    if len(voices) >= _MOST_VOICES or not requirements.channels:
+        return False
+    voices.append(_draw_number(draw, requirements))
+    return True
+
+
+def _draw_number(draw: Draw, requirements: Requirements) -> JsonObject:
+    """Draws a number of a channel, as sensors and voices name it."""
+    channel, size = draw.one_of(requirements.channels)
+    return {"channel": channel, "number": draw.count(1, size)}

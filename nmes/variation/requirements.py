@@ -18,17 +18,21 @@ def _none(body: Body) -> Sequence[str]:
 
 @dataclass(frozen=True, slots=True)
 class Requirements:
-    """What a body must be like.
+    """What a body must be like, and what it may come to sense and say.
 
     Attributes:
         limits: Its limits.
         planar: Whether it must lie in the plane z = 0.
         further: Returns what else is wrong with a body, in words.
+        others: Whether there are other creatures where it lives, so that it may come to sense them.
+        channels: The channels on which it may come to speak and hear, each with how many numbers it has.
     """
 
     limits: Limits = field(default_factory=Limits)
     planar: bool = False
     further: Callable[[Body], Sequence[str]] = _none
+    others: bool = False
+    channels: tuple[tuple[str, int], ...] = ()
 
     def check(self, body: Body) -> list[str]:
         """Returns the reasons why a body does not meet them, in words; none if it does."""

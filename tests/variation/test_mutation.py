@@ -18,6 +18,8 @@ from nmes.errors import VariationError
 from nmes.evaluation import Task, evaluate
 from nmes.evolution import KINDS, Draw, Mutant, mutate
 from nmes.genome import Genome
+from nmes.genome.sensors import OF_OTHERS
+from nmes.variation import Requirements
 from nmes.variation.brains import motor_names, sensor_names
 from random_bodies import valid_genomes
 
@@ -30,6 +32,7 @@ NEVER = {
     "recursion": "there is nothing of that kind to change",  # of a body that is written out
     "weights": "there is nothing of that kind to change",  # of oscillators
     "oscillators": "there is nothing of that kind to change",  # of networks
+    "voices": "there is nothing of that kind to change",  # where there are no channels
 }
 
 
@@ -57,7 +60,7 @@ def lines_of_descent(kind: str, task: Task) -> Iterator[tuple[Genome, Genome]]:
                 parent = mutant.genome
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "voices"])
 @pytest.mark.parametrize("mutants", [SHORT, pytest.param(LONG, marks=[pytest.mark.long, pytest.mark.timeout(20_000)])])
 def test_mutants_are_good_genomes_that_may_take_part(kind: str, mutants: int) -> None:
     task = Task.load("walk")
@@ -184,6 +187,34 @@ def test_a_split_link_has_the_same_name_in_two_lines_of_descent() -> None:
     seeker = Genome.load("seeker")
     cousin = mutate(seeker, Draw(1), kind="weights").genome
     assert len(split(seeker) & split(cousin)) >= 2
+
+
+@pytest.mark.parametrize("name", ["seeker", "walker", "tumbler"])
+def test_who_has_others_and_channels_comes_to_sense_and_speak(name: str) -> None:
+    requirements = Requirements(others=True, channels=(("lead", 2), ("alarm", 1)))
+    genome, alone = Genome.load(name), Genome.load(name)
+    sensed = Counter[str]()
+    for number in range(90):
+        kind = (None, "sensors", "voices")[number % 3]
+        genome = mutate(genome, Draw(5, number), kind=kind, requirements=requirements).genome
+        if "brain" in genome.document:
+            assert genome.brain().outputs == genome.body.outputs
+        assert {(voice.channel, voice.number) for voice in genome.body.voices} <= {
+            ("lead", 1), ("lead", 2), ("alarm", 1),
+        }  # fmt: skip
+        sensed.update(sensor.type for sensor in genome.body.sensors)
+        alone = mutate(alone, Draw(5, number)).genome
+        assert not alone.body.voices and not {sensor.type for sensor in alone.body.sensors} & {"hear", *OF_OTHERS}
+    assert genome.body.voices and sensed["hear"] and any(sensed[kind] for kind in OF_OTHERS)
+
+
+def test_a_body_that_changes_keeps_its_voices() -> None:
+    brain = {"kind": "sine", "oscillators": [{"motor": name, "frequency": 1} for name in ("*axle", "say.lead")]}
+    parent = Genome({**Genome.load("roller").document, "voices": [{"channel": "lead"}], "brain": brain})
+    for number in range(12):
+        child = mutate(parent, Draw(6, number), kind="add-part").genome
+        assert [voice.id for voice in child.body.voices] == ["say.lead"]
+        assert child.document["brain"]["oscillators"][1] == brain["oscillators"][1]
 
 
 def test_an_unknown_kind_is_refused_with_a_hint() -> None:
