@@ -16,6 +16,7 @@ from concurrent.futures import ProcessPoolExecutor
 import broken_creatures
 import broken_names
 import broken_physics
+import broken_roles
 import broken_times
 import broken_wires
 import broken_worlds
@@ -26,7 +27,15 @@ __all__ = ["BROKEN", "main"]
 BROKEN: dict[str, Defect] = {defect.name: defect for defect in DEFECTS}
 assert {defect.break_it.__module__ for defect in DEFECTS} == {
     module.__name__
-    for module in (broken_creatures, broken_names, broken_physics, broken_times, broken_wires, broken_worlds)
+    for module in (
+        broken_creatures,
+        broken_names,
+        broken_physics,
+        broken_roles,
+        broken_times,
+        broken_wires,
+        broken_worlds,
+    )
 }
 
 

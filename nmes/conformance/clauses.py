@@ -103,6 +103,12 @@ _PROSE: Final[Mapping[str, str]] = {
     "tick on, the nearest first, until it says something else there, falls silent or is gone.",
     "3.9.2": "What is said or heard on a channel that the config has not, or with other numbers than it has, is "
     "refused.",
+    "3.10.1": "Each connection then has a role, and is a player's.",
+    "3.10.2": "Cubes belong to the player who spawned them; a joint or a creature is his to whom all its cubes belong.",
+    "3.10.3": "A command that the role may not do, or not to what is another's, gets `not_allowed` and changes nothing",
+    "3.10.4": "of a batch, each part is judged by itself.",
+    "3.10.5": "The `token` of `auth_success`, said in `auth`, makes a connection the same player's.",
+    "3.10.6": "`give` makes a cube or a creature, with all that joints connect to it, another player's.",
     "5.1.1": "Required of every conforming server: sections 1 to 3, and the commands that messages.md says "
     "every server must have (of the joints `fixed`, `hinge` and `slide`).",
     "5.1.2": "The rest is optional and named in the `capabilities` of `world_info`; a server answers a command"

@@ -78,8 +78,11 @@ def listening(answer: Callable[[socket.socket], None]) -> Iterator[int]:
     ("backend", "mode"), [("ballistic", "lockstep"), ("mujoco", "realtime"), ("pymunk", "lockstep")]
 )
 def test_our_server_conforms(backend: str, mode: str) -> None:
-    with served({"backend": backend, "mode": mode}, auth_delay=1.0) as server:
+    roles: dict[str, Any] = {"roles": {"player": {}, "viewer": {}}} if backend == "ballistic" else {}
+    with served({"backend": backend, "mode": mode, **roles}, auth_delay=1.0) as server:
         report = judge(server)
+        asked = {result.case.number: result.verdict for result in report.results if result.case.category == "roles"}
+        assert set(asked.values()) == {Verdict.OK if roles else Verdict.SKIPPED} and len(asked) > 15
         assert bad(report) == []
         assert report.exit_status == 0
         assert server.call(server.hosted.world.cubes) == []  # it cleans up

@@ -1,12 +1,12 @@
 """Servers with one defect each, to show that the conformance suite finds it.
 
-A defect is a function that patches our own server before a host is started in this process; its docstring says what
-the server does wrong, its decorator which cases must find it. The defects stand in `broken_wires` (bytes, auth,
-dialects, JSON, limits, connections), `broken_worlds` (commands), `broken_names` (fields, errors, names, clients,
-capabilities), `broken_times` (time, subscriptions), `broken_physics` (physics, determinism) and `broken_creatures`
-(rewards, creatures). Invariants: a defect is undone when its server has stopped; the suite, which runs in the same
-process, does not use what is patched; a server counts as caught only if each case that it names fails while some of
-the others still pass, for a server that answers nothing at all would show nothing about a case.
+A defect is a function that patches our own server before a host is started in this process; its docstring says what the
+server does wrong, its decorator which cases must find it. The defects stand in `broken_wires` (bytes, auth, dialects,
+JSON, limits, connections), `broken_worlds` (commands), `broken_names` (fields, errors, names, clients, capabilities),
+`broken_times` (time, subscriptions), `broken_physics` (physics, determinism), `broken_creatures` (rewards, creatures)
+and `broken_roles` (roles). Invariants: a defect is undone when its server has stopped; the suite, which runs in the
+same process, does not use what is patched; a server counts as caught only if each case that it names fails while some
+of the others still pass, for a server that answers nothing at all would show nothing about a case.
 """
 
 from __future__ import annotations

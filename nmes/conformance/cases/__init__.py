@@ -18,6 +18,7 @@ from nmes.conformance.cases.names import NAMES
 from nmes.conformance.cases.objectives import OBJECTIVES
 from nmes.conformance.cases.physics import PHYSICS
 from nmes.conformance.cases.robustness import ROBUSTNESS
+from nmes.conformance.cases.roles import ROLES
 from nmes.conformance.cases.search import SEARCH
 from nmes.conformance.cases.strictness import JSON
 from nmes.conformance.cases.subscriptions import SUBSCRIPTIONS
@@ -45,5 +46,6 @@ CATEGORIES: Final[tuple[Category, ...]] = (
     SEARCH,
     CREATURES,
     OBJECTIVES,
+    ROLES,
 )
 CASES: Final[tuple[Case, ...]] = tuple(case for category in CATEGORIES for case in category)

@@ -43,14 +43,16 @@ def script(t: Trial, length: int) -> list[dict[str, Any]]:
 
 
 def played(t: Trial, commands: list[dict[str, Any]], seed: int, in_one_write: bool = False) -> list[Any]:
-    """Returns the answers to commands in a world that was just reset."""
+    """Returns the answers to commands in a world that was just reset, but for the player whose cubes are: a new one."""
     wire = t.join()
     t.ask(wire, {"type": "reset", "seed": seed}, "world_reset")
     numbered = [{**command, "id": n} for n, command in enumerate(commands)]
-    if not in_one_write:
-        return [wire.ask(command) for command in numbered]
-    wire.say(*numbered)
-    return [wire.reply(f"reply {n}") for n in range(len(commands))]
+    if in_one_write:
+        wire.say(*numbered)
+        answers = [wire.reply(f"reply {n}") for n in range(len(commands))]
+    else:
+        answers = [wire.ask(command) for command in numbered]
+    return [{name: value for name, value in answer.items() if name != "player"} for answer in answers]
 
 
 @table(1, "3.6.1", [Row(str(n), n) for n in range(3)], needs=NEEDS, scope=Scope.WORLD)
