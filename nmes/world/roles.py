@@ -18,7 +18,7 @@ from nmes.errors import WorldError
 from nmes.schemas.documents import JsonObject, did_you_mean
 from nmes.world.clients import Client
 from nmes.world.commands import RIGHTS
-from nmes.world.rights import Touched, everything
+from nmes.world.rights import Touched, Touches, everything
 
 if TYPE_CHECKING:
     from nmes.world.world import World
@@ -35,12 +35,12 @@ class Role:
 
     Attributes:
         name: Its name.
-        own: The types of commands that it may do to what belongs to its player.
+        own: The types of commands that it may do to what belongs to its player, each with what it touches.
         everywhere: Those that it may do to anything.
     """
 
     name: str
-    own: frozenset[str]
+    own: Mapping[str, Touches]
     everywhere: frozenset[str]
 
     def allows(self, kind: str, player: int | None, touched: Touched) -> bool:
@@ -50,25 +50,27 @@ class Role:
         return kind in self.own and touched is not None and all(cube.player == player for cube in touched)
 
     def require(self, world: World, client: Client, command: JsonObject) -> None:
-        """Raises unless a client of this role may do a command.
+        """Raises unless a client of this role may do a command that is not among those `everywhere`.
 
         Raises:
             WorldError: `not_allowed`, with what may not be done and whose it is; or what the command's function would
                 raise, where a thing that it names is not there.
         """
-        kind = command["type"]
-        if kind in self.everywhere:
-            return
-        if kind not in self.own:
-            raise WorldError("not_allowed", f"the role {self.name!r} may not {kind}")
-        touched = RIGHTS[kind].touches(world, client, command)
-        only = f"the role {self.name!r} may {kind} only what is its own"
+        touches = self.own.get(command["type"])
+        if touches is None:
+            raise WorldError("not_allowed", f"the role {self.name!r} may not {command['type']}")
+        touched, player = touches(world, client, command), client.player
         if touched is None:
-            raise WorldError("not_allowed", f"{only}, and this is about all that is in the world")
+            raise self._refusal(command, "this is about all that is in the world")
         for cube in touched:
-            if cube.player != client.player:
+            if cube.player != player:
                 owner = "nobody" if cube.player is None else f"player {cube.player}"
-                raise WorldError("not_allowed", f"{only}, and the cube {cube.name!r} belongs to {owner}")
+                raise self._refusal(command, f"the cube {cube.name!r} belongs to {owner}")
+
+    def _refusal(self, command: JsonObject, reason: str) -> WorldError:
+        return WorldError(
+            "not_allowed", f"the role {self.name!r} may {command['type']} only what is its own, and {reason}"
+        )
 
 
 def read_roles(config: Mapping[str, Any] | None) -> dict[str, Role]:
@@ -83,7 +85,7 @@ def read_roles(config: Mapping[str, Any] | None) -> dict[str, Role]:
     """
     if config is None:
         return {}
-    roles = {OWNER: Role(OWNER, frozenset(), frozenset(RIGHTS))}
+    roles = {OWNER: Role(OWNER, {}, frozenset(RIGHTS))}
     for name, permissions in config.items():
         if name != OWNER:
             roles[name] = _role(name, permissions)
@@ -99,7 +101,7 @@ def _role(name: str, permissions: Mapping[str, Sequence[str]]) -> Role:
     permissions = permissions or _SHIPPED[name]
     free = {kind for kind, right in RIGHTS.items() if right.kind is None}
     own, everywhere = (_commands(permissions.get(whose, ()), f"{path}/{whose}") for whose in ("own", "all"))
-    return Role(name, own, everywhere | free)
+    return Role(name, {kind: RIGHTS[kind].touches for kind in own}, everywhere | free)
 
 
 def _commands(items: Sequence[str], path: str) -> frozenset[str]:

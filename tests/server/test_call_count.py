@@ -16,7 +16,7 @@ import pytest
 from layout import ROOT
 from nmes.recording import Kind, Recording
 from nmes.server.connection import LONG, Connection
-from servers import served
+from servers import PASSWORD, served
 
 MOST = 25
 PUSH = {"type": "apply_physics", "cube_name": "cube", "force": [1.5, 0, -0.5]}
@@ -40,6 +40,22 @@ def counted(calls: list[str]) -> Iterator[None]:
 
 @pytest.mark.parametrize("backend", ["ballistic", "mujoco"])
 def test_a_recorded_command_takes_few_calls(backend: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = calls_of_a_push({"backend": backend}, None, tmp_path, monkeypatch)
+    assert len(calls) <= MOST, "\n".join(calls)
+
+
+@pytest.mark.parametrize(("role", "more"), [("owner", 0), ("player", 3)])
+def test_to_judge_a_command_by_its_role_takes_few_calls_more(
+    role: str, more: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = calls_of_a_push({"roles": {"player": {}}}, role, tmp_path, monkeypatch)
+    assert len(calls) <= MOST + more, "\n".join(calls)
+
+
+def calls_of_a_push(
+    config: dict[str, Any], role: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> list[str]:
+    """Returns the calls of ours for one recorded command of a role, from its bytes to those of the reply."""
     calls: list[str] = []
     receive: Callable[[Connection, int], None] = Connection.buffer_updated
 
@@ -48,16 +64,18 @@ def test_a_recorded_command_takes_few_calls(backend: str, tmp_path: Path, monkey
         with counted(calls):
             receive(connection, nbytes)
 
-    with served({"backend": backend}, record_to=tmp_path) as server, server.peer() as peer:
+    with served(config, record_to=tmp_path) as server, server.peer(None) as peer:
+        auth = {"type": "auth", "password": PASSWORD, **({} if role is None else {"role": role})}
+        assert peer.ask(auth).get("role") == role
         assert peer.ask({"type": "spawn_cube", "cube_name": "cube"})["spawned"] == "cube"
         expected = peer.ask(PUSH)
         monkeypatch.setattr(Connection, "buffer_updated", count)
         assert peer.ask(PUSH) == expected
         server.call(monkeypatch.undo)  # in the host's thread, so after the call has returned
     assert any(call.endswith("World.handle") for call in calls)
-    assert len(calls) <= MOST, "\n".join(calls)
     (path,) = tmp_path.iterdir()
     assert [record.kind for record in Recording(path) if record.kind is Kind.COMMAND] == [Kind.COMMAND] * 3
+    return calls
 
 
 def test_commands_of_one_write_are_read_in_a_row(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -45,7 +45,7 @@ RIGHTS: dict[str, Right] = {
     **timing.RIGHTS,
     **general.RIGHTS,
 }
-"""What every command needs in a world with roles; one that is left out is allowed to nobody there but the owner."""
+"""What every command needs in a world with roles; one that is left out is allowed to nobody there."""
 
 HARMLESS = frozenset(
     {"ping", "sense", "hear", "subscribe", "unsubscribe", "set_objective", "compute_reward"}
