@@ -53,6 +53,8 @@ _MORE = {
 }
 # Fields that name what is not there yet.
 _NEW = {("spawn_cube", "cube_name"), ("create_joint", "joint_name"), ("create_bone", "joint_name")}
+# Commands that must name a cube or a creature, and never mean the one that is owned.
+_NAMING = {"give"}
 # Commands that every role may do.
 _FREE = {"batch", "get_planets", "get_world_info", "ping", "unsubscribe"}
 # Commands that a world answers after its engine has failed.
@@ -73,7 +75,7 @@ def error_codes(kind: str) -> list[str]:
     codes |= {_MISSING[name] for name in fields if name in _MISSING and (kind, name) not in _NEW}
     if kind not in _FREE:
         codes.add("not_allowed")
-    own = "cube_name" in fields and "cube_name" not in command.schema["required"] and "creature" not in fields
+    own = "cube_name" in fields and "cube_name" not in command.schema["required"] and kind not in _NAMING
     if own and (kind, "cube_name") not in _NEW:
         codes.add("nothing_owned")
     return sorted(codes)

@@ -127,7 +127,7 @@ class CreatureCommands:
 
         Raises:
             CommandFailed: The server refused it: `creature_not_found`, `cube_not_found`, `invalid`, `not_allowed`,
-                `unsupported` or `world_faulted`.
+                `nothing_owned`, `unsupported` or `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """
@@ -149,7 +149,7 @@ class CreatureCommands:
 
         Raises:
             CommandFailed: The server refused it: `creature_not_found`, `cube_not_found`, `invalid`, `not_allowed`,
-                `unsupported` or `world_faulted`.
+                `nothing_owned`, `unsupported` or `world_faulted`.
             Disconnected: The connection was lost.
             TimeoutError: No reply came in time.
         """

@@ -15,12 +15,13 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from hashlib import blake2b
+from math import cos, sin
 from typing import Any, Final, TypeAlias
 
 from nmes.backend import Vector, load_backend
 from nmes.backend.rotation import multiply, quaternion_from_euler, rotate, total
 from nmes.errors import DocumentError
-from nmes.evaluation.setting import MATCHES, Setting, complete_task, infinite, read_task
+from nmes.evaluation.setting import MATCHES, Setting, complete_task, crossed_bounds, infinite, read_task
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
 from nmes.genome.body import Body
@@ -157,7 +158,11 @@ class MatchTask(Setting):
     def requirements(self, role: str) -> Requirements:
         """What a body must be like to play a role, for whoever varies genomes."""
         planar = load_backend(self._config["backend"]).dims == 2
-        return Requirements(self.roles[role].limits, planar, partial(self._unsuited, role))
+        channels = tuple(
+            (name, channel.get("size", 1)) for name, channel in sorted(self._config.get("channels", {}).items())
+        )
+        unsuited = partial(self._unsuited, role)
+        return Requirements(self.roles[role].limits, planar, unsuited, len(self.roles) > 1, channels)
 
     def _unsuited(self, role: str, body: Body) -> list[str]:
         """Returns the reasons why a body within the limits may not play a role."""
@@ -184,7 +189,7 @@ class MatchTask(Setting):
             seed: The match's.
             genomes: The creatures, by role.
         """
-        commands = [_standing(prop) for prop in self.document["props"]]
+        commands = [self._standing(prop, seed) for prop in self.document["props"]]
         for role in self.roles.values():
             commands += self._set_down(role, seed, genomes)
         return commands
@@ -221,6 +226,24 @@ class MatchTask(Setting):
             turned = list(multiply(turn, root.quaternion))
             yield {"type": "set_cube_state", "cube_name": f"{role.name}.{root.id}", "rotation": turned}
 
+    def _standing(self, prop: JsonObject, seed: int) -> JsonObject:
+        """Returns the command that puts a prop into the world, upon its foot."""
+        x, y, z = map(float, prop["position"])
+        if "away" in prop:
+            far, bearing = (
+                self.draw(seed, f"{prop['id']} {what}", prop["away"][what]) for what in ("distance", "bearing")
+            )
+            x, z = x + far * cos(bearing), z - far * sin(bearing)
+        return {
+            "type": "spawn_cube",
+            "cube_name": prop["id"],
+            "position": [x, y + prop["size"][1] / 2.0, z],
+            "size": prop["size"],
+            "mass": prop["mass"],
+            "color": prop["color"],
+            "list": False,
+        }
+
     def _aim(self, target: Vector | str, genomes: Mapping[str, Genome]) -> list[float] | str:
         """Returns a target as the command that makes a creature has it."""
         if not isinstance(target, str):
@@ -250,20 +273,6 @@ def _point(numbers: list[float]) -> Vector:
     return x, y, z
 
 
-def _standing(prop: JsonObject) -> JsonObject:
-    """Returns the command that puts a prop into the world, upon its foot."""
-    x, y, z = map(float, prop["position"])
-    return {
-        "type": "spawn_cube",
-        "cube_name": prop["id"],
-        "position": [x, y + prop["size"][1] / 2.0, z],
-        "size": prop["size"],
-        "mass": prop["mass"],
-        "color": prop["color"],
-        "list": False,
-    }
-
-
 def _problems(document: JsonObject) -> Iterator[tuple[str, str]]:
     """Yields what is wrong with a sound document as a task with roles, each with its place."""
     for name in ("objective", "target"):
@@ -280,6 +289,7 @@ def _problems(document: JsonObject) -> Iterator[tuple[str, str]]:
         if isinstance(target, str) and (target == role["name"] or target not in (*names, *things)):
             yield f"roles/{index}/target", f"expected another role, a prop or a point, got {target!r}"
     for index, prop in enumerate(document["props"]):
+        yield from crossed_bounds((f"props/{index}/away/{name}", value) for name, value in prop.get("away", {}).items())
         yield from ((f"props/{index}/{name}", problem) for name, problem in _prop_problems(prop, names))
 
 

@@ -306,7 +306,7 @@ def _problems(document: JsonObject) -> Iterator[tuple[str, str]]:
     for path in targets if "target" in document else targets[1:]:
         yield path, "there is a target already"
     for index, prop in enumerate(props):
-        if "position" in prop:
-            yield f"props/{index}/position", "only a task with roles says this: here it stands on the creature"
+        for name in [name for name in ("position", "away") if name in prop]:
+            yield f"props/{index}/{name}", "only a task with roles says this: here it stands on the creature"
         if prop["id"].startswith(f"{CREATURE}."):
             yield f"props/{index}/id", f"names that begin with {CREATURE!r} and a point are the creature's"

@@ -123,9 +123,9 @@ def check_shape(typed: Any, schema: Any) -> None:
 TYPED = """
 apply_force apply_physics batch compute_reward create_bone create_joint despawn_cube drive freeze_cube
 get_camera get_cube_info get_cube_list get_cube_state get_joint_info get_joint_list get_joints_for_cube get_planets
-get_world_info get_world_state link_body_cubes link_cube_chains pause ping remove_joint reset resume sense set_color
-set_cube_state set_joint_param set_joint_params set_mode set_objective spawn_creature spawn_cube step subscribe
-unsubscribe
+get_world_info get_world_state hear link_body_cubes link_cube_chains pause ping remove_joint reset resume say sense
+set_color set_cube_state set_joint_param set_joint_params set_mode set_objective spawn_creature spawn_cube step
+subscribe unsubscribe
 """.split()
 
 
@@ -221,6 +221,10 @@ def test_every_command_works_once() -> None:
         assert checked.spawn_creature(rocker, name="r", position=[3, 0, 0])["motors"] == ["shoulder"]
         assert checked.drive("r", [0.5])["creature"] == "r"
         assert len(checked.sense("r")["values"]) == 12
+        assert checked.get_genome("r")["genome"] == rocker
+        assert checked.say("alarm", 0.5, creature="r")["cube_name"] == "r.torso"
+        assert checked.say("alarm", [0.5], cube_name="a_BASE")["channel"] == "alarm"
+        assert checked.hear("alarm", creature="r")["voices"] == []
         assert checked.set_objective("height", creature="r", target=[1, 0, 0])["needs"] == ["height"]
         assert checked.set_objective("time", name="b", cubes=["a_BASE"])["cubes"] == ["a_BASE"]
         assert checked.compute_reward(objective="b")["value"] == 0.0

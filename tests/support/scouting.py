@@ -1,0 +1,80 @@
+"""A scout and a runner for the task `scout`, made of few numbers, and a climb in the space of these."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from nmes.backend import Array
+from nmes.evaluation import MatchTask, play
+from nmes.genome import Genome
+
+__all__ = ["WEIGHTS", "climb", "lookout", "mean_score", "rover", "without_channel"]
+
+SEES = ("target_direction", "target_distance", "other_direction", "other_distance")
+WEIGHTS = 24
+"""How many numbers make the two: 18 the scout's brain, 6 the runner's."""
+LOST = -10.0  # what a match without a score counts for
+
+
+def lookout(weights: Array) -> dict[str, Any]:
+    """Returns a post that sees the target and the runner, and says two numbers: each a unit over eight readings."""
+    return {
+        "format": "nmes-genome/1",
+        "name": "lookout",
+        "body": {"cubes": [{"id": "post", "size": [0.4, 0.6, 0.4], "mass": 50, "position": [0, 0.3, 0]}]},
+        "sensors": [{"type": kind, "cube": "post"} for kind in SEES],
+        "voices": [{"channel": "lead", "number": number} for number in (1, 2)],
+        "brain": _units(weights.reshape(2, 9)),
+    }
+
+
+def rover(weights: Array) -> dict[str, Any]:
+    """Returns the cart on four wheels that ships; what it hears drives its left and its right wheels, a unit each."""
+    ears = [{"type": "hear", "cube": "chassis", "channel": "lead", "number": number} for number in (1, 2)]
+    brain = {**_units(weights.reshape(2, 3)), "outputs": ["*left*", "*right*"]}
+    return {**Genome.load("roller").document, "name": "rover", "sensors": ears, "brain": brain}
+
+
+def _units(rows: Array) -> dict[str, Any]:
+    """Returns the brain of one layer whose units have these weights, and last a bias."""
+    return {"kind": "mlp", "layers": [{"weights": rows[:, :-1].tolist(), "biases": rows[:, -1].tolist()}]}
+
+
+def without_channel(task: MatchTask) -> MatchTask:
+    """Returns the same task in a world without its channel."""
+    return MatchTask({**task.document, "world": {}})
+
+
+def mean_score(weights: Sequence[float] | Array, task: MatchTask, seeds: Iterable[int]) -> float:
+    """Returns the runner's mean score, m, of the two that the weights make."""
+    numbers = np.array(weights, float)
+    players = {"scout": lookout(numbers[:18]), "runner": rover(numbers[18:])}
+    scores = [match.results["runner"].score for match in play(task, players, seeds=seeds)]
+    return float(np.mean([LOST if score is None else score for score in scores]))
+
+
+def climb(task: MatchTask, seed: int, budget: int) -> tuple[Array, list[float]]:
+    """Climbs from small random weights: a third of them changes at each step, which stays if it is no worse.
+
+    Args:
+        task: What is played, on its own seeds.
+        seed: Of what is drawn.
+        budget: How many pairs are scored.
+
+    Returns:
+        The best weights, and the best score after each step.
+    """
+    draw = np.random.default_rng(seed)
+    best = draw.normal(0.0, 0.3, WEIGHTS)
+    score = mean_score(best, task, task.seeds)
+    curve = [score]
+    while len(curve) < budget:
+        child = best + draw.normal(0.0, 0.8, WEIGHTS) * (draw.random(WEIGHTS) < 1 / 3)
+        worth = mean_score(child, task, task.seeds)
+        if worth >= score:
+            best, score = child, worth
+        curve.append(score)
+    return best, curve
