@@ -68,7 +68,7 @@ def _names(body: Body) -> tuple[list[str], list[str]]:
 
 def _body_of(document: JsonObject) -> Body:
     """Returns the body of a document, whose sensors are taken away where it has nothing that they could be on."""
-    bare = {name: document[name] for name in ("format", "name", "body", "voices") if name in document}
+    bare: JsonObject = {name: document[name] for name in ("format", "name", "body", "voices") if name in document}
     if "sensors" not in document:
         return Genome(bare).body
     body = Genome({**bare, "sensors": []}).body

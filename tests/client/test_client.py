@@ -122,15 +122,15 @@ def check_shape(typed: Any, schema: Any) -> None:
 # The commands that clients have a method for; a new one gets its own when somebody writes it.
 TYPED = """
 apply_force apply_physics batch compute_reward create_bone create_joint despawn_cube drive freeze_cube
-get_camera get_cube_info get_cube_list get_cube_state get_joint_info get_joint_list get_joints_for_cube get_planets
-get_world_info get_world_state hear link_body_cubes link_cube_chains pause ping remove_joint reset resume say sense
+get_camera get_cube_info get_cube_list get_cube_state get_genome get_joint_info get_joint_list get_joints_for_cube
+get_planets get_world_info get_world_state give hear link_body_cubes link_cube_chains pause ping remove_joint reset resume say sense
 set_color set_cube_state set_joint_param set_joint_params set_mode set_objective spawn_creature spawn_cube step
 subscribe unsubscribe
 """.split()
 
 
 def test_no_command_has_lost_its_method() -> None:
-    assert len(TYPED) == 38 and set(TYPED) <= set(declared())
+    assert len(TYPED) == 42 and set(TYPED) <= set(declared())
 
 
 @pytest.mark.parametrize("name", sorted(declared()))
@@ -179,7 +179,7 @@ class Checked(BlockingCommands):
 
 
 def test_every_command_works_once() -> None:
-    with served({"backend": "mujoco"}) as server, server.client() as client:
+    with served({"backend": "mujoco", "channels": {"alarm": {}}}) as server, server.client() as client:
         checked = Checked(client)
         assert checked.ping() == {"type": "pong"}
         assert checked.spawn_cube("a", position=[0, 2, 0], size=0.5, mass=2, is_base=True)["spawned"] == "a_BASE"
