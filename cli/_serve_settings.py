@@ -15,15 +15,17 @@ from typing import Any
 import click
 
 from nmes.cli._password import PASSWORD_VARIABLE, choose_password, read_password
-from nmes.errors import RejectedMessage
+from nmes.errors import DocumentError, RejectedMessage
 from nmes.protocol import parse_json
 from nmes.recording import Recording
+from nmes.schemas.documents import ShippedDocuments
 from nmes.server.retention import Retention
 from nmes.world.roles import OWNER
 
 __all__ = ["DIALECTS", "MADE_UP", "MOST_WORLDS", "Settings", "read_settings"]
 
 MOST_WORLDS = 1000
+SHIPPED = ShippedDocuments("world config", "nmes.world", "shipped")
 KEYFRAMES = 10.0  # s of a world's time
 MADE_UP = "generated"  # the source of a password that was not given
 DIALECTS: Mapping[str, Mapping[str, Any]] = {
@@ -130,11 +132,12 @@ def _world(options: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[Recording,
     return {"keyframes": KEYFRAMES, **expected, **file, **fields}, None
 
 
-def _read_config(path: Path) -> dict[str, Any]:
+def _read_config(name: str) -> dict[str, Any]:
+    path = Path(name)
     try:
-        config = parse_json(path.read_bytes())
-    except OSError as error:
-        raise click.UsageError(f"cannot read {path}: {error.strerror}") from error
+        config = parse_json(SHIPPED.read(path))
+    except DocumentError as error:
+        raise click.UsageError(error.problems[0][1]) from error
     except RejectedMessage as error:
         raise click.UsageError(f"{path}: {error.message}") from error
     if not isinstance(config, dict):

@@ -109,8 +109,8 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
 @click.option("--backend", help="Physics engine.  [default: mujoco]")
 @click.option(
     "--config",
-    type=click.Path(path_type=Path, exists=True, dir_okay=False),
-    help="World config, a JSON file; the other options win over it.",
+    metavar="FILE",
+    help="World config: a JSON file, or one that ships, such as ecosystem; the other options win over it.",
 )
 @click.option("--seed", type=click.IntRange(0, 2**63 - 1), help="Seed of all that the world draws.  [default: 0]")
 @click.option(

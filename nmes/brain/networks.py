@@ -226,7 +226,8 @@ class CtrnnKernel(Kernel):
 
     def memory(self) -> Array:
         """Returns the neurons' states."""
-        return self._v.copy()
+        states: Array = self._v.copy()
+        return states
 
     def _take_up(self, memory: Array) -> None:
         self._v[...] = memory

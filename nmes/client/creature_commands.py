@@ -12,8 +12,10 @@ from nmes.client.declaration import Vector, command
 from nmes.client.replies import (
     CreatureSpawned,
     Driven,
+    Fed,
     GenomeDocument,
     Heard,
+    Life,
     ObjectiveSet,
     Reward,
     Said,
@@ -154,6 +156,38 @@ class CreatureCommands:
             TimeoutError: No reply came in time.
         """
         return Heard
+
+    @command
+    def get_life(self) -> type[Life]:
+        """Reads the ecosystem of a world that has one: what there is to eat, and who lives.
+
+        Returns:
+            Life: The ecosystem.
+
+        Raises:
+            CommandFailed: The server refused it: `not_allowed`, `unsupported` or `world_faulted`.
+            Disconnected: The connection was lost.
+            TimeoutError: No reply came in time.
+        """
+        return Life
+
+    @command
+    def feed(self, position: Vector, *, energy: float | None = None) -> type[Fed]:
+        """Puts food somewhere on the ground, in a world that has life.
+
+        Args:
+            position: Where, in m, each number within 1,000,000 m of the origin; its height counts for nothing.
+            energy: What it feeds, in J, from 0 to 1,000,000,000; as what grows, if left out.
+
+        Returns:
+            Fed: The food is there.
+
+        Raises:
+            CommandFailed: The server refused it: `invalid`, `not_allowed`, `unsupported` or `world_faulted`.
+            Disconnected: The connection was lost.
+            TimeoutError: No reply came in time.
+        """
+        return Fed
 
     @command
     def sense(self, creature: str) -> type[Senses]:

@@ -126,6 +126,37 @@ class Heard(TypedDict):
     voices: list[HeardVoice]
 
 
+class FoodItem(TypedDict):
+    position: list[float]
+    energy: float
+
+
+class LivingCreature(TypedDict):
+    creature: str
+    energy: float
+    age: float
+    generation: int
+    species: int
+    parents: Names
+    meals: int
+
+
+class Life(TypedDict):
+    type: Literal["life"]
+    frame: int
+    t: float
+    born: int
+    died: int
+    food: list[FoodItem]
+    living: list[LivingCreature]
+
+
+class Fed(TypedDict):
+    type: Literal["fed"]
+    position: list[float]
+    food: int
+
+
 class Senses(TypedDict):
     type: Literal["senses"]
     creature: str
@@ -399,10 +430,63 @@ class Lagging(TypedDict):
     over: bool
 
 
+class CreatureBorn(TypedDict):
+    type: Literal["creature_born"]
+    frame: int
+    creature: str
+    cause: Literal["founder", "newcomer", "birth", "entered"]
+    parents: Names
+    genome: str
+    generation: int
+    species: int
+
+
+class CreatureDied(TypedDict):
+    type: Literal["creature_died"]
+    frame: int
+    creature: str
+    cause: Literal["starved", "old", "gone"]
+    generation: int
+    species: int
+    meals: int
+    age: float
+
+
+class FoodEaten(TypedDict):
+    type: Literal["food_eaten"]
+    frame: int
+    creature: str
+    position: list[float]
+    energy: float
+
+
+class CensusMeans(TypedDict, total=False):
+    mass: float
+    size: float
+    cubes: float
+    motors: float
+    sensors: float
+    energy: float
+    age: float
+    generation: float
+
+
+class Census(TypedDict):
+    type: Literal["census"]
+    frame: int
+    population: int
+    species: int
+    food: int
+    born: int
+    died: int
+    means: CensusMeans
+
+
 class WorldClosed(TypedDict):
     type: Literal["world_closed"]
 
 
-Event = Tick | State | WorldFault | BarrierTimeout | Lagging | WorldClosed
+LifeEvent = CreatureBorn | CreatureDied | FoodEaten | Census
+Event = Tick | State | LifeEvent | WorldFault | BarrierTimeout | Lagging | WorldClosed
 JointType = Literal["fixed", "hinge", "slide", "slider", "pin", "conetwist"]
 Mode = Literal["realtime", "lockstep", "fast"]

@@ -26,6 +26,7 @@ from nmes.evaluation.task import Task
 from nmes.genome import Genome
 from nmes.genome.body import Body
 from nmes.genome.limits import Limits
+from nmes.genome.sensors import OF_OTHERS
 from nmes.objective import FOLDS, FUNCTIONS, QUANTITIES, Cast, Objective, Quantity
 from nmes.schemas.documents import JsonObject, parse_document
 from nmes.schemas.notebook import card
@@ -161,8 +162,8 @@ class MatchTask(Setting):
         channels = tuple(
             (name, channel.get("size", 1)) for name, channel in sorted(self._config.get("channels", {}).items())
         )
-        unsuited = partial(self._unsuited, role)
-        return Requirements(self.roles[role].limits, planar, unsuited, len(self.roles) > 1, channels)
+        senses = OF_OTHERS if len(self.roles) > 1 else ()
+        return Requirements(self.roles[role].limits, planar, partial(self._unsuited, role), senses, channels)
 
     def _unsuited(self, role: str, body: Body) -> list[str]:
         """Returns the reasons why a body within the limits may not play a role."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from nmes.backend import BodyState
 
-__all__ = ["OF_CUBE", "OF_JOINT", "OF_OTHERS", "READING_OF", "TURNING", "VECTORS", "CubeReading", "Read"]
+__all__ = ["OF_CUBE", "OF_FOOD", "OF_JOINT", "OF_OTHERS", "READING_OF", "TURNING", "VECTORS", "CubeReading", "Read"]
 
 Read = Callable[[BodyState], tuple[float, ...]]
 
@@ -74,10 +74,13 @@ READING_OF = {name: reading for reading in CUBE_READINGS for name in reading.typ
 _STATE_AXES = {name: reading.types[name] for name, reading in READING_OF.items()}
 _TARGET_AXES = {"target_direction": "xyz", "target_distance": "", "target_velocity": "xyz"}
 _OTHER_AXES = {"other_direction": "xyz", "other_distance": "", "other_velocity": "xyz"}
-_AXES = {**_STATE_AXES, "touch": "", **_TARGET_AXES, **_OTHER_AXES, "hear": ""}
+_FOOD_AXES = {"food_direction": "xyz", "food_distance": ""}
+_AXES = {**_STATE_AXES, "touch": "", **_TARGET_AXES, **_OTHER_AXES, "hear": "", **_FOOD_AXES}
 
 OF_JOINT = ("position", "velocity", "effort")
 OF_CUBE = tuple(_AXES)
+OF_FOOD = tuple(_FOOD_AXES)
+"""The types of sensors of a cube that are about the nearest food."""
 OF_OTHERS = tuple(_OTHER_AXES)
 """The types of sensors of a cube that are about the nearest other creature."""
 VECTORS = tuple(name for name, axes in _AXES.items() if axes)

@@ -18,7 +18,7 @@ from __future__ import annotations
 import os
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -36,6 +36,7 @@ from nmes.playback.restore import make_world
 from nmes.protocol import Request
 from nmes.recording import Kind, Record, Recording, Start
 from nmes.recording.viewer_messages import Painter
+from nmes.schemas.documents import JsonObject
 from nmes.world import World
 from nmes.world.journal import Journal
 
@@ -274,6 +275,12 @@ class _RecordingReplay(Journal):
                 self._watch(self._world, request)
             except Exception as error:
                 self._mistake = error
+
+    def lived(self, frame: int, events: Sequence[JsonObject]) -> None:
+        """The ecosystem's events of a tick."""
+        record = self._expect(Kind.LIFE)
+        if record is not None and record.about != {"frame": frame, "events": list(events)}:
+            self._diverge("life", record, f"at frame {frame} something else happens in the ecosystem")
 
     def keyframe(self, snapshot: bytes) -> None:
         """The world was saved."""

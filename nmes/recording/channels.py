@@ -17,6 +17,7 @@ __all__ = [
     "COMMAND",
     "FAULTS",
     "KEYFRAME",
+    "LIFE",
     "POSES",
     "REFUSED",
     "REPLY",
@@ -28,9 +29,10 @@ __all__ = [
 # The keys of channels: the name of a cube for that of its box, and these. All clients share the first three, however
 # many come: a file has no more than 65,535 channels.
 COMMAND, REPLY, REFUSED = 0, 1, 2
-TICKS, CLIENTS, FAULTS, POSES, SCENE, CHAIN, CHECKSUMS, KEYFRAME = -1, -2, -3, -4, -5, -6, -7, -8
+TICKS, CLIENTS, FAULTS, POSES, SCENE, CHAIN, CHECKSUMS, KEYFRAME, LIFE = -1, -2, -3, -4, -5, -6, -7, -8, -9
 _VIEWS = {POSES: scene.POSES_SCHEMA, SCENE: scene.SCENE_SCHEMA}
-_TOPICS = {TICKS: "ticks", CLIENTS: "clients", FAULTS: "faults", POSES: "/tf", SCENE: "/scene", CHAIN: "chain"}
+_OWN = {TICKS: "ticks", CLIENTS: "clients", FAULTS: "faults", CHAIN: "chain", LIFE: "life"}
+_TOPICS = {**_OWN, POSES: "/tf", SCENE: "/scene"}
 _OCTETS = {CHECKSUMS: "checksums", KEYFRAME: KEYFRAMES, REFUSED: "refused"}
 _SAID = {COMMAND: ("commands", "command"), REPLY: ("replies", "reply")}
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 import os
 import struct
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from time import time_ns
@@ -37,6 +37,7 @@ from nmes.recording.channels import (
     COMMAND,
     FAULTS,
     KEYFRAME,
+    LIFE,
     POSES,
     REFUSED,
     REPLY,
@@ -164,6 +165,10 @@ class Recorder:
             self._notes.append((POSES, frame, wall, self._painter.look()))
         if not 0 <= wall - self._flushed < self._flush_after or len(self._notes) > _MANY:
             self._pack()
+
+    def lived(self, frame: int, events: Sequence[Mapping[str, Any]]) -> None:
+        """Records what happened in the ecosystem in the tick that led to a frame."""
+        self._notes.append((LIFE, frame, time_ns(), orjson.dumps({"frame": frame, "events": events})))
 
     def keyframe(self, snapshot: bytes) -> None:
         """Records a snapshot of the world. It begins a chunk that defines all channels: a reader can begin there."""

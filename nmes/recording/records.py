@@ -53,6 +53,7 @@ class Kind(StrEnum):
     SCENE = "scene"
     BOX = "box"
     KEYFRAME = "keyframe"
+    LIFE = "life"
 
 
 class Record(NamedTuple):
@@ -65,8 +66,8 @@ class Record(NamedTuple):
         wall: The recorder's clock, ns since 1970.
         client: The number of the client that it is about, if it is about one.
         data: Its bytes: verbatim for a command, a refused frame and a reply; of a keyframe a snapshot of the world.
-        about: The JSON of the recorder's own records (clients, ticks, faults), as its schema says. Of a box, the name
-            of its `cube`. Else None.
+        about: The JSON of the recorder's own records (clients, ticks, faults, life), as its schema says. Of a box, the
+            name of its `cube`. Else None.
     """
 
     kind: Kind

@@ -23,6 +23,10 @@ class Origin(NamedTuple):
     frame: int
 
 
+_POSES = 10.0  # Hz: poses that are kept for viewers
+_POSES_OF_LIFE = 2.0  # Hz: those of an ecosystem, which is hundreds of cubes for hours
+
+
 class WorldRecorder:
     """Writes a world's recording until the world is closed, or has lost it because it cannot be written.
 
@@ -49,7 +53,8 @@ class WorldRecorder:
         self._world = world
         self.path = _new_path(directory, world.config["name"])
         if origin is None:
-            self._recorder = Recorder(self.path, world, flush_interval=flush_interval)
+            pose_rate = _POSES if world.life is None else _POSES_OF_LIFE
+            self._recorder = Recorder(self.path, world, pose_rate=pose_rate, flush_interval=flush_interval)
             world.journal = self._recorder
         else:
             self._recorder = fork(origin.recording, world, self.path, origin.frame, flush_interval=flush_interval)

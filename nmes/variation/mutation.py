@@ -14,7 +14,7 @@ from typing import Final
 from nmes.errors import DocumentError, VariationError
 from nmes.genome import Genome
 from nmes.genome.body import Body
-from nmes.genome.sensors import OF_CUBE, OF_JOINT, OF_OTHERS
+from nmes.genome.sensors import OF_CUBE, OF_FOOD, OF_JOINT, OF_OTHERS
 from nmes.schemas.documents import JsonObject, did_you_mean
 from nmes.variation import brain_changes, cube_bodies, graph_bodies
 from nmes.variation.draw import Draw
@@ -41,7 +41,7 @@ KINDS: Final[Mapping[str, float]] = {
     "voices": 0.4,
 }
 """The kinds of mutation, each with how often it is drawn where it can be, relative to the others."""
-_CUBE_SENSORS: Final = tuple(kind for kind in OF_CUBE if kind not in (*OF_OTHERS, "hear"))
+_CUBE_SENSORS: Final = tuple(kind for kind in OF_CUBE if kind not in (*OF_OTHERS, *OF_FOOD, "hear"))
 _MOST_VOICES = 128
 _TRIES = 100
 _FRUITLESS = 20  # draws in a row after which a kind that is asked for has nothing to change
@@ -113,13 +113,13 @@ def _change(document: JsonObject, body: Body, kind: str, draw: Draw, requirement
         return _change_sensors(document, body, draw, requirements)
     if kind == "voices":
         return _change_voices(document, draw, requirements)
-    planar = requirements.planar
     graph = document["body"].get("graph")
     if graph is not None:
         graph.setdefault("connections", [])
-        return graph_bodies.CHANGES[kind](graph, body, draw, planar)
+        return graph_bodies.CHANGES[kind](graph, body, draw, requirements.planar)
     document["body"].setdefault("joints", [])
-    return kind in cube_bodies.CHANGES and cube_bodies.CHANGES[kind](document["body"], body, draw, planar)
+    change = cube_bodies.CHANGES.get(kind)
+    return change is not None and change(document["body"], body, draw, requirements.planar)
 
 
 def _change_sensors(document: JsonObject, body: Body, draw: Draw, requirements: Requirements) -> bool:
@@ -134,9 +134,7 @@ def _change_sensors(document: JsonObject, body: Body, draw: Draw, requirements: 
     if driven and draw.chance(0.4):
         sensors.append({"type": draw.one_of(OF_JOINT), "joint": draw.one_of(driven)})
     else:
-        kinds = (
-            _CUBE_SENSORS + (OF_OTHERS if requirements.others else ()) + (("hear",) if requirements.channels else ())
-        )
+        kinds = (*_CUBE_SENSORS, *requirements.senses, *(("hear",) if requirements.channels else ()))
         sensor = {"type": draw.one_of(kinds), "cube": draw.one_of(body.cubes).id}
         sensors.append({**sensor, **_draw_number(draw, requirements)} if sensor["type"] == "hear" else sensor)
     return True

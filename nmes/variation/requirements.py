@@ -24,14 +24,14 @@ class Requirements:
         limits: Its limits.
         planar: Whether it must lie in the plane z = 0.
         further: Returns what else is wrong with a body, in words.
-        others: Whether there are other creatures where it lives, so that it may come to sense them.
+        senses: Types of sensors of cubes that are of use where it will live, besides those that are everywhere.
         channels: The channels on which it may come to speak and hear, each with how many numbers it has.
     """
 
     limits: Limits = field(default_factory=Limits)
     planar: bool = False
     further: Callable[[Body], Sequence[str]] = _none
-    others: bool = False
+    senses: tuple[str, ...] = ()
     channels: tuple[tuple[str, int], ...] = ()
 
     def check(self, body: Body) -> list[str]:

@@ -9,7 +9,7 @@ Invariants: numbers are never used twice; what counts as sent does not depend on
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -95,6 +95,14 @@ class Clients(dict[int, Client]):
             encoded = protocol.encode(event)
             for client in self.values():
                 if client.subscription is not None:
+                    emit(client.number, encoded)
+
+    def tell(self, emit: Emit | None, kind: str, events: Sequence[Mapping[str, Any]]) -> None:
+        """Sends events to those who are subscribed to their kind."""
+        hearers = [each for each in self.values() if each.subscription and kind in each.subscription.events]
+        if emit is not None and hearers:
+            for encoded in map(protocol.encode, events):
+                for client in hearers:
                     emit(client.number, encoded)
 
     def measure(self, entities: Entities) -> None:

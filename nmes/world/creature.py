@@ -24,12 +24,13 @@ from nmes.backend.rotation import conjugate, minus, plus, rotate
 from nmes.errors import WorldError
 from nmes.genome import Genome
 from nmes.genome.body import Body, BodyCube, BodyJoint, Motor, Sensor
-from nmes.genome.sensors import OF_OTHERS, READING_OF, TURNING, CubeReading, Read
+from nmes.genome.sensors import OF_FOOD, OF_OTHERS, READING_OF, TURNING, CubeReading, Read
 from nmes.protocol import Request
 from nmes.schemas.documents import JsonObject
 from nmes.world import joint_params
 from nmes.world.channels import Channels
 from nmes.world.entities import Cube, Entities, Joint
+from nmes.world.food import nearest
 from nmes.world.mind import Mind, require_mind
 from nmes.world.nearby import Nearby
 
@@ -190,6 +191,7 @@ class Creature:
         self._scale = np.array([self._joint_scale(sensor) for _, sensor in on_joints])
         felt: dict[tuple[str, CubeReading], list[tuple[int, int]]] = {}
         aimed: dict[str, list[tuple[int, int]]] = {}
+        smelled: dict[str, list[tuple[int, int]]] = {}
         seen: dict[tuple[str, float], list[tuple[int, int]]] = {}
         ears: dict[tuple[str, str], list[tuple[int, int]]] = {}
         touched = []
@@ -205,7 +207,8 @@ class Creature:
                     reach = inf if sensor.range is None else sensor.range
                     seen.setdefault((sensor.target, reach), []).append((row, _AIMED[sensor.type] + axis))
                 elif reading is None:
-                    aimed.setdefault(sensor.target, []).append((row, _AIMED[sensor.type] + axis))
+                    of = smelled if sensor.type in OF_FOOD else aimed
+                    of.setdefault(sensor.target, []).append((row, _AIMED[sensor.type] + axis))
                 else:
                     felt.setdefault((sensor.target, reading), []).append((row, reading.first(sensor.type) + axis))
         self._felt: list[tuple[Read, int, slice | list[int], list[int] | None]] = []
@@ -214,10 +217,13 @@ class Creature:
             everything = picked == list(range(reading.count))  # as where a document names no sensors
             rows = _rows([row for row, _ in wanted])
             self._felt.append((reading.read, self._cubes[part].body, rows, None if everything else picked))
-        self._aimed: list[tuple[int, slice | list[int], list[int]]] = [
-            (self._cubes[part].body, _rows([row for row, _ in wanted]), [number for _, number in wanted])
-            for part, wanted in aimed.items()
-        ]
+        self._aimed, self._smelled = (
+            [
+                (self._cubes[part].body, _rows([row for row, _ in wanted]), [number for _, number in wanted])
+                for part, wanted in parts.items()
+            ]
+            for parts in (aimed, smelled)
+        )
         self._seen: list[tuple[int, float, slice | list[int], list[int]]] = [
             (self._cubes[part].body, reach, _rows([row for row, _ in wanted]), [number for _, number in wanted])
             for (part, reach), wanted in seen.items()
@@ -256,7 +262,21 @@ class Creature:
             self._sense_others(out)
         if self._ears:
             self._sense_voices(out)
+        if self._smelled:
+            self._sense_food(out)
         return out
+
+    def _sense_food(self, out: Array) -> None:
+        places = self._entities.food
+        for body, rows, picked in self._smelled:
+            state = self._simulation.body_state(body)
+            found = nearest(places, state.position)
+            if found is None:
+                out[rows] = 0.0
+            else:
+                x, y, z = places[found[0]].tolist()
+                smelled = aim(state, (x, y, z), _STILL)
+                out[rows] = [smelled[i] for i in picked]
 
     def _sense_voices(self, out: Array) -> None:
         for body, channel, rows, picked in self._ears:
@@ -294,7 +314,7 @@ class Creature:
 
 _PLACES = {"direction": 0, "distance": 3, "velocity": 4}
 # The place of the first number of each type of sensor in what `aim` returns.
-_AIMED = {f"{whose}_{what}": at for whose in ("target", "other") for what, at in _PLACES.items()}
+_AIMED = {f"{whose}_{what}": at for whose in ("target", "other", "food") for what, at in _PLACES.items()}
 
 
 def aim(state: BodyState, place: Vector, motion: Vector) -> tuple[float, ...]:

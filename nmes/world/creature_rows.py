@@ -94,6 +94,8 @@ class CreatureRows:
             self._sense_targets(out)
         for _, _, columns, _ in (*plan._seen, *plan._ears):
             out[:, columns] = 0.0  # each is alone in its scene
+        for _, columns, _ in plan._smelled:
+            out[:, columns] = 0.0  # where nothing grows
         return out
 
     def _sense_targets(self, out: Array) -> None:

@@ -16,6 +16,8 @@ from hashlib import blake2b
 from itertools import pairwise
 from typing import Any
 
+import numpy as np
+
 from nmes import protocol
 from nmes.backend import Array, Backend, BodySpec, BodyState, JointSpec, Simulation, StaticBox, Vector
 from nmes.backend.rotation import cross, minus, plus, total
@@ -87,6 +89,7 @@ class Entities:
         fields: Reads the geometric fields of commands.
         meter: The work of the joints' motors.
         tick_rate: Ticks per second.
+        food: Where there is something to eat, array (n, 3), m.
         version: Increases with every change of cubes, joints, frozenness or colours.
         tuned: Increases with every `set_params`.
         ticks: How often the world has ticked with these.
@@ -115,6 +118,7 @@ class Entities:
         self.body_names: dict[int, str] = {}
         self._spawned = 0
         self._joined = 0
+        self.food: Array = np.empty((0, 3))
         self.tick_rate: int = config["tick_rate"]
         self.meter = EnergyMeter(self.simulation)
 

@@ -5,9 +5,11 @@ A world calls its journal in the order of its history: every input before it act
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Protocol
 
 from nmes.protocol import Request
+from nmes.schemas.documents import JsonObject
 
 __all__ = ["Journal"]
 
@@ -39,6 +41,10 @@ class Journal(Protocol):
 
     def ticked(self, frame: int, digest: bytes) -> None:
         """The world reached `frame`; the digest is of its whole state."""
+        return
+
+    def lived(self, frame: int, events: Sequence[JsonObject]) -> None:
+        """The ecosystem's events of the tick that led to `frame`; there is at least one."""
         return
 
     def keyframe(self, snapshot: bytes) -> None:

@@ -23,6 +23,7 @@ from nmes.world.clients import Clients
 from nmes.world.costs import command_cost, rebuild_cost
 from nmes.world.creature import Creature, Creatures
 from nmes.world.entities import Entities
+from nmes.world.life import Life
 from nmes.world.roles import Role
 from nmes.world.state import Barrier, Fault
 
@@ -61,6 +62,7 @@ class WorldQueries:
     all_creatures: Creatures
     roles: Mapping[str, Role]
     channels: Channels
+    life: Life | None
     _clients: Clients
     _tick_rate: int
     _past: int  # ticks before the last reset
@@ -111,9 +113,11 @@ class WorldQueries:
     def digest(self) -> bytes:
         """Returns the hash of all that decides the future, 16 bytes.
 
-        That is the engine's digest, with what brains here remember and what is said and heard, where there is any.
+        That is the engine's digest, with what brains here remember, what is said and heard, and life, where there is any.
         """
         digest, more = self.simulation.digest(), self.all_creatures.memory() + self.channels.packed()
+        if self.life is not None:
+            more += self.life.digest()
         return blake2b(digest + more, digest_size=16).digest() if more else digest
 
     def cubes(self) -> list[str]:

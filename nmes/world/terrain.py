@@ -26,6 +26,7 @@ _ZERO: Vector = (0.0, 0.0, 0.0)
 _AXES: tuple[Vector, Vector, Vector] = ((1.0, 0.0, 0.0), _UP, (0.0, 0.0, 1.0))
 _SHALLOW = 0.01  # part of a box's shortest edge: what is less deep is not inside
 _LAYERS = 1000  # obstacles on top of each other, at most, that a body is lifted out of
+_POINT = 0.001  # m: the box that stands for a point
 _HALVINGS = 60  # of the way out of a planet: to the last bit
 
 
@@ -44,6 +45,20 @@ class Terrain:
             self._landscape = Heightfield(scene.heightfield.size, np.array([line] * 3))
         corners = np.array([_extent(box) for box in scene.boxes]).reshape(-1, 2, 3)
         self._low, self._high = corners[:, 0], corners[:, 1]
+
+    def surface(self, x: float, z: float) -> Vector:
+        """Returns the point of the ground at a place, m: on top of obstacles; with planets, of the first one's top."""
+        scene = self._scene
+        if scene.planets:
+            planet = scene.planets[0]
+            length = sqrt(x * x + planet.radius * planet.radius + z * z)
+            part = planet.radius / length
+            return plus(planet.position, (x * part, planet.radius * part, z * part))
+        field, y = self._landscape, 0.0
+        if field is not None:
+            y = max(_height(field, x, z), float(field.heights.min()))  # beyond its edges as low as it is anywhere
+        (_, y, _) = self.outside([StaticBox((_POINT,) * 3, (x, y + _POINT / 2.0, z))])[0]
+        return x, y - _POINT / 2.0, z
 
     def outside(self, boxes: Sequence[StaticBox]) -> list[Vector]:
         """Returns where boxes are to be, m: as they are where none of them is in the ground, else all shifted alike."""

@@ -34,6 +34,7 @@ from nmes.world.creature import Creatures
 from nmes.world.entities import Entities
 from nmes.world.journal import Journal
 from nmes.world.keyframes import KeyframeSchedule
+from nmes.world.life import Life
 from nmes.world.queries import WorldQueries
 from nmes.world.roles import OWNER, read_roles
 from nmes.world.snapshot import pack, unpack
@@ -100,10 +101,16 @@ class World(WorldQueries):
         self.entities = Entities(self.backend, self.config, seed, version)
         self.channels = Channels(self.config, self.entities)
         self.all_creatures = Creatures(self.entities, self.channels)
+        self.life = self._ecosystem(self.entities, self.all_creatures)
         self.seed = seed
         self.frame = 0
         self.fault = None
         self._built = self.entities.edits
+
+    def _ecosystem(self, entities: Entities, creatures: Creatures) -> Life | None:
+        """Returns the ecosystem that the config asks for, over these creatures; None where it asks for none."""
+        rules = self.config.get("life")
+        return None if rules is None else Life(rules, self.backend, entities, creatures)
 
     # -- clients -------------------------------------------------------------------------------------------------
 
@@ -254,6 +261,7 @@ class World(WorldQueries):
             self.entities.meter.tick()
             self._clients.measure(self.entities)
             self.channels.tick()
+            events = () if self.life is None else self.life.tick(self.frame + 1)
             digest = b"" if self.journal is None else self.digest()  # nobody else is told
         except Exception as error:
             self._engine_failed(error)
@@ -265,6 +273,9 @@ class World(WorldQueries):
             except RecordingError as error:
                 self.stop_recording(error)
                 return
+        if events:
+            self._record(lambda journal: journal.lived(self.frame, events))
+            self._clients.tell(self.emit, "life", events)
         if self._clients:
             self._clients.tick(self.emit, self.frame, self.entities)
         if self._past + self.frame >= self._keyframes.due and not self._stepping:
@@ -340,6 +351,7 @@ class World(WorldQueries):
             "creatures": self.all_creatures.snapshot(),
             **self._clients.snapshot(self.entities),
             **self.channels.snapshot(),
+            **({} if self.life is None else {"life": self.life.snapshot()}),
         }
         return pack(self.config, state, engine)
 
@@ -359,13 +371,17 @@ class World(WorldQueries):
             channels.restore(state)
             creatures = Creatures(entities, channels)
             creatures.restore(state["creatures"])
+            life = self._ecosystem(entities, creatures)
+            if life is not None:
+                life.restore(state["life"])
             clients = Clients.restored(state, entities, self.roles)
-            _require_same(state, entities, creatures, clients, channels)
+            _require_same(state, entities, creatures, clients, channels, life)
         except Exception as error:  # an engine's bytes may be anything, and so may what its library thinks of them
             entities.simulation.close()
             raise WorldError("bad_snapshot", f"the snapshot does not fit together: {error}") from error
         self.simulation.close()
-        self.entities, self.all_creatures, self._clients, self.channels = entities, creatures, clients, channels
+        self.entities, self.all_creatures, self._clients = entities, creatures, clients
+        self.channels, self.life = channels, life
         self._built = entities.edits
         self.seed, self.frame, self._past = state["seed"], state["frame"], state["ticks"] - state["frame"]
         self.fault = None
@@ -421,12 +437,17 @@ class World(WorldQueries):
 
 
 def _require_same(
-    state: JsonObject, entities: Entities, creatures: Creatures, clients: Clients, channels: Channels
+    state: JsonObject,
+    entities: Entities,
+    creatures: Creatures,
+    clients: Clients,
+    channels: Channels,
+    life: Life | None,
 ) -> None:
     """Raises WorldError unless what was restored, the engine's part aside, would be saved as the very same bytes."""
-    own = {**clients.snapshot(entities), **channels.snapshot()}
+    own = {**clients.snapshot(entities), **channels.snapshot(), **({} if life is None else {"life": life.snapshot()})}
     parts = {"assembly": entities.assembly(), "creatures": creatures.snapshot(), **own}
-    told = {name: state[name] for name in (*parts, "roles", "channels") if name in state}
+    told = {name: state[name] for name in (*parts, "roles", "channels", "life") if name in state}
     counts = [state[name] for name in ("seed", "frame", "ticks", "next_client")]
     if any(type(count) is not int for count in counts) or state["ticks"] < state["frame"]:
         raise WorldError("bad_snapshot", "its numbers of ticks, or of clients, are none")

@@ -385,7 +385,7 @@ def joints_that_it_does_not_claim(patch: MonkeyPatch) -> None:
 def claims_that_are_none(patch: MonkeyPatch) -> None:
     """It claims to have a ping, which all must have, as something special."""
     capabilities = general.capabilities
-    patch.setattr(general, "capabilities", lambda backend, roles: [*capabilities(backend, roles), "ping"])
+    patch.setattr(general, "capabilities", lambda *args: [*capabilities(*args), "ping"])
 
 
 @defect("16.5:stiffness")

@@ -191,7 +191,7 @@ def test_a_split_link_has_the_same_name_in_two_lines_of_descent() -> None:
 
 @pytest.mark.parametrize("name", ["seeker", "walker", "tumbler"])
 def test_who_has_others_and_channels_comes_to_sense_and_speak(name: str) -> None:
-    requirements = Requirements(others=True, channels=(("lead", 2), ("alarm", 1)))
+    requirements = Requirements(senses=OF_OTHERS, channels=(("lead", 2), ("alarm", 1)))
     genome, alone = Genome.load(name), Genome.load(name)
     sensed = Counter[str]()
     for number in range(90):

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from nmes.world.clients import Client
-from nmes.world.commands import clients, creatures, cubes, general, joints, ownership, timing, voices
+from nmes.world.commands import clients, creatures, cubes, general, joints, life, ownership, timing, voices
 from nmes.world.rights import Right
 
 if TYPE_CHECKING:
@@ -27,6 +27,7 @@ COMMANDS: dict[str, CommandFunction] = {
     **cubes.COMMANDS,
     **joints.COMMANDS,
     **creatures.COMMANDS,
+    **life.COMMANDS,
     **ownership.COMMANDS,
     **voices.COMMANDS,
     **clients.COMMANDS,
@@ -39,6 +40,7 @@ RIGHTS: dict[str, Right] = {
     **cubes.RIGHTS,
     **joints.RIGHTS,
     **creatures.RIGHTS,
+    **life.RIGHTS,
     **ownership.RIGHTS,
     **voices.RIGHTS,
     **clients.RIGHTS,

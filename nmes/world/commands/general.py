@@ -24,8 +24,14 @@ __all__ = ["COMMANDS", "RIGHTS", "capabilities"]
 _BATCH_TICKS = 10_000  # as many as one `step` may ask for: others wait meanwhile
 _BATCH_REPLY = 8 << 20  # bytes of replies after which the rest of a batch is refused
 
-# Capabilities, of the engine or of a world with roles, by command.
-_NEEDED = {"create_bone": "joint.conetwist", "get_camera": "camera", "give": "roles"}
+# Capabilities, of the engine or of what the world's config asks for, by command.
+_NEEDED = {
+    "create_bone": "joint.conetwist",
+    "get_camera": "camera",
+    "give": "roles",
+    "get_life": "life",
+    "feed": "life",
+}
 
 
 def ping(world: World, client: Client, command: JsonObject) -> JsonObject:
@@ -67,7 +73,7 @@ def get_world_info(world: World, client: Client, command: JsonObject) -> JsonObj
         },
         "limits": world.config["limits"],
         "skeletons": _skeletons(entities, client),
-        "capabilities": capabilities(backend, roles=bool(world.roles)),
+        "capabilities": capabilities(backend, _features(world)),
         "fault": None if fault is None else {"code": fault.code, "frame": fault.frame, "message": fault.message},
     }
 
@@ -82,22 +88,38 @@ def _skeletons(entities: Entities, client: Client) -> list[JsonObject]:
     return [{"snake_id": snake, "bones": names} for snake, names in bones.items()]
 
 
-def capabilities(backend: Backend, roles: bool) -> list[str]:
-    """Returns the optional commands that a world with this engine serves and what the engine can do, sorted.
+def _features(world: World) -> frozenset[str]:
+    """Returns which of `roles` and `life` the world's config asks for."""
+    asked = {"roles": bool(world.roles), "life": world.life is not None}
+    return frozenset(name for name, there in asked.items() if there)
+
+
+def capabilities(backend: Backend, features: frozenset[str]) -> list[str]:
+    """Returns the optional commands that a world serves and what it and its engine can do, sorted.
 
     Args:
         backend: The engine.
-        roles: Whether the world's config names roles.
+        features: What the world has beside: `roles`, `life`.
     """
     optional = {kind for kind, schema in protocol.COMMANDS.items() if not schema.required}
-    able = backend.capabilities | {"roles"} if roles else backend.capabilities
+    able = backend.capabilities | features
     lacking = {kind for kind, capability in _NEEDED.items() if capability not in able}
     return sorted((optional - lacking) | able)
 
 
 def get_planets(world: World, client: Client, command: JsonObject) -> JsonObject:
     """Lists the planets of the scene."""
-    return {"type": "planets", "planets": planet_list(world.config, world.seed)}
+    planets = planet_list(world.config, world.seed)
+    if planets and world.life is not None:
+        planets = [{**planets[0], "ResourceLocations": _resources(world, planets[0]["Position"])}, *planets[1:]]
+    return {"type": "planets", "planets": planets}
+
+
+def _resources(world: World, centre: JsonObject) -> list[JsonObject]:
+    """Returns where food is, from the centre of the first planet, as if its diameter were 1."""
+    diameter = 2.0 * world.config["scene"]["planets"]["radius"]
+    places = (world.entities.food - tuple(centre.values())) / diameter
+    return [dict(zip("xyz", place, strict=True)) for place in places.tolist()]
 
 
 def batch(world: World, client: Client, command: JsonObject) -> JsonObject:
