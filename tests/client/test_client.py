@@ -121,10 +121,10 @@ def check_shape(typed: Any, schema: Any) -> None:
 
 # The commands that clients have a method for; a new one gets its own when somebody writes it.
 TYPED = """
-apply_force apply_physics batch compute_reward create_bone create_joint despawn_cube drive freeze_cube
-get_camera get_cube_info get_cube_list get_cube_state get_genome get_joint_info get_joint_list get_joints_for_cube
-get_planets get_world_info get_world_state give hear link_body_cubes link_cube_chains pause ping remove_joint reset resume say sense
-set_color set_cube_state set_joint_param set_joint_params set_mode set_objective spawn_creature spawn_cube step
+apply_force apply_physics batch compute_reward create_bone create_joint despawn_cube drive freeze_cube get_camera
+get_cube_info get_cube_list get_cube_state get_genome get_joint_info get_joint_list get_joints_for_cube get_planets
+get_world_info get_world_state give hear link_body_cubes link_cube_chains pause ping remove_joint reset resume say
+sense set_color set_cube_state set_joint_param set_joint_params set_mode set_objective spawn_creature spawn_cube step
 subscribe unsubscribe
 """.split()
 

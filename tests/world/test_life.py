@@ -298,7 +298,12 @@ def test_events_are_as_their_schemas_say_and_only_for_those_who_ask() -> None:
     seen: list[int] = []
     tell = world.emit
     assert tell is not None
-    world.emit = lambda client, event: (seen.append(client), tell(client, event))[1]
+
+    def note(client: int, event: bytes) -> None:
+        seen.append(client)
+        tell(client, event)
+
+    world.emit = note
     world.execute(other, {"type": "subscribe", "events": ["tick"], "every": 1000000})
     run(world, 300)
     assert {event["type"] for event in events} == {"creature_born", "creature_died", "food_eaten", "census"}
