@@ -113,7 +113,8 @@ class WorldQueries:
     def digest(self) -> bytes:
         """Returns the hash of all that decides the future, 16 bytes.
 
-        That is the engine's digest, with what brains here remember, what is said, what is heard, and life where it is.
+        That is the engine's digest, with what brains here remember, what is said and heard, and who lives how, where
+        there is any of these.
         """
         digest, more = self.simulation.digest(), self.all_creatures.memory() + self.channels.packed()
         if self.life is not None:

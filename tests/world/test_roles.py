@@ -75,7 +75,8 @@ def state(world: World) -> tuple[Any, ...]:
 
 def furnished() -> Play:
     """A world in which each of two hermits has two cubes with a hinge between them, one alone, and a creature."""
-    play = Play(channels={"talk": {}})
+    nobody = {"population": {"start": 0}, "food": {"start": 0, "rate": 0}, "cost": "0"}
+    play = Play(channels={"talk": {}}, life=nobody)
     play.join("mine", "hermit")
     play.join("theirs", "hermit")
     for place, who in enumerate(("mine", "theirs")):
@@ -132,6 +133,7 @@ WHOLE: dict[str, Reply] = {
     "get_cube_list": {},
     "get_joint_list": {},
     "get_world_state": {},
+    "get_life": {},
     "subscribe": {"events": ["state"]},
     "step": {},
     "pause": {},
@@ -146,7 +148,11 @@ FREE: dict[str, Reply] = {
     "get_planets": {},
     "batch": {"commands": [{"type": "ping"}]},
 }
-ONLY_NEW: dict[str, Reply] = {"spawn_cube": {"position": [50, 2, 0]}, "spawn_creature": {"genome": snake()}}
+ONLY_NEW: dict[str, Reply] = {
+    "spawn_cube": {"position": [50, 2, 0]},
+    "spawn_creature": {"genome": snake()},
+    "feed": {"position": [0, 0, 0]},
+}
 
 
 def test_every_command_says_what_it_touches() -> None:
@@ -538,7 +544,7 @@ def test_the_page_says_of_every_command_which_kind_it_is() -> None:
     for first, commands in re.findall(r"^\| (`\w+` )?\| (`\w+`.*?) \| (?:what|the|nothing)", page, flags=re.MULTILINE):
         kind = first.strip("` ") or kind
         told.setdefault(kind, set()).update(re.findall(r"`(get_\w+|[a-z]+_\w+|\w+)`", commands))
-    told["look"].remove("state")
+    told["look"] -= {"state", "life"}
     told[None] = set(FREE)
     assert told == {
         right.kind: {name for name in RIGHTS if RIGHTS[name].kind == right.kind} for right in RIGHTS.values()

@@ -88,7 +88,7 @@ COMMANDS = {
 
 
 def _events(world: World, client: Client, command: JsonObject) -> Touched:
-    return () if command.get("events") == ["tick"] else None  # `state` is about all cubes
+    return () if command.get("events") == ["tick"] else None  # the others are about all cubes
 
 
 def _observed(world: World, client: Client, command: JsonObject) -> Touched:
