@@ -20,6 +20,8 @@ VARIABLE = "_NMES_COMPLETE"
 
 _FILES = frozenset({"FILE", "A", "B", "MODEL"})
 
+_WITH_ROLES = frozenset({"eval", "tasks", "tournament"})  # the commands that take tasks with roles
+
 
 def is_completing() -> bool:
     """Returns whether a shell asks."""
@@ -40,7 +42,7 @@ def _complete(parameter: click.Parameter, context: click.Context, incomplete: st
     words = set(re.findall("[A-Z]+", parameter.metavar or parameter.name.upper()))
     is_argument, names = isinstance(parameter, click.Argument), list[str]()
     if "--task" in parameter.opts or (is_argument and words == {"NAME"}):
-        names = _task_names()
+        names = _task_names(context.command.name)
     elif words & {"GENOME", "WHAT"}:
         names = _genome_names()
     elif not (is_argument and words & _FILES):
@@ -56,7 +58,9 @@ def _genome_names() -> list[str]:
     return list(Genome.names())
 
 
-def _task_names() -> list[str]:
-    from nmes.evaluation import Task
+def _task_names(command: str | None) -> list[str]:
+    """Returns the names of the tasks that a command takes: for one creature, with roles, or both."""
+    from nmes.evaluation import MatchTask, Task
 
-    return list(Task.names())
+    names = () if command == "tournament" else Task.names()
+    return [*names, *(MatchTask.names() if command in _WITH_ROLES else ())]

@@ -290,8 +290,8 @@ def recorded_episode(recording: Recording) -> tuple[Task, Genome, int]:
         DocumentError: Its task or its genome is not as it must be.
     """
     if MATCH in recording.metadata:
-        what = f"{recording.path} is of a match, in which there are several creatures"
-        raise ProofError("not_an_evaluation", f"{what}: see `prove_match`")
+        what = f"{recording.path} is of a match, and here it takes one of a single creature"
+        raise ProofError("not_an_evaluation", f"{what}; `nmes eval --from-recording` scores it")
     about = recording.metadata.get(METADATA)
     begin, first = islice(chain(recording, (None, None)), 2)  # one that goes on from another begins with a keyframe
     spawn = None

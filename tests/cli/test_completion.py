@@ -15,7 +15,7 @@ import pytest
 from click.testing import CliRunner
 
 from nmes.cli import SUBCOMMANDS, main
-from nmes.evaluation import Task
+from nmes.evaluation import MatchTask, Task
 from nmes.genome import Genome
 from processes import NMES
 
@@ -37,15 +37,26 @@ def test_commands_and_options_are_completed() -> None:
     assert complete("nmes serve --mode l") == ["lockstep"]
 
 
-@pytest.mark.parametrize("line", ["eval", "genome show", "genome check", "genome mutate", "learn", "evolve"])
+@pytest.mark.parametrize(
+    "line", ["eval", "genome show", "genome check", "genome mutate", "learn", "evolve", "tournament"]
+)
 def test_genomes_are_completed_by_name_and_as_files(line: str) -> None:
     assert complete(f"nmes {line} walk") == ["file", "walker"]
     assert set(complete(f"nmes {line} ''")) >= {"file", *Genome.names()}
 
 
-@pytest.mark.parametrize("line", ["eval walker --task", "evolve random --task", "learn walker --task", "tasks"])
-def test_tasks_are_completed_by_name_and_as_files(line: str) -> None:
-    assert complete(f"nmes {line} ''") == ["file", *Task.names()]
+@pytest.mark.parametrize(
+    ("line", "names"),
+    [
+        ("evolve random --task", [*Task.names()]),
+        ("learn walker --task", [*Task.names()]),
+        ("eval walker --task", [*Task.names(), *MatchTask.names()]),
+        ("tasks", [*Task.names(), *MatchTask.names()]),
+        ("tournament walker --task", [*MatchTask.names()]),
+    ],
+)
+def test_the_tasks_that_a_command_takes_are_completed_by_name_and_as_files(line: str, names: list[str]) -> None:
+    assert complete(f"nmes {line} ''") == ["file", *names]
 
 
 @pytest.mark.parametrize(

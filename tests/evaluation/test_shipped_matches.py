@@ -49,7 +49,7 @@ def test_six_matches_come_with_the_package_and_the_page_lists_them() -> None:
     ],
 )
 def test_creatures_that_do_nothing_have_nothing(name: str, expected: dict[str, float]) -> None:
-    assert scores(name, **dict.fromkeys(expected, STILL)) == pytest.approx(expected, abs=0.01)
+    assert scores(name, **{role: STILL for role in expected}) == pytest.approx(expected, abs=0.01)
 
 
 def test_in_sumo_who_is_pushed_off_or_drives_off_has_lost() -> None:

@@ -1,0 +1,145 @@
+"""Recordings and tasks of matches that somebody has made up: refused in words, whatever they say."""
+
+from __future__ import annotations
+
+import json
+import random
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from creatures import snake
+from duels import DUEL, duel, push, roles
+from nmes.errors import DocumentError, NmesError, ProofError
+from nmes.evaluation import Match, MatchTask, brain_of, prove_match
+from nmes.evaluation.match import match_metadata
+from nmes.evaluation.match_task import METADATA
+from nmes.evaluation.steps import Drive
+from nmes.genome import Genome
+from nmes.protocol import parse
+from nmes.recording import Recorder
+from nmes.world import World
+
+PLAYERS = {"red": Genome(push()), "blue": Genome(snake())}
+
+
+def record(path: Path, says: dict[str, str], *, config: dict[str, Any] | None = None, swap: bool = False) -> Path:
+    """Records a match of half a second that says of itself what it is not."""
+    task = duel(duration=0.5)
+    world = World({**task.world_config(3), **(config or {})})
+    about = {METADATA: {**match_metadata(task, PLAYERS, 3)[METADATA], **says}}
+    recorder = world.journal = Recorder(path, world, about=about)
+    match = Match(world, PLAYERS, {role: brain_of(genome) for role, genome in PLAYERS.items()}, task, 3)
+    client, ticks = world.join(), 0
+    try:
+        waiting: list[Drive] = []
+        for step in match.steps():
+            if isinstance(step, Drive):
+                waiting.append(step)
+                continue
+            for drive in reversed(waiting) if swap else waiting:
+                world.drive(client, drive.creature, drive.controls)  # type: ignore[arg-type]
+            waiting.clear()
+            if step is None:
+                ticks += 1
+                world.tick()
+            else:
+                world.handle(client, parse(step))
+    finally:
+        world.leave(client)
+        recorder.close()
+        world.close()
+    return path
+
+
+def other(**changes: Any) -> dict[str, str]:
+    """Returns metadata that names another task."""
+    return {"task": json.dumps(duel(**{"duration": 0.5, **changes}).document)}
+
+
+@pytest.mark.parametrize(
+    ("says", "error", "said"),
+    [
+        ({}, None, ""),
+        ({"seed": "4"}, ProofError, "the world is not the task's"),
+        ({"seed": "-1"}, ProofError, "names no seed, but '-1'"),
+        ({"seed": "9" * 400}, ProofError, "names no seed"),
+        ({"task": "{}"}, DocumentError, "format: is missing"),
+        ({"task": "[]"}, DocumentError, ""),
+        ({"task": json.dumps({**DUEL, "roles": []})}, DocumentError, "1 to 8 roles"),
+        (
+            other(**roles({"name": "green", "objective": "time"}, {"target": "green", "objective": "time"})),
+            ProofError,
+            "does not begin with the roles of duel",
+        ),
+        (other(**roles({"position": [-1.001, 0, 0]}, {})), ProofError, "another spawn_creature"),
+        (other(roles=DUEL["roles"][::-1]), ProofError, "does not begin with the roles of duel"),
+        (
+            {"task": json.dumps({**DUEL, "roles": DUEL["roles"][:1]})},
+            DocumentError,
+            "roles/0/target: expected another role",
+        ),
+        (other(duration=0.4), ProofError, "after the end of the episode"),
+        (other(duration=0.6), ProofError, "the recording ends before the episode does"),
+    ],
+    ids=range(13),
+)
+def test_what_a_recording_says_of_its_match_is_held_against_its_log(
+    says: dict[str, str] | Any, error: type[NmesError] | None, said: str, tmp_path: Path
+) -> None:
+    path = record(tmp_path / "x.mcap", says)
+    if error is None:
+        assert prove_match(path, brain=True).results["red"].score is not None
+        return
+    with pytest.raises(error) as caught:
+        prove_match(path)
+    assert said in caught.value.message
+
+
+def test_creatures_are_driven_in_the_order_of_their_roles(tmp_path: Path) -> None:
+    with pytest.raises(ProofError, match="where there should be a drive of red"):
+        prove_match(record(tmp_path / "x.mcap", {}, swap=True))
+
+
+def test_a_match_in_another_world_is_none_of_the_task(tmp_path: Path) -> None:
+    with pytest.raises(ProofError, match="the world is not the task's"):
+        prove_match(record(tmp_path / "x.mcap", {}, config={"gravity": [0, -1, 0]}))
+
+
+def mangled(value: Any, draw: random.Random) -> Any:
+    """Returns a document with one thing in it replaced by something else."""
+    if isinstance(value, (dict, list)) and value and draw.random() < 0.85:
+        key = draw.choice(list(value) if isinstance(value, dict) else range(len(value)))
+        copy = value.copy()
+        copy[key] = mangled(value[key], draw)
+        return copy
+    odd = [
+        None,
+        True,
+        -1,
+        0,
+        1e308,
+        "",
+        "red",
+        "time",
+        "max.red.height",
+        "red.apart.blue > 0",
+        [],
+        {},
+        [1, 2, 3],
+        "\u202e",
+    ]
+    return draw.choice(odd)
+
+
+def test_a_document_that_is_nearly_a_match_is_one_or_is_refused() -> None:
+    draw, refused = random.Random(5), 0
+    sound = json.loads(json.dumps({**DUEL, "ends": [{"name": "met", "when": "red.apart.blue < 1"}], "margin": 0.1}))
+    for _ in range(400):
+        try:
+            MatchTask(mangled(mangled(sound, draw), draw))
+        except DocumentError as error:
+            refused += 1
+            assert error.message
+    assert 100 < refused < 400
