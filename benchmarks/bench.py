@@ -22,6 +22,7 @@ from rich.table import Table
 
 import bodies
 import brains
+import company
 import engines
 import evaluation
 import evolution
@@ -42,6 +43,7 @@ SUITES = {
     "ticking": ticking.figures,
     "bodies": bodies.figures,
     "brains": brains.figures,
+    "company": company.figures,
     "engines": engines.figures,
     "evaluation": evaluation.figures,
     "evolution": evolution.figures,
