@@ -9,7 +9,6 @@ import numpy as np
 
 from nmes.backend import Array
 from nmes.evaluation import MatchTask, play
-from nmes.genome import Genome
 
 __all__ = ["WEIGHTS", "climb", "lookout", "mean_score", "rover", "without_channel"]
 
@@ -32,10 +31,34 @@ def lookout(weights: Array) -> dict[str, Any]:
 
 
 def rover(weights: Array) -> dict[str, Any]:
-    """Returns the cart on four wheels that ships; what it hears drives its left and its right wheels, a unit each."""
-    ears = [{"type": "hear", "cube": "chassis", "channel": "lead", "number": number} for number in (1, 2)]
-    brain = {**_units(weights.reshape(2, 3)), "outputs": ["*left*", "*right*"]}
-    return {**Genome.load("roller").document, "name": "rover", "sensors": ears, "brain": brain}
+    """Returns a cart on two wheels, each driven by a unit over the two numbers heard, and on two feet that slip."""
+    cubes: list[dict[str, Any]] = [{"id": "hull", "size": [0.7, 0.1, 0.3], "mass": 5, "position": [0, 0.26, 0]}]
+    joints: list[dict[str, Any]] = []
+    for side, z in (("left", -0.21), ("right", 0.21)):
+        at = {"mass": 0.8, "position": [0, 0.2, z], "friction": 1.5}
+        cubes += [
+            {"id": f"{side}_wheel", "size": [0.2828, 0.2828, 0.08], **at},
+            {"id": f"{side}_rim", "size": [0.2828, 0.2828, 0.07], **at, "rotation": [0, 0, 0.785398]},
+        ]
+        axle = {"id": f"{side}_axle", "cube1": "hull", "cube2": f"{side}_wheel", "type": "hinge"}
+        motor = {"mode": "velocity", "range": [-10, 10], "max_effort": 15}
+        joints += [
+            {**axle, "anchor": [0, 0.2, z], "axis": [0, 0, -1], "motor": motor},
+            {**axle, "id": f"{side}_cross", "cube1": f"{side}_wheel", "cube2": f"{side}_rim", "type": "fixed",
+             "anchor": [0, 0.2, z]},
+        ]  # fmt: skip
+    for end, x in (("front", 0.3), ("rear", -0.3)):
+        cubes.append({"id": end, "size": [0.1, 0.19, 0.1], "mass": 0.5, "position": [x, 0.115, 0], "friction": 0})
+        joint = {"id": f"{end}_foot", "cube1": "hull", "cube2": end, "type": "fixed", "anchor": [x, 0.21, 0]}
+        joints.append(joint)
+    ears = [{"type": "hear", "cube": "hull", "channel": "lead", "number": number} for number in (1, 2)]
+    return {
+        "format": "nmes-genome/1",
+        "name": "rover",
+        "body": {"cubes": cubes, "joints": joints},
+        "sensors": ears,
+        "brain": {**_units(weights.reshape(2, 3)), "outputs": ["left_axle", "right_axle"]},
+    }
 
 
 def _units(rows: Array) -> dict[str, Any]:
