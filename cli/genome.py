@@ -252,6 +252,7 @@ def _about(genome: Genome) -> dict[str, Any]:
             for motor in body.motors
         ],
         "sensors": [sensor.id for sensor in body.sensors],
+        **({"voices": [voice.id for voice in body.voices]} if body.voices else {}),
     }
 
 
@@ -277,6 +278,8 @@ def _print(console: Console, genome: Genome) -> None:
     console.print()
     console.print(_joints(body))
     console.print(f"\nsensors: {', '.join(about['sensors'])}")
+    if body.voices:
+        console.print(f"\nvoices: {', '.join(about['voices'])}")
 
 
 def _cubes(body: Body) -> Table:

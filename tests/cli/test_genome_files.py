@@ -1,4 +1,4 @@
-"""`nmes genome list`, `new` and `copy`: the genomes that ship, and files to begin from."""
+"""`nmes genome list`, `new`, `copy` and `show`: the genomes that ship, files to begin from, and what is in them."""
 
 from __future__ import annotations
 
@@ -69,3 +69,11 @@ def test_a_genome_that_is_none_is_not_copied(tmp_path: Path) -> None:
     missing = run("copy", "walkr", tmp_path / "new.json")
     assert missing.exit_code == 1 and "did you mean walker?" in missing.stderr
     assert not (tmp_path / "new.json").exists()
+
+
+def test_show_tells_the_voices_of_a_creature_that_has_some(tmp_path: Path) -> None:
+    path = tmp_path / "caller.json"
+    path.write_text(json.dumps({**Genome.load("roller").document, "voices": [{"channel": "lead", "number": 2}]}))
+    assert run("show", path).stdout.splitlines()[-1] == "voices: say.lead.2"
+    assert json.loads(run("show", path, "--json").stdout)[0]["voices"] == ["say.lead.2"]
+    assert "voices" not in run("show", "roller").stdout

@@ -295,6 +295,29 @@ def test_what_is_said_and_heard_is_recorded_and_replayed_also_from_keyframes(tmp
     assert replay(path, first=50).verdict == "reproduced"
 
 
+def test_brains_that_the_world_runs_talk_and_are_replayed(tmp_path: Path) -> None:
+    path = tmp_path / "minds.mcap"
+    place = Place(path, keyframes=0.25)
+    wave = {"kind": "sine", "oscillators": [{"motor": "say.alarm", "amplitude": 1, "frequency": 2}]}
+    echo = {"kind": "mlp", "outputs": ["j", "say.map.3"], "layers": [{"weights": [[1], [2]], "biases": [0, 0]}]}
+    for name, x, brain in (("one", 0, wave), ("two", 6, echo)):
+        genome = speaker(voices=VOICES, sensors=EARS, brain=brain)
+        place("spawn_creature", genome=genome, name=name, position=[x, 4.8, 0], autonomous=True)
+    place("spawn_creature", genome=speaker(sensors=[{**EARS[0], "channel": "map", "number": 3}]), name="three",
+          position=[12, 4.8, 0])  # fmt: skip
+    said, echoed = [], []
+    for _ in range(40):
+        place.tick()
+        said.append(place.world.creature("two").sense()[0])
+        echoed.append(place.world.creature("three").sense()[0])
+    assert max(said) > 0.9 and min(said) < -0.9
+    # What is heard after a tick drives the echo in the next, and is heard after that.
+    assert echoed[1:] == pytest.approx(np.tanh(2 * np.array(said[:-1])))
+    assert place.recorder is not None
+    place.recorder.close()
+    assert replay(path).verdict == "reproduced" and replay(path, first=30).verdict == "reproduced"
+
+
 def test_a_restored_world_hears_the_same_and_goes_on_alike() -> None:
     place = Place()
     place.creature("one", 0, voices=VOICES, sensors=EARS)
