@@ -312,8 +312,8 @@ class Creature:
                 out[rows] = [seen[i] for i in picked]
 
 
-_PLACES = {"direction": 0, "distance": 3, "velocity": 4}
 # The place of the first number of each type of sensor in what `aim` returns.
+_PLACES = {"direction": 0, "distance": 3, "velocity": 4}
 _AIMED = {f"{whose}_{what}": at for whose in ("target", "other", "food") for what, at in _PLACES.items()}
 
 

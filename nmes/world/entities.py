@@ -92,7 +92,7 @@ class Entities:
         food: Where there is something to eat, array (n, 3), m.
         version: Increases with every change of cubes, joints, frozenness or colours.
         tuned: Increases with every `set_params`.
-        ticks: How often the world has ticked with these.
+        moments: Increases with every tick and snapshot: what the engine then tells of cubes may have other bits.
 
     Raises:
         WorldError: The engine cannot make the config's scene, or does not know its settings.
@@ -100,7 +100,7 @@ class Entities:
 
     def __init__(self, backend: Backend, config: Mapping[str, Any], seed: int, version: int) -> None:
         self.version = version
-        self.tuned = self.ticks = 0
+        self.tuned = self.moments = 0
         self._reshaped = self._painted = 0
         self._backend = backend
         self._config = config

@@ -75,7 +75,7 @@ class Nearby:
 
     def _distances(self, place: Vector, but: Iterable[int]) -> Array:
         """Returns how far each body is, m; infinitely far those that do not count."""
-        moment = self._entities.ticks, self._entities.edits  # another whenever a body may have come, gone or moved
+        moment = self._entities.moments, self._entities.edits  # another whenever a body may have come, gone or moved
         if self._moment != moment:
             self._bodies = self._list()
             self._rows = {body: row for row, body in enumerate(self._bodies)}

@@ -257,7 +257,7 @@ class World(WorldQueries):
             self.all_creatures.act()
             simulation.step(self._substeps)
             self._built = self.entities.edits
-            self.entities.ticks += 1
+            self.entities.moments += 1
             self.entities.meter.tick()
             self._clients.measure(self.entities)
             self.channels.tick()
@@ -337,6 +337,7 @@ class World(WorldQueries):
             raise WorldError("world_faulted", f"the world stopped at frame {self.fault.frame}: {self.fault.message}")
         self.entities.require("snapshot", "snapshots")
         engine = self.simulation.snapshot()  # first: it takes up what was edited
+        self.entities.moments += 1
         self._built = self.entities.edits
         barrier = self.barrier
         state = {

@@ -103,6 +103,21 @@ def test_what_moves_comes_and_goes_is_seen_at_once() -> None:
     assert place.sense("me") == [0.0] * 7
 
 
+def test_who_looked_before_a_snapshot_sees_after_it_what_a_restored_world_does() -> None:
+    """The engine takes up edits for a snapshot, by which places and velocities may come to have other bits."""
+    place = Place()
+    for name, x in (("me", 0.0), ("other", 3.1)):
+        place.spawn(name, x)
+    place("step", ticks=7)
+    turned = {"rotation": [0.3, 0.7, 0.1], "linear_velocity": [0.1, 0.7, 0.3], "angular_velocity": [0.3, 0.1, 0.7]}
+    place.move("other.tail", position=[1.1, 7.3, 2.7], **turned)
+    before = place.sense("me")
+    again = World(place.world.config)
+    again.restore(place.world.snapshot())
+    assert place.sense("me") == again.creature("me").sense().tolist()
+    assert before == pytest.approx(place.sense("me"))
+
+
 def test_with_a_range_none_is_seen_beyond_it() -> None:
     place = Place()
     sensors = [{"type": "other_distance", "cube": "root", "range": reach, "id": f"r{reach}"} for reach in (7, 8, 9)]
