@@ -175,7 +175,9 @@ async def test_an_awaiting_client_lists_worlds(server: Served) -> None:
 
 
 async def test_a_server_that_cannot_list_worlds_is_an_error(server: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(Host, "list_worlds", lambda self, port, only: World({"backend": "ballistic"}).welcome(1))
+    entered = World({"backend": "ballistic"})
+    welcome = entered.welcome(entered.join())
+    monkeypatch.setattr(Host, "list_worlds", lambda self, port, only: welcome)
     with pytest.raises(CommandFailed) as failed:
         server.client().worlds()
     assert failed.value.code == "unsupported"
