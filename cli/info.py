@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -114,12 +115,23 @@ def _about(recording: Recording) -> dict[str, Any]:
         "ticks": summary.ticks,
         "keyframes": summary.keyframes,
         "faults": summary.faults,
+        "life": dict(summary.life.most_common()),
+        "census": summary.census,
         "sim_seconds": summary.ticks / config["tick_rate"],
         "wall_seconds": (summary.ended - summary.began) / 1e9,
         "size": recording.size,
         "complete": damage is None,
         "damage": None if damage is None else {"message": damage.message, "offset": damage.offset, "cut": damage.cut},
     }
+
+
+def _lived(counts: Mapping[str, int], census: Mapping[str, Any] | None) -> str:
+    born, died, meals = (counts.get(name, 0) for name in ("creature_born", "creature_died", "food_eaten"))
+    if census is None:
+        return f"{born:,} came, {died:,} died, {meals:,} meals"
+    generation = census["means"].get("generation", 0.0)
+    last = f"at last {census['population']:,} of {census['species']:,} species, generation {generation:.1f} on the mean"
+    return f"{born:,} came, {died:,} died, {meals:,} meals; {last}"
 
 
 def _date(text: str) -> str:
@@ -156,6 +168,8 @@ def _rows(about: dict[str, Any]) -> list[tuple[str, str]]:
         rows.append(("parent", f"{parent['file']}, frame {parent['frame'][:_DIGITS]} ({parent['recording'][:16]})"))
     if about["faults"]:
         rows.append(("faults", f"{about['faults']:,}"))
+    if about["life"]:
+        rows.append(("life", _lived(about["life"], about["census"])))
     rows.append(("size", decimal(about["size"])))
     rows.append(("complete", "yes" if damage is None else f"no: {damage['message']}"))
     return rows

@@ -6,6 +6,7 @@ import re
 from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from typing import Any
 
 from nmes import protocol
 from nmes.protocol import Request
@@ -31,6 +32,8 @@ class Summary:
         ticks: How many there were, over all resets.
         keyframes: How often the world was saved.
         faults: How often the world stopped.
+        life: What happened in its ecosystem: how often, by the type of the event.
+        census: The last census of its ecosystem, if there is one.
         began: Wall clock of the first record, ns since 1970; 0 when there is none.
         ended: The same of the last.
     """
@@ -44,6 +47,8 @@ class Summary:
     ticks: int = 0
     keyframes: int = 0
     faults: int = 0
+    life: Counter[str] = field(default_factory=Counter)
+    census: dict[str, Any] | None = None
     began: int = 0
     ended: int = 0
 
@@ -67,6 +72,10 @@ def summarize(records: Iterable[Record]) -> Summary:
                 summary.keyframes += 1
             case Kind.FAULT:
                 summary.faults += 1
+            case Kind.LIFE if record.about is not None:
+                summary.life.update(event["type"] for event in record.about["events"])
+                censuses = [event for event in record.about["events"] if event["type"] == "census"]
+                summary.census = censuses[-1] if censuses else summary.census
         summary.began = summary.began or record.wall
         summary.ended = record.wall
     return summary

@@ -30,6 +30,7 @@ class Moment(NamedTuple):
         shapes: The cubes in order of creation: edge lengths (m) and colour.
         poses: Array (n, 7): their positions (m) and quaternions (x, y, z, w).
         targets: The points that creatures have as their targets, m; none where poses were recorded.
+        food: The points where an ecosystem has food, m; none where poses were recorded.
     """
 
     time: float
@@ -37,6 +38,7 @@ class Moment(NamedTuple):
     shapes: dict[str, Shape]
     poses: Array
     targets: tuple[Vector, ...] = ()
+    food: tuple[Vector, ...] = ()
 
 
 def moments(recording: Recording) -> Iterator[Moment]:
@@ -58,13 +60,14 @@ def _run_again(recording: Recording) -> Iterator[Moment]:
     """Yields the cubes of the world in which the recording is run again."""
     rate, version, shapes = recording.config["tick_rate"], -1, dict[str, Shape]()
 
-    def look(world: World) -> tuple[int, dict[str, Shape], Array, tuple[Vector, ...]]:
+    def look(world: World) -> tuple[int, dict[str, Shape], Array, tuple[Vector, ...], tuple[Vector, ...]]:
         nonlocal version, shapes
         if world.structure_version != version:
             version, shapes = world.structure_version, {name: world.cube_shape(name) for name in world.cubes()}
         aims = [world.all_creatures.find(name).target for name in world.all_creatures.names()]
         targets = tuple(dict.fromkeys(aim for aim in aims if aim is not None and not isinstance(aim, str)))
-        return world.seed, shapes, world.poses()[1][:, :7], targets
+        food = tuple((x, y, z) for x, y, z in world.entities.food.tolist())
+        return world.seed, shapes, world.poses()[1][:, :7], targets, food
 
     for tick, cubes in enumerate(watch(recording, look), start=1):
         yield Moment(tick / rate, *cubes)

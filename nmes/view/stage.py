@@ -30,6 +30,7 @@ _FLAG: tuple[tuple[Vector, Shape], ...] = (
     ((0.0, 0.4, 0.0), ((0.05, 1.2, 0.05), _WHITE)),
     ((0.2, 0.85, 0.0), ((0.36, 0.26, 0.03), _RED)),
 )
+_FOOD: Shape = ((0.16, 0.16, 0.16), (0.95, 0.75, 0.1, 1.0))
 
 
 class Stage:
@@ -53,7 +54,7 @@ class Stage:
         self._made, self._seed = 0, seed
 
     def show(self, moment: Moment) -> None:
-        """Puts all cubes where they are at a moment, and a flag at each target."""
+        """Puts all cubes where they are at a moment, a flag at each target, and a small cube where food is."""
         if moment.seed != self._seed:
             self.close()
             self._build(moment.seed)
@@ -63,6 +64,8 @@ class Stage:
         for number, target in enumerate(moment.targets):
             for part, (offset, shape) in enumerate(_FLAG):
                 things[f"\0{number}.{part}", shape] = plus(target, offset), _UPRIGHT
+        for x, y, z in moment.food:
+            things[f"\0{x},{y},{z}", _FOOD] = (x, y + _FOOD[0][1] / 2.0, z), _UPRIGHT
         for name, (body, shape) in list(bodies.items()):
             if (name, shape) not in things:
                 simulation.remove_body(body)
