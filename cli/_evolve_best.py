@@ -16,7 +16,10 @@ from nmes.cli._output import whole_file
 from nmes.errors import RunError, visible
 
 if TYPE_CHECKING:
-    from nmes.evaluation import Evaluation, Task
+    from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+
+    from nmes.evaluation import Evaluation
+    from nmes.evaluation.setting import Setting
     from nmes.evolution.run import Run
 
 __all__ = ["command"]
@@ -61,6 +64,9 @@ def command(
     It is run again, and every figure must be that of the log. Then there are its genome, a recording of each episode,
     and the line that lists it on a leaderboard. With --index or --cell it is another candidate than the best.
 
+    Of a run of several populations it is the champion of each, in a folder of its own, with its matches against those
+    whom it met in the run.
+
     For example:
 
     \b
@@ -68,42 +74,52 @@ def command(
         nmes evolve best runs/walk-ga-1 -o champion --sign ada.pem
         nmes evolve best runs/walk-map-elites-1 --cell 3,4
     """
-    from nmes.evaluation.identity import shipped_hash
-    from nmes.evolution.rerun import record_candidate
     from nmes.evolution.run import Run
-    from nmes.recording import Recording
-    from nmes.recording.signing import private_key, sign
+    from nmes.recording.signing import private_key
 
     run = Run.open(folder)
-    chosen = _chosen(run, index, place)
     signing = None if key is None else private_key(key)
-    target = output or folder / f"best-{chosen}"
+    written = [
+        _written(run, chosen, output / part if output else folder / f"best-{chosen}", signing)
+        for part, chosen in _chosen(run, index, place).items()
+    ]
+    if as_json:
+        print_json(written if run.settings.populations and index is None else written[0])
+    else:
+        for told in written:
+            _print(told)
+
+
+def _written(run: Run, chosen: int, target: Path, signing: Ed25519PrivateKey | None) -> dict[str, Any]:
+    """Writes a candidate into a folder, and returns what was written, as plain data."""
+    from nmes.evaluation.identity import shipped_hash
+    from nmes.evolution.rerun import record_candidate
+    from nmes.recording import Recording
+    from nmes.recording.signing import sign
+
     target.mkdir(parents=True, exist_ok=True)
-    seeds = tuple(dict.fromkeys([*run.settings.seeds, *run.settings.task.seeds]))
+    task = run.settings.task
+    seeds = tuple(dict.fromkeys([*run.settings.seeds, *task.seeds]))
     found = record_candidate(run, chosen, target, seeds)
     documents = {"genome.json": run.genome(chosen).document}
-    if run.settings.task.hash != shipped_hash(run.settings.task.name):
-        documents["task.json"] = run.settings.task.document
+    if task.hash != shipped_hash(task.name):
+        documents["task.json"] = task.document
     for name, document in documents.items():
         with whole_file(target / name) as file:
             file.write_bytes(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
-    signatures = [] if signing is None else [str(sign(Recording(path), signing)) for path in found.recordings]
-    told = {
+    recordings = list(dict.fromkeys(found.recordings))
+    return {
         "index": chosen,
         "score": run.records[chosen].score,
         "files": [str(target / name) for name in documents],
-        "recordings": list(found.recordings),
-        "signatures": signatures,
-        "leaderboard": _leaderboard_lines(run.settings.task, target, found),
+        "recordings": recordings,
+        "signatures": [] if signing is None else [str(sign(Recording(path), signing)) for path in recordings],
+        "leaderboard": [] if run.settings.populations else _leaderboard_lines(run.settings.task, target, found),
     }
-    if as_json:
-        print_json(told)
-    else:
-        _print(told)
 
 
-def _chosen(run: Run, index: int | None, place: tuple[int, ...] | None) -> int:
-    """Returns the index of the candidate that is asked for, which has a score.
+def _chosen(run: Run, index: int | None, place: tuple[int, ...] | None) -> dict[str, int]:
+    """Returns the indices of the candidates that are asked for, which have scores, by what each adds to a folder.
 
     Raises:
         UsageError: There is no such candidate.
@@ -116,12 +132,13 @@ def _chosen(run: Run, index: int | None, place: tuple[int, ...] | None) -> int:
     if place is not None:
         index = _elite(run, place)
     if index is None:
-        if run.best is None:
+        best = {"": run.best} if run.best is not None else run.champions()
+        if not best:
             raise RunError("no_score", f"no candidate of {run.folder} has a score")
-        return run.best.index
+        return {part: record.index for part, record in best.items()}
     if run.records[index].score is None:
         raise RunError("no_score", f"candidate {index} of {run.folder} has no score: {run.records[index].error}")
-    return index
+    return {"": index}
 
 
 def _elite(run: Run, place: tuple[int, ...]) -> int:
@@ -138,7 +155,7 @@ def _elite(run: Run, place: tuple[int, ...]) -> int:
     raise click.UsageError(f"the cell {','.join(map(str, place))} is empty")
 
 
-def _leaderboard_lines(task: Task, folder: Path, found: Evaluation) -> list[str]:
+def _leaderboard_lines(task: Setting, folder: Path, found: Evaluation) -> list[str]:
     """Returns the commands that list a creature on a leaderboard."""
     from nmes.evaluation.identity import shipped_hash
 
@@ -153,6 +170,7 @@ def _print(told: Mapping[str, Any]) -> None:
     click.echo(f"candidate {told['index']}: score {told['score']:.6g}, again as the log says")
     for path in (*told["files"], *told["recordings"], *told["signatures"]):
         click.echo(visible(f"wrote {path}"))
-    click.echo("to list it on a leaderboard:")
+    if told["leaderboard"]:
+        click.echo("to list it on a leaderboard:")
     for line in told["leaderboard"]:
         click.echo(visible(f"  {line}"))

@@ -91,7 +91,8 @@ def _advance(run: Run, pool: Workers | Cluster, interrupted: Callable[[], bool])
             if record.score is not None and (best is None or record.score > (best.score or 0.0)):
                 best = record
             rate = (record.index + 1 - first) / max(1e-9, time.monotonic() - begin)
-            progress("evolving", record.index + 1, total, f"{_note(recent, best)}, {rate:.1f}/s")
+            note = _populations_note(recent) if run.settings.populations else _note(recent, best)
+            progress("evolving", record.index + 1, total, f"{note}, {rate:.1f}/s")
             if interrupted():
                 raise KeyboardInterrupt
 
@@ -104,6 +105,15 @@ def _note(recent: deque[Record], best: Record | None) -> str:
     return f"best {'none' if best is None else f'{best.score:.4g}'}, mean {mean}, diversity {plans / len(recent):.0%}"
 
 
+def _populations_note(recent: deque[Record]) -> str:
+    """Returns the mean of the recent scores of each population."""
+    scores: dict[str, list[float]] = {}
+    for record in recent:
+        scores.setdefault(record.group, []).extend([] if record.score is None else [record.score])
+    means = [f"{role} {sum(each) / len(each):.4g}" if each else f"{role} none" for role, each in sorted(scores.items())]
+    return f"mean of {', '.join(means)}"
+
+
 def tell(run: Run, as_json: bool) -> None:
     """Prints how a run has come out so far."""
     best = run.best
@@ -113,12 +123,18 @@ def tell(run: Run, as_json: bool) -> None:
     click.echo(visible(f"{run.folder}: {len(run):,} of {run.settings.budget:,} candidates"))
     if best is not None:
         click.echo(visible(f"best: {best.score:.6g}, candidate {best.index} ({best.genome})"))
+    for role, champion in run.champions().items():
+        click.echo(visible(f"champion of {role}: candidate {champion.index} ({champion.genome}), {champion.score:.6g}"))
     click.echo(f"digest: {run.digest}")
 
 
 def _summary(run: Run) -> dict[str, Any]:
-    best = run.best
     named = ("index", "score", "genome", "genome_hash", "operator", "generation")
+
+    def told(record: Record) -> dict[str, Any]:
+        return {name: getattr(record, name) for name in named}
+
+    champions = {role: told(champion) for role, champion in run.champions().items()}
     return {
         "run": str(Path(run.folder)),
         "told": len(run),
@@ -126,6 +142,7 @@ def _summary(run: Run) -> dict[str, Any]:
         "finished": run.finished,
         "elites": len(run.elites()),
         "figures": dict(run.figures()),
-        "best": None if best is None else {name: getattr(best, name) for name in named},
+        "best": None if run.best is None else told(run.best),
+        **({"champions": champions} if run.settings.populations else {}),
         "digest": run.digest,
     }

@@ -27,6 +27,16 @@ _CELLS = 50
 _BESIDE = {"settings", "output", "jobs", "ray", "as_json"}  # options that are not of the run itself
 
 
+def _roles(_: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, ...] | None:
+    """Reads `hunter,prey`."""
+    if value is None:
+        return None
+    roles = tuple(role.strip() for role in value.split(","))
+    if not all(roles):
+        raise click.BadParameter("expected roles with commas between them: hunter,prey", param=parameter)
+    return roles
+
+
 @click.group("evolve", cls=BeginningGroup, context_settings={"ignore_unknown_options": True})
 def command() -> None:
     """Evolve creatures, in runs that anyone can repeat."""
@@ -55,6 +65,12 @@ for _each in (_evolve_best, _evolve_film, _evolve_resume, _evolve_show, _evolve_
     "--measure", "measures", metavar="MEASURE", multiple=True, help="Of an archive: 'EXPR from LOW to HIGH in CELLS'."
 )
 @click.option(
+    "--populations",
+    metavar="ROLES",
+    callback=_roles,
+    help="Of a task with roles: hunter,prey.  [default: all roles, or one population for those that are alike]",
+)
+@click.option(
     "--settings", type=click.Path(exists=True, dir_okay=False, path_type=Path), help="All of this from a file instead."
 )
 @click.option(
@@ -73,6 +89,9 @@ def begin(context: click.Context, /, settings: Path | None, output: Path | None,
     same for any number of processes, and also if it was interrupted in between: the digest that is printed at the end
     proves it.
 
+    With a task that has roles, populations are bred side by side, one a role, and a candidate's score is that of
+    matches against the others' best, of late and of old. Then there is one WHAT for all of them, or one a population.
+
     The algorithms: random, ga, afpo, nsga2 (several objectives) and map-elites (an archive by measures) are for bodies
     and brains; cma, es, cma-me (an archive) and neat (the network's shape too) for the brain of one creature.
 
@@ -87,6 +106,8 @@ def begin(context: click.Context, /, settings: Path | None, output: Path | None,
         nmes evolve walker --algorithm cma --budget 600 --set sigma=0.2
         nmes evolve random --algorithm map-elites --measure 'legs from 0 to 10 in 10' --measure 'mass from 0 to 50'
         nmes evolve random --algorithm nsga2 --objective distance --objective -energy
+        nmes evolve random --task sumo --budget 2000
+        nmes evolve random walker --task chase --populations hunter,prey --budget 2000
         nmes evolve --settings mine.json -o runs/mine
     """
     from nmes.evolution.run import Run
@@ -120,20 +141,54 @@ def _from_options(options: dict[str, Any]) -> dict[str, Any]:
     what: Sequence[str] = options["what"]
     if not what:
         raise click.UsageError("say where to begin: `random`, or genomes; or give --settings")
-    if "random" in what and len(what) > 1:
-        raise click.UsageError("either `random` or genomes")
+    roles = _populated(options["task"], options["populations"])
     document = {
         "format": _FORMAT,
         "task": options["task"],
         "algorithm": options["algorithm"],
         "options": read_values(options["options"]),
-        "starts": [] if "random" in what else find_genomes(what),
         "seed": options["seed"],
         "budget": options["budget"],
         "objectives": list(options["objectives"]),
         "measures": [_measure(text) for text in options["measures"]],
+        **({"populations": _populations(what, roles)} if roles else {"starts": _starts(what)}),
     }
     return document if options["seeds"] is None else {**document, "seeds": list(options["seeds"])}
+
+
+def _populated(task: str, given: Sequence[str] | None) -> Sequence[str]:
+    """Returns the roles that have a population; none where the task has no roles and none are given.
+
+    Raises:
+        DocumentError: There is no such task.
+    """
+    from nmes.evaluation.match_task import MatchTask, load_task
+    from nmes.evolution.coevolution import default_roles
+
+    if given is not None:
+        return given
+    try:
+        loaded = load_task(task)
+    except DocumentError:
+        return ()  # what is wrong with it is told with all else
+    return default_roles(loaded) if isinstance(loaded, MatchTask) else ()
+
+
+def _populations(what: Sequence[str], roles: Sequence[str]) -> list[dict[str, Any]]:
+    """Returns the populations: each begins with a WHAT of its own, or all with the only one; a single one with all."""
+    if len(roles) == 1:
+        return [{"role": roles[0], "starts": _starts(what)}]
+    if len(what) not in (1, len(roles)):
+        raise click.UsageError(f"say WHAT once for all populations, or once for each of {', '.join(roles)}")
+    starts = [_starts([each]) for each in what]
+    return [{"role": role, "starts": starts[place % len(starts)]} for place, role in enumerate(roles)]
+
+
+def _starts(what: Sequence[str]) -> list[Any]:
+    """Returns the genomes to begin with; none for random ones."""
+    if "random" in what and len(what) > 1:
+        raise click.UsageError("either `random` or genomes")
+    return [] if "random" in what else find_genomes(what)
 
 
 def _measure(text: str) -> dict[str, Any]:

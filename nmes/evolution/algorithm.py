@@ -20,11 +20,26 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from nmes.evaluation import Task
+from nmes.evaluation import MatchTask, Task
+from nmes.evaluation.contest import Rivals
 from nmes.genome import Genome
+from nmes.variation import Requirements
 from nmes.variation.draw import Draw
 
-__all__ = ["Algorithm", "Candidate", "Measure", "Problem", "Score"]
+__all__ = ["Algorithm", "Candidate", "Measure", "Opponent", "Problem", "Score"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Opponent:
+    """A candidate whom others meet in matches.
+
+    Attributes:
+        index: Its index in the run.
+        genome: Its genome.
+    """
+
+    index: int
+    genome: Genome
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +51,10 @@ class Candidate:
         operator: How it came about, as `random`, `start`, `add-part`, `cross`, `sample`.
         parents: The indices of the candidates that it comes from, the one that it is mostly like first.
         generation: Of the algorithm's count.
-        group: The species, emitter or island that it belongs to, where the algorithm has such.
+        group: The species, emitter or island that it belongs to, where the algorithm has such; in co-evolution the
+            population, which has the name of a role.
+        lineups: In co-evolution, whom it meets, as `Rivals` has it; empty where the candidate comes from a log, since
+            an algorithm need not be told.
     """
 
     genome: Genome
@@ -44,6 +62,13 @@ class Candidate:
     parents: tuple[int, ...] = ()
     generation: int = 0
     group: str = ""
+    lineups: tuple[tuple[Opponent, ...], ...] = ()
+
+    @property
+    def rivals(self) -> Rivals | None:
+        """Whom it meets, for whoever evaluates; None where it meets nobody."""
+        lineups = tuple(tuple(each.genome for each in lineup) for lineup in self.lineups)
+        return Rivals(self.group, lineups) if lineups else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,17 +115,24 @@ class Problem:
         starts: The genomes to begin with; none: random ones.
         objectives: The expressions to be maximised, for algorithms with several objectives.
         measures: The measures of an archive, for algorithms that have one.
+        role: The role of the candidates, where the task has roles; empty where it has none.
     """
 
-    task: Task
+    task: Task | MatchTask
     seed: int
     starts: tuple[Genome, ...] = ()
     objectives: tuple[str, ...] = ()
     measures: tuple[Measure, ...] = field(default=())
+    role: str = ""
+
+    @property
+    def requirements(self) -> Requirements:
+        """What a candidate's body must be like."""
+        return self.task.requirements(self.role) if isinstance(self.task, MatchTask) else self.task.requirements
 
     def draw(self, *path: str | int) -> Draw:
-        """Returns the stream of choices for a purpose, such as `"candidate", 12`."""
-        return Draw(self.seed, "run", *path)
+        """Returns the stream of choices for a purpose, such as `"candidate", 12`; each role has its own."""
+        return Draw(self.seed, "run", *([self.role] if self.role else []), *path)
 
 
 class Algorithm(ABC):

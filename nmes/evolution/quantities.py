@@ -13,7 +13,8 @@ from typing import Final
 import numpy as np
 
 from nmes.errors import DocumentError, WorldError
-from nmes.evaluation import Evaluation, Task
+from nmes.evaluation import Evaluation
+from nmes.evaluation.setting import Setting
 from nmes.genome import Genome
 from nmes.genome.body import Body, corners
 from nmes.objective import Objective
@@ -137,7 +138,7 @@ def read_expressions(texts: Sequence[str], path: str) -> tuple[Objective, ...]:
 
 
 def evaluate_quantities(
-    expressions: Sequence[Objective], genome: Genome, evaluation: Evaluation, task: Task
+    expressions: Sequence[Objective], genome: Genome, evaluation: Evaluation, task: Setting
 ) -> tuple[float, ...] | None:
     """Returns the values of expressions that `read_expressions` has read, in their order, for one creature.
 

@@ -7,7 +7,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from nmes.errors import RunError
-from nmes.evaluation import Evaluation, evaluate
+from nmes.evaluation import Evaluation, MatchTask, Task, evaluate
+from nmes.evaluation.contest import hold_contest
 from nmes.evolution.run import Run
 from nmes.recording.signing import SUFFIX
 
@@ -15,7 +16,7 @@ __all__ = ["record_candidate"]
 
 
 def record_candidate(run: Run, index: int, folder: Path, seeds: Sequence[int]) -> Evaluation:
-    """Evaluates a candidate again, and leaves a recording of each episode in a folder.
+    """Evaluates a candidate again, and leaves a recording of each episode, or of each of its matches, in a folder.
 
     Nothing is left unless every figure is that of the log.
 
@@ -23,32 +24,61 @@ def record_candidate(run: Run, index: int, folder: Path, seeds: Sequence[int]) -
         run: The run.
         index: The candidate's, which has a score.
         folder: An existing folder.
-        seeds: Of the episodes; those that the run did not have are compared with nothing.
+        seeds: Of the episodes; those that the run did not have are compared with nothing. Matches have the run's.
 
     Raises:
         RunError: It comes out otherwise than the log says (`diverged`, or `not_comparable` where the run was begun on
             a machine or by versions that compute otherwise), or the log is damaged (`log_damaged`).
         RecordingError: A recording cannot be written.
     """
+    rivals = run.rivals(index)
     with TemporaryDirectory(dir=folder, prefix=".") as unfinished:
-        found = evaluate(run.genome(index), run.settings.task, seeds=seeds, record=unfinished)
-        logged = run.evaluation(index)
-        if logged.score != run.records[index].score or {each.seed for each in logged.results} != set(
-            run.settings.seeds
-        ):
-            raise _otherwise(run, index, "its score there is not the mean over the seeds")
-        known = {result.seed: result for result in logged.results}
-        if found.error is not None:
-            raise _otherwise(run, index, found.error)
-        for again in found.results:
-            if again != known.get(again.seed, again):
-                raise _otherwise(run, index, f"{again}, and not {known[again.seed]}")
+        genome, settings = run.genome(index), run.settings
+        if rivals is not None and isinstance(settings.task, MatchTask):
+            found = hold_contest(genome, rivals, settings.task, settings.seeds, Path(unfinished))
+            _compare_matches(run, index, found)
+        else:
+            assert isinstance(settings.task, Task)
+            found = evaluate(genome, settings.task, seeds=seeds, record=unfinished)
+            _compare_episodes(run, index, found)
         recordings = [folder / Path(path).name for path in found.recordings]
-        for path, target in zip(found.recordings, recordings, strict=True):
+        for path in dict.fromkeys(found.recordings):  # a match that was played twice has one recording
+            target = folder / Path(path).name
             target.with_name(target.name + SUFFIX).unlink(missing_ok=True)  # it is of the recording before
             Path(path).replace(target)
     names = found.genome, found.genome_hash, found.task, found.task_hash
     return Evaluation(*names, found.results, None, tuple(map(str, recordings)), found.wall_seconds)
+
+
+def _compare_episodes(run: Run, index: int, found: Evaluation) -> None:
+    """Returns if the episodes of a candidate come out as the log says.
+
+    Raises:
+        RunError: They do not (`diverged` or `not_comparable`).
+    """
+    logged = run.evaluation(index)
+    if logged.score != run.records[index].score or {each.seed for each in logged.results} != set(run.settings.seeds):
+        raise _otherwise(run, index, "its score there is not the mean over the seeds")
+    known = {result.seed: result for result in logged.results}
+    if found.error is not None:
+        raise _otherwise(run, index, found.error)
+    for again in found.results:
+        if again != known.get(again.seed, again):
+            raise _otherwise(run, index, f"{again}, and not {known[again.seed]}")
+
+
+def _compare_matches(run: Run, index: int, found: Evaluation) -> None:
+    """Returns if the matches of a candidate come out as the log says.
+
+    Raises:
+        RunError: They do not (`diverged` or `not_comparable`).
+    """
+    logged = run.evaluation(index)
+    if logged.score != run.records[index].score or len(logged.results) != len(found.results):
+        raise _otherwise(run, index, found.error or "its score there is not the mean over its matches")
+    for again, known in zip(found.results, logged.results, strict=True):
+        if again != known:
+            raise _otherwise(run, index, f"{again}, and not {known}")
 
 
 def _otherwise(run: Run, index: int, what: str) -> RunError:

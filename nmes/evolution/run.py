@@ -26,6 +26,7 @@ from typing import Final
 
 from nmes.backend.fingerprint import differences
 from nmes.errors import DocumentError, RunError
+from nmes.evaluation.contest import Rivals
 from nmes.evaluation.evaluation import Evaluation
 from nmes.evaluation.parallel import Pool
 from nmes.evaluation.queue import EvaluationQueue
@@ -132,9 +133,24 @@ class Run:
 
     @property
     def best(self) -> Record | None:
-        """The first of those with the highest score; None where there is no score."""
+        """The first of those with the highest score; None where there is no score.
+
+        None too in a run of several populations, whose scores are of matches against others: see `champions`.
+        """
+        if self.settings.populations:
+            return None
         scored = (record for record in self.records if record.score is not None)
         return max(scored, key=lambda record: (record.score or 0.0, -record.index), default=None)
+
+    def champions(self) -> dict[str, Record]:
+        """Returns the champion of each population by its role: of its last era that is over, or the best so far.
+
+        Those of which nobody has a score are left out; a run of one population has none.
+        """
+        champions: dict[str, Record] = {}
+        for index in self.elites() if self.settings.populations else ():
+            champions.setdefault(self.records[index].group, self.records[index])
+        return champions
 
     def genome(self, index: int) -> Genome:
         """Returns the genome of a candidate.
@@ -144,6 +160,27 @@ class Run:
         """
         with self._whole(index):
             return self.entry(index).genome
+
+    def rivals(self, index: int) -> Rivals | None:
+        """Returns whom a candidate met, as the log has it; None where it met nobody.
+
+        Raises:
+            RunError: It met somebody whom it cannot have met (`log_damaged`).
+        """
+        entry = self.entry(index)
+        if not entry.opponents:
+            return None
+        lineups = tuple(tuple(map(self._opponent, lineup)) for lineup in entry.opponents)
+        return Rivals(entry.candidate.group, lineups)
+
+    def _opponent(self, index: int) -> Genome:
+        """Returns the genome of somebody's opponent: founders may be met before they are told."""
+        if index < len(self):
+            return self.genome(index)
+        algorithm = self.settings.begin()
+        if index >= self.settings.budget or algorithm.needs(index):
+            raise RunError("log_damaged", f"{self.folder}: nobody can have met candidate {index}, who is not told yet")
+        return algorithm.ask(index).genome
 
     def evaluation(self, index: int) -> Evaluation:
         """Returns the evaluation of a candidate, as the log has it."""
@@ -320,7 +357,7 @@ class Run:
         def ask() -> None:
             for number, candidate in order.due():
                 asked[number] = candidate
-                queue.put(number, candidate.genome)
+                queue.put(number, candidate.genome, candidate.rivals)
 
         for record in self.replay(order, ask):
             if telling is not None:

@@ -15,7 +15,8 @@ import orjson
 from nmes.errors import DocumentError
 from nmes.evaluation.episode import Result
 from nmes.evaluation.evaluation import Evaluation
-from nmes.evaluation.task import Task
+from nmes.evaluation.match_task import MatchTask
+from nmes.evaluation.setting import Setting
 from nmes.evolution.algorithm import Candidate, Score
 from nmes.evolution.quantities import evaluate_quantities
 from nmes.evolution.run_index import Record
@@ -64,6 +65,7 @@ class Entry:
         for name, expected in (("objectives", len(settings.objectives)), ("measures", len(settings.measures))):
             if len(content[name]) != (0 if content["score"] is None else expected):
                 raise DocumentError([(name, "must be one for each of the run, and none where there is no score")])
+        _check_opponents(content.get("opponents"), settings.task)
         return cls(content, content["genome"]["name"], _plan(content["genome"]["body"]))
 
     @property
@@ -87,12 +89,17 @@ class Entry:
         return Candidate(self.genome, content["operator"], parents, content["generation"], content["group"])
 
     @property
+    def opponents(self) -> tuple[tuple[int, ...], ...]:
+        """Whom it met in matches: the indices of each lineup; none in a run without populations."""
+        return tuple(map(tuple, self.content.get("opponents", ())))
+
+    @property
     def score(self) -> Score:
         """What the algorithm was told."""
         content = self.content
         return Score(content["score"], tuple(content["objectives"]), tuple(content["measures"]))
 
-    def evaluation(self, task: Task) -> Evaluation:
+    def evaluation(self, task: Setting) -> Evaluation:
         """Returns the candidate's evaluation on the run's task."""
         content = self.content
         results = tuple(Result(**result) for result in content["results"])
@@ -142,6 +149,7 @@ def told(
         expressions: Its objectives, then its measures.
     """
     values = evaluate_quantities(expressions, candidate.genome, evaluation, settings.task)
+    opponents = [[each.index for each in lineup] for lineup in candidate.lineups]
     known, split = () if values is None else values, len(settings.objectives)
     document = candidate.genome.document
     content = {
@@ -154,11 +162,25 @@ def told(
         "genome_hash": evaluation.genome_hash or candidate.genome.hash,
         "results": [result.to_json() for result in evaluation.results],
         "error": evaluation.error,
+        **({"opponents": opponents} if opponents else {}),
         "score": None if values is None else evaluation.score,
         "objectives": list(known[:split]),
         "measures": list(known[split:]),
     }
     return Entry(content, document["name"], _plan(document["body"]))
+
+
+def _check_opponents(opponents: list[list[int]] | None, task: Setting) -> None:
+    """Returns if an entry tells of opponents as it must: where the task has roles, one for each other role.
+
+    Raises:
+        DocumentError: It does not.
+    """
+    others = len(task.roles) - 1 if isinstance(task, MatchTask) else 0
+    if opponents is None and others:
+        raise DocumentError([("opponents", "is missing: the task has roles")])
+    if opponents is not None and any(len(lineup) != others for lineup in opponents):
+        raise DocumentError([("opponents", f"must be {others or 'none'} in each match")])
 
 
 def _plan(body: JsonObject) -> str:

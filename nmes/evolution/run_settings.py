@@ -16,11 +16,13 @@ import orjson
 from nmes.backend import load_backend
 from nmes.backend.fingerprint import fingerprint
 from nmes.errors import DocumentError, NmesError
-from nmes.evaluation import Task
+from nmes.evaluation import MatchTask, Task, brain_of
+from nmes.evaluation.match_task import load_task
 from nmes.evaluation.population import admit
 from nmes.evaluation.setting import task_identity
 from nmes.evolution.algorithm import Algorithm, Measure, Problem
 from nmes.evolution.algorithms import algorithm_options, load_algorithm
+from nmes.evolution.coevolution import Coevolution, coevolution_options, default_roles, role_problems
 from nmes.evolution.quantities import read_expressions
 from nmes.genome import Genome
 from nmes.objective import Objective
@@ -36,10 +38,23 @@ from nmes.schemas.documents import (
 )
 from nmes.variation.draw import Draw
 
-__all__ = ["FORMAT", "RunSettings"]
+__all__ = ["FORMAT", "Population", "RunSettings"]
 
 FORMAT: Final = "nmes-run/1"
 _RUN: Final = compile_schema("run.json")
+
+
+@dataclass(frozen=True, slots=True)
+class Population:
+    """A population of a run of several.
+
+    Attributes:
+        role: The role that its candidates play, which is its name.
+        starts: The genomes that it begins with; none: random ones.
+    """
+
+    role: str
+    starts: tuple[Genome, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,9 +71,10 @@ class RunSettings:
         budget: How many candidates are evaluated.
         objectives: The expressions to be maximised, where the algorithm has several objectives.
         measures: The measures of an archive, where the algorithm has one.
+        populations: Of a task with roles, in the order in which their candidates take turns; else none.
     """
 
-    task: Task
+    task: Task | MatchTask
     algorithm: str
     options: Mapping[str, int | float | bool]
     starts: tuple[Genome, ...]
@@ -67,6 +83,7 @@ class RunSettings:
     budget: int
     objectives: tuple[str, ...]
     measures: tuple[Measure, ...]
+    populations: tuple[Population, ...] = ()
 
     @classmethod
     def read(cls, document: Mapping[str, Any]) -> RunSettings:
@@ -77,8 +94,9 @@ class RunSettings:
             MissingPackage: The algorithm needs a package that is not installed.
         """
         found = cls.reopen(document)
-        settings = replace(found, options={**algorithm_options(found.algorithm), **found.options})
-        if problems := list(_refusals(settings.starts, settings.task)):
+        known = coevolution_options if found.populations else algorithm_options
+        settings = replace(found, options={**known(found.algorithm), **found.options})
+        if problems := list(settings._refusals()):
             raise DocumentError(problems)
         settings.expressions()
         settings.begin()
@@ -99,23 +117,28 @@ class RunSettings:
         check(_RUN, given)
         full = complete(_RUN.schema, given)
         task = _task(full["task"])
+        populations = _populations(task, full)
         settings = cls(
             task=task,
             algorithm=full["algorithm"],
             options=full["options"],
-            starts=_starts(full["starts"]),
+            starts=_starts(full["starts"], "starts"),
             seed=full["seed"],
             seeds=tuple(full.get("seeds", task.seeds)),
             budget=full["budget"],
             objectives=tuple(full["objectives"]),
             measures=tuple(Measure(**measure) for measure in full["measures"]),
+            populations=populations,
         )
         asked = {need.name for expression in settings.expressions() for need in expression.needs}
-        return replace(settings, task=task.with_duty()) if "duty" in asked else settings
+        return replace(settings, task=task.with_duty()) if "duty" in asked and isinstance(task, Task) else settings
 
     @property
     def document(self) -> JsonObject:
         """The document, everything filled in: a new copy, plain JSON data."""
+        populations = [
+            {"role": each.role, "starts": [genome.document for genome in each.starts]} for each in self.populations
+        ]
         return {
             "format": FORMAT,
             "task": self.task.document,
@@ -127,6 +150,7 @@ class RunSettings:
             "budget": self.budget,
             "objectives": list(self.objectives),
             "measures": [asdict(measure) for measure in self.measures],
+            **({"populations": populations} if populations else {}),
         }
 
     @property
@@ -136,11 +160,6 @@ class RunSettings:
         del decisive["budget"]
         return canonical_hash(decisive)
 
-    @property
-    def problem(self) -> Problem:
-        """What the algorithm sees of the run."""
-        return Problem(self.task, self.seed, self.starts, self.objectives, self.measures)
-
     def begin(self) -> Algorithm:
         """Returns the algorithm at its beginning.
 
@@ -148,7 +167,12 @@ class RunSettings:
             DocumentError: As `load_algorithm`.
             MissingPackage: As `load_algorithm`.
         """
-        return load_algorithm(self.algorithm, self.problem, self.options)
+        given = self.task, self.seed
+        asked = self.objectives, self.measures
+        if self.populations:
+            problems = [Problem(*given, each.starts, *asked, each.role) for each in self.populations]
+            return Coevolution(problems, self.algorithm, self.options)
+        return load_algorithm(self.algorithm, Problem(*given, self.starts, *asked), self.options)
 
     def expressions(self) -> tuple[Objective, ...]:
         """Returns the objectives, then the measures, ready to be evaluated.
@@ -158,6 +182,15 @@ class RunSettings:
         """
         measures = [measure.expression for measure in self.measures]
         return read_expressions(self.objectives, "objectives") + read_expressions(measures, "measures")
+
+    def _refusals(self) -> Iterator[tuple[str, str]]:
+        """Yields the genomes to begin with that may not take part, each with its place, and why."""
+        places = {"starts": ("", self.starts)}
+        places |= {f"populations/{at}/starts": (each.role, each.starts) for at, each in enumerate(self.populations)}
+        for place, (role, starts) in places.items():
+            for index, genome in enumerate(starts):
+                if reason := _barred(genome, self.task, role):
+                    yield f"{place}/{index}", f"{genome.name!r} may not take part: {reason}"
 
     def with_budget(self, budget: int) -> RunSettings:
         """Returns the same settings with another budget."""
@@ -174,31 +207,60 @@ class RunSettings:
         }
 
 
-def _task(value: str | JsonObject) -> Task:
+def _task(value: str | JsonObject) -> Task | MatchTask:
     try:
-        return Task.load(value)
+        if isinstance(value, str):
+            return load_task(value)
+        return MatchTask(value) if "roles" in value else Task(value)
     except DocumentError as error:
         raise DocumentError((f"task/{path}" if path else "task", words) for path, words in error.problems) from error
 
 
-def _starts(values: Sequence[str | JsonObject]) -> tuple[Genome, ...]:
-    """Reads the genomes to begin with."""
+def _populations(task: Task | MatchTask, document: JsonObject) -> tuple[Population, ...]:
+    """Reads the populations of a sound document, which a task with roles has, and no other.
+
+    Raises:
+        DocumentError: There are such as there may not be.
+    """
+    given: list[JsonObject] | None = document.get("populations")
+    if not isinstance(task, MatchTask):
+        if given is not None:
+            raise DocumentError([("populations", f"{task.name} has no roles: its candidates are one population")])
+        return ()
+    if document["starts"]:
+        raise DocumentError([("starts", f"{task.name} has roles: each population has its own: populations/0/starts")])
+    if given is None:
+        given = [{"role": role, "starts": []} for role in default_roles(task)]
+    problems = role_problems(task, [each["role"] for each in given])
+    if problems:
+        raise DocumentError((f"populations/{place}/role", words) for place, words in problems)
+    return tuple(
+        Population(each["role"], _starts(each["starts"], f"populations/{place}/starts"))
+        for place, each in enumerate(given)
+    )
+
+
+def _starts(values: Sequence[str | JsonObject], place: str) -> tuple[Genome, ...]:
+    """Reads the genomes to begin with, which stand at this place of the document."""
     problems: list[tuple[str, str]] = []
     starts = []
     for index, value in enumerate(values):
         try:
             starts.append(Genome.load(value))
         except DocumentError as error:
-            problems += [(f"starts/{index}/{path}".rstrip("/"), words) for path, words in error.problems]
+            problems += [(f"{place}/{index}/{path}".rstrip("/"), words) for path, words in error.problems]
     if problems:
         raise DocumentError(problems)
     return tuple(starts)
 
 
-def _refusals(starts: Sequence[Genome], task: Task) -> Iterator[tuple[str, str]]:
-    """Yields the genomes that may not take part, or whose brain is none for their body, and why."""
-    for index, genome in enumerate(starts):
-        try:
+def _barred(genome: Genome, task: Task | MatchTask, role: str) -> str | None:
+    """Returns why a genome may not take part, or its brain is none for its body; None if it may."""
+    try:
+        if isinstance(task, Task):
             admit(genome, task)
-        except NmesError as error:
-            yield f"starts/{index}", f"{genome.name!r} may not take part: {error.message}"
+            return None
+        brain_of(genome)
+    except NmesError as error:
+        return error.message
+    return "; ".join(task.check(role, genome.body)) or None

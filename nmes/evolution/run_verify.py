@@ -14,6 +14,7 @@ from typing import Final, Literal
 import orjson
 
 from nmes.errors import DocumentError, RunError, VariationError
+from nmes.evaluation.contest import Rivals
 from nmes.evaluation.parallel import Pool
 from nmes.evaluation.queue import EvaluationQueue
 from nmes.evolution.algorithm import Candidate
@@ -93,6 +94,7 @@ class _Verification:
         self._run, self._progress = run, progress
         self.order = Order(run.settings.begin(), len(run))
         self.findings: list[str] = []
+        self._rivals: list[Rivals | None] = []  # of each candidate that was asked for again
 
     def found(self, finding: str) -> None:
         """Keeps a finding, if there are not many already."""
@@ -110,7 +112,9 @@ class _Verification:
             except VariationError as error:
                 yield f"candidate {order.asked - 1}: the algorithm asks for none: {error.message}"
                 return
-            yield from _differences(asked.pop(record.index), entry)
+            again = asked.pop(record.index)
+            self._rivals.append(again.rivals)
+            yield from _differences(again, entry)
             if entry.record(line) != record:
                 yield f"candidate {record.index}: the index has something else of it than the log: delete the index"
             try:
@@ -142,7 +146,7 @@ class _Verification:
         entries = {}
         for index in chosen:
             entries[index] = run.entry(index)
-            queue.put(index, entries[index].genome)
+            queue.put(index, entries[index].genome, self._rivals[index])
         while done < len(chosen):
             for index, evaluation in queue.take():
                 done += 1
@@ -165,10 +169,11 @@ def _differences(candidate: Candidate, entry: Entry) -> Iterator[str]:
         "parents": list(candidate.parents),
         "generation": candidate.generation,
         "group": candidate.group,
+        "opponents": [[each.index for each in lineup] for lineup in candidate.lineups] or None,
     }
     for name, value in asked.items():
-        if content[name] != value:
-            what = f"{name} is {content[name]!r} in the log, and {value!r} is asked for"
+        if content.get(name) != value:
+            what = f"{name} is {content.get(name)!r} in the log, and {value!r} is asked for"
             yield f"candidate {content['index']}: {what}"
     if content["genome"] != candidate.genome.document and content["genome_hash"] == asked["genome_hash"]:
         yield f"candidate {content['index']}: its genome is not the one that is asked for"

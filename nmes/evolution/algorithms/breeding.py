@@ -39,7 +39,7 @@ def newcomer(problem: Problem, index: int, generation: int = 0) -> Candidate:
     Raises:
         VariationError: `no_offspring`: the task allows none.
     """
-    genome = random_genome(problem.draw("candidate", index, "random"), problem.task.requirements, f"random-{index}")
+    genome = random_genome(problem.draw("candidate", index, "random"), problem.requirements, f"random-{index}")
     return Candidate(genome, "random", (), generation)
 
 
@@ -92,7 +92,7 @@ def _offspring(problem: Problem, draw: Draw, parent: Parent, other: Parent | Non
     """
     genome, operators, parents = parent.genome, list[str](), [parent]
     if other is not None and other.index != parent.index:
-        genome = cross(genome, other.genome, draw, requirements=problem.task.requirements)
+        genome = cross(genome, other.genome, draw, requirements=problem.requirements)
         operators.append("cross")
         parents.append(other)
     mutations = 0 if operators and draw.chance(0.5) else 1
@@ -106,5 +106,5 @@ def _offspring(problem: Problem, draw: Draw, parent: Parent, other: Parent | Non
 
 
 def _mutated(genome: Genome, draw: Draw, problem: Problem) -> tuple[Genome, str]:
-    mutant = mutate(genome, draw, requirements=problem.task.requirements)
+    mutant = mutate(genome, draw, requirements=problem.requirements)
     return mutant.genome, mutant.kind
