@@ -36,7 +36,8 @@ def command(folder: Path, output: Path | None, as_json: bool) -> None:
     """Show what a run has come to: how far it is, the best, and which operators helped.
 
     RUN is a run's folder. One that is still going on is shown as far as it is. With -o it is drawn: scores over time,
-    where the winner comes from, and, where the algorithm has such, its archive, its front and its species.
+    where the winner comes from, and, where the algorithm has such, its archive, its front and its species. Of several
+    populations it is scores by era, and, of two roles, the champions of all eras against each other.
 
     For example:
 
@@ -65,9 +66,10 @@ def _lines(summary: RunSummary) -> list[str]:
     from nmes.view.chart import number
 
     lines = [summary.title, *columns(summary.facts()), "", *columns(summary.settings())]
-    best: list[tuple[str, ...]] = [("the best", "candidate", "score", "generation", "operator")]
+    best: list[tuple[str, ...]] = [(summary.outcome, "candidate", "score", "generation", "operator")]
     for rank, row in enumerate(summary.top, 1):
-        best.append((f"{rank}", f"{row.index}", number(row.score), f"{row.generation}", row.operator))
+        who = row.group if summary.champions else f"{rank}"
+        best.append((who, f"{row.index}", number(row.score), f"{row.generation}", row.operator))
     operators: list[tuple[str, ...]] = [
         ("operator", "candidates", "better than the parent", "best so far", "without a score")
     ]

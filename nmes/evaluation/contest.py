@@ -13,14 +13,14 @@ from typing import NamedTuple
 
 import orjson
 
-from nmes.errors import NmesError
+from nmes.errors import NmesError, RecordingError
 from nmes.evaluation.episode import Result
 from nmes.evaluation.evaluation import Evaluation
-from nmes.evaluation.match import admit_players, play_match
+from nmes.evaluation.match import MatchResult, admit_players, play_match
 from nmes.evaluation.match_task import MatchTask
 from nmes.genome import Genome
 
-__all__ = ["Contest", "Pairing", "Rivals", "evaluate_contests", "hold_contest", "pairings"]
+__all__ = ["Contest", "Pairing", "Rivals", "evaluate_contests", "hold_contest", "pairings", "play_pairing"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,6 +49,10 @@ class Pairing(NamedTuple):
     seed: int
     places: dict[str, int]
 
+    def role(self, place: int) -> str:
+        """Returns the role of the creature in a place."""
+        return next(name for name, held in self.places.items() if held == place)
+
 
 def pairings(task: MatchTask, role: str, lineups: int, seeds: Sequence[int]) -> Iterator[Pairing]:
     """Yields the matches of a contest, in their order.
@@ -64,6 +68,23 @@ def pairings(task: MatchTask, role: str, lineups: int, seeds: Sequence[int]) -> 
         else:
             ordered = [role, *(name for name in roles if name != role)]
             yield Pairing(number, seed, {name: ordered.index(name) for name in roles})
+
+
+def play_pairing(task: MatchTask, cast: Sequence[Genome], pairing: Pairing, record: Path | None = None) -> MatchResult:
+    """Plays one match of a contest, in this process.
+
+    Args:
+        task: What is played.
+        cast: The creature whose contest it is, then those of the lineup.
+        pairing: Who plays which role.
+        record: An existing folder, in which a recording is left.
+
+    Raises:
+        DocumentError, WorldError: Somebody may not play a role, or cannot be set down.
+        RecordingError: The recording cannot be written.
+    """
+    players = {name: cast[place] for name, place in pairing.places.items()}
+    return play_match(task, players, admit_players(task, players), pairing.seed, record)
 
 
 def hold_contest(
@@ -89,14 +110,13 @@ def hold_contest(
     results: list[Result] = []
     recordings: list[str] = []
     for pairing in pairings(task, rivals.role, len(rivals.lineups), seeds):
-        cast = (genome, *rivals.lineups[pairing.lineup])
-        players = {name: cast[place] for name, place in pairing.places.items()}
         try:
-            brains = admit_players(task, players)
+            match = play_pairing(task, (genome, *rivals.lineups[pairing.lineup]), pairing, record)
+        except RecordingError:
+            raise
         except NmesError as refusal:
             return Evaluation(*names, error=refusal.message, wall_seconds=time.perf_counter() - begin)
-        match = play_match(task, players, brains, pairing.seed, record)
-        results.append(match.results[next(name for name, place in pairing.places.items() if place == 0)])
+        results.append(match.results[pairing.role(0)])
         recordings += [] if match.recording is None else [match.recording]
     return Evaluation(*names, tuple(results), None, tuple(recordings), time.perf_counter() - begin)
 

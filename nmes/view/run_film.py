@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from math import inf
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import NamedTuple
 
 from nmes.errors import RunError
+from nmes.evaluation import MatchTask
+from nmes.evolution.champions import evenly, halls_of_fame, meet
 from nmes.evolution.history import History, milestones
 from nmes.evolution.rerun import record_candidate
 from nmes.evolution.run import Run
@@ -26,7 +28,8 @@ def film_run(
     """Makes a film of those who were the best of a run in their time, each in the first of its episodes.
 
     They are the first and the last of those that beat all before them, and between them those that gained most; each
-    is run again for it, and its figures are compared with the log's.
+    is run again for it, and its figures are compared with the log's. Of several populations they are the champions of
+    some eras, who play each other; a population that is alone plays the champion of its last era.
 
     Args:
         run: The run.
@@ -44,27 +47,72 @@ def film_run(
         FilmError, WorldError, MissingPackage: As `film`.
     """
     check_path(path)
-    champions = History(run.records).champions()
-    if not champions:
+    if not run.elites() or (not run.settings.populations and run.best is None):
         raise RunError("no_score", f"no candidate of {run.folder} has a score: there is nothing to film")
-    shown = milestones(champions, _ERAS)
-    titles = [f"score {number(row.score)}, #{row.index}, generation {row.generation}" for row in shown]
-    begin = inf
     with TemporaryDirectory() as folder:
-        recordings = []
-        for done, row in enumerate(shown, start=1):
-            again = record_candidate(run, row.index, Path(folder), run.settings.seeds[:1])
-            recordings.append(Recording(again.recordings[0]))
-            settled = recordings[-1].summary().ticks - again.results[0].ticks
-            begin = min(begin, settled / run.settings.task.tick_rate)
-            progress("running the champions", done, len(shown))
+        shots = (_matches if run.settings.populations else _episodes)(run, Path(folder), progress)
+        begin = min(shot.begin for shot in shots)
         film(
-            recordings,
+            [Recording(shot.recording) for shot in shots],
             path,
             Cut(begin=begin, end=begin + seconds),
-            titles=titles,
+            titles=[shot.title for shot in shots],
             fps=fps,
             size=size,
             progress=progress,
         )
-    return [row.index for row in shown]
+    return list(dict.fromkeys(index for shot in shots for index in shot.candidates))
+
+
+class _Shot(NamedTuple):
+    """One recording of the film: who is in it, the line over it, and when it begins to count, s."""
+
+    candidates: tuple[int, ...]
+    title: str
+    recording: str
+    begin: float
+
+
+def _shot(run: Run, candidates: tuple[int, ...], title: str, recording: str, ticks: int) -> _Shot:
+    """Returns a shot of a recording whose last ticks, so many, count."""
+    settled = Recording(recording).summary().ticks - ticks
+    return _Shot(candidates, title, recording, settled / run.settings.task.tick_rate)
+
+
+def _episodes(run: Run, folder: Path, progress: Callable[[str, int, int], None]) -> list[_Shot]:
+    """Runs those who were the best in their time again."""
+    shown, shots = milestones(History(run.records).champions(), _ERAS), []
+    for done, row in enumerate(shown, start=1):
+        again = record_candidate(run, row.index, folder, run.settings.seeds[:1])
+        title = f"score {number(row.score)}, #{row.index}, generation {row.generation}"
+        shots.append(_shot(run, (row.index,), title, again.recordings[0], again.results[0].ticks))
+        progress("running the champions", done, len(shown))
+    return shots
+
+
+def _matches(run: Run, folder: Path, progress: Callable[[str, int, int], None]) -> list[_Shot]:
+    """Has the champions of some eras play each other.
+
+    Raises:
+        RunError: The task has not two roles (`no_film`).
+    """
+    task = run.settings.task
+    if not isinstance(task, MatchTask) or len(task.roles) != 2:
+        raise RunError(
+            "no_film", f"{task.name} has not two roles: `nmes evolve best` records matches for `nmes render`"
+        )
+    halls = list(halls_of_fame(run).values())
+    if len(halls) == 1:
+        pairs = [(champion, halls[0][-1]) for champion in halls[0]]
+    else:
+        pairs = [(one, other) for one in halls[0] for other in halls[1] if one.era == other.era]
+    shown, shots = evenly(pairs, _ERAS), []
+    for done, (one, other) in enumerate(shown, start=1):
+        meeting = meet(run, one.record, other.record, folder)
+        assert meeting.recording is not None
+        title = f"era {one.era}: {one.record.group} #{one.record.index} {number(meeting.scores[0])}, "
+        title += f"{other.record.group} #{other.record.index} {number(meeting.scores[1])}"
+        indices = one.record.index, other.record.index
+        shots.append(_shot(run, indices, title, meeting.recording, meeting.ticks))
+        progress("having champions meet", done, len(shown))
+    return shots

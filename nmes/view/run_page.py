@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from nmes.evolution.history import History, Origin
+from nmes.evolution.history import History
 from nmes.view.chart import STYLE, Picture, number, text
 from nmes.view.run_pictures import Portraits
 from nmes.view.run_summary import RunSummary
@@ -71,7 +71,7 @@ def write_page(summary: RunSummary, path: Path, pictures: Iterable[Picture], por
         pictures: The run's, as `nmes.view.run_pictures.draw_run` gives them.
         portraits: Of its candidates.
     """
-    parts = [facts_list(summary.facts()), *map(figure, pictures), _top(summary.top, portraits)]
+    parts = [facts_list(summary.facts()), *map(figure, pictures), _top(summary, portraits)]
     parts += ["<h2>Operators</h2>", _operators(summary.history), "<h2>Settings</h2>", facts_list(summary.settings())]
     path.write_text(page(summary.title, parts), encoding="utf-8")
 
@@ -97,18 +97,19 @@ def figure(picture: Picture) -> str:
     return f'<section>{head}\n{box}{label}\n<figure class="map">{shown}</figcaption></figure></section>'
 
 
-def _top(rows: Sequence[Origin], portraits: Portraits) -> str:
+def _top(summary: RunSummary, portraits: Portraits) -> str:
     """Returns the best candidates, each with its portrait."""
     items = []
-    for rank, row in enumerate(rows, 1):
+    for rank, row in enumerate(summary.top, 1):
         size = f'width="{_WIDE}" height="{_HIGH}"'
         image = f'<img {size} alt="Candidate {row.index}" src="{portraits(row.index, _WIDE, _HIGH)}">'
         origin = f"generation {row.generation}, {row.operator}"
+        origin = f"{row.group}, {origin}" if summary.champions else origin
         items.append(
             f'<li>{image}<div><b>{rank}</b> <span class="score">{number(row.score)}</span><br>'
             f'<span class="soft">#{row.index}, {text(origin)}</span></div></li>'
         )
-    return "<h2>The best</h2>\n<ol>\n" + "\n".join(items) + "\n</ol>"
+    return f"<h2>{summary.outcome.capitalize()}</h2>\n<ol>\n" + "\n".join(items) + "\n</ol>"
 
 
 def _operators(history: History) -> str:

@@ -6,6 +6,7 @@ import json
 import shutil
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import orjson
 import pytest
@@ -14,10 +15,12 @@ from click.testing import CliRunner, Result
 from coevolution_runs import DUEL_RUN, MOMENT
 from duels import push
 from nmes.cli import main
-from nmes.evaluation import prove_match
+from nmes.evaluation import play, prove_match
 from nmes.evolution.run import Run
 from runs import forge
 
+ROLES = ("red", "blue")
+SVG = "{http://www.w3.org/2000/svg}"
 OPTIONS = [word for name, value in DUEL_RUN["options"].items() for word in ("--set", f"{name}={value}")]
 
 
@@ -127,3 +130,51 @@ def test_the_best_of_a_forged_run_leaves_nothing(whole: Path, tmp_path: Path) ->
     result = nmes("best", tmp_path / "run", "-o", tmp_path / "best")
     assert result.exit_code == 1 and "candidate 14" in result.output
     assert [path for path in (tmp_path / "best").rglob("*") if path.is_file()] == []
+
+
+# -- pictures ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_run_is_shown_with_its_champions(whole: Path) -> None:
+    result, told = nmes("show", whole), json.loads(nmes("show", whole, "--json").stdout)
+    champions = Run.open(whole).champions()
+    assert told["best"] is None and len(told["settings"]["populations"]) == 2
+    assert told["champions"] == {role: {"index": each.index, "score": each.score} for role, each in champions.items()}
+    for role, each in champions.items():
+        assert f"champion of {role}  " in result.stdout and f"(candidate {each.index}: " in result.stdout
+    assert [row["index"] for row in told["top"]] == list(Run.open(whole).elites())
+
+
+def titles(picture: Path) -> list[str]:
+    """The words that a picture's parts have."""
+    return [element.text or "" for element in ElementTree.parse(picture).iter(f"{SVG}title")][1:]
+
+
+def test_champions_of_all_eras_are_drawn_against_each_other(whole: Path, tmp_path: Path) -> None:
+    assert nmes("show", whole, "-o", tmp_path / "pictures").exit_code == 0
+    names = ["eras", "eras-blue", "eras-red", "index", "lineage-blue", "lineage-red"]
+    assert sorted({path.stem for path in (tmp_path / "pictures").iterdir()}) == names
+    run = Run.open(whole)
+    halls = {role: [row for row in map(run.records.__getitem__, run.elites()) if row.group == role] for role in ROLES}
+    assert [len(hall) for hall in halls.values()] == [2, 2]
+    fields = {role: titles(tmp_path / "pictures" / f"eras-{role}.svg") for role in ROLES}
+    for red in halls["red"]:
+        for blue in halls["blue"]:
+            players = {"red": run.genome(red.index), "blue": run.genome(blue.index)}
+            (match,) = play(MOMENT, players, seeds=run.settings.seeds[:1])
+            for one, other in ((red, blue), (blue, red)):
+                score = match.results[one.group].score
+                told = f"candidate {one.index} of era {one.index // 8} against candidate {other.index} of era "
+                assert f"{told}{other.index // 8}: {score:.4g}" in fields[one.group]
+    assert all(len(each) == 4 for each in fields.values())
+    circles = list(ElementTree.parse(tmp_path / "pictures" / "eras.svg").iter(f"{SVG}circle"))
+    assert len(circles) == 4  # a champion of each population in each era
+
+
+def test_a_film_shows_the_champions_of_an_era_against_each_other(whole: Path, tmp_path: Path) -> None:
+    result = nmes("film", whole, "-o", tmp_path / "film.png", "--seconds", "0.2", "--size", "160x80")
+    run = Run.open(whole)
+    eldest = list(run.elites())[::-1]
+    shown = [eldest[1], eldest[0], eldest[3], eldest[2]]
+    assert result.exit_code == 0 and f"candidates {', '.join(map(str, shown))}" in result.stdout, result.output
+    assert (tmp_path / "film.png").stat().st_size > 1000
