@@ -18,7 +18,7 @@ STILL = {
     "name": "block",
     "body": {"cubes": [{"id": "root", "size": [0.4, 0.4, 0.4], "mass": 10, "position": [0, 0.2, 0]}]},
 }
-NAMES = ["chase", "foraging", "interference", "interference-alone", "relay", "sumo"]
+NAMES = ["chase", "foraging", "interference", "interference-alone", "relay", "scout", "sumo"]
 
 
 def scores(name: str, seed: int = 1, **genomes: object) -> dict[str, float | None]:
@@ -27,7 +27,7 @@ def scores(name: str, seed: int = 1, **genomes: object) -> dict[str, float | Non
     return {role: result.score for role, result in match.results.items()}
 
 
-def test_six_matches_come_with_the_package_and_the_page_lists_them() -> None:
+def test_seven_matches_come_with_the_package_and_the_page_lists_them() -> None:
     assert list(MatchTask.names()) == NAMES
     page = (ROOT / "docs" / "matches.md").read_text()
     for name in NAMES:
@@ -46,6 +46,7 @@ def test_six_matches_come_with_the_package_and_the_page_lists_them() -> None:
         ("relay", {"first": 0.0, "second": 0.0}),
         ("interference", {"robot": 0.0, "interferer": 0.0}),
         ("interference-alone", {"robot": 0.0}),
+        ("scout", {"scout": 0.0, "runner": 0.0}),
     ],
 )
 def test_creatures_that_do_nothing_have_nothing(name: str, expected: dict[str, float]) -> None:

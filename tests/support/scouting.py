@@ -12,21 +12,20 @@ from nmes.evaluation import MatchTask, play
 
 __all__ = ["WEIGHTS", "climb", "lookout", "mean_score", "rover", "without_channel"]
 
-SEES = ("target_direction", "target_distance", "other_direction", "other_distance")
-WEIGHTS = 24
-"""How many numbers make the two: 18 the scout's brain, 6 the runner's."""
+WEIGHTS = 14
+"""How many numbers make the two: 8 the scout's brain, 6 the runner's."""
 LOST = -10.0  # what a match without a score counts for
 
 
 def lookout(weights: Array) -> dict[str, Any]:
-    """Returns a post that sees the target and the runner, and says two numbers: each a unit over eight readings."""
+    """Returns a post that sees in which direction the target is, and says two numbers, each of a unit over that."""
     return {
         "format": "nmes-genome/1",
         "name": "lookout",
         "body": {"cubes": [{"id": "post", "size": [0.4, 0.6, 0.4], "mass": 50, "position": [0, 0.3, 0]}]},
-        "sensors": [{"type": kind, "cube": "post"} for kind in SEES],
+        "sensors": [{"type": "target_direction", "cube": "post"}],
         "voices": [{"channel": "lead", "number": number} for number in (1, 2)],
-        "brain": _units(weights.reshape(2, 9)),
+        "brain": _units(weights.reshape(2, 4)),
     }
 
 
@@ -74,7 +73,7 @@ def without_channel(task: MatchTask) -> MatchTask:
 def mean_score(weights: Sequence[float] | Array, task: MatchTask, seeds: Iterable[int]) -> float:
     """Returns the runner's mean score, m, of the two that the weights make."""
     numbers = np.array(weights, float)
-    players = {"scout": lookout(numbers[:18]), "runner": rover(numbers[18:])}
+    players = {"scout": lookout(numbers[:8]), "runner": rover(numbers[8:])}
     scores = [match.results["runner"].score for match in play(task, players, seeds=seeds)]
     return float(np.mean([LOST if score is None else score for score in scores]))
 
