@@ -15,19 +15,21 @@ __all__ = ["of", "units"]
 
 _PART: Final = 1.0 + 1e-9  # of what is 1 at most, up to the rounding of what it is computed from
 _FAR: Final = 1e12  # farther, and faster, than anything gets before its world faults; checkers take no infinity
+_SEEN: Final = ("target", "other", "food")  # what sensors tell the direction and distance of
 _BOUNDS: Final = {
     "effort": (-_PART, _PART),
     "up": (-_PART, _PART),
-    "target_direction": (-_PART, _PART),
     "touch": (0.0, 1.0),
-    "target_distance": (0.0, _FAR),
+    "hear": (-_PART, _PART),
+    **{f"{whose}_direction": (-_PART, _PART) for whose in _SEEN},
+    **{f"{whose}_distance": (0.0, _FAR) for whose in _SEEN},
 }
 _UNITS: Final = {
     "height": "m",
     "velocity": "m/s",
     "spin": "10 rad/s",
-    "target_distance": "m",
-    "target_velocity": "m/s",
+    **{f"{whose}_distance": "m" for whose in _SEEN},
+    **{f"{whose}_velocity": "m/s" for whose in _SEEN},
 }
 
 

@@ -123,6 +123,23 @@ def test_spaces_have_names_units_and_bounds() -> None:
     env.close()
 
 
+def test_spaces_of_who_sees_others_and_talks_have_units_bounds_and_voices() -> None:
+    sensors = [{"type": f"other_{what}", "cube": "torso"} for what in ("direction", "distance", "velocity")]
+    sensors.append({"type": "hear", "cube": "torso", "channel": "lead"})
+    voices = {"sensors": sensors, "voices": [{"channel": "lead"}], "brain": {"kind": "constant"}}
+    env = gymnasium.make("nmes/walk-v0", genome=Genome({**Genome.load("walker").document, **voices})).unwrapped
+    assert isinstance(env, TaskEnv)
+    assert list(env.units.values()) == ["", "", "", "m", "m/s", "m/s", "m/s", ""]
+    observed, acted = env.observation_space, env.action_space
+    assert isinstance(observed, gymnasium.spaces.Box)
+    assert observed.low.tolist() == pytest.approx([-1, -1, -1, 0, *[-1e12] * 3, -1])
+    assert env.motors[-1] == "say.lead" and acted.shape == (len(env.motors),)
+    env.reset(seed=1)
+    observation, *_ = env.step(np.full(len(env.motors), 0.5))
+    assert (observation == 0).all()  # it is alone
+    env.close()
+
+
 def episode(env: Any, seed: int | None, ticks: int = 12) -> list[Any]:
     observation, info = env.reset(seed=seed)
     steps: list[Any] = [(observation.tobytes(), json.dumps(info))]
