@@ -43,7 +43,17 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def whole(place: Path) -> Path:
     """The folder of a finished run."""
-    begin = ("--task", place / "duel.json", "--populations", "red,blue", "--budget", "20", "--seed", "3", *OPTIONS)
+    begin: tuple[str | Path, ...] = (
+        "--task",
+        place / "duel.json",
+        "--populations",
+        "red,blue",
+        "--budget",
+        "20",
+        "--seed",
+        "3",
+        *OPTIONS,
+    )
     result = nmes(place / "slow.json", place / "fast.json", *begin, "-o", place / "run", "--jobs", "1")
     assert result.exit_code == 0, result.output
     return place / "run"
@@ -72,7 +82,7 @@ def test_what_a_run_begins_with_is_for_each_population_or_all_for_the_only_one(p
         "alone": ((slow, fast, "--task", place / "alike.json"), [("red", 2)]),
     }
     for name, (arguments, populations) in cases.items():
-        settings = ("--budget", "1", *OPTIONS, "-o", tmp_path / name, "--jobs", "1")
+        settings: tuple[str | Path, ...] = ("--budget", "1", *OPTIONS, "-o", tmp_path / name, "--jobs", "1")
         assert nmes(*arguments, *settings).exit_code == 0, name
         document = orjson.loads((tmp_path / name / "run.json").read_bytes())
         assert [(each["role"], len(each["starts"])) for each in document["populations"]] == populations, name

@@ -153,11 +153,13 @@ def test_a_score_is_the_mean_over_matches_with_the_opponents_that_the_log_names(
     run, task = Run.open(whole), MatchTask(MOMENT)
     for index in (0, 13, 29):
         own, other = ("red", "blue") if index % 2 == 0 else ("blue", "red")
-        scores = []
+        scores = list[float]()
         for number, opponent in enumerate(opponents(run, index)):
             players = {own: run.genome(index), other: run.genome(opponent)}
             (match,) = play(task, players, seeds=[task.seeds[number % 2]])
-            scores.append(match.results[own].score)
+            score = match.results[own].score
+            assert score is not None
+            scores.append(score)
         assert run.records[index].score == sum(scores) / len(scores), index
         assert len(scores) == 2
 

@@ -39,7 +39,7 @@ def record(path: Path, says: dict[str, str], *, config: dict[str, Any] | None = 
                 waiting.append(step)
                 continue
             for drive in reversed(waiting) if swap else waiting:
-                world.drive(client, drive.creature, drive.controls)  # type: ignore[arg-type]
+                world.drive(client, drive.creature, drive.controls)
             waiting.clear()
             if step is None:
                 ticks += 1
@@ -114,7 +114,7 @@ def mangled(value: Any, draw: random.Random) -> Any:
         copy = value.copy()
         copy[key] = mangled(value[key], draw)
         return copy
-    odd = [
+    odd: list[Any] = [
         None,
         True,
         -1,
