@@ -43,7 +43,8 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def whole(place: Path) -> Path:
     """The folder of a finished run."""
-    begin: tuple[str | Path, ...] = (
+    what = ("--task", place / "duel.json", "--populations", "red,blue")
+    begin: tuple[str | Path, ...] = (*what, "--budget", "20", "--seed", "3", *OPTIONS)
         "--task",
         place / "duel.json",
         "--populations",
