@@ -126,7 +126,8 @@ class ClientBase:
         port: Its TCP port.
         world: The name of the world; None: the server's first.
         role: The role that is asked for; None: the first that the password opens.
-        token: In a world with roles, the secret that makes the next connection the same player's; else None.
+        token: In a world with roles, the secret that makes the next connection the same player's, while the server
+            runs; None: the next one is somebody new.
         timeout: How long a reply may take, s; None: for ever.
         on_event: What is called with each event.
     """

@@ -46,6 +46,10 @@ class _World:
     password: bytes | None
     key: bytes
 
+    def is_own(self, digest: bytes) -> bool:
+        """Tells whether a digest is that of its own password."""
+        return self.password is not None and hmac.compare_digest(self.password, digest)
+
 
 class Keys:
     """The passwords of a host, and the tokens of those who play in its worlds.
@@ -82,7 +86,12 @@ class Keys:
     def opened_by(self, password: str) -> list[str]:
         """Returns the worlds that a password opens which is not the host's."""
         digest = _digest(password)
-        return [name for name, world in self._worlds.items() if self._is_own(world, digest) or self._of(world, digest)]
+        right = self._roles_of(digest)
+        return [
+            name
+            for name, world in self._worlds.items()
+            if world.is_own(digest) or not right.isdisjoint(world.roles)  # a host may have a thousand worlds
+        ]
 
     def seat(self, world: str, auth: Auth) -> Seat:
         """Returns as what somebody joins a world that the password of his `auth` opens.
@@ -114,16 +123,14 @@ class Keys:
     def _opened(self, world: _World, password: str) -> tuple[str, ...]:
         """Returns the roles of a world that a password opens, the one first that it is for."""
         digest = _digest(password)
-        every = self.accepts(password) or self._is_own(world, digest)
-        return world.roles if every else self._of(world, digest)
+        if self.accepts(password) or world.is_own(digest):
+            return world.roles
+        right = self._roles_of(digest)
+        return tuple(role for role in world.roles if role in right)
 
-    def _is_own(self, world: _World, digest: bytes) -> bool:
-        return world.password is not None and hmac.compare_digest(world.password, digest)
-
-    def _of(self, world: _World, digest: bytes) -> tuple[str, ...]:
-        """Returns the roles of a world whose password it is."""
-        right = [role for role, own in self._roles.items() if hmac.compare_digest(own, digest)]
-        return tuple(role for role in right if role in world.roles)
+    def _roles_of(self, digest: bytes) -> set[str]:
+        """Returns the roles whose password it is, of whatever world."""
+        return {role for role, own in self._roles.items() if hmac.compare_digest(own, digest)}
 
 
 def _player(key: bytes, role: str, token: str) -> int | None:

@@ -43,6 +43,7 @@ LONG_COMMANDS = frozenset(  # those that may take long: of these the world is as
         "get_joint_list",
         "get_joints_for_cube",
         "get_world_state",
+        "give",
         "link_body_cubes",
         "link_cube_chains",
         "reset",

@@ -75,6 +75,7 @@ _COSTS: Final[Mapping[str, Callable[[Entities, Mapping[str, Any]], float]]] = {
     "get_joints_for_cube": lambda entities, command: len(entities.joints) * _NAME,
     "get_world_info": lambda entities, command: len(entities.joints) * _NAME,
     "get_world_state": _world_state,
+    "give": lambda entities, command: min(len(entities.cubes), len(entities.joints) + 1) * _NAME * 10.0,
     "link_body_cubes": _neighbours,
     "link_cube_chains": _chains,
     "reset": lambda entities, command: _SCENE,
