@@ -23,7 +23,7 @@ __all__ = ["ATTEMPTS", "CONFIG", "INTRUDER", "OWNER", "VICTIM", "Play", "Said", 
 Command = dict[str, Any]
 
 OWNER, VICTIM, INTRUDER = "owner", "victim", "intruder"
-CONFIG: Command = {"mode": "lockstep", "seed": 5, "roles": {"player": {}}}
+CONFIG: Command = {"mode": "lockstep", "seed": 5, "roles": {"player": {}}, "channels": {"alarm": {}}}
 NUMBERS = {VICTIM: 2, INTRUDER: 3}  # of the players; the owner is the first
 FAR = 1000.0  # m between what the two build, so that nothing touches
 
@@ -94,6 +94,7 @@ ATTEMPTS: Mapping[str, _Made] = {
     "set_joint_param": lambda d: {"joint_name": d.joint(), "param_name": "damping", "value": d.source.random()},
     "set_joint_params": lambda d: {"joint_name": d.joint(), **_NOTES},
     "drive": lambda d: {"creature": (name := d.creature()), "controls": _controls(d, name)},
+    "say": lambda d: {"channel": "alarm", "value": d.source.uniform(-1, 1), "cube_name": d.cube()},
     "give": lambda d: {"cube_name": d.cube(), "player": d.source.randint(1, 4)},
     "step": lambda d: {"ticks": 2},
     "pause": lambda d: {},
@@ -119,6 +120,7 @@ OWN: Mapping[str, _Made] = {
     "apply_physics": lambda d: {"cube_name": d.cube(), "impulse": d.vector()},
     "set_cube_state": lambda d: {"cube_name": d.cube(), "linear_velocity": d.vector()},
     "freeze_cube": lambda d: {"cube_name": d.cube(), "freeze": d.source.random() < 0.3},
+    "say": lambda d: {"channel": "alarm", "value": d.source.uniform(-1, 1), "cube_name": d.cube()},
     "compute_reward": lambda d: {"metric": "displacement", "cube": d.cube()},
     "get_cube_info": lambda d: {"cube_name": d.cube()},
     "give": lambda d: {"cube_name": d.cube(), "player": NUMBERS[INTRUDER]},
@@ -271,10 +273,11 @@ def _possessions(world: World) -> dict[str, Any]:
     entities, rows, things = world.entities, _rows(world), dict[str, Any]()
     told = copy.deepcopy(entities.assembly())
     joints = {joint["name"]: joint for joint in told["joints"]}
+    voices = {voice["body"]: voice["value"] for voice in world.channels.snapshot()["channels"]["said"]}
     for cube in told["cubes"]:
         if cube["name"] in rows:
             held = [joints[name] for name in entities.cubes[cube["name"]].joints]
-            things[cube["name"]] = rows[cube["name"]], cube, held
+            things[cube["name"]] = rows[cube["name"]], cube, held, voices.get(cube["body"])
     for name in world.creatures():
         if set(world.creature(name).cubes.values()) <= rows.keys():
             things[f"creature {name}"] = world.creature(name).genome.document

@@ -69,5 +69,6 @@ def test_a_hole_in_any_other_command_is_found(kind: str, monkeypatch: MonkeyPatc
     check_caught(kind, monkeypatch)
 
 
-def test_the_programs_try_every_command_that_changes_something() -> None:
-    assert {kind for kind, right in RIGHTS.items() if right.kind not in (None, "look")} <= set(ATTEMPTS)
+def test_the_programs_try_every_command_that_changes_what_is_there() -> None:
+    changing = {kind for kind, right in RIGHTS.items() if right.kind not in (None, "look")}
+    assert {kind for kind in changing if RIGHTS[kind].touches is not nothing} <= set(ATTEMPTS)
