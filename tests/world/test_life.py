@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -89,6 +90,30 @@ def test_food_on_a_planet_is_among_its_resources() -> None:
         assert ground == pytest.approx(item["position"]) and sum(v * v for v in place.values()) == pytest.approx(0.25)
 
 
+@pytest.mark.parametrize(
+    ("scene", "heights"),
+    [
+        ({"obstacles": [{"type": "box", "position": [0, 0.5, 0], "size": 4}]}, {2.5}),
+        ({"type": "heightfield", "heightfield": {"heights": [[-1, -1], [-1, -1]]}}, {-1.0}),
+    ],
+)
+def test_food_lies_on_the_ground_and_on_what_stands_there(scene: Json, heights: set[float]) -> None:
+    food = {"places": [{"radius": 1}], "start": 20}
+    world, client, _ = watched(config(food=food, population={"start": 0}) | {"scene": scene})
+    run(world, 1)
+    items = world.execute(client, {"type": "get_life"})["food"]
+    assert {round(item["position"][1], 6) for item in items} == heights
+
+
+def test_life_in_a_plane_stays_in_it() -> None:
+    rules = {"genomes": [], "population": {"start": 3}, "limits": {"cubes": 6, "size": 1.5}}
+    world, client, events = watched(config(**rules) | {"backend": "pymunk"})
+    run(world, 40)
+    life = world.execute(client, {"type": "get_life"})
+    assert len(of(events, "creature_born")) >= 3 and life["living"]
+    assert {item["position"][2] for item in life["food"]} == {0.0}
+
+
 def test_what_is_fed_is_bounded() -> None:
     world, client, _ = watched(config(food={"start": 0, "rate": 0, "most": 2}, population={"start": 0}))
     replies = [world.execute(client, {"type": "feed", "position": [0, 0, 0]}) for _ in range(3)]
@@ -126,14 +151,25 @@ def test_a_creature_pays_by_its_mass_senses_and_motors() -> None:
 
 
 def test_power_is_the_work_of_a_creatures_own_motors() -> None:
-    world, client, _ = watched(config(**STILL | {"cost": "power"}))
-    run(world, 1)
-    start, worked = living(world, client)[0]["energy"], world.motor_work()
-    idle = {**cart("idle"), "brain": {"kind": "sine", "oscillators": [{"motor": "*", "amplitude": 0}]}}
-    world.execute(client, {"type": "spawn_creature", "name": "idle", "genome": idle, "position": [80, 0, 0]})
-    run(world, 30)
-    spent = [start - living(world, client)[0]["energy"], 300 - living(world, client)[1]["energy"]]
-    assert sum(spent) == pytest.approx(world.motor_work() - worked) and spent[1] < 0.1 * spent[0]
+    sums = []
+    for loose in (False, True):
+        world, client, _ = watched(config(**STILL | {"cost": "power"}))
+        run(world, 1)
+        start, worked = living(world, client)[0]["energy"], world.motor_work()
+        idle = {**cart("idle"), "brain": {"kind": "sine", "oscillators": [{"motor": "*", "amplitude": 0}]}}
+        world.execute(client, {"type": "spawn_creature", "name": "idle", "genome": idle, "position": [80, 0, 0]})
+        if loose:  # a motor that is no creature's
+            for name, x in (("one", 0), ("two", 1)):
+                world.execute(client, {"type": "spawn_cube", "cube_name": name, "position": [x, 0.5, -90]})
+            motor = {"motor_max_force": 50, "motor_target_velocity": 9}
+            ends = {"cube1": "one", "cube2": "two", "joint_type": "hinge", "axis": [1, 0, 0]}
+            assert world.execute(client, {"type": "create_joint", **ends, **motor})["type"] == "joint_created"
+        run(world, 30)
+        spent = [start - living(world, client)[0]["energy"], 300 - living(world, client)[1]["energy"]]
+        assert spent[1] < 0.1 * spent[0]
+        sums.append((sum(spent), world.motor_work() - worked))
+    assert sums[0][0] == pytest.approx(sums[0][1])
+    assert sums[1][0] == pytest.approx(sums[0][0], rel=1e-3) and sums[1][1] > 1.2 * sums[1][0]
 
 
 def test_who_has_no_energy_left_dies_and_becomes_food() -> None:
@@ -340,6 +376,31 @@ def test_a_recording_holds_what_happened_and_comes_out_again_from_everywhere(tmp
     for first in (45, 120, 230):
         part = replay(tmp_path / "life.mcap", first=first)
         assert part.verdict == "reproduced" and part.frames[0] > first - 41
+
+
+class Liar(Recorder):
+    """A recorder that says of the third meal that it fed more."""
+
+    meals = 0
+
+    def lived(self, frame: int, events: Sequence[Mapping[str, Any]]) -> None:
+        told = [dict(event) for event in events]
+        for event in told:
+            self.meals += event["type"] == "food_eaten"
+            if event["type"] == "food_eaten" and self.meals == 3:
+                event["energy"] += 1
+        super().lived(frame, told)
+
+
+def test_a_recording_that_tells_another_life_diverges_there(tmp_path: Path) -> None:
+    world, _, events = watched(config())
+    liar = world.journal = Liar(tmp_path / "liar.mcap", world)
+    run(world, 100)
+    liar.close()
+    report = replay(tmp_path / "liar.mcap")
+    third = of(events, "food_eaten")[2]["frame"]
+    assert report.verdict == "diverged" and report.divergence is not None
+    assert report.divergence.kind == "life" and f"at frame {third}" in report.divergence.message
 
 
 def test_the_same_start_gives_the_same_last_tick(tmp_path: Path) -> None:
