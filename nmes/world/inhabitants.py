@@ -95,7 +95,10 @@ class Roll:
             for row, creature in enumerate(creatures)
             for name in creature.joints.values()
         }
-        self._owners = np.array([owners.get(number, len(creatures)) for number in self._motors], np.intp)
+        # By number, since a restored world meters them in another order, in which their sum has other bits.
+        self._order = np.argsort(np.array(self._motors, np.intp), kind="stable")
+        numbers = [self._motors[place] for place in self._order.tolist()]
+        self._owners = np.array([owners.get(number, len(creatures)) for number in numbers], np.intp)
 
     @property
     def valid(self) -> bool:
@@ -124,5 +127,6 @@ class Roll:
     def powers(self) -> Array:
         """Returns the power of their motors in the tick that has just ended, array (n,), W."""
         count = len(self.creatures)
-        powers = np.bincount(self._owners, weights=self._entities.meter.powers(), minlength=count + 1)
+        powers = self._entities.meter.powers()[self._order]
+        powers = np.bincount(self._owners, weights=powers, minlength=count + 1)
         return np.asarray(powers[:count], np.float64)

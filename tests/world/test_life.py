@@ -423,6 +423,25 @@ def test_a_restored_ecosystem_goes_on_exactly(frame: int) -> None:
     assert other.snapshot() == world.snapshot()
 
 
+def test_a_restored_ecosystem_adds_the_powers_of_motors_in_the_same_order() -> None:
+    genome = cart()
+    del genome["body"]["joints"][0]["motor"]
+    rules = STILL | {"genomes": [genome], "cost": "power"}
+    world, client, events = watched(config(**rules))
+    run(world, 2)
+    late = f"{of(events, 'creature_born')[0]['creature']}.left.front"
+    params = {"motor_enabled": True, "motor_target_velocity": 7, "motor_max_force": 9}
+    reply = world.execute(client, {"type": "set_joint_params", "joint_name": late, "params": params})
+    assert reply["type"] == "joint_params_set"
+    run(world, 2)
+    other = World(config(**rules))
+    other.restore(world.snapshot())
+    for _ in range(40):
+        world.tick()
+        other.tick()
+        assert other.digest() == world.digest()
+
+
 def test_a_reset_ecosystem_begins_again() -> None:
     world, client, events = watched(config())
     run(world, 60)
