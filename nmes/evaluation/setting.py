@@ -33,7 +33,12 @@ SHIPPED: Final = ShippedDocuments("task", "nmes.evaluation", "tasks")
 MATCHES: Final = ShippedDocuments("task", "nmes.evaluation", "matches")
 """The tasks with roles that ship with the package."""
 _TASK: Final = compile_schema("task.json")
-_OURS = ("name", "seed", "mode", "rate")  # of the world's config: the task, its seeds and the evaluation say these
+# Of the world's config.
+_OURS: Final = {
+    **dict.fromkeys(("name", "seed", "mode", "rate"), "a task does not say this: it is the evaluation's"),
+    "life": "creatures on a task neither starve nor breed: an ecosystem is a world that is served",
+    "roles": "who may do what is for worlds that are served; here nobody comes",
+}
 _TICKS, _STEPS = 100_000, 1_000_000  # ticks and engine steps of an episode: its rows are kept, and somebody waits
 
 
@@ -201,9 +206,9 @@ def _expressions(
 
 
 def _problems(document: JsonObject) -> Iterator[tuple[str, str]]:
-    for name in _OURS:
+    for name, why in _OURS.items():
         if name in document["world"]:
-            yield f"world/{name}", "a task does not say this: it is the evaluation's"
+            yield f"world/{name}", why
     yield from crossed_bounds((f"vary/{name}", value) for name, value in document["vary"].items())
     if document["settle_limit"] < document["settle"]:
         yield "settle_limit", f"expected settle, {document['settle']:g}, or more, got {document['settle_limit']:g}"

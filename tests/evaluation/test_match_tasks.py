@@ -76,6 +76,14 @@ def test_a_task_for_one_creature_must_have_an_objective() -> None:
         Task(document)
 
 
+@pytest.mark.parametrize(("name", "said"), [("life", "neither starve nor breed"), ("roles", "nobody comes")])
+def test_what_is_for_served_worlds_is_no_part_of_a_task(name: str, said: str) -> None:
+    value: dict[str, Any] = {} if name == "life" else {"player": {}}
+    for make in (lambda world: duel(world=world), lambda world: Task({**Task.load("walk").document, "world": world})):
+        with pytest.raises(DocumentError, match=f"world/{name}: .*{said}"):
+            make({name: value})
+
+
 def test_a_role_has_the_limits_of_the_task_but_for_its_own() -> None:
     task = duel(limits={"cubes": 5, "mass": 10}, **roles({"limits": {"mass": 3}}, {}))
     assert (task.roles["red"].limits.cubes, task.roles["red"].limits.mass) == (5, 3)
