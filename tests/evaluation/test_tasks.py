@@ -15,7 +15,7 @@ from click.testing import CliRunner
 from layout import ROOT
 from nmes.cli import main
 from nmes.errors import DocumentError
-from nmes.evaluation import Limits, Task, evaluate, prove
+from nmes.evaluation import Limits, MatchTask, Task, evaluate, prove
 from nmes.evaluation.task import Place
 from nmes.genome import Genome
 from nmes.genome.body import Body, BodyCube
@@ -380,8 +380,8 @@ def test_nmes_tasks_lists_and_shows_tasks(tmp_path: Path) -> None:
     def run(*arguments: str) -> Any:
         return CliRunner().invoke(main, ["tasks", *arguments], env={"COLUMNS": "200"})
 
-    assert [line.split()[0] for line in run().output.splitlines()[1:]] == TEN
-    assert [document["name"] for document in json.loads(run("--json").output)] == TEN
+    assert [line.split()[0] for line in run().output.splitlines()[1:]] == [*TEN, *MatchTask.names()]
+    assert [document["name"] for document in json.loads(run("--json").output)] == [*TEN, *MatchTask.names()]
     shown = run("pole").output
     pole = Task.load("pole")
     for text in (pole.objective.text, *(condition.text for _, condition in pole.ends), "drop 0 to 0.02", pole.hash):
