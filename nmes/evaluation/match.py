@@ -55,11 +55,6 @@ class MatchResult:
     recording: str | None = field(default=None, compare=False)
     wall_seconds: float = field(default=0.0, compare=False)
 
-    @property
-    def void(self) -> bool:
-        """Whether nobody has a score."""
-        return all(result.score is None for result in self.results.values())
-
 
 class Match:
     """One run of several creatures on a task with roles, in a world of their own.
@@ -89,6 +84,7 @@ class Match:
         self._restless: dict[str, str] = {}
         self._referee: Referee | None = None
         self._start = 0  # the frame
+        self._results: dict[str, Result] | None = None
 
     def run(self) -> dict[str, Result]:
         """Runs all of it; returns the result of each role.
@@ -143,6 +139,11 @@ class Match:
 
     def results(self) -> dict[str, Result]:
         """Returns the result of each role, once all steps are done."""
+        if self._results is None:
+            self._results = self._judged()
+        return self._results
+
+    def _judged(self) -> dict[str, Result]:
         if self._referee is None:
             fault = self._world.fault
             assert fault is not None  # or there would be a referee

@@ -152,7 +152,7 @@ class Referee:
         self._count(rows)
 
     def results(self, restless: Mapping[str, str]) -> dict[str, Result]:
-        """Returns how the match came out for each role, once all steps are done.
+        """Returns how the match came out for each role, once: after all steps are done, it ends where it must have.
 
         Args:
             restless: Of the roles whose creatures never came to rest, why.

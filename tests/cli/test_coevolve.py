@@ -45,16 +45,6 @@ def whole(place: Path) -> Path:
     """The folder of a finished run."""
     what = ("--task", place / "duel.json", "--populations", "red,blue")
     begin: tuple[str | Path, ...] = (*what, "--budget", "20", "--seed", "3", *OPTIONS)
-        "--task",
-        place / "duel.json",
-        "--populations",
-        "red,blue",
-        "--budget",
-        "20",
-        "--seed",
-        "3",
-        *OPTIONS,
-    )
     result = nmes(place / "slow.json", place / "fast.json", *begin, "-o", place / "run", "--jobs", "1")
     assert result.exit_code == 0, result.output
     return place / "run"

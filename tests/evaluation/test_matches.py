@@ -167,7 +167,8 @@ def test_who_is_beyond_a_limit_of_its_role_has_lost_and_the_other_has_its_score(
 def test_both_lose_who_are_beyond_a_limit_at_one_tick() -> None:
     task = duel(limits={"energy": 0.0})
     match = play(task, {"red": push(9.0), "blue": push(9.0)}, seeds=[3])[0]
-    assert match.void and {result.ended for result in match.results.values()} == {"red: energy, blue: energy"}
+    assert [result.score for result in match.results.values()] == [None, None]
+    assert {result.ended for result in match.results.values()} == {"red: energy, blue: energy"}
 
 
 @pytest.mark.parametrize("loser", ["red", "blue"])
@@ -177,6 +178,8 @@ def test_who_makes_energy_of_nothing_has_lost(loser: str) -> None:
     other = results["blue" if loser == "red" else "red"]
     assert results[loser].score is None and str(results[loser].fault).startswith("energy: by 0.03 s")
     assert {result.ended for result in results.values()} == {f"{loser}: energy of nothing"}
+    _, match = run_by_hand(duel(vary={}), genomes["red"], genomes["blue"])
+    assert match.results() == match.results() == results
     assert other.score is not None and other.fault is None
 
 
@@ -201,6 +204,7 @@ def test_over_whose_cube_the_engine_fails_has_lost(culprit: str | None, loser: s
             world.handle(client, parse(step))
         else:
             world.drive(client, step.creature, step.controls)
+    assert match.results() == match.results()
     for role, result in match.results().items():
         assert (result.score is None) == (role == loser or loser is None)
         assert str(result.fault).startswith("diverged: it is off") == (result.score is None)

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from math import fsum
 from statistics import stdev
+from typing import Any
 
 import pytest
 
@@ -15,7 +16,7 @@ from nmes.evaluation import MatchTask, Task, evaluate, play
 from nmes.genome import Genome
 from nmes.genome.genome import GenomeLike
 
-STILL = {
+STILL: dict[str, Any] = {
     "format": "nmes-genome/1",
     "name": "block",
     "body": {"cubes": [{"id": "root", "size": [0.4, 0.4, 0.4], "mass": 10, "position": [0, 0.2, 0]}]},
