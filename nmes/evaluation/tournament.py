@@ -167,8 +167,8 @@ class Tournament:
                     progress(before + done, total)
 
             for index, result in play_bouts(pool, bouts, show):
-                if log is not None:
-                    log.write(self._line(left[index], result))
+                if log is not None and result.recording is not None:  # else something failed, and is tried again
+                    log.write(self._line(left[index], result, result.recording))
                     log.flush()
                 self.results[left[index]] = result
                 yield left[index]
@@ -181,10 +181,10 @@ class Tournament:
         hashes = [genome.hash for genome in self._cast(pairing).values()]
         return sha256(orjson.dumps([self.task.hash, hashes, pairing.seed, here])).hexdigest()
 
-    def _line(self, number: int, result: MatchResult) -> bytes:
-        recording = None if result.recording is None else [Path(result.recording).name, digest(result.recording)]
+    def _line(self, number: int, result: MatchResult, recording: str) -> bytes:
         results = {role: asdict(each) for role, each in result.results.items()}
-        line = {"key": self._key(number), "results": results, "recording": recording, "seconds": result.wall_seconds}
+        proof = [Path(recording).name, digest(recording)]
+        line = {"key": self._key(number), "results": results, "recording": proof, "seconds": result.wall_seconds}
         return orjson.dumps(line, option=orjson.OPT_APPEND_NEWLINE)
 
     def _resume(self, log: IO[bytes], folder: Path) -> None:
@@ -214,14 +214,13 @@ class Tournament:
             if [*results] != [*self.task.roles]:
                 raise ValueError("these are other roles")
             key, seconds = str(fields["key"]), float(fields["seconds"])
-            name, expected = fields["recording"] or (None, None)
-            path = None if name is None else folder / Path(name).name
+            name, expected = fields["recording"]
+            path = folder / Path(name).name
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise RunError("log_damaged", f"{where}: not what `nmes tournament` writes") from error
-        if path is not None and not (path.is_file() and digest(path) == expected):
+        if not (path.is_file() and digest(path) == expected):
             return key, None
-        seed = next(iter(results.values())).seed
-        return key, MatchResult(seed, results, None if path is None else str(path), seconds)
+        return key, MatchResult(next(iter(results.values())).seed, results, str(path), seconds)
 
     # -- the table ---------------------------------------------------------------------------------------------------
 

@@ -21,7 +21,7 @@ from nmes.errors import RunError, WorldError
 from nmes.evaluation import prove_match
 from nmes.evaluation.episode import Result
 from nmes.evaluation.match_task import MatchTask
-from nmes.evaluation.parallel import Here, Workers
+from nmes.evaluation.parallel import Here, Lost, Workers
 from nmes.evaluation.ratings import places, rate
 from nmes.evaluation.tournament import LOG, Tournament
 from nmes.genome import Genome
@@ -118,6 +118,26 @@ def test_what_was_stopped_goes_on_from_whatever_is_there(folder: Path) -> None:
     assert len(played(rest, folder / "cup")) == 9
     assert rest.standings() == whole.standings() and rest.results == whole.results
     assert dict(prove_match(folder / "cup" / name).results) in [match.results for match in rest.results.values()]
+
+
+class Loses(Here):
+    """A pool whose process dies over the first thing that it is given."""
+
+    def run(self, function: Any, items: Any) -> Any:
+        """Yields the results, the first of which is lost."""
+        for index, item in enumerate(items):
+            yield index, function(item) if index else Lost("the process that worked on it was killed by SIGKILL")
+
+
+def test_a_match_over_which_a_process_died_is_void_and_played_again_the_next_time(folder: Path) -> None:
+    contest, whole = tournament(), tournament()
+    assert len(list(contest.play(Loses(), folder / "cup"))) == 12
+    assert [each.void for each in contest.standings()].count(1) == 2
+    assert all(result.score is None for result in contest.results[0].results.values())
+    played(whole)
+    again = tournament()
+    assert played(again, folder / "cup") == [0]
+    assert again.results == whole.results
 
 
 def test_a_killed_tournament_goes_on_to_the_same_table(folder: Path) -> None:
