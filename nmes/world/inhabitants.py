@@ -128,5 +128,5 @@ class Roll:
         """Returns the power of their motors in the tick that has just ended, array (n,), W."""
         count = len(self.creatures)
         powers = self._entities.meter.powers()[self._order]
-        powers = np.bincount(self._owners, weights=powers, minlength=count + 1)
-        return np.asarray(powers[:count], np.float64)
+        sums = np.bincount(self._owners, weights=powers, minlength=count + 1)
+        return np.asarray(sums[:count], np.float64)

@@ -43,8 +43,17 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def whole(place: Path) -> Path:
     """The folder of a finished run."""
-    what = ("--task", place / "duel.json", "--populations", "red,blue")
-    begin: tuple[str | Path, ...] = (*what, "--budget", "20", "--seed", "3", *OPTIONS)
+    begin: tuple[str | Path, ...] = (
+        "--task",
+        place / "duel.json",
+        "--populations",
+        "red,blue",
+        "--budget",
+        "20",
+        "--seed",
+        "3",
+        *OPTIONS,
+    )
     result = nmes(place / "slow.json", place / "fast.json", *begin, "-o", place / "run", "--jobs", "1")
     assert result.exit_code == 0, result.output
     return place / "run"
