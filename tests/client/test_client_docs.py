@@ -63,6 +63,8 @@ REFUSED: dict[str, list[dict[str, Any]]] = {
     "nothing_owned": [
         *({"type": kind} for kind in ("apply_physics", "get_cube_state", "get_camera")),
         {"type": "set_objective", "expression": "time"},
+        {"type": "say", "channel": "talk", "value": 1},
+        {"type": "hear", "channel": "talk"},
         {"type": "apply_force", "force": [1, 0, 0]},
         {"type": "compute_reward", "metric": "height"},
     ],
