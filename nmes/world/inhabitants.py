@@ -127,6 +127,6 @@ class Roll:
     def powers(self) -> Array:
         """Returns the power of their motors in the tick that has just ended, array (n,), W."""
         count = len(self.creatures)
-        powers = self._entities.meter.powers()[self._order]
-        sums = np.bincount(self._owners, weights=powers, minlength=count + 1)
+        watts = self._entities.meter.powers()[self._order]
+        sums = np.bincount(self._owners, weights=watts, minlength=count + 1)
         return np.asarray(sums[:count], np.float64)
