@@ -121,7 +121,7 @@ def test_a_sample_of_the_readme_runs_as_written(tmp_path: Path) -> None:
 
 @pytest.mark.long
 @pytest.mark.usefixtures("usual_port")
-@pytest.mark.parametrize(("document", "least"), [("README.md", 17), ("docs/tutorial.md", 14)])
+@pytest.mark.parametrize(("document", "least"), [("README.md", 19), ("docs/tutorial.md", 14)])
 def test_all_lines_run_as_written(document: str, least: int, tmp_path: Path) -> None:
     assert type_all(list(steps(document)), tmp_path) >= least
 
