@@ -43,12 +43,11 @@ def film_run(
         The indices of the candidates that are shown.
 
     Raises:
-        RunError: None has a score (`no_score`), or as `record_candidate`.
+        RunError: None has a score (`no_score`), the task of several populations has not two roles (`no_film`), or as
+            `record_candidate`.
         FilmError, WorldError, MissingPackage: As `film`.
     """
     check_path(path)
-    if not run.elites() or (not run.settings.populations and run.best is None):
-        raise RunError("no_score", f"no candidate of {run.folder} has a score: there is nothing to film")
     with TemporaryDirectory() as folder:
         shots = (_matches if run.settings.populations else _episodes)(run, Path(folder), progress)
         begin = min(shot.begin for shot in shots)
@@ -80,8 +79,15 @@ def _shot(run: Run, candidates: tuple[int, ...], title: str, recording: str, tic
 
 
 def _episodes(run: Run, folder: Path, progress: Callable[[str, int, int], None]) -> list[_Shot]:
-    """Runs those who were the best in their time again."""
-    shown, shots = milestones(History(run.records).champions(), _ERAS), []
+    """Runs those who were the best in their time again.
+
+    Raises:
+        RunError: None has a score (`no_score`), or as `record_candidate`.
+    """
+    champions = History(run.records).champions()
+    if not champions:
+        raise RunError("no_score", f"no candidate of {run.folder} has a score: there is nothing to film")
+    shown, shots = milestones(champions, _ERAS), []
     for done, row in enumerate(shown, start=1):
         again = record_candidate(run, row.index, folder, run.settings.seeds[:1])
         title = f"score {number(row.score)}, #{row.index}, generation {row.generation}"
@@ -94,7 +100,7 @@ def _matches(run: Run, folder: Path, progress: Callable[[str, int, int], None]) 
     """Has the champions of some eras play each other.
 
     Raises:
-        RunError: The task has not two roles (`no_film`).
+        RunError: The task has not two roles (`no_film`), or in no era has each population a champion (`no_score`).
     """
     task = run.settings.task
     if not isinstance(task, MatchTask) or len(task.roles) != 2:
@@ -106,13 +112,15 @@ def _matches(run: Run, folder: Path, progress: Callable[[str, int, int], None]) 
         pairs = [(champion, halls[0][-1]) for champion in halls[0]]
     else:
         pairs = [(one, other) for one in halls[0] for other in halls[1] if one.era == other.era]
+    if not pairs:
+        raise RunError("no_score", f"{run.folder} has no era with a champion of each population: nobody to film")
     shown, shots = evenly(pairs, _ERAS), []
     for done, (one, other) in enumerate(shown, start=1):
         meeting = meet(run, one.record, other.record, folder)
         assert meeting.recording is not None
-        title = f"era {one.era}: {one.record.group} #{one.record.index} {number(meeting.scores[0])}, "
-        title += f"{other.record.group} #{other.record.index} {number(meeting.scores[1])}"
+        scored = zip((one.record, other.record), meeting.scores, strict=True)
+        players = ", ".join(f"{each.group} #{each.index} ({number(score)})" for each, score in scored)
         indices = one.record.index, other.record.index
-        shots.append(_shot(run, indices, title, meeting.recording, meeting.ticks))
+        shots.append(_shot(run, indices, f"era {one.era}: {players}", meeting.recording, meeting.ticks))
         progress("having champions meet", done, len(shown))
     return shots

@@ -81,7 +81,8 @@ def _draw_populations(
         return
     yield era_curves(summary.history.rows, halls, int(run.settings.options["era"]), f"score on {task.name}")
     if isinstance(task, MatchTask) and len(task.roles) == 2 and len(halls) == len(run.settings.populations):
-        (one, first), (other, second) = [(role, evenly(hall, _ERAS)) for role, hall in (*halls.items(),) * 2][:2]
+        (one, first), *others = [(role, evenly(hall, _ERAS)) for role, hall in halls.items()]
+        other, second = others[0] if others else (one, first)
         meetings = meet_all(run, first, second, partial(progress, "having champions meet"))
         scores = {pair: meeting.scores[0] for pair, meeting in meetings.items()}
         yield ancestors_map(f"eras-{one}", (one, first), (other, second), scores)

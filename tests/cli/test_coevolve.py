@@ -188,3 +188,19 @@ def test_a_film_shows_the_champions_of_an_era_against_each_other(whole: Path, tm
     shown = [eldest[1], eldest[0], eldest[3], eldest[2]]
     assert result.exit_code == 0 and f"candidates {', '.join(map(str, shown))}" in result.stdout, result.output
     assert (tmp_path / "film.png").stat().st_size > 1000
+
+
+def test_a_population_without_a_score_is_neither_drawn_nor_filmed(whole: Path, tmp_path: Path) -> None:
+    shutil.copytree(whole, tmp_path / "run")
+
+    def fail(records: list[dict[str, Any]]) -> None:
+        for record in records[1::2]:
+            record.update(score=None, results=[], error="it would not")
+
+    forge(tmp_path / "run", fail)
+    shown = nmes("show", tmp_path / "run", "-o", tmp_path / "page.html")
+    page = (tmp_path / "page.html").read_text()
+    assert shown.exit_code == 0 and "Where the champion of red comes from" in page and "champion of blue" not in page
+    assert "Champions of red against" not in page
+    film = nmes("film", tmp_path / "run", "-o", tmp_path / "film.png")
+    assert film.exit_code == 1 and "nobody to film" in film.output and not (tmp_path / "film.png").exists()
