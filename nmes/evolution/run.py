@@ -171,7 +171,7 @@ class Run:
         if not entry.opponents:
             return None
         lineups = tuple(tuple(map(self._opponent, lineup)) for lineup in entry.opponents)
-        return Rivals(entry.candidate.group, lineups)
+        return Rivals(self.records[index].group, lineups)
 
     def _opponent(self, index: int) -> Genome:
         """Returns the genome of somebody's opponent: founders may be met before they are told."""
