@@ -1,0 +1,44 @@
+"""The creatures that evolved and ship: recordings prove that they are better at their tasks than any made by hand."""
+
+from __future__ import annotations
+
+import re
+from math import fsum
+
+import pytest
+
+from layout import ROOT
+from nmes.errors import ProofError
+from nmes.evaluation import prove
+from nmes.genome import Genome
+
+FOLDER = ROOT / "replays" / "champions"
+ROW = re.compile(r"^\| `(\w+)` \| `([\w-]+)` \| ([\d.]+) m \| `(\w+)`, ([\d.]+) m \|$", re.MULTILINE)
+ROWS = ROW.findall((FOLDER / "README.md").read_text())
+
+
+def test_each_has_a_recording_for_every_seed_of_its_task() -> None:
+    files = [path.name for path in FOLDER.glob("*.mcap")]
+    assert len(ROWS) == 4 and len(files) == 3 * len(ROWS)
+    for name, task, *_ in ROWS:
+        assert sum(re.match(rf"{name}-\w+-{task}-\w+-[123]\.mcap", file) is not None for file in files) == 3
+
+
+@pytest.mark.parametrize(("name", "task", "score", "other", "others"), ROWS)
+def test_its_recordings_prove_the_score_of_the_genome_that_ships(
+    name: str, task: str, score: str, other: str, others: str
+) -> None:
+    scores = []
+    for path in sorted(FOLDER.glob(f"{name}-*.mcap")):
+        try:
+            proof = prove(path)
+        except ProofError as error:
+            if error.code == "not_comparable":  # on a machine that computes otherwise
+                pytest.skip(error.message)
+            raise
+        assert proof.genome.hash == Genome.load(name).hash and proof.task.name == task
+        assert proof.result.score is not None
+        scores.append(proof.result.score)
+    decimals = len(score.partition(".")[2])
+    assert round(fsum(scores) / len(scores), decimals) == float(score) > float(others)
+    assert other in Genome.names()
