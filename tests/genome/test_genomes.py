@@ -294,7 +294,7 @@ def test_a_sheet_has_room_for_long_and_strange_names() -> None:
 
 def test_the_examples_of_the_page_work() -> None:
     page = (ROOT / "docs" / "genomes.md").read_text()
-    whole, sensors, body = re.findall(r"^```json\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
+    whole, sensors, talk, config, body = re.findall(r"^```json\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
     hopper = Genome.parse(whole.encode())
     assert [motor.id for motor in hopper.body.motors] == list(hopper.brain().outputs) == ["leg"]
     head = {"format": "nmes-genome/1", "name": "grown"}
@@ -305,6 +305,9 @@ def test_the_examples_of_the_page_work() -> None:
     assert [sensor.id for sensor in readings] == [
         "leg.position", "torso.up.x", "torso.up.y", "torso.up.z", "foot.touch", "tilt",
     ]  # fmt: skip
+    talker = Genome({**hopper.document, **json.loads(f"{{{talk}}}")}).body
+    assert [voice.id for voice in talker.voices] == ["say.alarm", "east", "say.map.2"] and len(talker.sensors) == 2
+    assert {voice.channel for voice in talker.voices} == World(json.loads(config)).channels.channels.keys()
     (code,) = re.findall(r"^```python\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
     names_of_the_code: dict[str, Any] = {}
     exec(compile(code, "docs/genomes.md", "exec"), names_of_the_code)
