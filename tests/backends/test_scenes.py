@@ -376,7 +376,7 @@ def test_an_engine_is_not_asked_for_scenery_that_it_lacks(backend: str, scene: R
 
 @pytest.mark.parametrize("block", re.findall(r"```json\n(.*?)```", DOCUMENT, flags=re.DOTALL))
 def test_the_documented_scenes_are_worlds(block: str, tmp_path: Path) -> None:
-    config = json.loads(block)
+    config = {"scene": {}, **json.loads(block)}
     if config["scene"].get("type") == "arena" and not ARENAS:
         pytest.skip("what makes arenas has no wheels for this Python")
     if config["scene"].get("heightfield", {}).pop("image_file", None):

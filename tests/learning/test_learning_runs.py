@@ -353,6 +353,7 @@ def test_a_state_is_read_as_it_was_written() -> None:
 # -- settings ---------------------------------------------------------------------------------------------------------
 
 BOXES = {"cubes": [{"id": "one", "size": [1, 1, 1], "mass": 1, "position": [0, 0.5, 0]}]}
+AIMLESS = {"format": "nmes-task/1", "name": "aimless", "description": "Nothing.", "duration": 1, "seeds": [1]}
 STILL = {"format": "nmes-genome/1", "name": "still", "body": BOXES}
 
 
@@ -367,7 +368,7 @@ STILL = {"format": "nmes-genome/1", "name": "still", "body": BOXES}
         ({"genome": STILL}, "'still' has no motors: there is nothing to learn"),
         ({"genome": "nobody"}, "genome: there is no genome 'nobody'"),
         ({"task": "nothing"}, "task: there is no task 'nothing'"),
-        ({"task": {"format": "nmes-task/1", "name": "aimless", "duration": 1}}, "task/objective: is missing"),
+        ({"task": AIMLESS}, "task/objective: is missing"),
         ({"genome": "centipede", "task": {**Task.load("walk").document, "limits": {"cubes": 1}}}, "may not take part"),
         ({"reward": "velocity.q"}, "reward: "),
         ({"reward": 'cube("tail").height'}, "there is no cube 'tail'"),

@@ -32,6 +32,7 @@ from nmes.schemas.documents import parse_json
 from nmes.server import Host
 from nmes.server.connection import Connection
 from nmes.server.hosted_world import HostedWorld
+from nmes.server.keys import Keys
 from servers import PASSWORD
 
 # -- framing ----------------------------------------------------------------------------------------------------------
@@ -166,7 +167,7 @@ def errors_overtake(patch: MonkeyPatch) -> None:
 @defect("2.6:prefix")
 def a_part_of_the_password(patch: MonkeyPatch) -> None:
     """It lets in who knows the beginning of the password."""
-    patch.setattr(Host, "accepts", lambda host, password: password != "" and PASSWORD.startswith(password))
+    patch.setattr(Keys, "accepts", lambda keys, password: password != "" and PASSWORD.startswith(password))
 
 
 @defect("2.5", "3.3", auth_delay=0.0)

@@ -130,7 +130,7 @@ REFUSED = {"spawn_cube": "cube_exists", "spawn_creature": "creature_exists", "gi
 
 @pytest.mark.parametrize("command", EXAMPLES, ids=[sent["type"] for sent in EXAMPLES])
 def test_the_examples_of_a_command_are_answered_by_its_own_reply(command: Reply) -> None:
-    drive = Driver(channels={"alarm": {}})
+    drive = Driver(channels={"alarm": {}}, life={})
     for number, name in enumerate(NAMED):
         drive.spawn(cube_name=name, position=[5 + 3 * number, 2, 0])
     for kind in ("spawn_cube", "spawn_creature", "set_objective"):

@@ -32,7 +32,7 @@ def there_or_not(t: Trial, kind: str) -> None:
     command = COMMANDS[kind].schema["examples"][0] if joint else valid(t, wire, kind)
     reply = wire.ask({**command, **HARMLESS.get(kind, {})})
     # With a field it is that value which the engine lacks, such as a genome with hinges, and not the command.
-    absent = reply["type"] == "error" and reply["code"] in ABSENT and "field" not in reply
+    absent = reply["type"] == "error" and reply["code"] in ABSENT and reply.get("field", "type") == "type"
     if reply["type"] == "creature_spawned":
         for name in reply["cubes"].values():
             t.adopt(name)
