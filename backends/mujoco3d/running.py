@@ -397,4 +397,19 @@ class RunningModel:
             if len(bad):
                 body = self.compiled.body_number[int(owner[bad[0]])]
                 raise SimulationFault("diverged", f"the engine diverged: {quantity} out of bounds", body)
-        raise SimulationFault("diverged", "the engine diverged")
+        raise SimulationFault("diverged", "the engine diverged", self._blamed())
+
+    def _blamed(self) -> int | None:
+        """Returns the body over whose coordinates MuJoCo has warned, and then put everything back to the beginning."""
+        model, warned = self.model, self.data.warning
+        for warning, owners in (
+            (
+                _WARNINGS.mjWARN_BADQPOS,
+                model.jnt_bodyid[np.searchsorted(model.jnt_qposadr, np.arange(model.nq), "right") - 1],
+            ),
+            (_WARNINGS.mjWARN_BADQVEL, model.dof_bodyid),
+            (_WARNINGS.mjWARN_BADQACC, model.dof_bodyid),
+        ):
+            if warned.number[warning]:
+                return self.compiled.body_number[int(owners[warned.lastinfo[warning]])]
+        return None

@@ -262,6 +262,11 @@ class MujocoSimulation(Simulation):
             apply_edits(self.running, self.structure, self._scene, self.body_state)
         self.running.step(substeps, self._wrenches)
 
+    def recover(self) -> bool:
+        """Forgets that a step failed; the state is the one before it already."""
+        self.running.data.warning.number[:] = 0
+        return True
+
     def digest(self) -> bytes:
         """Returns the digest over MuJoCo's integration state, sleep, structure, and edits not yet taken up."""
         running, structure, wrenches = self.running, self.structure, self._wrenches

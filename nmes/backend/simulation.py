@@ -260,8 +260,19 @@ class Simulation(ABC):
 
         Raises:
             SimulationFault: The engine cannot go on (`diverged`, `contact_overflow`, ...). The simulation must
-                then be closed; nothing else may be asked of it but `states` and `body_state` as of before.
+                then be closed, or made fit again by `recover`; nothing else may be asked of it but `states` and
+                `body_state` as of before.
         """
+
+    def recover(self) -> bool:
+        """Makes a simulation whose step failed fit to go on, from the state before that step.
+
+        What made it fail is still there: whoever goes on takes it away before the next step.
+
+        Returns:
+            Whether it is fit; False, with nothing changed, where the engine cannot.
+        """
+        return False
 
     @abstractmethod
     def digest(self) -> bytes:

@@ -445,7 +445,7 @@ class CreatureDied(TypedDict):
     type: Literal["creature_died"]
     frame: int
     creature: str
-    cause: Literal["starved", "old", "gone"]
+    cause: Literal["starved", "old", "gone", "diverged"]
     generation: int
     species: int
     meals: int

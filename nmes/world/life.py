@@ -156,13 +156,32 @@ class Life:
             if not starved and frame - each.born < oldest:
                 continue
             creature = self._creatures.find(each.name)
-            cubes = [self._entities.cube(name) for name in creature.cubes.values()]
-            x, _, z = self._entities.simulation.body_state(cubes[0].body).position
-            for cube in cubes:
-                self._entities.despawn(cube)
+            x, _, z = self._middle(creature)
+            self._take_apart(creature)
             if carrion:
                 self.food.put(self._entities.terrain.surface(x, z), carrion * creature.body.mass)
             yield self._leave(each.name, frame, "starved" if starved else "old")
+
+    def lose(self, body: int, frame: int) -> list[JsonObject]:
+        """Takes away the creature that the engine cannot follow.
+
+        Args:
+            body: The number in the engine of the cube over which it failed.
+            frame: Of the tick that failed.
+
+        Returns:
+            What happened, as events; none, and nothing has changed, where the cube is no living creature's.
+        """
+        for name in self._living:
+            creature = self._creatures.get(name)
+            if creature is not None and body in creature.bodies:
+                self._take_apart(creature)
+                return [self._leave(name, frame, "diverged")]
+        return []
+
+    def _take_apart(self, creature: Creature) -> None:
+        for name in creature.cubes.values():
+            self._entities.despawn(self._entities.cube(name))
 
     def _leave(self, name: str, frame: int, cause: str) -> JsonObject:
         gone = self._living.pop(name)

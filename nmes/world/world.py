@@ -252,16 +252,15 @@ class World(WorldQueries):
         """Advances by one tick of `1 / tick_rate` s. Does nothing in a faulted world."""
         if self.fault is not None:
             return
-        simulation = self.entities.simulation
         try:
             self.all_creatures.act()
-            simulation.step(self._substeps)
+            lost = self._advance()
             self._built = self.entities.edits
             self.entities.moments += 1
             self.entities.meter.tick()
             self._clients.measure(self.entities)
             self.channels.tick()
-            events = () if self.life is None else self.life.tick(self.frame + 1)
+            events = lost if self.life is None else [*lost, *self.life.tick(self.frame + 1)]
             digest = b"" if self.journal is None else self.digest()  # nobody else is told
         except Exception as error:
             self._engine_failed(error)
@@ -280,6 +279,28 @@ class World(WorldQueries):
             self._clients.tick(self.emit, self.frame, self.entities)
         if self._past + self.frame >= self._keyframes.due and not self._stepping:
             self._keep_keyframe()
+
+    def _advance(self) -> list[JsonObject]:
+        """Takes the engine's steps of a tick; returns what happened on the way, as events.
+
+        In an ecosystem, which goes on for long, a creature that the engine cannot follow dies of it; without it the tick
+        begins anew.
+
+        Raises:
+            SimulationFault: The engine cannot go on.
+        """
+        simulation, events = self.entities.simulation, list[JsonObject]()
+        while True:
+            try:
+                simulation.step(self._substeps)
+                return events
+            except SimulationFault as fault:
+                if self.life is None or fault.body is None or not simulation.recover():
+                    raise
+                lost = self.life.lose(fault.body, self.frame + 1)
+                if not lost:
+                    raise
+                events += lost
 
     def step(self, ticks: int) -> None:
         """Ticks within a command, and calls `between` after each tick.

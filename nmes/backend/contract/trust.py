@@ -184,6 +184,36 @@ class TrustChecks(Checks):
             reference.step(SUBSTEPS)
         assert other.digest() == reference.digest()
 
+    def test_goes_on_without_what_made_it_fault(self) -> None:
+        """Where it can recover, a world goes on from the state before, exactly, once the body is taken away."""
+        saved = "snapshot" in self.backend.capabilities
+        sim, again = self.mixed(), self.mixed()
+        for each in (sim, again):
+            for push in (1e15, 1e30, 1e60):
+                each.apply(1, ZERO, ZERO, (push, push, 0.0), ZERO)
+                try:
+                    for _ in range(10):
+                        each.step(SUBSTEPS)
+                except SimulationFault:
+                    break
+            if not each.recover():
+                raise unittest.SkipTest("does not recover")
+            before = each.states([0, 2])
+            each.remove_body(1)
+            assert np.array_equal(each.states([0, 2]), before), "does not show the state before the fault"
+        for _ in range(30):
+            sim.step(SUBSTEPS)
+            again.step(SUBSTEPS)
+        assert sim.digest() == again.digest(), "goes on in two ways"
+        assert np.isfinite(sim.states([0, 2])).all()
+        if saved:
+            restored = self.mixed()
+            restored.restore(sim.snapshot())
+            for each in (sim, restored):
+                for _ in range(30):
+                    each.step(SUBSTEPS)
+            assert restored.digest() == sim.digest(), "saved and restored, it has another future"
+
     def test_releases_what_it_holds(self) -> None:
         """Worlds that come and go leave no memory, files or threads behind."""
         status = Path("/proc/self")
