@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
@@ -16,11 +17,11 @@ from nmes.cli._output import whole_file
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.errors import DocumentError, NmesError, visible
 from nmes.evaluation.leaderboard import Leaderboard
+from nmes.evaluation.match_task import MatchTask, load_task
 from nmes.evaluation.task import Task
 
 if TYPE_CHECKING:
-    from nmes.evaluation import Proof
-    from nmes.evaluation.leaderboard_entry import Entry, Verdict
+    from nmes.evaluation.leaderboard_entry import AnyProof, Entry, Verdict
     from nmes.evaluation.leaderboard_pack import Pack
 
 __all__ = ["command"]
@@ -76,9 +77,9 @@ def tasks(file: Path, allow: tuple[str, ...], as_json: bool) -> None:
         click.echo("\n".join(columns([(visible(name), visible(digest)) for name, digest in listed])))
 
 
-def _task(name: str) -> Task:
+def _task(name: str) -> Task | MatchTask:
     try:
-        return Task.load(name)
+        return load_task(name)
     except DocumentError as error:
         raise click.BadParameter(f"{visible(name)}:\n{error.message}", param_hint="--allow") from error
 
@@ -92,10 +93,11 @@ def _task(name: str) -> Task:
 def add(file: Path, recordings: tuple[str, ...], as_json: bool) -> None:
     """List what recordings prove.
 
-    The recordings are those that `nmes eval --record` left, one for each seed of the task. They are replayed and scored
-    here, with the brain run beside them: one in which anything comes out otherwise is refused, with the first frame
-    at which it does. The author is whom the genome names; who has signed all of the recordings (nmes sign) is shown
-    beside it, and from then on nobody else is listed under that name. FILE is made if it is not there.
+    The recordings are those that `nmes eval --record` left, one for each seed of the task; of a task with roles, those
+    of all matches of the same creatures. They are replayed and scored here, the brains run beside them: one in which
+    anything comes out otherwise is refused, with the first frame at which it does. The author is whom the genome names;
+    who has signed all of the recordings (nmes sign) is shown beside it, and from then on nobody else is listed under
+    that name. FILE is made if it is not there.
 
     Exit status: 0 all are listed, 1 one was refused, 2 wrong usage, 3 none was refused, but one does not come out the
     same on this machine.
@@ -105,14 +107,14 @@ def add(file: Path, recordings: tuple[str, ...], as_json: bool) -> None:
     \b
         nmes leaderboard add board.sqlite proofs/*.mcap
     """
-    from nmes.evaluation import prove  # here and below: what only some of the subcommands need takes long to load
+    from nmes.evaluation.leaderboard_entry import group, proved
 
     listing = _Listing(_open(file, create=True), as_json)
-    groups: dict[tuple[str, str], list[Proof]] = {}
+    groups: dict[tuple[str, ...], list[AnyProof]] = {}
     for path in recordings:
         try:
-            proof = prove(path, brain=True)
-            groups.setdefault((proof.task.hash, proof.genome.hash), []).append(proof)
+            proof = proved(path)
+            groups.setdefault(group(proof), []).append(proof)
         except (NmesError, OSError) as error:
             listing.refuse(error)
     for proofs in groups.values():
@@ -138,11 +140,11 @@ class _Listing:
         self._refusals.append(error.code if isinstance(error, NmesError) else "")
         click.echo(f"refused: {visible(str(error))}", err=True)
 
-    def add(self, proofs: list[Proof]) -> None:
+    def add(self, proofs: Sequence[AnyProof]) -> None:
         """Lists what proofs prove."""
         entry = self.board.add(proofs)
         self.entries.append(entry)
-        self.say(f"listed: {entry.name} ({entry.genome_hash[:16]}), task {entry.task}, score {entry.score:.6g}")
+        self.say(f"listed: {entry.title} ({entry.genome_hash[:16]}), task {entry.task}, score {entry.score:.6g}")
 
     def say(self, line: str) -> None:
         """Says something that is not for JSON."""
@@ -221,11 +223,11 @@ def import_entries(file: Path, packed: Path, allow: bool, as_json: bool) -> None
 
 def _import(listing: _Listing, packed: Pack, recordings: tuple[str, ...], allow: bool) -> None:
     """Lists one entry of a packed leaderboard, if it holds."""
-    from nmes.evaluation import prove
+    from nmes.evaluation.leaderboard_entry import proved
 
     with TemporaryDirectory() as folder:
         try:
-            proofs = [prove(path, brain=True) for path in packed.extract(recordings, Path(folder))]
+            proofs = [proved(path) for path in packed.extract(recordings, Path(folder))]
             if allow:
                 listing.board.allow(proofs[0].task)
             listing.add(proofs)
@@ -263,13 +265,44 @@ def show(file: Path, task: str | None, top: int | None, broken: bool, as_json: b
         click.echo("\n".join(_lines(entries, units)))
 
 
+@command.command()
+@click.argument("file", metavar="FILE", type=_FILE)
+@click.option("--task", metavar="T", help="Only of this task.")
+@click.option("--json", "as_json", is_flag=True, help="Print the ratings as JSON.")
+def ratings(file: Path, task: str | None, as_json: bool) -> None:
+    """Rate the creatures that have met: who won how often, and the skill that this shows.
+
+    It is about the matches of all entries on tasks with roles in which somebody can be better than another. Ratings are
+    as of `nmes tournament`, which has everybody play everybody: here only listed matches count.
+
+    For example:
+
+    \b
+        nmes leaderboard ratings board.sqlite --task sumo
+    """
+    from nmes.evaluation.leaderboard_ratings import rated
+
+    found = rated(_open(file).entries(task=task))
+    if as_json:
+        print_json([each.to_json() for each in found])
+        return
+    rows: list[tuple[str, ...]] = [("task", "", "creature", "beyond doubt", "skill", "matches", "won", "drawn", "lost")]
+    rank, of = 0, ""
+    for each in found:
+        rank, of = (rank + 1 if each.task_hash == of else 1), each.task_hash
+        told = (f"{each.rating.sure:.2f}", f"{each.rating.skill:.2f} ± {each.rating.doubt:.2f}")
+        counts = (str(count) for count in (each.matches, each.wins, each.draws, each.losses))
+        rows.append((visible(f"{each.task} {of[:16]}"), str(rank), visible(each.name), *told, *counts))
+    click.echo("\n".join(columns(rows, right=(1, 3, 4, 5, 6, 7, 8))))
+
+
 def _lines(entries: list[Entry], units: dict[str, str]) -> list[str]:
     """Lays the entries out in columns."""
     rows = [("task", "", "score", "", "spread", "genome", "hash", "author", "recording", "recorded")]
     rank, of = 0, ""
     for entry in entries:
         rank, of = (rank + 1 if entry.task_hash == of else 1), entry.task_hash
-        name = entry.name if entry.broken is None else f"{entry.name} (broken: {entry.broken})"
+        name = entry.title if entry.broken is None else f"{entry.title} (broken: {entry.broken})"
         rows.append(
             (
                 visible(f"{entry.task_title} {of[:16]}"),

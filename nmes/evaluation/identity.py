@@ -142,22 +142,17 @@ def _rounded(value: Any) -> Any:
 
 
 @cache
-def shipped_task(name: str) -> Task:
-    """Returns the shipped task of a name, of which there must be one."""
+def shipped_task(name: str) -> Task | MatchTask:
+    """Returns the shipped task of a name, of which there must be one, with roles or without."""
     # Not Task.load, to which a file of that name comes first.
-    return Task(parse_document((files(SHIPPED.package) / SHIPPED.folder / f"{name}.json").read_bytes()))
+    place = MATCHES if name in MATCHES.names() else SHIPPED
+    document = parse_document((files(place.package) / place.folder / f"{name}.json").read_bytes())
+    return MatchTask(document) if place is MATCHES else Task(document)
 
 
 def shipped_hash(task: str) -> str | None:
     """Returns the hash of the task of that name that ships with the package, with roles or without; None: none does."""
-    if task in MATCHES.names():
-        return _shipped_match(task).hash
-    return shipped_task(task).hash if task in Task.names() else None
-
-
-@cache
-def _shipped_match(name: str) -> MatchTask:
-    return MatchTask(parse_document((files(MATCHES.package) / MATCHES.folder / f"{name}.json").read_bytes()))
+    return shipped_task(task).hash if task in (*Task.names(), *MATCHES.names()) else None
 
 
 def borrows_name(task: str, task_hash: str) -> bool:

@@ -5,10 +5,10 @@ the SHA-256 of its content, a signature beside it.
 
 Invariants:
 
-- An entry is made from `Proof`s alone: one recording a seed of the task, each replayed on this machine and scored from
-  its log. All that it says follows from them.
-- The file lists the tasks that it takes, by their hashes. One entry a task and creature: a copy by another name is no
-  other creature.
+- An entry is made from proofs alone: one recording a seed of the task, or of a task with roles one for each match of
+  the same creatures, each replayed on this machine and scored from its log. All that it says follows from them.
+- The file lists the tasks that it takes, by their hashes. One entry a task and creature, or group of creatures: a copy
+  by another name is no other creature.
 - An author's name belongs to the first key that signed under it.
 - A recording that an entry stands on is never written to. An entry that is marked as broken is not listed.
 - What is in the file may be of anybody: rows are read one by one, and a file of other tables is refused.
@@ -31,20 +31,20 @@ import orjson
 
 from nmes.errors import LeaderboardError, NmesError
 from nmes.evaluation.identity import author_forms, borrows_name, shipped_hash, shipped_task
-from nmes.evaluation.leaderboard_entry import COLUMNS, Entry, Verdict, examine, facts, read_row
+from nmes.evaluation.leaderboard_entry import COLUMNS, Entry, Verdict, examine, facts, read_row, told
+from nmes.evaluation.match_task import MatchTask
 from nmes.evaluation.parallel import Lost, in_processes
-from nmes.evaluation.proof import recorded_episode, recorded_genome
+from nmes.evaluation.setting import MATCHES
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
-from nmes.recording import Recording
 from nmes.recording.signing import SUFFIX
 
 if TYPE_CHECKING:
-    from nmes.evaluation.proof import Proof
+    from nmes.evaluation.leaderboard_entry import AnyProof
 
 __all__ = ["Leaderboard"]
 
-_VERSION = 3
+_VERSION = 4
 _KIND = 0x4E4D4553  # "NMES": the file's application_id
 _TABLES = (
     "CREATE TABLE tasks (hash TEXT PRIMARY KEY, name TEXT NOT NULL) STRICT",
@@ -59,6 +59,7 @@ _TABLES = (
     key TEXT NOT NULL,
     score REAL NOT NULL,
     spread REAL NOT NULL,
+    players TEXT NOT NULL,
     recordings TEXT NOT NULL,
     recorded TEXT NOT NULL,
     broken TEXT,
@@ -106,7 +107,8 @@ class Leaderboard:
             raise LeaderboardError("no_leaderboard", f"{self.path} is {what}")
         elif version != _VERSION:
             what = f"{self.path} is a leaderboard of format {version}, not {_VERSION}"
-            raise LeaderboardError("no_leaderboard", f"{what}: make a new one of its recordings")
+            again = f"list them anew: nmes leaderboard add NEW {self.recordings}/*.mcap"
+            raise LeaderboardError("no_leaderboard", f"{what}. Its recordings prove its entries still: {again}")
         elif tables != _own_tables():
             raise LeaderboardError("no_leaderboard", f"{self.path} is a leaderboard with tables of somebody else")
 
@@ -123,7 +125,7 @@ class Leaderboard:
                 return  # another process has made it meanwhile
             for table in _TABLES:
                 self._db.execute(table)
-            shipped = [(shipped_hash(name), name) for name in Task.names()]
+            shipped = [(shipped_hash(name), name) for name in (*Task.names(), *MATCHES.names())]
             self._db.executemany("INSERT INTO tasks VALUES (?, ?)", shipped)
             self._db.execute(f"PRAGMA application_id = {_KIND}")
             self._db.execute(f"PRAGMA user_version = {_VERSION}")
@@ -134,7 +136,7 @@ class Leaderboard:
 
     # -- tasks -------------------------------------------------------------------------------------------------------
 
-    def allow(self, task: Task) -> None:
+    def allow(self, task: Task | MatchTask) -> None:
         """Takes entries on a task from now on.
 
         Raises:
@@ -158,14 +160,15 @@ class Leaderboard:
 
     # -- entries -----------------------------------------------------------------------------------------------------
 
-    def add(self, proofs: Sequence[Proof]) -> Entry:
+    def add(self, proofs: Sequence[AnyProof]) -> Entry:
         """Lists the score that recordings prove, and keeps copies of them and of their signatures.
 
         Args:
-            proofs: Of one genome on one task: one for each of its seeds, in any order.
+            proofs: Of one genome on one task: one for each of its seeds, in any order. Of a task with roles: of the
+                same genomes, one for each match of each of its seeds.
 
         Raises:
-            LeaderboardError: They are of several genomes or tasks, or not one a seed (`incomplete`); an episode has
+            LeaderboardError: They are of several genomes or tasks, or not all (`incomplete`); an episode has
                 no score (`no_score`); the task is none that is taken (`task_not_taken`); the creature is listed for
                 this task already (`already_listed`); the author's name belongs to another key (`author_taken`); a file
                 is not the one that was proved any more (`changed`).
@@ -194,13 +197,14 @@ class Leaderboard:
         others = self.entries(broken=True)
         for other in others:
             if (other.task_hash, other.creature_hash) == (task_hash, row["creature_hash"]):
-                what = f"this creature is listed for the task {task} already: {other.name!r} by {other.signed_author!r}"
+                these = "these creatures are" if other.players else "this creature is"
+                what = f"{these} listed for the task {task} already: {other.name!r} by {other.signed_author!r}"
                 raise LeaderboardError("already_listed", what)
         taken = _taken(row["author"], row["key"], _owners(other for other in others if other.broken is None))
         if taken is not None:
             raise LeaderboardError("author_taken", taken)
 
-    def _keep(self, proof: Proof) -> None:
+    def _keep(self, proof: AnyProof) -> None:
         copy = self.recording(proof.recording_hash)
         part = copy.with_suffix(f".{secrets.token_hex(8)}")
         try:
@@ -234,17 +238,18 @@ class Leaderboard:
         groups = groupby(found, key=lambda entry: (entry.task, entry.task_hash))
         return [entry for _, group in groups for entry in list(group)[:top]]
 
-    def genome(self, entry: Entry) -> Genome:
-        """Returns an entry's genome, as the first of its recordings has it.
+    def genomes(self, entry: Entry) -> tuple[Genome, ...]:
+        """Returns an entry's genome, as the first of its recordings has it; of several creatures those of all roles.
 
         Raises:
-            LeaderboardError: It is another one's (`changed`).
-            RecordingError, ProofError, DocumentError: It cannot be read.
+            LeaderboardError: They are others (`changed`).
+            RecordingError, ProofError, DocumentError: They cannot be read.
         """
-        genome = recorded_genome(self.recording(entry.recordings[0]))
-        if genome.hash != entry.genome_hash:
-            raise LeaderboardError("changed", f"the recordings of {entry.name!r} are of another genome")
-        return genome
+        genomes = told(self.recording(entry.recordings[0]))[1]
+        listed = [player.genome_hash for player in entry.players] or [entry.genome_hash]
+        if sorted(genome.hash for genome in genomes) != sorted(listed):
+            raise LeaderboardError("changed", f"the recordings of {entry.name!r} are of other genomes")
+        return genomes
 
     def units(self, entries: Iterable[Entry]) -> dict[str, str]:
         """Returns the units of scores by the hashes of the tasks of some entries.
@@ -262,7 +267,7 @@ class Leaderboard:
         if entry.task_hash == shipped_hash(entry.task):
             return shipped_task(entry.task).unit
         try:
-            task = recorded_episode(Recording(self.recording(entry.recordings[0])))[0]
+            task = told(self.recording(entry.recordings[0]))[0]
         except NmesError:
             return ""
         return task.unit if task.hash == entry.task_hash else ""

@@ -40,7 +40,6 @@ __all__ = [
     "follow",
     "prove",
     "recorded_episode",
-    "recorded_genome",
     "retrace",
     "scores_so_far",
 ]
@@ -107,15 +106,6 @@ def digest(recording: str | os.PathLike[str]) -> str:
     """Returns the SHA-256 of a file, hexadecimal."""
     with open(recording, "rb") as file:
         return file_digest(file, "sha256").hexdigest()
-
-
-def recorded_genome(recording: str | os.PathLike[str]) -> Genome:
-    """Returns the creature that a recording says it is of; nothing is run.
-
-    Raises:
-        RecordingError, ProofError, DocumentError: As by `prove`.
-    """
-    return recorded_episode(Recording(recording))[1]
 
 
 def closed(source: Recording) -> str:

@@ -10,7 +10,7 @@ import base64
 import io
 import os
 import shlex
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from hashlib import file_digest
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,9 +20,9 @@ from PIL import Image
 
 from nmes.errors import LeaderboardError, NmesError, WorldError
 from nmes.evaluation.leaderboard import Leaderboard
-from nmes.evaluation.leaderboard_entry import Entry
-from nmes.evaluation.proof import recorded_episode
-from nmes.evaluation.task import Task
+from nmes.evaluation.leaderboard_entry import Entry, told
+from nmes.evaluation.setting import Setting
+from nmes.genome import Genome
 from nmes.genome.preview import render_body
 from nmes.recording import Recording
 from nmes.view.chart import text
@@ -121,7 +121,7 @@ class _Card:
 
     def __init__(self, board: Leaderboard, entry: Entry, rank: int) -> None:
         self._board, self._entry, self._rank = board, entry, rank
-        self._task: Task | None = None
+        self._task: Setting | None = None
         self._picture = ""
         try:
             self._draw()
@@ -136,12 +136,12 @@ class _Card:
             if file_digest(file, "sha256").hexdigest() != self._entry.recordings[0]:
                 raise LeaderboardError("changed", f"{path.name} is not the recording that was listed")
         recording = Recording(path)
-        genome = self._board.genome(self._entry)
-        self._task = recorded_episode(recording)[0]
+        genomes = self._board.genomes(self._entry)
+        self._task = told(path)[0]
         moving = _film(recording, self._task) if self._rank == 1 else None
         if moving is None:
             still = io.BytesIO()
-            Image.fromarray(render_body(genome.body, *_SIZE)).quantize(_COLORS).save(still, "PNG", optimize=True)
+            _drawn(genomes).quantize(_COLORS).save(still, "PNG", optimize=True)
             self._picture = self._image("png", still.getvalue())
         else:
             self._picture = self._image("gif", moving)
@@ -176,17 +176,30 @@ class _Card:
         score = f"{entry.score:.6g}{text(self._unit)}<small>± {entry.spread:.3g}</small>"
         return (
             f'<li>{self._picture}<div><span class="score">{score}</span>'
-            f"<b>{self._rank}. {text(entry.name)}</b>{by}<br><small>{hashes}<br>recorded {text(entry.recorded[:10])}"
+            f"<b>{self._rank}. {text(entry.title)}</b>{by}<br><small>{hashes}<br>recorded {text(entry.recorded[:10])}"
             f"<br>proofs: {proofs}</small></div></li>\n"
         )
 
     def _seed(self, place: int) -> str:
         """Returns the seed of a recording, as a link is called."""
         seeds = () if self._task is None else self._task.seeds
-        return f"seed {seeds[place]}" if place < len(seeds) else f"recording {place + 1}"
+        each = max(len(self._entry.recordings) // max(len(seeds), 1), 1)  # of matches, from how many sides
+        if place >= each * len(seeds):
+            return f"recording {place + 1}"
+        return f"seed {seeds[place // each]}" + (f", side {place % each + 1}" if each > 1 else "")
 
 
-def _film(recording: Recording, task: Task) -> bytes | None:
+def _drawn(genomes: Sequence[Genome]) -> Image.Image:
+    """Returns a picture of creatures, side by side."""
+    width, height = _SIZE
+    picture = Image.new("RGB", _SIZE)
+    for place, genome in enumerate(genomes):
+        left, right = width * place // len(genomes), width * (place + 1) // len(genomes)
+        picture.paste(Image.fromarray(render_body(genome.body, right - left, height)), (left, 0))
+    return picture
+
+
+def _film(recording: Recording, task: Setting) -> bytes | None:
     """Returns the first seconds of an episode as a GIF; None where this machine cannot draw."""
     with TemporaryDirectory() as folder:
         path, begin = Path(folder, "film.gif"), task.settle_ticks / task.tick_rate

@@ -283,8 +283,8 @@ class World(WorldQueries):
     def _advance(self) -> list[JsonObject]:
         """Takes the engine's steps of a tick; returns what happened on the way, as events.
 
-        In an ecosystem, which goes on for long, a creature that the engine cannot follow dies of it; without it the tick
-        begins anew.
+        In an ecosystem, which goes on for long, a creature that the engine cannot follow dies of it; without it the
+        tick begins anew.
 
         Raises:
             SimulationFault: The engine cannot go on.

@@ -236,7 +236,7 @@ def test_ten_thousand_entries_are_shown_whole(board: Path) -> None:
         database.execute(
             "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 10000)"
             " INSERT INTO entries SELECT NULL, task, task_hash, name || i, genome_hash, printf('%064x', i), author,"
-            " key, score - i, spread, recordings, recorded, NULL FROM entries, n WHERE name = 'wave'"
+            " key, score - i, spread, players, recordings, recorded, NULL FROM entries, n WHERE name = 'wave'"
         )
     database.close()
     began = time.perf_counter()

@@ -125,7 +125,7 @@ def test_an_author_with_two_keys_holds_with_the_first(tmp_path: Path, dash: Path
             with closing(sqlite3.connect(board)) as database, database:
                 database.execute("ATTACH ? AS other", (str(path),))
                 row = "task, task_hash, name, genome_hash, creature_hash, author, key, score, spread"
-                row += ", recordings, recorded"
+                row += ", players, recordings, recorded"
                 database.execute(f"INSERT INTO entries ({row}) SELECT {row} FROM other.entries")
     status, found = verdicts(board, "--write")
     assert status == 1 and found["mine"] == ("holds", "")

@@ -23,7 +23,9 @@ from nmes.errors import BackendNotFound, MissingPackage, ProofError, RecordingEr
 from nmes.evaluation import Task, leaderboard, leaderboard_entry, prove
 from nmes.evaluation.identity import creature_hash
 from nmes.evaluation.leaderboard import Leaderboard
+from nmes.evaluation.match_task import MatchTask
 from nmes.evaluation.parallel import Lost
+from nmes.evaluation.setting import MATCHES
 from nmes.genome import Genome
 from recordings import rewrite
 
@@ -182,7 +184,7 @@ def test_a_damaged_database_gives_no_traceback(tmp_path: Path, dash: Path) -> No
     board, page = tmp_path / "board.sqlite", tmp_path / "board.html"
     assert run("tasks", board, "--allow", dash).exit_code == 0
     hashes = "printf('%064x', i), printf('%064x', i)"
-    row = f"NULL, 'dash', '{{0}}', 'wave', {hashes}, 'Ada', '', i, 0.5, '[\"{{0}}\"]', '', NULL"
+    row = f"NULL, 'dash', '{{0}}', 'wave', {hashes}, 'Ada', '', i, 0.5, '[]', '[\"{{0}}\"]', '', NULL"
     numbers = "WITH RECURSIVE n(i) AS (SELECT 1 UNION ALL SELECT i + 1 FROM n WHERE i < 12)"
     edit(board, f"{numbers} INSERT INTO entries SELECT {row.format(Task(DASH).hash)} FROM n")
     whole = board.read_bytes()
@@ -200,7 +202,9 @@ def test_a_damaged_database_gives_no_traceback(tmp_path: Path, dash: Path) -> No
 
 
 def test_two_rows_of_one_creature_are_not_both_held(board: Path) -> None:
-    columns = "task, task_hash, name, genome_hash, creature_hash, author, key, score, spread, recordings, recorded"
+    columns = (
+        "task, task_hash, name, genome_hash, creature_hash, author, key, score, spread, players, recordings, recorded"
+    )
     index = "SELECT type, name, tbl_name, rootpage, sql FROM sqlite_schema WHERE name = 'sqlite_autoindex_entries_1'"
     with sqlite3.connect(board) as database:  # takes the index away, adds a row, and puts the index back
         (kept,) = database.execute(index).fetchall()
@@ -525,7 +529,8 @@ def test_a_board_takes_the_tasks_that_ship_and_those_it_is_told_to(
     refused = run("add", board, *proofs)
     assert refused.exit_code == 1 and "does not take the task dash" in refused.stderr
     listed = json.loads(run("tasks", board, "--json").stdout)
-    assert listed == [{"name": name, "hash": Task.load(name).hash} for name in Task.names()]
+    shipped = [*map(Task.load, Task.names()), *map(MatchTask.load, MATCHES.names())]
+    assert listed == sorted(({"name": each.name, "hash": each.hash} for each in shipped), key=lambda each: each["name"])
     assert run("tasks", board, "--allow", dash).exit_code == 0
     assert ["dash", Task(DASH).hash] in [line.split() for line in run("tasks", board).stdout.splitlines()]
     assert run("add", board, *proofs).exit_code == 0
