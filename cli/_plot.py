@@ -171,5 +171,5 @@ def _svg(title: str, panels: Sequence[Curves | Bars]) -> Iterator[str]:
         top += panel.height + GAP - 22
     for part in range(6):
         x = LEFT + width * part / 5
-        yield f'<text x="{x:.1f}" y="{top}" text-anchor="middle">{end * part / 5:.3g} s</text>'
+        yield f'<text x="{x:.1f}" y="{top}" text-anchor="middle">{end * part / 5:,.5g} s</text>'
     yield "</g></svg>"

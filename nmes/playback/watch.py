@@ -15,7 +15,7 @@ from nmes.backend import Array
 from nmes.playback.inputs import apply_input, recorded_inputs, walk
 from nmes.playback.report import departure
 from nmes.playback.restore import make_world
-from nmes.recording import Kind, Recording
+from nmes.recording import Kind, Recording, Start
 from nmes.world import World
 from nmes.world.journal import Journal
 
@@ -40,7 +40,9 @@ class States(NamedTuple):
     values: Array
 
 
-def watch(recording: Recording, look: Callable[[World], _Sight], *, keep_going: bool = False) -> Iterator[_Sight]:
+def watch(
+    recording: Recording, look: Callable[[World], _Sight], *, keep_going: bool = False, start: Start | None = None
+) -> Iterator[_Sight]:
     """Runs a recording again and yields the result of a look at the world after each tick.
 
     Args:
@@ -48,6 +50,7 @@ def watch(recording: Recording, look: Callable[[World], _Sight], *, keep_going: 
         look: Called after each tick. It may ask the world for anything that does not change it, and has to copy what
             it keeps. After a `reset`, frames begin at 1 again.
         keep_going: Go on where a tick does not come out as it was recorded, as on another machine.
+        start: From where on, from `Recording.start`; None: from the beginning.
 
     Raises:
         RecordingError: The file cannot be read, or a tick does not come out as recorded (`diverged`, or
@@ -55,9 +58,9 @@ def watch(recording: Recording, look: Callable[[World], _Sight], *, keep_going: 
         BackendNotFound: Its engine is not there.
     """
     watcher = _Watcher(recording, look)
-    world = watcher.world = make_world(recording, recording.start(), watcher)
+    world = watcher.world = make_world(recording, start or recording.start(), watcher)
     try:
-        for recorded in recorded_inputs(walk(recording)):
+        for recorded in recorded_inputs(walk(recording, start)):
             record = recorded.record
             match record.kind:
                 case Kind.TICKS:

@@ -149,8 +149,8 @@ def _choose(recording: Recording, cut: Cut, step: float, progress: Callable[[int
     last: Moment | None = None
     ticks, rate = recording.summary().ticks, recording.config["tick_rate"]
     total = ticks if cut.end is None else min(ticks, ceil(cut.end * rate))
-    for tick, moment in enumerate(moments(recording), start=1):
-        progress(tick, total)
+    for moment in moments(recording, cut.begin):
+        progress(round(moment.time * rate), total)
         while moment.time > cut.begin + len(cut_moments) * step + _ROUNDING:
             cut_moments.append(last or moment)
         last = moment

@@ -41,11 +41,15 @@ class Moment(NamedTuple):
     food: tuple[Vector, ...] = ()
 
 
-def moments(recording: Recording) -> Iterator[Moment]:
-    """Yields the cubes of a recording's world after each tick.
+def moments(recording: Recording, begin: float = 0.0) -> Iterator[Moment]:
+    """Yields the cubes of a recording's world after each tick, from a time on or from some time before.
 
     Where it comes out the same, the recording is run again; elsewhere its recorded poses are shown, and what lies
-    between two of them is drawn between them.
+    between two of them is drawn between them. What is run again begins at the last keyframe before.
+
+    Args:
+        recording: The recording.
+        begin: The time of the first moment that is wanted, s since the recording began.
 
     Raises:
         RecordingError: A tick does not come out as recorded (`diverged`).
@@ -53,10 +57,10 @@ def moments(recording: Recording) -> Iterator[Moment]:
     """
     differences = fingerprint_differences(recording.config["backend"], recording.fingerprint)
     elsewhere = bool(differences) and replay(recording).verdict != "reproduced"
-    return _recorded(recording) if elsewhere else _run_again(recording)
+    return _recorded(recording) if elsewhere else _run_again(recording, begin)
 
 
-def _run_again(recording: Recording) -> Iterator[Moment]:
+def _run_again(recording: Recording, begin: float) -> Iterator[Moment]:
     """Yields the cubes of the world in which the recording is run again."""
     rate, version, shapes = recording.config["tick_rate"], -1, dict[str, Shape]()
 
@@ -69,7 +73,9 @@ def _run_again(recording: Recording) -> Iterator[Moment]:
         food = tuple((x, y, z) for x, y, z in world.entities.food.tolist())
         return world.seed, shapes, world.poses()[1][:, :7], targets, food
 
-    for tick, cubes in enumerate(watch(recording, look), start=1):
+    first = recording.start().frame
+    start = recording.start(max(min(first + int(begin * rate), recording.last_frame) - 1, first))
+    for tick, cubes in enumerate(watch(recording, look, start=start), start=start.frame - first + 1):
         yield Moment(tick / rate, *cubes)
 
 

@@ -18,6 +18,7 @@ from nmes.cli import main
 from nmes.errors import FilmError, WorldError
 from nmes.evaluation import Evaluation, Task, evaluate
 from nmes.genome import Genome
+from nmes.playback.fork import fork
 from nmes.recording import Recorder, Recording
 from nmes.view.caption import Caption
 from nmes.view.film import Cut, film
@@ -170,6 +171,24 @@ def test_a_film_may_be_faster_and_a_part(recording: Recording, tmp_path: Path) -
     assert len(frames(path)) == 6
     with pytest.raises(FilmError, match=r"ends at 2\.00 s"):
         film([recording], path, Cut(begin=3))
+
+
+def test_moments_from_a_time_on_are_the_same_and_begin_at_a_keyframe(tmp_path: Path) -> None:
+    """Whoever wants a second of an hour does not wait for the hour; also where the recording goes on from another."""
+    whole = Recording(record(tmp_path / "whole.mcap", throw, {**CONFIG, "keyframes": 0.25}))
+    world = World(whole.config)
+    recorder = fork(whole, world, tmp_path / "later.mcap", 40)
+    for _ in range(60):
+        world.tick()
+    recorder.close()
+    for recording in (whole, Recording(tmp_path / "later.mcap")):
+        every = [(moment.time, moment.poses.tobytes()) for moment in moments(recording)]
+        for begin in (0.0, 0.01, 0.25, 0.26, 0.5, every[-1][0], 9.0):
+            part = [(moment.time, moment.poses.tobytes()) for moment in moments(recording, begin)]
+            assert part == every[len(every) - len(part) :] and part
+            assert part[0][0] <= max(begin, every[0][0])
+            if begin > 1.3 or recording is not whole:  # a command of 60 ticks has no keyframe within
+                assert part[0][0] > min(begin, every[-1][0]) - 0.3
 
 
 def test_several_recordings_are_filmed_side_by_side(recording: Recording, tmp_path: Path) -> None:
