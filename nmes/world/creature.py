@@ -1,8 +1,8 @@
 """Creatures: bodies of genomes that live in a world, driven and sensed as a whole.
 
-Hides which cubes and joints of the world a creature is, how controls become targets of motors, and how readings become
-the values of sensors. A creature is nothing but its cubes and joints: whoever moves, pushes or retunes those by their
-own names does it to the creature; when one of them is taken away, it is a creature no more, and what is left stays.
+Hides which cubes and joints of the world a creature is, and how controls become targets of motors. A creature is
+nothing but its cubes and joints: whoever moves, pushes or retunes those by their own names does it to the creature;
+when one of them is taken away, it is a creature no more, and what is left stays.
 
 Invariants: `spawn` makes all of a body or changes nothing; `drive` does what `set_joint_param` of each motor's target
 would, in order; `sense` changes nothing; creatures are in order of creation.
@@ -11,35 +11,30 @@ would, in order; `sense` changes nothing; creatures are in order of creation.
 from __future__ import annotations
 
 from collections.abc import Hashable
-from math import inf, sqrt
 from typing import Any
 
 import numpy as np
 import orjson
 
 from nmes import protocol
-from nmes.backend import Array, BodyState, Quaternion, StaticBox, Vector
+from nmes.backend import Array, StaticBox, Vector
 from nmes.backend.arrays import ArrayLike
-from nmes.backend.rotation import conjugate, minus, plus, rotate
+from nmes.backend.rotation import minus, plus
 from nmes.errors import WorldError
 from nmes.genome import Genome
 from nmes.genome.body import Body, BodyCube, BodyJoint, Motor, Sensor
-from nmes.genome.sensors import OF_FOOD, OF_OTHERS, READING_OF, TURNING, CubeReading, Read
 from nmes.protocol import Request
 from nmes.schemas.documents import JsonObject
 from nmes.world import joint_params
 from nmes.world.channels import Channels
 from nmes.world.entities import Cube, Entities, Joint
-from nmes.world.food import nearest
 from nmes.world.mind import Mind, require_mind
 from nmes.world.nearby import Nearby
+from nmes.world.senses import Senses, Surroundings
 
-__all__ = ["Creature", "Creatures", "aim"]
+__all__ = ["Creature", "Creatures"]
 
 _NAME_LENGTH = 128
-_HERE = 1e-9  # m; nearer than this a target is in no direction
-_STILL: Vector = (0.0, 0.0, 0.0)
-_UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
 
 
 class Creature:
@@ -55,6 +50,7 @@ class Creature:
         motors: In the order of controls.
         sensors: In the order of values.
         controls: What it was driven with last, shape (m + v,); None until it is driven, or since it was restored.
+        senses: What its sensors read.
         mind: Its brain, where the world runs it; None where a client drives it.
     """
 
@@ -71,7 +67,7 @@ class Creature:
         mind: Mind | None = None,
     ) -> None:
         self._entities, self._simulation = entities, entities.simulation
-        self._nearby, self._channels = others, channels
+        self._channels = channels
         self.name, self.genome, self.body = name, genome, (body := genome.body)
         self.target, self.mind = target, mind
         self.motors: tuple[Motor, ...] = body.motors
@@ -97,7 +93,7 @@ class Creature:
         self._params: list[Any] = []
         self._drive_head = protocol.encode({"type": "drive", "creature": name, "controls": []}).removesuffix(b"[]}")
         self._driven_reply = protocol.encode({"type": "driven", "creature": name})
-        self._plan_senses()
+        self.senses = Senses(body, cubes, joints, Surroundings(entities, others, channels, target, self.bodies))
 
     @property
     def plan(self) -> Hashable:
@@ -177,155 +173,12 @@ class Creature:
         self._targets = [(joint.params, field) for joint, field in zip(self._driven, self._fields, strict=True)]
         self._tuned = self._entities.tuned
 
-    # -- sensors --------------------------------------------------------------------------------------------------
-
-    def _plan_senses(self) -> None:
-        """Finds where each sensor's value comes from: a column of a joint's readings, or a reading of a cube."""
-        sensors = self.sensors
-        on_joints = [(row, sensor) for row, sensor in enumerate(sensors) if sensor.of == "joint"]
-        parts = list(dict.fromkeys(sensor.target for _, sensor in on_joints))
-        self._read = tuple(self._joints[part].number for part in parts)
-        self._joint_rows = _rows([row for row, _ in on_joints]) if on_joints else []
-        column = ("position", "velocity", "effort").index
-        self._picked = np.array([3 * parts.index(s.target) + column(s.type) for _, s in on_joints], np.intp)
-        self._scale = np.array([self._joint_scale(sensor) for _, sensor in on_joints])
-        felt: dict[tuple[str, CubeReading], list[tuple[int, int]]] = {}
-        aimed: dict[str, list[tuple[int, int]]] = {}
-        smelled: dict[str, list[tuple[int, int]]] = {}
-        seen: dict[tuple[str, float], list[tuple[int, int]]] = {}
-        ears: dict[tuple[str, str], list[tuple[int, int]]] = {}
-        touched = []
-        for row, sensor in enumerate(sensors):
-            if sensor.of == "cube" and sensor.type == "touch":
-                touched.append((row, self._cubes[sensor.target].body))
-            elif sensor.of == "cube":
-                axis = 0 if sensor.axis is None else "xyz".index(sensor.axis)
-                reading = READING_OF.get(sensor.type)
-                if sensor.channel is not None:
-                    ears.setdefault((sensor.target, sensor.channel), []).append((row, sensor.number - 1))
-                elif sensor.type in OF_OTHERS:
-                    reach = inf if sensor.range is None else sensor.range
-                    seen.setdefault((sensor.target, reach), []).append((row, _AIMED[sensor.type] + axis))
-                elif reading is None:
-                    of = smelled if sensor.type in OF_FOOD else aimed
-                    of.setdefault(sensor.target, []).append((row, _AIMED[sensor.type] + axis))
-                else:
-                    felt.setdefault((sensor.target, reading), []).append((row, reading.first(sensor.type) + axis))
-        self._felt: list[tuple[Read, int, slice | list[int], list[int] | None]] = []
-        for (part, reading), wanted in felt.items():
-            picked = [number for _, number in wanted]
-            everything = picked == list(range(reading.count))  # as where a document names no sensors
-            rows = _rows([row for row, _ in wanted])
-            self._felt.append((reading.read, self._cubes[part].body, rows, None if everything else picked))
-        self._aimed, self._smelled = (
-            [
-                (self._cubes[part].body, _rows([row for row, _ in wanted]), [number for _, number in wanted])
-                for part, wanted in parts.items()
-            ]
-            for parts in (aimed, smelled)
-        )
-        self._seen: list[tuple[int, float, slice | list[int], list[int]]] = [
-            (self._cubes[part].body, reach, _rows([row for row, _ in wanted]), [number for _, number in wanted])
-            for (part, reach), wanted in seen.items()
-        ]
-        self._ears: list[tuple[int, str, slice | list[int], list[int]]] = [
-            (self._cubes[part].body, channel, _rows([row for row, _ in wanted]), [number for _, number in wanted])
-            for (part, channel), wanted in ears.items()
-        ]
-        self._touch_rows = [row for row, _ in touched]
-        self._touch_bodies = [body for _, body in touched]
-
-    def _joint_scale(self, sensor: Sensor) -> float:
-        joint = next(joint for joint in self.body.joints if joint.id == sensor.target)
-        if sensor.type == "effort":
-            assert joint.motor is not None
-            return 1.0 / joint.motor.max_effort if joint.motor.max_effort > 0.0 else 0.0
-        return TURNING if sensor.type == "velocity" and joint.kind == "hinge" else 1.0
-
     def sense(self) -> Array:
         """Returns the sensors' values now: a new array, shape (s,), in the order of `sensors`.
 
         Units are those of `schemas/genome.json`.
         """
-        out = np.empty(len(self.sensors))
-        simulation = self._simulation
-        if self._read:
-            out[self._joint_rows] = simulation.joint_readings(self._read).take(self._picked) * self._scale
-        for read, body, rows, picked in self._felt:
-            felt = read(simulation.body_state(body))
-            out[rows] = felt if picked is None else [felt[i] for i in picked]
-        if self._touch_bodies:
-            out[self._touch_rows] = simulation.touching(self._touch_bodies)
-        if self._aimed:
-            self._sense_target(out)
-        if self._seen:
-            self._sense_others(out)
-        if self._ears:
-            self._sense_voices(out)
-        if self._smelled:
-            self._sense_food(out)
-        return out
-
-    def _sense_food(self, out: Array) -> None:
-        places = self._entities.food
-        for body, rows, picked in self._smelled:
-            state = self._simulation.body_state(body)
-            found = nearest(places, state.position)
-            if found is None:
-                out[rows] = 0.0
-            else:
-                x, y, z = places[found[0]].tolist()
-                smelled = aim(state, (x, y, z), _STILL)
-                out[rows] = [smelled[i] for i in picked]
-
-    def _sense_voices(self, out: Array) -> None:
-        for body, channel, rows, picked in self._ears:
-            values = self._channels.nearest(channel, self._simulation.body_state(body).position, self.bodies)
-            out[rows] = 0.0 if values is None else [values[number] for number in picked]
-
-    def _sense_others(self, out: Array) -> None:
-        for body, reach, rows, picked in self._seen:
-            state = self._simulation.body_state(body)
-            other = self._nearby.nearest(state.position, reach, (self.root,))
-            if other is None:
-                out[rows] = 0.0
-            else:
-                seen = aim(state, other.position, other.velocity)
-                out[rows] = [seen[i] for i in picked]
-
-    def _sense_target(self, out: Array) -> None:
-        target, simulation = self.target, self._simulation
-        place: Vector | None = None
-        motion = _STILL
-        if isinstance(target, str):
-            cube = self._entities.cubes.get(target)
-            if cube is not None:
-                state = simulation.body_state(cube.body)
-                place, motion = state.position, state.linear_velocity
-        else:
-            place = target
-        for body, rows, picked in self._aimed:
-            if place is None:
-                out[rows] = 0.0
-            else:
-                seen = aim(simulation.body_state(body), place, motion)
-                out[rows] = [seen[i] for i in picked]
-
-
-# The place of the first number of each type of sensor in what `aim` returns.
-_PLACES = {"direction": 0, "distance": 3, "velocity": 4}
-_AIMED = {f"{whose}_{what}": at for whose in ("target", "other", "food") for what, at in _PLACES.items()}
-
-
-def aim(state: BodyState, place: Vector, motion: Vector) -> tuple[float, ...]:
-    """Returns where a target is from a cube, how far, and how it moves past it, directions being the cube's own."""
-    back = conjugate(state.quaternion)
-    (x, y, z), (vx, vy, vz) = state.position, state.linear_velocity
-    dx, dy, dz = place[0] - x, place[1] - y, place[2] - z
-    distance = sqrt(dx * dx + dy * dy + dz * dz)
-    part = 1.0 / distance if distance > _HERE else 0.0
-    direction = rotate(back, (dx * part, dy * part, dz * part))
-    return (*direction, distance, *rotate(back, (motion[0] - vx, motion[1] - vy, motion[2] - vz)))
+        return self.senses.read()
 
 
 def _by_channel(body: Body, channels: Channels) -> list[tuple[str, int, list[tuple[int, int]]]]:
@@ -339,12 +192,6 @@ def _by_channel(body: Body, channels: Channels) -> list[tuple[str, int, list[tup
         for name, channel in channels.channels.items()
         if (said := [(voice.number - 1, place) for place, voice in places if voice.channel == name])
     ]
-
-
-def _rows(rows: list[int]) -> slice | list[int]:
-    """Returns a slice where rows follow one another: it is written to faster."""
-    first, last = rows[0], rows[0] + len(rows)
-    return slice(first, last) if rows == list(range(first, last)) else rows
 
 
 class Creatures:

@@ -10,7 +10,8 @@ from collections.abc import Callable
 import numpy as np
 
 from nmes.backend import Array, BodyState, Places, Quaternion, Rows, RowsTrack, Vector
-from nmes.world.creature import Creature, aim
+from nmes.world.creature import Creature
+from nmes.world.senses import aim
 
 __all__ = ["CreatureRows"]
 
@@ -30,12 +31,16 @@ class CreatureRows:
         self._rows, self._plan = rows, plan
         shape = rows.count, len(plan.motors)
         self._low, self._half = np.zeros(shape), np.zeros(shape)
-        self._scale = np.zeros((rows.count, len(plan._scale)))
+        self._scale = np.zeros((rows.count, len(plan.senses.joint_scale)))
         self._targets: list[BodyState | int | None] = [None] * rows.count
 
     def put(self, place: int, creature: Creature) -> None:
         """Takes a creature whose scene was put into a place of the rows."""
-        self._low[place], self._half[place], self._scale[place] = creature._low, creature._half, creature._scale
+        self._low[place], self._half[place], self._scale[place] = (
+            creature._low,
+            creature._half,
+            creature.senses.joint_scale,
+        )
         target = creature.target
         if isinstance(target, str):
             cube = creature._entities.cubes.get(target)
@@ -79,28 +84,28 @@ class CreatureRows:
         Args:
             body_state: Returns what `Rows.body_state` would, for whoever knows it already.
         """
-        plan, rows = self._plan, self._rows
+        plan, rows = self._plan.senses, self._rows
         body_state = body_state or rows.body_state
-        out = np.empty((rows.count, len(plan.sensors)))
-        if plan._read:
-            readings = rows.joint_readings(plan._read).reshape(rows.count, -1)
-            out[:, plan._joint_rows] = readings[:, plan._picked] * self._scale
-        for read, body, columns, picked in plan._felt:
+        out = np.empty((rows.count, len(self._plan.sensors)))
+        if plan.joint_numbers:
+            readings = rows.joint_readings(plan.joint_numbers).reshape(rows.count, -1)
+            out[:, plan.joint_rows] = readings[:, plan.joint_columns] * self._scale
+        for read, body, columns, picked in plan.felt:
             felt = read(body_state(body))
             out[:, columns] = np.array(felt if picked is None else [felt[i] for i in picked]).T
-        if plan._touch_bodies:
-            out[:, plan._touch_rows] = rows.touching(plan._touch_bodies)
-        if plan._aimed:
+        if plan.touch_bodies:
+            out[:, plan.touch_rows] = rows.touching(plan.touch_bodies)
+        if plan.aimed:
             self._sense_targets(out)
-        for _, _, columns, _ in (*plan._seen, *plan._ears):
+        for _, _, columns, _ in (*plan.seen, *plan.ears):
             out[:, columns] = 0.0  # each is alone in its scene
-        for _, columns, _ in plan._smelled:
+        for _, columns, _ in plan.smelled:
             out[:, columns] = 0.0  # where nothing grows
         return out
 
     def _sense_targets(self, out: Array) -> None:
         cubes = {target: self._states(target) for target in self._targets if isinstance(target, int)}
-        for body, columns, picked in self._plan._aimed:
+        for body, columns, picked in self._plan.senses.aimed:
             for place, (state, target) in enumerate(zip(self._states(body), self._targets, strict=True)):
                 if target is None:
                     out[place, columns] = 0.0
