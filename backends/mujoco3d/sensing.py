@@ -16,7 +16,7 @@ from collections.abc import Container, Iterable, Sequence
 import mujoco
 import numpy as np
 
-from nmes.backend import Array, Contact, Vector
+from nmes.backend import Array, Contact, Hit, Vector
 from nmes.backend.rotation import total
 from nmes.backends.mujoco3d.model import CompiledModel
 from nmes.backends.mujoco3d.scenery import Scenery
@@ -220,10 +220,14 @@ class Senses:
         # MuJoCo takes its own gravity off, but knows nothing of the planets'.
         return (x - gx, y - gy, z - gz) if self._scenery.attracts else (x, y, z)
 
-    def ranges(self, exclude: int, origin: Vector, directions: Array, limit: float) -> list[float | None]:
-        """Returns the distances to the surfaces of other bodies; poses must be those of the coordinates."""
+    def hits(self, exclude: int, origin: Vector, directions: Array, limit: float) -> list[Hit | None]:
+        """Returns the first surfaces of other bodies along rays; poses must be those of the coordinates."""
         # One ray at a time: MuJoCo 3.17's `mj_multiRay` loses the ground's plane far from the origin.
         model, data, start = self._model, self._data, np.array(origin)
         geom = np.empty(1, np.int32)
-        reaches = [mujoco.mj_ray(model, data, start, way, None, True, exclude, geom) for way in directions]
-        return [reach if 0.0 <= reach <= limit else None for reach in reaches]
+        hits: list[Hit | None] = []
+        for way in directions:
+            reach = mujoco.mj_ray(model, data, start, way, None, True, exclude, geom)
+            near = 0.0 <= reach <= limit
+            hits.append(Hit(reach, self._numbers.get(self._owners[int(geom[0])])) if near else None)
+        return hits

@@ -21,6 +21,7 @@ from nmes.backend import (
     BodyState,
     CameraSpec,
     Contact,
+    Hit,
     Image,
     JointParams,
     JointSpec,
@@ -233,11 +234,11 @@ class MujocoSimulation(Simulation):
         ]
         return np.array(rows).reshape(-1, 3)
 
-    def ranges(self, body: int, directions: Array, limit: float) -> list[float | None]:
-        """Returns the distances from the body's centre along rays."""
+    def hits(self, body: int, directions: Array, limit: float) -> list[Hit | None]:
+        """Returns the first surfaces along rays from the body's centre."""
         self.running.refresh()
         index = self.running.compiled.body_index.get(body, -1)
-        return self.running.senses.ranges(index, self.body_state(body).position, directions, limit)
+        return self.running.senses.hits(index, self.body_state(body).position, directions, limit)
 
     def draw(self, camera: CameraSpec, colors: Mapping[int, tuple[float, float, float, float]]) -> Image:
         """Returns a picture, drawn from copies."""

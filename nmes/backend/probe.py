@@ -134,7 +134,8 @@ def _readings(
         yield simulation.proper_accelerations(bodies)
     if "sensors.range" in backend.capabilities:
         ways = np.array([(0.6, -0.8, 0.0), (-0.8, -0.6, 0.0)])
-        yield [-1.0 if way is None else way for body in bodies[:3] for way in simulation.ranges(body, ways, 20.0)]
+        hits = [hit for body in bodies[:3] for hit in simulation.hits(body, ways, 20.0)]
+        yield [-1.0 if hit is None else hit.distance for hit in hits]
 
 
 # -- what moves -------------------------------------------------------------------------------------------------------

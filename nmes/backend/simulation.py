@@ -23,6 +23,7 @@ from nmes.backend.specs import (
     BodyState,
     CameraSpec,
     Contact,
+    Hit,
     Image,
     JointParams,
     JointSpec,
@@ -208,8 +209,8 @@ class Simulation(ABC):
         """
         raise NotImplementedError
 
-    def ranges(self, body: int, directions: Array, limit: float) -> list[float | None]:
-        """Returns the distances from a body's centre to the first surface in each direction, but not its own.
+    def hits(self, body: int, directions: Array, limit: float) -> list[Hit | None]:
+        """Returns the first surface along each ray from a body's centre that is not its own.
 
         Other bodies are where they were after the last step, edits since then unseen. A surface that the ray leaves
         through counts too. Only with capability `sensors.range`.

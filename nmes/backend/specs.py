@@ -260,6 +260,13 @@ class Contact(NamedTuple):  # a tuple, since a body has many and a dataclass tak
     force: float
 
 
+class Hit(NamedTuple):
+    """What a ray meets first: how far away, m, and which body; None for the ground and scenery."""
+
+    distance: float
+    other: int | None
+
+
 @dataclass(frozen=True, slots=True)
 class CameraSpec:
     """A view of the scene.

@@ -130,7 +130,8 @@ def ranges(entities: Entities, cube: Cube, rays: list[list[float]], limit: float
         directions.append(rotate(quaternion, unit))
     if not directions:
         return []
-    return entities.simulation.ranges(cube.body, np.array(directions).reshape(-1, 3), limit)
+    hits = entities.simulation.hits(cube.body, np.array(directions).reshape(-1, 3), limit)
+    return [None if hit is None else hit.distance for hit in hits]
 
 
 def camera(entities: Entities, cube: Cube, command: JsonObject) -> JsonObject:

@@ -46,7 +46,7 @@ def test_a_probe_asks_for_nothing_that_is_not_promised(monkeypatch: pytest.Monke
         def create(self, scene: SceneSpec) -> BallisticSimulation:
             assert not (scene.boxes or scene.planets or scene.heightfield or scene.arena or scene.options)
             simulation = super().create(scene)
-            for name in ("add_joint", "contacts", "ranges", "proper_accelerations", "snapshot", "draw"):
+            for name in ("add_joint", "contacts", "hits", "proper_accelerations", "snapshot", "draw"):
                 monkeypatch.setattr(type(simulation), name, refuse)
             made.append(simulation)
             return simulation

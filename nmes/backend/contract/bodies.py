@@ -348,23 +348,26 @@ class BodyChecks(Checks):
         assert sim.proper_accelerations([1])[0, 0] != 7.0, "writing to an answer changed the next one"
 
     def test_measures_ranges(self) -> None:
-        """A range finder measures from the centre to the next surface that is not the body's own."""
+        """A ray from a body's centre tells the next surface that is not the body's own, and whose it is."""
         self.need("sensors.range")
         sim = self.sim(gravity=ZERO)
         sim.add_body(0, box((0.0, 5.0, 0.0)))
         sim.add_body(1, box((4.0, 5.0, 0.0), size=(2.0, 1.0, 1.0)))
         sim.add_body(2, box((-300.0, 5.0, 250.0 if self.dims == 3 else 0.0)))
+        sim.add_body(7, box((0.0, 9.0, 0.0), frozen=True))
         sim.step(SUBSTEPS)
-        directions = np.array([(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0)])
+        directions = np.array([(1.0, 0.0, 0.0), (0.0, -1.0, 0.0), (0.0, 1.0, 0.0), (-1.0, 0.0, 0.0), (0.6, 0.8, 0.0)])
         before = sim.digest()
-        ahead, below, above, behind = sim.ranges(0, directions, 20.0)
-        assert ahead is not None and below is not None
-        assert_close([ahead, below], [3.0, 5.0], 1e-6, "distances to a body and to the ground")
-        assert above is None and behind is None
-        (below,) = sim.ranges(2, directions[1:2], 20.0)
+        ahead, below, above, behind, aslant = sim.hits(0, directions, 20.0)
+        assert ahead is not None and below is not None and above is not None
+        distances = [ahead.distance, below.distance, above.distance]
+        assert_close(distances, [3.0, 5.0, 3.5], 1e-6, "distances to bodies and to the ground")
+        assert [ahead.other, below.other, above.other] == [1, None, 7], "whose the surface is"
+        assert behind is None and aslant is None
+        (below,) = sim.hits(2, directions[1:2], 20.0)
         assert below is not None, "does not see the ground far from the origin"
-        assert_close(below, 5.0, 1e-6, "distance to the ground far from the origin")
-        assert sim.ranges(0, directions[:1], 2.5) == [None], "sees beyond its limit"
+        assert_close(below.distance, 5.0, 1e-6, "distance to the ground far from the origin")
+        assert sim.hits(0, directions[:1], 2.5) == [None], "sees beyond its limit"
         assert sim.digest() == before, "looking changed the world"
 
     def test_reports_contacts(self) -> None:
