@@ -37,6 +37,7 @@ class CreatureCommands:
         name: str | None = None,
         target: Vector | str | None = None,
         autonomous: bool | None = None,
+        flaws: Mapping[str, Any] | None = None,
     ) -> type[CreatureSpawned]:
         """Makes the body of a genome live: its cubes and joints, all of them or none.
 
@@ -52,6 +53,7 @@ class CreatureCommands:
                 target.
             autonomous: Whether the world runs its brain itself: before each tick it senses and drives. Such a creature
                 takes no drive. Default: False.
+            flaws: How all its sensors and motors err, besides what its genome says: of each number the larger counts.
 
         Returns:
             CreatureSpawned: The creature is there.

@@ -123,7 +123,7 @@ class DrivenWorld:
 
     def hand_over(self) -> Row | None:
         """Gives the scene away as a row, if it can be one; then this world is done with."""
-        return self._world.simulation.hand_over()
+        return None if self.creature.solitary else self._world.simulation.hand_over()
 
     def start(self, *, touchy: bool) -> Start:
         """Returns the moment at which the episode begins; before the first step."""

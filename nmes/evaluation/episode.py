@@ -178,7 +178,7 @@ class Episode:
         """Hands the scene over as a row, if that can be now; returns whether this world is done with."""
         observer = self._observer
         assert observer is not None
-        row = self._world.simulation.hand_over()
+        row = None if observer.creature.solitary else self._world.simulation.hand_over()
         if row is None:
             return False
         self._ended = observer.look()

@@ -15,6 +15,7 @@ import json
 import re
 import unicodedata
 from collections.abc import Sequence
+from dataclasses import astuple
 from functools import cache
 from importlib.resources import files
 from typing import Any, Final
@@ -28,6 +29,7 @@ from nmes.evaluation.setting import MATCHES, SHIPPED
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
 from nmes.genome.body import Body, BodyJoint
+from nmes.genome.sensors import Flaws
 from nmes.schemas.documents import parse_document
 
 __all__ = ["author_forms", "borrows_name", "creature_hash", "shipped_hash", "shipped_task"]
@@ -79,7 +81,7 @@ def _body(body: Body) -> list[Any]:
         shapes.append((cube.size, cube.mass, *place, cube.friction, cube.restitution))
     for joint in body.joints:
         motor = joint.motor
-        drive = None if motor is None else (motor.mode, motor.low, motor.high, motor.max_effort)
+        drive = None if motor is None else (motor.mode, motor.low, motor.high, motor.max_effort, *_flaws(motor.flaws))
         ends = cubes[joint.cube1], cubes[joint.cube2], np.array(joint.anchor) - origin
         bonds.append((joint.kind, *ends, _axis(joint), joint.limits, joint.stiffness, joint.damping, drive))
     senses = [
@@ -87,11 +89,19 @@ def _body(body: Body) -> list[Any]:
             *(sensor.type, sensor.axis, (cubes if sensor.of == "cube" else joints)[sensor.target]),
             *([] if sensor.range is None else [sensor.range]),
             *([] if sensor.channel is None else [sensor.channel, sensor.number]),
+            *([] if sensor.face is None else [sensor.face]),
+            *([] if sensor.direction is None else [np.array(sensor.direction)]),
+            *([] if sensor.camera is None else [*astuple(sensor.camera), sensor.number]),
+            *_flaws(sensor.flaws),
         )
         for sensor in body.sensors
     ]
     voices = [(voice.channel, voice.number) for voice in body.voices]
     return [shapes, bonds, senses, *([voices] if voices else [])]
+
+
+def _flaws(flaws: Flaws | None) -> tuple[float, ...]:
+    return () if flaws is None else astuple(flaws)
 
 
 def _half(quaternion: Sequence[float]) -> np.ndarray[Any, Any]:

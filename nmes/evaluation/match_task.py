@@ -220,6 +220,8 @@ class MatchTask(Setting):
                 role.position[2] - root.position[2] - z,
             ],
         }
+        if "flaws" in self.document:
+            spawn["flaws"] = self.document["flaws"]
         if role.target is not None:
             spawn["target"] = self._aim(role.target, genomes)
         yield spawn

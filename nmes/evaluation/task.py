@@ -194,6 +194,8 @@ class Task(Setting):
         position = [0.0 - x, self.draw(seed, "drop", vary["drop"]) - lowest, 0.0 - z]
         position = place.shifted(position)
         spawn: JsonObject = {"type": "spawn_creature", "genome": genome, "name": place.creature, "position": position}
+        if "flaws" in self.document:
+            spawn["flaws"] = self.document["flaws"]
         target = self.target(seed, place)
         if target is not None:
             spawn["target"] = place.prop(target) if isinstance(target, str) else target

@@ -1,7 +1,7 @@
 """A creature's body at rest: its cubes, joints, motors and sensors, read from a genome's document and judged.
 
-Hides the defaults of a body, how patterns and vectors of sensors become single sensors, and the geometry by which
-cubes are found to overlap. A body is plain data; a creature that lives in a world is `nmes.world.creature`'s.
+Hides the defaults of a body, and the geometry by which cubes are found to overlap. A body is plain data; a creature
+that lives in a world is `nmes.world.creature`'s.
 
 Invariants: cubes and joints are in the document's order (a graph's in the order in which it grows), motors in that of
 their joints; every id is unique among its kind; a body is connected, stands on or above y = 0, and no two of its cubes
@@ -20,7 +20,8 @@ import numpy as np
 from nmes.backend import Array, Quaternion, Vector
 from nmes.backend.rotation import normalize, quaternion_from_euler, rotate, total
 from nmes.errors import DocumentError
-from nmes.genome.sensors import OF_CUBE, OF_JOINT, OF_OTHERS, VECTORS
+from nmes.genome.sensor_entries import MOST_RAYS, count_rays, read_sensor
+from nmes.genome.sensors import Flaws, Sensor
 from nmes.schemas.documents import did_you_mean, fits, nor_at
 
 __all__ = ["PALETTE", "Body", "BodyCube", "BodyJoint", "Motor", "Sensor", "Voice", "corners", "read_body", "read_cube"]
@@ -67,6 +68,7 @@ class Motor:
         low: What -1 stands for.
         high: What 1 stands for.
         max_effort: The most that it gives, N m or N.
+        flaws: How it errs; noise is that of controls. None: it does not.
     """
 
     id: str
@@ -74,6 +76,7 @@ class Motor:
     low: float
     high: float
     max_effort: float
+    flaws: Flaws | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,31 +93,6 @@ class BodyJoint:
     stiffness: float
     damping: float
     motor: Motor | None
-
-
-@dataclass(frozen=True, slots=True)
-class Sensor:
-    """One reading of a body.
-
-    Attributes:
-        id: Its name, unique in the body.
-        type: As in the document.
-        of: Whether it is on a joint or a cube.
-        target: The id of that.
-        axis: `x`, `y` or `z` of a vector, else None.
-        range: How far another creature is seen, m; None: at any distance.
-        channel: What `hear` hears, else None.
-        number: Which of the channel's numbers that is, from 1.
-    """
-
-    id: str
-    type: str
-    of: Literal["joint", "cube"]
-    target: str
-    axis: str | None
-    range: float | None = None
-    channel: str | None = None
-    number: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,13 +206,17 @@ class _Reader:
             self.joint(joint, f"body/joints/{i}")
         self.structure(cubes, joints)
         self.ground(cubes)
-        paths, all_sensors = [], []
+        paths, all_sensors, rays = [], [], 0
         for i, entry in enumerate(_default_sensors(cubes, joints) if sensors is None else sensors):
-            single = self.sensor(entry, f"sensors/{i}", cubes, joints)
+            single = read_sensor(entry, f"sensors/{i}", cubes, joints, self)
             paths += [f"sensors/{i}"] * len(single)
             all_sensors += single
             if len(all_sensors) > _MOST_SENSORS:
                 self.note(f"sensors/{i}", f"with it there are over {_MOST_SENSORS:,} single readings")
+                break
+            rays += count_rays(single)
+            if rays > MOST_RAYS:
+                self.note(f"sensors/{i}", f"with it there are over {MOST_RAYS:,} rays of cameras and range finders")
                 break
         self.unique(paths, [sensor.id for sensor in all_sensors], "sensor")
         return Body(tuple(cubes), tuple(joints), tuple(all_sensors), self.voices(voices, joints))
@@ -358,84 +340,6 @@ class _Reader:
                 message = f"{cubes[i].id!r} reaches {-low:.3g} m below the ground, y = 0"
                 self.note(f"body/cubes/{i}/position", message)
 
-    def sensor(
-        self, entry: JsonObject, path: str, cubes: Sequence[BodyCube], joints: Sequence[BodyJoint]
-    ) -> list[Sensor]:
-        """Reads one sensor of the document, which may stand for many."""
-        kind, axis = entry["type"], entry.get("axis")
-        if ("joint" in entry) == ("cube" in entry):
-            self.note(path, "must have either a joint or a cube that it is on")
-            return []
-        of: Literal["joint", "cube"] = "joint" if "joint" in entry else "cube"
-        kinds = OF_JOINT if of == "joint" else OF_CUBE
-        if kind not in kinds:
-            self.note(f"{path}/type", f"a {of} has no sensor {kind!r}, only {', '.join(kinds)}")
-            return []
-        vector = of == "cube" and kind in VECTORS
-        if axis is not None and not vector:
-            self.note(f"{path}/axis", f"{kind} is one number and has no axis")
-            return []
-        if "range" in entry and kind not in OF_OTHERS:
-            self.note(f"{path}/range", f"{kind} has no range; only {', '.join(OF_OTHERS)} have")
-            return []
-        for field in ("channel", "number"):
-            if field in entry and kind != "hear":
-                self.note(f"{path}/{field}", f"{kind} has no {field}; only hear has")
-                return []
-        if kind == "hear" and "channel" not in entry:
-            self.note(path, "hear needs a channel")
-            return []
-        reach = float(entry["range"]) if "range" in entry else None
-        channel, number = entry.get("channel"), int(entry.get("number", 1))
-        targets = self.targets(entry[of], of, kind, f"{path}/{of}", cubes, joints)
-        if "id" in entry and len(targets) > 1:
-            message = f"{entry[of]!r} fits {len(targets)} {of}s, so that one id is not enough: leave it out"
-            self.note(f"{path}/id", message)
-            return []
-        result = []
-        for target in targets:
-            name = entry.get("id", f"{target}.{kind}")
-            if channel is not None:
-                result.append(
-                    Sensor(
-                        entry.get("id", _heard(name, channel, number)), kind, of, target, None, None, channel, number
-                    )
-                )
-            elif not vector:
-                result.append(Sensor(name, kind, of, target, None, reach))
-            elif axis is not None:
-                result.append(Sensor(entry.get("id", f"{name}.{axis}"), kind, of, target, axis, reach))
-            else:
-                result += [Sensor(f"{name}.{each}", kind, of, target, each, reach) for each in "xyz"]
-        return result
-
-    def targets(
-        self,
-        pattern: str,
-        of: str,
-        kind: str,
-        path: str,
-        cubes: Sequence[BodyCube],
-        joints: Sequence[BodyJoint],
-    ) -> list[str]:
-        """Returns the ids of the cubes or joints that fit a pattern and have such a reading."""
-        names = [thing.id for thing in (joints if of == "joint" else cubes)]
-        fitting = list(filter(fits(pattern), names))
-        if not fitting and not self.may_be_absent(pattern):
-            plain = not set(pattern) & set("*?")
-            missing = f"there is no {of} {pattern!r}{self.hint(pattern, names)}"
-            self.note(path, missing if plain else f"no {of} fits {pattern!r}")
-        if of == "cube":
-            return fitting
-        able = {
-            joint.id for joint in joints if (joint.motor is not None if kind == "effort" else joint.kind in _DRIVEN)
-        }
-        readable = [name for name in fitting if name in able]
-        if fitting and not readable:
-            what = "have a motor" if kind == "effort" else "are hinges or slides"
-            self.note(path, f"{kind} is only of joints that {what}; of {', '.join(map(repr, fitting[:5]))} none is one")
-        return readable
-
 
 def read_cube(entry: JsonObject) -> BodyCube:
     """Reads a cube of a document that its schema has accepted."""
@@ -486,7 +390,9 @@ def _ends(joint: BodyJoint) -> frozenset[str]:
 
 def _motor(name: str, entry: JsonObject) -> Motor:
     low, high = entry["range"]
-    return Motor(name, entry["mode"], float(low), float(high), float(entry["max_effort"]))
+    return Motor(
+        name, entry["mode"], float(low), float(high), float(entry["max_effort"]), Flaws.read(entry.get("flaws"))
+    )
 
 
 def _stays_in_plane(joint: BodyJoint) -> bool:

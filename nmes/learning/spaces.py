@@ -21,6 +21,9 @@ _BOUNDS: Final = {
     "up": (-_PART, _PART),
     "touch": (0.0, 1.0),
     "hear": (-_PART, _PART),
+    "camera": (0.0, _PART),
+    "range": (0.0, _FAR),
+    **{f"{whose}_smell": (0.0, _FAR) for whose in _SEEN},
     **{f"{whose}_direction": (-_PART, _PART) for whose in _SEEN},
     **{f"{whose}_distance": (0.0, _FAR) for whose in _SEEN},
 }
@@ -28,6 +31,8 @@ _UNITS: Final = {
     "height": "m",
     "velocity": "m/s",
     "spin": "10 rad/s",
+    "acceleration": "10 m/s²",
+    "range": "m",
     **{f"{whose}_distance": "m" for whose in _SEEN},
     **{f"{whose}_velocity": "m/s" for whose in _SEEN},
 }
@@ -43,9 +48,15 @@ def of(genome: Genome) -> tuple[spaces.Box[Any], spaces.Box[Any]]:
     for what, parts in (("motors", body.motors), ("sensors", body.sensors)):
         if not parts:
             raise WorldError("invalid", f"{genome.name!r} has no {what}: there is nothing to learn", "genome")
-    low, high = np.array([_BOUNDS.get(sensor.type, (-_FAR, _FAR)) for sensor in body.sensors]).T
+    low, high = np.array([_bounds(sensor) for sensor in body.sensors]).T
     actions = len(body.outputs)
     return spaces.Box(low, high, dtype=np.float64), spaces.Box(-1.0, 1.0, (actions,), np.float32)
+
+
+def _bounds(sensor: Sensor) -> tuple[float, float]:
+    noisy = sensor.flaws is not None and sensor.flaws.noise > 0.0
+    low, high = (-_FAR, _FAR) if noisy else _BOUNDS.get(sensor.type, (-_FAR, _FAR))
+    return (min(low, 0.0), high) if sensor.flaws is not None else (low, high)
 
 
 def units(genome: Genome) -> dict[str, str]:

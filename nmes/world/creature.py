@@ -22,19 +22,29 @@ from nmes.backend.arrays import ArrayLike
 from nmes.backend.rotation import minus, plus
 from nmes.errors import WorldError
 from nmes.genome import Genome
-from nmes.genome.body import Body, BodyCube, BodyJoint, Motor, Sensor
+from nmes.genome.body import Body, BodyCube, BodyJoint, Motor
+from nmes.genome.sensors import Flaws, Sensor
 from nmes.protocol import Request
 from nmes.schemas.documents import JsonObject
 from nmes.world import joint_params
 from nmes.world.channels import Channels
+from nmes.world.disturbance import Disturbance
 from nmes.world.entities import Cube, Entities, Joint
 from nmes.world.mind import Mind, require_mind
 from nmes.world.nearby import Nearby
-from nmes.world.senses import Senses, Surroundings
+from nmes.world.senses import Senses
+from nmes.world.sights import Surroundings
 
 __all__ = ["Creature", "Creatures"]
 
 _NAME_LENGTH = 128
+_NEEDED = {
+    "touch": ("contacts", "sense of touch"),
+    "acceleration": ("sensors.inertial", "accelerometers"),
+    "range": ("sensors.range", "range finders"),
+    "camera": ("sensors.range", "rays, of which creatures' cameras are made"),
+}
+"""What an engine must be able to do for types of sensors, and what to call it."""
 
 
 class Creature:
@@ -51,6 +61,8 @@ class Creature:
         sensors: In the order of values.
         controls: What it was driven with last, shape (m + v,); None until it is driven, or since it was restored.
         senses: What its sensors read.
+        flaws: Of all its sensors and of all its motors, besides those of the genome, as `spawn_creature` has them.
+        disturbance: What flaws do; None where it has none.
         mind: Its brain, where the world runs it; None where a client drives it.
     """
 
@@ -65,11 +77,12 @@ class Creature:
         others: Nearby,
         channels: Channels,
         mind: Mind | None = None,
+        flaws: JsonObject | None = None,
     ) -> None:
         self._entities, self._simulation = entities, entities.simulation
         self._channels = channels
         self.name, self.genome, self.body = name, genome, (body := genome.body)
-        self.target, self.mind = target, mind
+        self.target, self.mind, self.flaws = target, mind, flaws
         self.motors: tuple[Motor, ...] = body.motors
         self.sensors: tuple[Sensor, ...] = body.sensors
         self.controls: Array | None = None
@@ -93,7 +106,13 @@ class Creature:
         self._params: list[Any] = []
         self._drive_head = protocol.encode({"type": "drive", "creature": name, "controls": []}).removesuffix(b"[]}")
         self._driven_reply = protocol.encode({"type": "driven", "creature": name})
+        self.disturbance = self._disturbance()
         self.senses = Senses(body, cubes, joints, Surroundings(entities, others, channels, target, self.bodies))
+
+    @property
+    def solitary(self) -> bool:
+        """Whether it lives only in a world of its own, and never as a row of an engine."""
+        return self.disturbance is not None or any(sensor.solitary for sensor in self.sensors)
 
     @property
     def plan(self) -> Hashable:
@@ -109,6 +128,16 @@ class Creature:
         return all(entities.cubes.get(cube.name) is cube for cube in self._cubes.values()) and all(
             entities.joints.get(joint.name) is joint for joint in self._joints.values()
         )
+
+    def _disturbance(self) -> Disturbance | None:
+        """Returns what its flaws do: of each of the genome's and of all the worse."""
+        every = {name: Flaws.read((self.flaws or {}).get(name)) for name in ("sensors", "motors")}
+        sensors = [Flaws.worse(sensor.flaws, every["sensors"]) for sensor in self.sensors]
+        motors = [Flaws.worse(motor.flaws, every["motors"]) for motor in self.motors]
+        if not any(sensors) and not any(motors):
+            return None
+        rest = np.clip(-self._low / self._half - 1.0, -1.0, 1.0)
+        return Disturbance(sensors, motors, rest, f"{self._entities.seed}:{self.root}")
 
     def accepts(self, controls: ArrayLike) -> bool:
         """Whether a client may `drive` it with this: doubles in a row, of the right shape, and from -1 to 1."""
@@ -143,17 +172,31 @@ class Creature:
             controls: Shape (m + v,), each from -1 to 1, in the order of `motors`, then of the body's voices; -1 is a
                 motor's `low`, 1 its `high`.
         """
-        targets = self._wanted
+        motors = controls
         if self.body.voices:
-            motors = controls[: len(targets)]
+            motors = controls[: len(self._wanted)]
             for channel, size, said in self._spoken:
                 values = [0.0] * size
                 for number, at in said:
                     values[number] = float(controls[at])
                 self._channels.say(self.root, channel, tuple(values))
+        if self.disturbance is not None and self.disturbance.drives:
+            self.disturbance.ask(motors)
         else:
-            motors = controls
-        np.add(motors, self._ones, out=targets)  # of arrays alone: a float would be made one each time
+            self._aim(motors)
+        self.controls = controls.copy()  # whose they are may use the array again
+
+    def disturb(self) -> None:
+        """Lets what is flawed go on by a tick, which begins now."""
+        assert self.disturbance is not None
+        controls = self.disturbance.tick(self.senses.read)
+        if controls is not None:
+            self._aim(controls)
+
+    def _aim(self, controls: Array) -> None:
+        """Sets the motors' targets."""
+        targets = self._wanted
+        np.add(controls, self._ones, out=targets)  # of arrays alone: a float would be made one each time
         np.multiply(targets, self._half, out=targets)
         np.add(targets, self._low, out=targets)
         if self._tuned != self._entities.tuned:
@@ -161,7 +204,6 @@ class Creature:
         self._simulation.set_motor_targets(self._numbers, self._params, targets)
         for (params, field), target in zip(self._targets, targets.tolist(), strict=True):
             params[field] = target
-        self.controls = controls.copy()  # whose they are may use the array again
 
     def _prepare_motors(self, targets: Array) -> None:
         """Has all motors run in the mode that they were made for, and keeps their parameters at hand for `drive`."""
@@ -178,7 +220,8 @@ class Creature:
 
         Units are those of `schemas/genome.json`.
         """
-        return self.senses.read()
+        values = self.senses.read()
+        return values if self.disturbance is None else self.disturbance.sensed(values)
 
 
 def _by_channel(body: Body, channels: Channels) -> list[tuple[str, int, list[tuple[int, int]]]]:
@@ -206,6 +249,7 @@ class Creatures:
         self._entities, self._channels = entities, channels
         self._creatures: dict[str, Creature] = {}
         self._minds: list[Creature] = []  # those whose brains the world runs
+        self._flawed: list[Creature] = []
         self._count = 0
         self._version = entities.version
         self._nearby = Nearby(entities, lambda: [creature.root for creature in self._present().values()])
@@ -237,22 +281,27 @@ class Creatures:
     def _forget_dissolved(self) -> None:
         self._creatures = {name: creature for name, creature in self._creatures.items() if creature.whole}
         self._minds = [creature for creature in self._creatures.values() if creature.mind is not None]
+        self._flawed = [creature for creature in self._creatures.values() if creature.disturbance is not None]
         self._version = self._entities.version
 
     def act(self) -> None:
-        """Lets those whose brains the world runs sense and drive, in order of creation."""
-        if self._minds:
-            if self._version != self._entities.version:
-                self._forget_dissolved()
-            for creature in self._minds:
-                assert creature.mind is not None
-                creature.mind.act(creature)
+        """Begins a tick: those whose brains the world runs sense and drive, then flaws do; in order of creation."""
+        if not self._minds and not self._flawed:
+            return
+        if self._version != self._entities.version:
+            self._forget_dissolved()
+        for creature in self._minds:
+            assert creature.mind is not None
+            creature.mind.act(creature)
+        for creature in self._flawed:
+            creature.disturb()
 
     def memory(self) -> bytes:
-        """Returns what the brains that the world runs remember, as bytes; empty where there are none."""
-        if self._minds and self._version != self._entities.version:
+        """Returns what the brains that the world runs remember, and flaws, as bytes; empty where there are none."""
+        if (self._minds or self._flawed) and self._version != self._entities.version:
             self._forget_dissolved()
-        return b"".join(each.mind.memory().tobytes() for each in self._minds if each.mind is not None)
+        minds = [each.mind.memory().tobytes() for each in self._minds if each.mind is not None]
+        return b"".join(minds + [each.disturbance.memory() for each in self._flawed if each.disturbance is not None])
 
     def spawn(
         self,
@@ -262,6 +311,7 @@ class Creatures:
         target: Vector | str | None = None,
         *,
         autonomous: bool = False,
+        flaws: JsonObject | None = None,
     ) -> Creature:
         """Makes a creature from a genome, all of it or nothing.
 
@@ -271,6 +321,7 @@ class Creatures:
             name: Of the creature; its cubes and joints are called `NAME.id`. Drawn from the world's seed if None.
             target: What its target sensors point to: a point (m) or the name of a cube, which need not be there yet.
             autonomous: Whether the world runs its brain.
+            flaws: Of all its `sensors` and of all its `motors`, besides those of the genome.
 
         Raises:
             WorldError: The name is taken or too long, the world is full, the engine lacks what the body needs, or an
@@ -295,7 +346,7 @@ class Creatures:
         self._count = count
         mind = Mind(genome, *self._beginning(cubes)) if autonomous else None
         around = self._nearby, self._channels
-        self._creatures[name] = creature = Creature(entities, name, genome, cubes, joints, target, *around, mind)
+        self._creatures[name] = creature = Creature(entities, name, genome, cubes, joints, target, *around, mind, flaws)
         self._forget_dissolved()
         return creature
 
@@ -318,6 +369,8 @@ class Creatures:
                 "genome": creature.genome.document,
                 "target": creature.target,
                 **({} if creature.mind is None else {"mind": creature.mind.state()}),
+                **({} if creature.flaws is None else {"flaws": creature.flaws}),
+                **({} if creature.disturbance is None else {"disturbance": creature.disturbance.state()}),
             }
             for name, creature in self._creatures.items()
         ]
@@ -334,7 +387,10 @@ class Creatures:
             target = (target[0], target[1], target[2]) if isinstance(target, list) else target
             mind = Mind(genome, *self._beginning(cubes), values["mind"]) if "mind" in values else None
             around = self._nearby, self._channels
-            self._creatures[name] = Creature(entities, name, genome, cubes, joints, target, *around, mind)
+            parts = entities, name, genome, cubes, joints, target, *around, mind, values.get("flaws")
+            self._creatures[name] = creature = Creature(*parts)
+            if creature.disturbance is not None:
+                creature.disturbance.recall(values["disturbance"])
         self._forget_dissolved()
 
     def _taken(self, name: str, body: Body) -> WorldError | None:
@@ -376,8 +432,10 @@ class Creatures:
             self._check_number(ear.channel, ear.number, "genome/sensors")
         for voice in body.voices:
             self._check_number(voice.channel, voice.number, "genome/voices")
-        if any(sensor.type == "touch" for sensor in body.sensors):
-            self._entities.require("contacts", "sense of touch", "genome/sensors")
+        types = {sensor.type for sensor in body.sensors}
+        for sensor, (capability, what) in _NEEDED.items():
+            if sensor in types:
+                self._entities.require(capability, what, "genome/sensors")
 
     def _check_number(self, name: str | None, number: int, path: str) -> None:
         """Raises `invalid` where the world has the channel, but not that number of it."""

@@ -29,6 +29,7 @@ __all__ = [
     "cube_info",
     "cube_state",
     "cube_states",
+    "face_of",
     "inertial",
     "joint_info",
     "own_axes",
@@ -169,7 +170,7 @@ def contact_list(contacts: Iterable[Contact], quaternion: Quaternion, names: Map
     for other, position, normal, force in contacts:
         face = faces.get(normal)
         if face is None:
-            face = faces[normal] = _face(own_axes(quaternion, normal))
+            face = faces[normal] = face_of(own_axes(quaternion, normal))
         contact_objects.append(
             {
                 "cube_name": None if other is None else names[other],
@@ -182,8 +183,8 @@ def contact_list(contacts: Iterable[Contact], quaternion: Quaternion, names: Map
     return contact_objects
 
 
-def _face(normal: Vector) -> str:
-    """Names the face that is pushed: the normal points from outside through it."""
+def face_of(normal: Vector) -> str:
+    """Names the face that is pushed, in the cube's own axes: the normal points from outside through it."""
     x, y, z = (abs(part) for part in normal)
     axis = 0 if x >= y and x >= z else 1 if y >= z else 2
     return ("-" if normal[axis] > 0.0 else "+") + "xyz"[axis]

@@ -7,7 +7,6 @@ Invariant: to read changes nothing.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from math import inf, sqrt
 
 import numpy as np
@@ -16,34 +15,14 @@ from nmes.backend import Array, BodyState, Vector
 from nmes.backend.rotation import conjugate, rotate
 from nmes.genome.body import Body, Sensor
 from nmes.genome.sensors import OF_FOOD, OF_OTHERS, READING_OF, TURNING, CubeReading, Read
-from nmes.world.channels import Channels
-from nmes.world.entities import Cube, Entities, Joint
+from nmes.world.entities import Cube, Joint
 from nmes.world.food import nearest
-from nmes.world.nearby import Nearby
+from nmes.world.sights import Surroundings, look_around, looks_around
 
-__all__ = ["Senses", "Surroundings", "aim"]
+__all__ = ["Senses", "aim"]
 
 _HERE = 1e-9  # m; nearer than this a target is in no direction
 _STILL: Vector = (0.0, 0.0, 0.0)
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Surroundings:
-    """What a body may sense besides itself.
-
-    Attributes:
-        entities: The world's cubes and food.
-        others: The roots of all creatures of the world.
-        channels: Where it hears.
-        target: What its target sensors point to: a point (m) or the name of a cube; None: nothing.
-        bodies: The numbers of its own cubes, whose voices it does not hear, the root's first.
-    """
-
-    entities: Entities
-    others: Nearby
-    channels: Channels
-    target: Vector | str | None
-    bodies: tuple[int, ...]
 
 
 class Senses:
@@ -69,7 +48,9 @@ class Senses:
         present = {row for row, _ in there}
         self._missing = [row for row in range(self._count) if row not in present]
         self._plan_joints(body, [(row, sensor) for row, sensor in there if sensor.of == "joint"], joints)
-        self._plan_cubes([(row, sensor) for row, sensor in there if sensor.of == "cube"], cubes)
+        looking = [pair for pair in there if looks_around(pair[1])]
+        self._readers = look_around(looking, cubes, around)
+        self._plan_cubes([pair for pair in there if pair[1].of == "cube" and pair not in looking], cubes)
 
     def _plan_joints(self, body: Body, sensors: list[tuple[int, Sensor]], joints: Mapping[str, Joint]) -> None:
         """Finds the columns of the joints' readings, and what to multiply them by."""
@@ -142,6 +123,8 @@ class Senses:
             self._sense_voices(out)
         if self.smelled:
             self._sense_food(out)
+        for read_around in self._readers:
+            read_around(out)
         return out
 
     def _sense_food(self, out: Array) -> None:
@@ -174,21 +157,12 @@ class Senses:
                 out[rows] = [seen[i] for i in picked]
 
     def _sense_target(self, out: Array) -> None:
-        target, simulation = self._around.target, self._simulation
-        place: Vector | None = None
-        motion = _STILL
-        if isinstance(target, str):
-            cube = self._around.entities.cubes.get(target)
-            if cube is not None:
-                state = simulation.body_state(cube.body)
-                place, motion = state.position, state.linear_velocity
-        else:
-            place = target
+        target = self._around.aim()
         for body, rows, picked in self.aimed:
-            if place is None:
+            if target is None:
                 out[rows] = 0.0
             else:
-                seen = aim(simulation.body_state(body), place, motion)
+                seen = aim(self._simulation.body_state(body), *target)
                 out[rows] = [seen[i] for i in picked]
 
 

@@ -17,6 +17,7 @@ from nmes import World
 from nmes.cli import main
 from nmes.genome import Genome
 from nmes.genome.preview import grid_step, render_body, render_text, sheet
+from nmes.genome.sensors import Flaws
 
 NAMES = Genome.names()
 FRICTIONS = (0.8, 1.2)
@@ -294,7 +295,8 @@ def test_a_sheet_has_room_for_long_and_strange_names() -> None:
 
 def test_the_examples_of_the_page_work() -> None:
     page = (ROOT / "docs" / "genomes.md").read_text()
-    whole, sensors, talk, config, body = re.findall(r"^```json\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
+    examples = re.findall(r"^```json\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
+    whole, sensors, seen, flawed, talk, config, body = examples
     hopper = Genome.parse(whole.encode())
     assert [motor.id for motor in hopper.body.motors] == list(hopper.brain().outputs) == ["leg"]
     head = {"format": "nmes-genome/1", "name": "grown"}
@@ -305,6 +307,9 @@ def test_the_examples_of_the_page_work() -> None:
     assert [sensor.id for sensor in readings] == [
         "leg.position", "torso.up.x", "torso.up.y", "torso.up.z", "foot.touch", "tilt",
     ]  # fmt: skip
+    watcher = Genome({**hopper.document, **json.loads(f"{{{seen}}}")}).body.sensors
+    assert (watcher[0].id, watcher[-2].id, watcher[-1].id) == ("torso.camera.1.1.r", "torso.camera.4.8.b", "below")
+    assert Genome({**hopper.document, **json.loads(f"{{{flawed}}}")}).body.sensors[0].flaws == Flaws(0.02, 2, 0.01)
     talker = Genome({**hopper.document, **json.loads(f"{{{talk}}}")}).body
     assert [voice.id for voice in talker.voices] == ["say.alarm", "east", "say.map.2"] and len(talker.sensors) == 2
     assert {voice.channel for voice in talker.voices} == World(json.loads(config)).channels.channels.keys()

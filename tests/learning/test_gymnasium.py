@@ -140,6 +140,30 @@ def test_spaces_of_who_sees_others_and_talks_have_units_bounds_and_voices() -> N
     env.close()
 
 
+def test_what_is_seen_smelled_and_felt_has_units_and_bounds_and_is_observed() -> None:
+    kinds = ("acceleration", "range", "target_smell")
+    sensors: list[Any] = [{"type": kind, "cube": "torso"} for kind in kinds]
+    sensors[1]["direction"] = [0, -1, 0]
+    sensors.append({"type": "camera", "cube": "torso", "width": 2, "height": 1, "direction": [0, -1, 0]})
+    sensors += [{"type": "height", "cube": "torso"}, {"type": "height", "cube": "torso", "id": "late"}]
+    sensors[-1]["flaws"] = {"delay": 3, "noise": 0.001}
+    genome = Genome({**Genome.load("walker").document, "sensors": sensors, "brain": {"kind": "constant"}})
+    env = gymnasium.make("nmes/reach-v0", genome=genome).unwrapped
+    assert isinstance(env, TaskEnv)
+    assert list(env.units.values()) == ["10 m/s²", "10 m/s²", "10 m/s²", "m", "", "", "", "m", "m"]
+    observed = env.observation_space
+    assert isinstance(observed, gymnasium.spaces.Box)
+    assert observed.low.tolist() == [*[-1e12] * 3, 0, 0, 0, 0, -1e12, -1e12]
+    observation, _ = env.reset(seed=1)
+    heights = [observation[7]]
+    for _ in range(5):
+        observation, *_ = env.step(np.full(len(env.motors), 0.9))
+        assert observation in observed and observation[1] != 0 and 0 < observation[3] < 10
+        heights.append(observation[7])
+    assert observation[8] == pytest.approx(heights[-4], abs=0.006) and observation[8] != heights[-4]
+    env.close()
+
+
 def episode(env: Any, seed: int | None, ticks: int = 12) -> list[Any]:
     observation, info = env.reset(seed=seed)
     steps: list[Any] = [(observation.tobytes(), json.dumps(info))]

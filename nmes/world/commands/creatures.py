@@ -34,7 +34,8 @@ def spawn_creature(world: World, client: Client, command: JsonObject) -> JsonObj
     asked = world.entities.fields.position((x, y, z))
     position = world.all_creatures.place(genome.body, asked)
     alone = bool(command.get("autonomous"))
-    creature = world.all_creatures.spawn(genome, position, command.get("name"), target, autonomous=alone)
+    flaws = command.get("flaws")
+    creature = world.all_creatures.spawn(genome, position, command.get("name"), target, autonomous=alone, flaws=flaws)
     for name in creature.cubes.values():
         world.entities.cube(name).player = client.player
     voices = [voice.id for voice in creature.body.voices]
