@@ -8,7 +8,7 @@ DEMO := $(VENV)/.demo-ready
 READY := $(VENV)/.ready
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-long conform-selftest lint format types editor imports layout bench docs man figures goldens constraints clean
+.PHONY: help setup demo test test-long conform-selftest lint format clients types editor imports layout bench docs man figures goldens constraints clean
 
 help:
 	@echo "make demo              serve, drive, record and reproduce the example worlds, and draw one"
@@ -21,6 +21,7 @@ help:
 	@echo "make figures           draw the figures in docs/pictures anew (with Graphviz)"
 	@echo "make goldens           record the corpus in replays/ anew"
 	@echo "make format            write anew what is written from the schemas, mend what the linter can mend"
+	@echo "make clients           write the messages of the Go client anew (with Go)"
 	@echo "make clean             remove what was built, the environment too"
 
 setup: layout
@@ -87,6 +88,10 @@ format: layout
 	$(BIN)/python -m nmes.conformance > build/cases.md && mv build/cases.md docs/conformance-cases.md
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+# The messages of clients in other languages; it takes Go.
+clients: layout
+	$(BIN)/python tools/go_messages.py
 
 bench: $(READY)
 	@$(BIN)/python benchmarks/bench.py

@@ -1,0 +1,381 @@
+package nmes_test
+
+import (
+	"bufio"
+	"context"
+	"encoding/json"
+	"errors"
+	"fmt"
+	"math"
+	"os"
+	"os/exec"
+	"path/filepath"
+	"strings"
+	"sync"
+	"testing"
+	"time"
+
+	"nmes"
+)
+
+const password = "sesame"
+
+var (
+	server sync.Once
+	ports  chan int
+	stop   = func() {}
+)
+
+func TestMain(m *testing.M) {
+	code := m.Run()
+	stop()
+	os.Exit(code)
+}
+
+// world returns the address of a new world, of a server that all tests share.
+func world(t testing.TB) string {
+	t.Helper()
+	server.Do(func() {
+		var found []int
+		found, stop = serve(t, "--worlds", "32")
+		ports = make(chan int, len(found))
+		for _, port := range found {
+			ports <- port
+		}
+	})
+	return fmt.Sprintf("127.0.0.1:%d", <-ports)
+}
+
+// serve starts a server, and returns the ports of its worlds, and what ends it.
+func serve(t testing.TB, options ...string) ([]int, func()) {
+	t.Helper()
+	program := os.Getenv("NMES_PROGRAM")
+	if program == "" {
+		t.Fatal("set NMES_PROGRAM to the program nmes")
+	}
+	folder, err := os.MkdirTemp("", "nmes")
+	if err != nil {
+		t.Fatal(err)
+	}
+	command := exec.Command(program, append([]string{"serve", "--json", "--port", "0"}, options...)...)
+	command.Env = append(os.Environ(), nmes.PasswordVariable+"="+password)
+	command.Dir = folder
+	out, err := command.StdoutPipe()
+	if err != nil {
+		t.Fatal(err)
+	}
+	if err := command.Start(); err != nil {
+		t.Fatal(err)
+	}
+	end := func() {
+		_ = command.Process.Signal(os.Interrupt)
+		_ = command.Wait()
+		_ = os.RemoveAll(folder)
+	}
+	line, err := bufio.NewReader(out).ReadString('\n')
+	if err != nil {
+		end()
+		t.Fatalf("the server said nothing: %v", err)
+	}
+	var told struct {
+		Port   int `json:"port"`
+		Worlds []struct {
+			Port int `json:"port"`
+		} `json:"worlds"`
+	}
+	if err := json.Unmarshal([]byte(line), &told); err != nil || told.Port == 0 {
+		end()
+		t.Fatalf("the server said %s", line)
+	}
+	ports := []int{told.Port}
+	for _, each := range told.Worlds {
+		if each.Port != told.Port {
+			ports = append(ports, each.Port)
+		}
+	}
+	return ports, end
+}
+
+func within(t testing.TB) context.Context {
+	t.Helper()
+	ctx, cancel := context.WithTimeout(context.Background(), time.Minute)
+	t.Cleanup(cancel)
+	return ctx
+}
+
+func enter(t testing.TB, address string) *nmes.Client {
+	t.Helper()
+	client, err := nmes.Dial(within(t), address, nmes.Options{Password: password})
+	if err != nil {
+		t.Fatal(err)
+	}
+	t.Cleanup(func() { client.Close() })
+	return client
+}
+
+func lockstep(t testing.TB, client *nmes.Client) {
+	t.Helper()
+	if _, err := client.SetMode(within(t), nmes.SetMode{Mode: "lockstep"}); err != nil {
+		t.Fatal(err)
+	}
+}
+
+func TestACubeIsSpawnedPushedAndRead(t *testing.T) {
+	ctx, client := within(t), enter(t, world(t))
+	lockstep(t, client)
+	if welcome := client.Welcome(); welcome.Dims != 3 || welcome.TickRate != 60 || welcome.World == "" {
+		t.Fatalf("welcome %+v", welcome)
+	}
+	spawned, err := client.SpawnCube(ctx, nmes.SpawnCube{
+		CubeName: "box", Position: &nmes.Vector{0, 50, 0}, Mass: nmes.Ptr(2.0), Size: []float64{0.5, 0.5, 0.5},
+	})
+	if err != nil || spawned.Spawned != "box" {
+		t.Fatal(spawned, err)
+	}
+	if _, err := client.ApplyPhysics(ctx, nmes.ApplyPhysics{CubeName: "box", Impulse: &nmes.Vector{6, 0, 0}}); err != nil {
+		t.Fatal(err)
+	}
+	if _, err := client.Step(ctx, nmes.Step{Ticks: nmes.Ptr(30)}); err != nil {
+		t.Fatal(err)
+	}
+	info, err := client.GetCubeInfo(ctx, nmes.GetCubeInfo{CubeName: "box"})
+	if err != nil {
+		t.Fatal(err)
+	}
+	if math.Abs(info.LinearVelocity[0]-3) > 1e-6 || math.Abs(info.LinearVelocity[1]+9.81/2) > 0.05 || info.Mass != 2 {
+		t.Fatalf("%+v", info)
+	}
+}
+
+func TestWhatTheServerRefusesIsAnErrorWithItsCode(t *testing.T) {
+	ctx, client := within(t), enter(t, world(t))
+	_, err := client.GetCubeInfo(ctx, nmes.GetCubeInfo{CubeName: "nobody"})
+	var refused *nmes.CommandError
+	if !errors.As(err, &refused) || refused.Code != "cube_not_found" || refused.Field != "cube_name" {
+		t.Fatal(err)
+	}
+	if _, err := client.SpawnCube(ctx, nmes.SpawnCube{Mass: nmes.Ptr(-1.0)}); !nmes.IsCode(err, "invalid") {
+		t.Fatal(err)
+	}
+	if _, err := client.SpawnCube(ctx, nmes.SpawnCube{Mass: nmes.Ptr(math.NaN())}); err == nil {
+		t.Fatal("a mass that is no number was sent")
+	}
+	if _, err := client.Ping(ctx); err != nil {
+		t.Fatal("what could not be sent has put the rest out of step: ", err)
+	}
+}
+
+func TestAWrongPasswordAndNobodyThereAreTold(t *testing.T) {
+	address := world(t)
+	_, err := nmes.Dial(within(t), address, nmes.Options{Password: "wrong"})
+	if !nmes.IsCode(err, "auth_failed") {
+		t.Fatal(err)
+	}
+	if _, err = nmes.Dial(within(t), "127.0.0.1:1", nmes.Options{Password: password}); !nmes.IsCode(err, "unreachable") {
+		t.Fatal(err)
+	}
+	if _, err = nmes.Dial(within(t), address, nmes.Options{Password: password, World: "none"}); !nmes.IsCode(err, "world_not_found") {
+		t.Fatal(err)
+	}
+}
+
+func TestPipelinedCommandsActInOrder(t *testing.T) {
+	ctx, client := within(t), enter(t, world(t))
+	lockstep(t, client)
+	var frames []nmes.Pending[nmes.Stepped]
+	for range 500 {
+		frames = append(frames, nmes.Send(client, nmes.Step{}))
+	}
+	for i, pending := range frames {
+		if stepped, err := pending.Wait(ctx); err != nil || stepped.Frame != i+1 {
+			t.Fatal(i, stepped, err)
+		}
+	}
+}
+
+// A thousand goroutines over one connection: each finds its own replies, in the order in which it sent.
+func TestManyGoroutinesShareAConnection(t *testing.T) {
+	ctx, client := within(t), enter(t, world(t))
+	lockstep(t, client)
+	var group sync.WaitGroup
+	failures := make(chan error, 1000)
+	for number := range 1000 {
+		group.Add(1)
+		go func() {
+			defer group.Done()
+			name := fmt.Sprintf("cube%d", number)
+			place := nmes.Vector{float64(number%40) * 3, 1 + float64(number/40)*3, 7}
+			made := nmes.Send(client, nmes.SpawnCube{CubeName: name, Position: &place, List: nmes.Ptr(false)})
+			var infos []nmes.Pending[nmes.CubeState]
+			for range 5 {
+				infos = append(infos, nmes.Send(client, nmes.GetCubeState{CubeName: name}))
+			}
+			if spawned, err := made.Wait(ctx); err != nil || spawned.Spawned != name {
+				failures <- fmt.Errorf("%s: %v %v", name, spawned, err)
+				return
+			}
+			for _, pending := range infos {
+				if info, err := pending.Wait(ctx); err != nil || info.CubeName != name || info.Position != place {
+					failures <- fmt.Errorf("%s: %v %v", name, info, err)
+					return
+				}
+			}
+		}()
+	}
+	group.Wait()
+	close(failures)
+	for err := range failures {
+		t.Fatal(err)
+	}
+	if list, err := client.GetCubeList(ctx); err != nil || len(list.Cubes) != 1000 {
+		t.Fatal(len(list.Cubes), err)
+	}
+}
+
+func TestABatchHasAnOutcomeForEachCommand(t *testing.T) {
+	ctx, client := within(t), enter(t, world(t))
+	lockstep(t, client)
+	outcomes, err := client.Batch(ctx,
+		nmes.SpawnCube{CubeName: "one"}, nmes.GetCubeState{CubeName: "none"}, nmes.Step{Ticks: nmes.Ptr(3)})
+	if err != nil || len(outcomes) != 3 {
+		t.Fatal(outcomes, err)
+	}
+	var list nmes.CubeList
+	if err := outcomes[0].Into(&list); err != nil || list.Spawned != "one" {
+		t.Fatal(list, err)
+	}
+	if err := outcomes[1].Into(&nmes.CubeState{}); !nmes.IsCode(err, "cube_not_found") {
+		t.Fatal(err)
+	}
+	var stepped nmes.Stepped
+	if err := outcomes[2].Into(&stepped); err != nil || stepped.Frame != 3 {
+		t.Fatal(stepped, err)
+	}
+}
+
+func TestEventsComeOverAChannelThatEndsWithTheConnection(t *testing.T) {
+	ctx, client := within(t), enter(t, world(t))
+	lockstep(t, client)
+	if _, err := client.Subscribe(ctx, nmes.Subscribe{Events: []string{"tick"}}); err != nil {
+		t.Fatal(err)
+	}
+	if _, err := client.Step(ctx, nmes.Step{Ticks: nmes.Ptr(10)}); err != nil {
+		t.Fatal(err)
+	}
+	events := client.Events()
+	for frame := 1; frame <= 10; frame++ {
+		switch event := (<-events).(type) {
+		case *nmes.TickEvent:
+			if event.Frame != frame {
+				t.Fatalf("%d: %+v", frame, event)
+			}
+		default:
+			t.Fatalf("%T", event)
+		}
+	}
+	client.Close()
+	if _, open := <-events; open || !nmes.IsCode(client.Err(), "closed") {
+		t.Fatal(client.Err())
+	}
+	if _, err := client.Ping(ctx); !nmes.IsCode(err, "closed") {
+		t.Fatal(err)
+	}
+}
+
+func TestEventsThatNobodyReadsAreDroppedFromTheOldest(t *testing.T) {
+	ctx, client := within(t), enter(t, world(t))
+	lockstep(t, client)
+	if _, err := client.Subscribe(ctx, nmes.Subscribe{Events: []string{"tick"}}); err != nil {
+		t.Fatal(err)
+	}
+	total := nmes.EventBacklog + 500
+	for left := total; left > 0; left -= 2100 {
+		if _, err := client.Step(ctx, nmes.Step{Ticks: nmes.Ptr(min(left, 2100))}); err != nil {
+			t.Fatal(err)
+		}
+	}
+	if first := (<-client.Events()).(*nmes.TickEvent); first.Frame != 501 || client.Dropped() != 500 {
+		t.Fatal(first, client.Dropped())
+	}
+}
+
+func TestWhoComesBackIsTheSamePlayer(t *testing.T) {
+	config := filepath.Join(t.TempDir(), "config.json")
+	secret := filepath.Join(t.TempDir(), "secret")
+	for path, content := range map[string]string{config: `{"mode": "lockstep", "roles": {"player": {}}}`, secret: "play"} {
+		if err := os.WriteFile(path, []byte(content), 0o600); err != nil {
+			t.Fatal(err)
+		}
+	}
+	ports, end := serve(t, "--config", config, "--role", "player="+secret)
+	t.Cleanup(end)
+	address := fmt.Sprintf("127.0.0.1:%d", ports[0])
+	ctx := within(t)
+	client, err := nmes.Dial(ctx, address, nmes.Options{Password: "play"})
+	if err != nil {
+		t.Fatal(err)
+	}
+	defer client.Close()
+	if _, err := client.SpawnCube(ctx, nmes.SpawnCube{CubeName: "mine"}); err != nil {
+		t.Fatal(err)
+	}
+	before := *client.Welcome().Player
+	if err := client.Reconnect(ctx); err != nil {
+		t.Fatal(err)
+	}
+	if after := *client.Welcome().Player; after != before {
+		t.Fatalf("player %d came back as %d", before, after)
+	}
+	if _, err := client.DespawnCube(ctx, nmes.DespawnCube{CubeName: "mine"}); err != nil {
+		t.Fatal(err)
+	}
+	other, err := nmes.Dial(ctx, address, nmes.Options{Password: "play"})
+	if err != nil || *other.Welcome().Player == before {
+		t.Fatal(other, err)
+	}
+	defer other.Close()
+}
+
+func TestAContextThatEndsLeavesTheConnectionGood(t *testing.T) {
+	ctx, client := within(t), enter(t, world(t))
+	lockstep(t, client)
+	short, cancel := context.WithCancel(ctx)
+	long := nmes.Send(client, nmes.Step{Ticks: nmes.Ptr(10_000)})
+	cancel()
+	if _, err := long.Wait(short); !errors.Is(err, context.Canceled) {
+		t.Fatal(err)
+	}
+	if _, err := client.Ping(ctx); err != nil {
+		t.Fatal(err)
+	}
+	if stepped, err := long.Wait(ctx); err != nil || stepped.Frame != 10_000 {
+		t.Fatal(stepped, err)
+	}
+}
+
+func TestStringsThatHoldTheDelimiterAreSentEscaped(t *testing.T) {
+	ctx, client := within(t), enter(t, world(t))
+	_, err := client.GetCubeState(ctx, nmes.GetCubeState{CubeName: "a<???DONE???---b"})
+	if !nmes.IsCode(err, "cube_not_found") || !strings.Contains(err.Error(), "<???DONE???---") {
+		t.Fatal(err)
+	}
+}
+
+func TestTheOriginalDialectIsSilentWhereItWas(t *testing.T) {
+	ctx, address := within(t), world(t)
+	old, err := nmes.DialOriginal(ctx, address, password, nil)
+	if err != nil {
+		t.Fatal(err)
+	}
+	defer old.Close()
+	if err := old.Tell(map[string]any{"type": "spawn_cube", "cube_name": "old", "position": []int{0, 3, 0}}); err != nil {
+		t.Fatal(err)
+	}
+	answer, err := old.Ask(ctx, map[string]any{"type": "get_cube_list"})
+	if err != nil || !strings.Contains(string(answer), `"old"`) {
+		t.Fatal(string(answer), err)
+	}
+	if _, err := nmes.DialOriginal(ctx, address, "wrong", nil); !nmes.IsCode(err, "auth_failed") {
+		t.Fatal(err)
+	}
+}

@@ -1,0 +1,339 @@
+package nmes
+
+import (
+	"bytes"
+	"context"
+	"crypto/tls"
+	"encoding/json"
+	"errors"
+	"fmt"
+	"net"
+	"strconv"
+	"sync"
+	"sync/atomic"
+)
+
+const (
+	delimiter = "<???DONE???---"
+	// Bytes of one frame: a world of 10,000 cubes is a reply of some megabytes.
+	largestFrame = 256 << 20
+	// Bytes that may wait to be written before senders wait for the socket.
+	writeBacklog = 1 << 20
+)
+
+// conn is one connection in the json dialect: it frames, numbers commands, and matches replies, which come in the order
+// of the commands. A goroutine writes and another reads, so that neither side ever waits for the other to read.
+type conn struct {
+	socket  net.Conn
+	events  chan Event
+	dropped atomic.Uint64
+
+	mu      sync.Mutex
+	room    sync.Cond // there is room again, or the connection is lost
+	unsent  []byte
+	waiting []*call // in the order in which they were sent; the first is next to be answered
+	count   uint64  // of commands
+	lost    error
+	wake    chan struct{} // something is to be written
+	gone    chan struct{} // closed when the connection is lost
+	closed  bool          // the server said that it closes the world
+}
+
+// call is a command whose reply is to come.
+type call struct {
+	id   string // "" of the authentication, which has none
+	done chan struct{}
+	raw  []byte
+	err  error
+}
+
+func newCall(id string) *call { return &call{id: id, done: make(chan struct{})} }
+
+func (c *call) resolve(raw []byte, err error) {
+	c.raw, c.err = raw, err
+	close(c.done)
+}
+
+func wait[R any](ctx context.Context, c *call) (*R, error) {
+	select {
+	case <-c.done:
+	default:
+		select {
+		case <-c.done:
+		case <-ctx.Done():
+			return nil, ctx.Err()
+		}
+	}
+	if c.err != nil {
+		return nil, c.err
+	}
+	reply := new(R)
+	if err := json.Unmarshal(c.raw, reply); err != nil {
+		return nil, &Disconnected{"bad_reply", fmt.Sprintf("a reply is not as the schemas say: %v", err)}
+	}
+	return reply, nil
+}
+
+func dial(ctx context.Context, address string, config *tls.Config) (net.Conn, error) {
+	var dialer interface {
+		DialContext(context.Context, string, string) (net.Conn, error)
+	} = &net.Dialer{}
+	if config != nil {
+		dialer = &tls.Dialer{Config: config}
+	}
+	socket, err := dialer.DialContext(ctx, "tcp", address)
+	if err != nil {
+		if ctx.Err() != nil {
+			return nil, ctx.Err()
+		}
+		return nil, &Disconnected{"unreachable", err.Error()}
+	}
+	return socket, nil
+}
+
+func open(ctx context.Context, address string, config *tls.Config) (*conn, error) {
+	socket, err := dial(ctx, address, config)
+	if err != nil {
+		return nil, err
+	}
+	c := &conn{
+		socket: socket,
+		events: make(chan Event, EventBacklog),
+		wake:   make(chan struct{}, 1),
+		gone:   make(chan struct{}),
+	}
+	c.room.L = &c.mu
+	go c.read()
+	go c.write()
+	return c, nil
+}
+
+// encode returns a message as JSON, its type first. Go escapes the < of strings, as the framing needs.
+func encode(kind string, fields any) ([]byte, error) {
+	body, err := json.Marshal(fields)
+	if err != nil {
+		return nil, err
+	}
+	message := make([]byte, 0, len(body)+len(kind)+40)
+	message = append(message, `{"type":"`...)
+	message = append(message, kind...)
+	message = append(message, '"')
+	if len(body) > 2 {
+		message = append(message, ',')
+	}
+	return append(message, body[1:]...), nil
+}
+
+func (c *conn) authenticate(options Options) *call {
+	fields := struct {
+		Password string `json:"password"`
+		World    string `json:"world,omitempty"`
+		Role     string `json:"role,omitempty"`
+		Token    string `json:"token,omitempty"`
+	}{options.Password, options.World, options.Role, options.Token}
+	pending := newCall("")
+	message, err := encode("auth", fields)
+	if err != nil {
+		pending.resolve(nil, err)
+		return pending
+	}
+	c.mu.Lock()
+	defer c.mu.Unlock()
+	c.put(message, pending)
+	return pending
+}
+
+// send queues a command; what cannot be encoded is not counted as sent, so that it puts nothing out of step.
+func (c *conn) send(command AnyCommand) *call {
+	body, err := encode(command.command(), command)
+	if err != nil {
+		failed := newCall("")
+		failed.resolve(nil, fmt.Errorf("nmes: %s: %w", command.command(), err))
+		return failed
+	}
+	c.mu.Lock()
+	defer c.mu.Unlock()
+	for len(c.unsent) > writeBacklog && c.lost == nil {
+		c.room.Wait()
+	}
+	id := strconv.FormatUint(c.count, 10)
+	c.count++
+	pending := newCall(id)
+	message := append(append(append(body[:len(body)-1:len(body)-1], `,"id":`...), id...), '}')
+	c.put(message, pending)
+	return pending
+}
+
+// put queues a frame and its reply to come; the lock is held.
+func (c *conn) put(message []byte, pending *call) {
+	if c.lost != nil {
+		pending.resolve(nil, c.lost)
+		return
+	}
+	c.waiting = append(c.waiting, pending)
+	c.unsent = append(append(c.unsent, message...), delimiter...)
+	select {
+	case c.wake <- struct{}{}:
+	default:
+	}
+}
+
+func (c *conn) write() {
+	var spare []byte
+	for {
+		select {
+		case <-c.wake:
+		case <-c.gone:
+			return
+		}
+		c.mu.Lock()
+		data := c.unsent
+		c.unsent = spare[:0]
+		c.room.Broadcast()
+		c.mu.Unlock()
+		if _, err := c.socket.Write(data); err != nil {
+			// What the server said before it hung up is read first; the reader notices the end.
+			return
+		}
+		spare = data
+	}
+}
+
+func (c *conn) read() {
+	defer close(c.events)
+	buffer := make([]byte, 0, 64<<10)
+	searched := 0
+	for {
+		if len(buffer) == cap(buffer) {
+			buffer = append(buffer, 0)[:len(buffer)]
+		}
+		n, err := c.socket.Read(buffer[len(buffer):cap(buffer)])
+		buffer = buffer[:len(buffer)+n]
+		begin := 0
+		for {
+			from := max(searched, begin)
+			at := bytes.Index(buffer[from:], []byte(delimiter))
+			if at < 0 {
+				break
+			}
+			frame := bytes.TrimSpace(buffer[begin : from+at])
+			begin, searched = from+at+len(delimiter), 0
+			if len(frame) > 0 && !c.take(bytes.Clone(frame)) {
+				return
+			}
+		}
+		buffer = append(buffer[:0], buffer[begin:]...)
+		searched = max(0, len(buffer)-len(delimiter)+1)
+		if len(buffer) > largestFrame {
+			c.lose(&Disconnected{"bad_reply", fmt.Sprintf("a frame is longer than %d bytes", largestFrame)})
+			return
+		}
+		if err != nil {
+			c.ended(err)
+			return
+		}
+	}
+}
+
+func (c *conn) ended(err error) {
+	switch {
+	case c.closed:
+		c.lose(&Disconnected{"world_closed", "the server closed the world"})
+	case errors.Is(err, net.ErrClosed):
+		c.lose(&Disconnected{"closed", "the client was closed"})
+	default:
+		c.lose(&Disconnected{"disconnected", fmt.Sprintf("the server closed the connection: %v", err)})
+	}
+}
+
+// take hands a frame to whom it is for; it returns whether the connection is still good.
+func (c *conn) take(frame []byte) bool {
+	var head struct {
+		Type string          `json:"type"`
+		ID   json.RawMessage `json:"id"`
+	}
+	if err := json.Unmarshal(frame, &head); err != nil {
+		return c.lose(&Disconnected{"bad_reply", fmt.Sprintf("the server sent what is not a message: %v", err)})
+	}
+	c.mu.Lock()
+	var next *call
+	if len(c.waiting) > 0 && c.waiting[0].id == string(head.ID) {
+		next = c.waiting[0]
+		c.waiting[0] = nil
+		c.waiting = c.waiting[1:]
+	}
+	c.mu.Unlock()
+	switch {
+	case next != nil && head.Type == "error":
+		next.resolve(nil, refusal(frame))
+	case next != nil:
+		next.resolve(frame, nil)
+	case head.ID != nil:
+		return c.lose(&Disconnected{"bad_reply", fmt.Sprintf("the server answered a command that was not next in line: %s", head.ID)})
+	case head.Type == "error": // of the connection, since commands have an id
+		var told CommandError
+		_ = json.Unmarshal(frame, &told) // it was read above
+		return c.lose(&Disconnected{told.Code, told.Message})
+	default:
+		return c.tell(head.Type, frame)
+	}
+	return true
+}
+
+func refusal(frame []byte) error {
+	told := new(CommandError)
+	if err := json.Unmarshal(frame, told); err != nil {
+		return &Disconnected{"bad_reply", err.Error()}
+	}
+	return told
+}
+
+// tell queues an event; where nobody reads, the oldest is dropped.
+func (c *conn) tell(kind string, frame []byte) bool {
+	event := newEvent(kind)
+	if event == nil {
+		event = &UnknownEvent{kind, frame}
+	} else if err := json.Unmarshal(frame, event); err != nil {
+		return c.lose(&Disconnected{"bad_reply", fmt.Sprintf("the event %s is not as the schemas say: %v", kind, err)})
+	}
+	if kind == "world_closed" {
+		c.closed = true
+	}
+	for {
+		select {
+		case c.events <- event:
+			return true
+		default:
+		}
+		select {
+		case <-c.events:
+			c.dropped.Add(1)
+		default: // somebody has read meanwhile
+		}
+	}
+}
+
+// lose ends the connection; the first reason is the one that counts. It returns false.
+func (c *conn) lose(err error) bool {
+	c.mu.Lock()
+	defer c.mu.Unlock()
+	if c.lost == nil {
+		c.lost = err
+		close(c.gone)
+		c.socket.Close()
+	}
+	for _, pending := range c.waiting {
+		pending.resolve(nil, c.lost)
+	}
+	c.waiting = nil
+	c.room.Broadcast()
+	return false
+}
+
+func (c *conn) close() { c.lose(&Disconnected{"closed", "the client was closed"}) }
+
+func (c *conn) failure() error {
+	c.mu.Lock()
+	defer c.mu.Unlock()
+	return c.lost
+}
