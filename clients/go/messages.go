@@ -258,6 +258,21 @@ type CreatureBornEvent struct {
 	Species int `json:"species"`
 }
 
+// CreatureChangedEvent: A creature has lost parts. Its sensors and controls stay what they were: sensors of lost
+// parts read 0, and motors there do nothing.
+type CreatureChangedEvent struct {
+	// Ticks since the world was created or reset.
+	Frame int `json:"frame"`
+	// Its name.
+	Creature string `json:"creature"`
+	// Which of its parts a creature has: 1 while it is whole, and more with each cube or joint that it loses.
+	Layout int `json:"layout"`
+	// The ids in its genome of all cubes that it has no more.
+	LostCubes []string `json:"lost_cubes"`
+	// The ids of all joints that it has no more.
+	LostJoints []string `json:"lost_joints"`
+}
+
 // CreatureDiedEvent: A creature lives no more.
 type CreatureDiedEvent struct {
 	// Ticks since the world was created or reset.
@@ -437,6 +452,9 @@ type Drive struct {
 	// One number a motor, in their order, each from -1 to 1: the lower and the upper end of the motor's range; then
 	// one number a voice.
 	Controls []float64 `json:"controls"`
+	// Only if its layout is still this one, as creature_changed or an answer told it, from 1 to 1,000,000; whichever
+	// it is if left out.
+	Layout *int `json:"layout,omitempty"`
 }
 
 // Driven: The motors have their targets.
@@ -444,6 +462,8 @@ type Driven struct {
 	Reply
 	// The creature.
 	Creature string `json:"creature"`
+	// Only of a creature that has lost parts: 1 and more with each of them.
+	Layout *int `json:"layout,omitempty"`
 }
 
 // Fed: The food is there.
@@ -884,6 +904,17 @@ type ObjectiveSet struct {
 	Needs []string `json:"needs"`
 }
 
+// PartShed: The part is cut off.
+type PartShed struct {
+	Reply
+	// The creature.
+	Creature string `json:"creature"`
+	// Which of its parts a creature has: 1 while it is whole, and more with each cube or joint that it loses.
+	Layout int `json:"layout"`
+	// The names of the cubes that were cut off.
+	Cubes []string `json:"cubes"`
+}
+
 // Pause: Stops the world from ticking by itself.
 type Pause struct {
 }
@@ -1037,6 +1068,8 @@ type Senses struct {
 	Creature string `json:"creature"`
 	// One number a sensor, in their order; units as schemas/genome.json says.
 	Values []float64 `json:"values"`
+	// Only of a creature that has lost parts: 1 and more with each of them.
+	Layout *int `json:"layout,omitempty"`
 }
 
 // SetColor: Gives a cube another colour, which has no effect on the physics.
@@ -1123,6 +1156,17 @@ type SetObjective struct {
 	Target *Vector `json:"target,omitempty"`
 }
 
+// Shed: Cuts a part off a creature, with all that hangs on its root through it alone. The joints to the rest are
+// removed, and what is cut off is no part of it any more.
+type Shed struct {
+	// The creature.
+	Creature string `json:"creature"`
+	// The id of the cube in its genome; any but the root.
+	Part string `json:"part"`
+	// Whether the cubes are taken away; else they stay where they are, as cubes of the world.
+	Remove bool `json:"remove,omitempty"`
+}
+
 // SpawnCreature: Makes the body of a genome live: its cubes and joints, all of them or none. The brain stays
 // outside, where whoever runs it senses and drives; or the world runs it.
 type SpawnCreature struct {
@@ -1206,8 +1250,8 @@ type Stepped struct {
 
 // Subscribe: Asks for events. A second subscribe replaces the first.
 type Subscribe struct {
-	// Which events: tick; state; and of a world with life what happens in its ecosystem, whenever it does. Default:
-	// ['tick', 'state'].
+	// Which events: tick; state; of a world with life what happens in its ecosystem, whenever it does; and
+	// creatures, when one of them has lost parts. Default: ['tick', 'state'].
 	Events []string `json:"events,omitempty"`
 	// Only every so many ticks, from 1 to 1,000,000. Default: 1.
 	Every *int `json:"every,omitempty"`
@@ -1749,6 +1793,15 @@ func (c *Client) SetObjective(ctx context.Context, command SetObjective) (*Objec
 	return Do(ctx, c, command)
 }
 
+func (Shed) command() string   { return "shed" }
+func (Shed) answer() *PartShed { return new(PartShed) }
+
+// Shed cuts a part off a creature, with all that hangs on its root through it alone. The joints to the rest are
+// removed, and what is cut off is no part of it any more.
+func (c *Client) Shed(ctx context.Context, command Shed) (*PartShed, error) {
+	return Do(ctx, c, command)
+}
+
 func (SpawnCreature) command() string          { return "spawn_creature" }
 func (SpawnCreature) answer() *CreatureSpawned { return new(CreatureSpawned) }
 
@@ -1800,6 +1853,8 @@ func newEvent(kind string) Event {
 		return new(CensusEvent)
 	case "creature_born":
 		return new(CreatureBornEvent)
+	case "creature_changed":
+		return new(CreatureChangedEvent)
 	case "creature_died":
 		return new(CreatureDiedEvent)
 	case "food_eaten":
@@ -1817,13 +1872,14 @@ func newEvent(kind string) Event {
 	}
 	return nil
 }
-func (*BarrierTimeoutEvent) event() string { return "barrier_timeout" }
-func (*CensusEvent) event() string         { return "census" }
-func (*CreatureBornEvent) event() string   { return "creature_born" }
-func (*CreatureDiedEvent) event() string   { return "creature_died" }
-func (*FoodEatenEvent) event() string      { return "food_eaten" }
-func (*LaggingEvent) event() string        { return "lagging" }
-func (*StateEvent) event() string          { return "state" }
-func (*TickEvent) event() string           { return "tick" }
-func (*WorldClosedEvent) event() string    { return "world_closed" }
-func (*WorldFaultEvent) event() string     { return "world_fault" }
+func (*BarrierTimeoutEvent) event() string  { return "barrier_timeout" }
+func (*CensusEvent) event() string          { return "census" }
+func (*CreatureBornEvent) event() string    { return "creature_born" }
+func (*CreatureChangedEvent) event() string { return "creature_changed" }
+func (*CreatureDiedEvent) event() string    { return "creature_died" }
+func (*FoodEatenEvent) event() string       { return "food_eaten" }
+func (*LaggingEvent) event() string         { return "lagging" }
+func (*StateEvent) event() string           { return "state" }
+func (*TickEvent) event() string            { return "tick" }
+func (*WorldClosedEvent) event() string     { return "world_closed" }
+func (*WorldFaultEvent) event() string      { return "world_fault" }

@@ -17,6 +17,7 @@ from nmes.client.replies import (
     Heard,
     Life,
     ObjectiveSet,
+    PartShed,
     Reward,
     Said,
     Senses,
@@ -67,7 +68,7 @@ class CreatureCommands:
         return CreatureSpawned
 
     @command
-    def drive(self, creature: str, controls: Vector) -> type[Driven]:
+    def drive(self, creature: str, controls: Vector, *, layout: int | None = None) -> type[Driven]:
         """Sets what the motors of a creature aim at and what its voices say, until it is driven again.
 
         What set_joint_param of each motor's target and say of each channel do, in one.
@@ -76,6 +77,8 @@ class CreatureCommands:
             creature: The creature.
             controls: One number a motor, in their order, each from -1 to 1: the lower and the upper end of the motor's
                 range; then one number a voice.
+            layout: Only if its layout is still this one, as creature_changed or an answer told it, from 1 to 1,000,000;
+                whichever it is if left out.
 
         Returns:
             Driven: The motors have their targets.
@@ -208,6 +211,29 @@ class CreatureCommands:
             TimeoutError: No reply came in time.
         """
         return Senses
+
+    @command
+    def shed(self, creature: str, part: str, *, remove: bool | None = None) -> type[PartShed]:
+        """Cuts a part off a creature, with all that hangs on its root through it alone.
+
+        The joints to the rest are removed, and what is cut off is no part of it any more.
+
+        Args:
+            creature: The creature.
+            part: The id of the cube in its genome; any but the root.
+            remove: Whether the cubes are taken away; else they stay where they are, as cubes of the world. Default:
+                False.
+
+        Returns:
+            PartShed: The part is cut off.
+
+        Raises:
+            CommandFailed: The server refused it: `creature_not_found`, `invalid`, `not_allowed`, `unsupported` or
+                `world_faulted`.
+            Disconnected: The connection was lost.
+            TimeoutError: No reply came in time.
+        """
+        return PartShed
 
     @command
     def set_objective(

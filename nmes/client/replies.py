@@ -100,6 +100,7 @@ class CreatureSpawned(TypedDict):
 class Driven(TypedDict):
     type: Literal["driven"]
     creature: str
+    layout: NotRequired[int]
 
 
 class GenomeDocument(TypedDict):
@@ -161,6 +162,14 @@ class Senses(TypedDict):
     type: Literal["senses"]
     creature: str
     values: list[float]
+    layout: NotRequired[int]
+
+
+class PartShed(TypedDict):
+    type: Literal["part_shed"]
+    creature: str
+    layout: int
+    cubes: list[str]
 
 
 class WorldSummary(TypedDict):
@@ -482,11 +491,20 @@ class Census(TypedDict):
     means: CensusMeans
 
 
+class CreatureChanged(TypedDict):
+    type: Literal["creature_changed"]
+    frame: int
+    creature: str
+    layout: int
+    lost_cubes: list[str]
+    lost_joints: list[str]
+
+
 class WorldClosed(TypedDict):
     type: Literal["world_closed"]
 
 
 LifeEvent = CreatureBorn | CreatureDied | FoodEaten | Census
-Event = Tick | State | LifeEvent | WorldFault | BarrierTimeout | Lagging | WorldClosed
+Event = Tick | State | LifeEvent | CreatureChanged | WorldFault | BarrierTimeout | Lagging | WorldClosed
 JointType = Literal["fixed", "hinge", "slide", "slider", "pin", "conetwist"]
 Mode = Literal["realtime", "lockstep", "fast"]

@@ -186,7 +186,7 @@ class WorldCommands:
     def subscribe(
         self,
         *,
-        events: Sequence[Literal["tick", "state", "life"]] | None = None,
+        events: Sequence[Literal["tick", "state", "life", "creatures"]] | None = None,
         every: int | None = None,
         position_threshold: float | None = None,
         rotation_threshold: float | None = None,
@@ -196,8 +196,8 @@ class WorldCommands:
         A second subscribe replaces the first.
 
         Args:
-            events: Which events: tick; state; and of a world with life what happens in its ecosystem, whenever it does.
-                Default: ['tick', 'state'].
+            events: Which events: tick; state; of a world with life what happens in its ecosystem, whenever it does; and
+                creatures, when one of them has lost parts. Default: ['tick', 'state'].
             every: Only every so many ticks, from 1 to 1,000,000. Default: 1.
             position_threshold: How far a cube must have moved since it was last sent to be sent again, in m, from 0 to
                 1,000,000. Default: 0.

@@ -94,8 +94,10 @@ _PROSE: Final[Mapping[str, str]] = {
     "3.7.2": "`sense` reads all its sensors and `drive` aims all its motors, each by one list of numbers in the order "
     "that `creature_spawned` tells.",
     "3.7.3": "`target` is what its sensors of a target are about: a point or a cube, which need not be there yet.",
-    "3.7.4": "A creature is nothing but its cubes and joints: when one of them is taken away it is a creature no more, "
-    "and what is left stays.",
+    "3.7.4": "A creature is nothing but its cubes and joints: what is taken away, or cut off from its root, is no part "
+    "of it any more; without its root it is a creature no more, and what is left stays.",
+    "3.7.5": "Sensors of parts that it has lost read 0, and motors there do nothing: its values and controls stay as "
+    "many as they were.",
     "3.8.1": "A world's config may name `collision_groups`: cubes of groups that pass through each other do not "
     "collide, all others do.",
     "3.8.2": "A cube of a group that the config has not is refused.",
@@ -133,6 +135,7 @@ UNTESTED: Final[Mapping[str, str]] = {
     "3.4.6": "a server is not slowed down from outside",
     "4.barrier_timeout": "see 3.5.3",
     "4.census": "only a world that lives tells it",
+    "4.creature_changed": "see 3.7.5",
     "4.creature_born": "only a world that lives tells it",
     "4.creature_died": "only a world that lives tells it",
     "4.food_eaten": "only a world that lives tells it",

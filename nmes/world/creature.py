@@ -1,8 +1,9 @@
 """Creatures: bodies of genomes that live in a world, driven and sensed as a whole.
 
 Hides which cubes and joints of the world a creature is, and how controls become targets of motors. A creature is
-nothing but its cubes and joints: whoever moves, pushes or retunes those by their own names does it to the creature;
-when one of them is taken away, it is a creature no more, and what is left stays.
+nothing but its cubes and joints: whoever moves, pushes or retunes those by their own names does it to the creature.
+What is taken away or cut off is lost to it: sensors there read 0, and motors there do nothing; without its root it is a
+creature no more, and what is left stays.
 
 Invariants: `spawn` makes all of a body or changes nothing; `drive` does what `set_joint_param` of each motor's target
 would, in order; `sense` changes nothing; creatures are in order of creation.
@@ -30,6 +31,7 @@ from nmes.world import joint_params
 from nmes.world.channels import Channels
 from nmes.world.disturbance import Disturbance
 from nmes.world.entities import Cube, Entities, Joint
+from nmes.world.limbs import attached, beyond
 from nmes.world.mind import Mind, require_mind
 from nmes.world.nearby import Nearby
 from nmes.world.senses import Senses
@@ -48,7 +50,7 @@ _NEEDED = {
 
 
 class Creature:
-    """One creature. Made by `Creatures.spawn`; valid until its world resets or one of its parts is taken away.
+    """One creature. Made by `Creatures.spawn`; valid until its world resets or its root is taken away.
 
     Attributes:
         name: Unique among the creatures of its world.
@@ -56,9 +58,10 @@ class Creature:
         target: What its target sensors point to: a point (m) or the name of a cube; None: nothing.
         root: The number of its root in the engine: where others see it, and where it speaks.
         bodies: The numbers of all its cubes.
-        cubes: The names of its cubes in the world by the ids in its body; `joints` likewise.
-        motors: In the order of controls.
-        sensors: In the order of values.
+        cubes: The names of its cubes in the world by the ids in its body, of those that are there; `joints` likewise.
+        layout: Rises with each part that it loses, a cube or a joint; 1 while it is whole.
+        motors: In the order of controls, those that are lost too.
+        sensors: In the order of values, likewise.
         controls: What it was driven with last, shape (m + v,); None until it is driven, or since it was restored.
         senses: What its sensors read.
         flaws: Of all its sensors and of all its motors, besides those of the genome, as `spawn_creature` has them.
@@ -80,39 +83,50 @@ class Creature:
         flaws: JsonObject | None = None,
     ) -> None:
         self._entities, self._simulation = entities, entities.simulation
-        self._channels = channels
+        self._channels, self._others = channels, others
         self.name, self.genome, self.body = name, genome, (body := genome.body)
         self.target, self.mind, self.flaws = target, mind, flaws
         self.motors: tuple[Motor, ...] = body.motors
         self.sensors: tuple[Sensor, ...] = body.sensors
         self.controls: Array | None = None
         self._shape = (len(body.outputs),)
-        self._cubes, self._joints = cubes, joints
-        self.bodies = tuple(cube.body for cube in cubes.values())
         self.root = cubes[body.cubes[0].id].body
-        self.cubes: dict[str, str] = {part: cube.name for part, cube in cubes.items()}
-        self.joints: dict[str, str] = {part: joint.name for part, joint in joints.items()}
         self._low = np.array([motor.low for motor in self.motors])
         self._half = np.array([(motor.high - motor.low) / 2.0 for motor in self.motors])
         self._ones, self._wanted = np.ones(len(self.motors)), np.empty(len(self.motors))
         self._spoken = _by_channel(body, channels)
-        self._driven = tuple(joints[motor.id] for motor in self.motors)
+        self._drive_head = protocol.encode({"type": "drive", "creature": name, "controls": []}).removesuffix(b"[]}")
+        self.disturbance = self._disturbance()
+        self._bind(cubes, joints)
+
+    def _bind(self, cubes: dict[str, Cube], joints: dict[str, Joint]) -> None:
+        """Finds all that follows from the parts that are there."""
+        body = self.body
+        self._cubes, self._joints = cubes, joints
+        self.bodies = tuple(cube.body for cube in cubes.values())
+        self.cubes: dict[str, str] = {part: cube.name for part, cube in cubes.items()}
+        self.joints: dict[str, str] = {part: joint.name for part, joint in joints.items()}
+        self.layout = 1 + len(body.cubes) - len(cubes) + len(body.joints) - len(joints)
+        there = [row for row, motor in enumerate(self.motors) if motor.id in joints]
+        self._there = None if len(there) == len(self.motors) else np.array(there, np.intp)
+        self._moved = tuple(self.motors[row] for row in there)
+        self._driven = tuple(joints[motor.id] for motor in self._moved)
         self._numbers = tuple(joint.number for joint in self._driven)
         self._fields = tuple(
-            "target_position" if motor.mode == "position" else "motor_target_velocity" for motor in self.motors
+            "target_position" if motor.mode == "position" else "motor_target_velocity" for motor in self._moved
         )
         self._tuned = -1  # the entities', when the joints' parameters were looked at last
         self._targets: list[tuple[JsonObject, str]] = []
         self._params: list[Any] = []
-        self._drive_head = protocol.encode({"type": "drive", "creature": name, "controls": []}).removesuffix(b"[]}")
-        self._driven_reply = protocol.encode({"type": "driven", "creature": name})
-        self.disturbance = self._disturbance()
-        self.senses = Senses(body, cubes, joints, Surroundings(entities, others, channels, target, self.bodies))
+        self._driven_reply = protocol.encode({"type": "driven", "creature": self.name, **self.changed})
+        around = Surroundings(self._entities, self._others, self._channels, self.target, self.bodies)
+        self.senses = Senses(body, cubes, joints, around)
 
     @property
     def solitary(self) -> bool:
         """Whether it lives only in a world of its own, and never as a row of an engine."""
-        return self.disturbance is not None or any(sensor.solitary for sensor in self.sensors)
+        changed = self.layout > 1 or self.disturbance is not None
+        return changed or any(sensor.solitary for sensor in self.sensors)
 
     @property
     def plan(self) -> Hashable:
@@ -122,12 +136,39 @@ class Creature:
         return (*parts, body.outputs, self.sensors)
 
     @property
-    def whole(self) -> bool:
-        """Whether all its cubes and joints are still there."""
-        entities = self._entities
-        return all(entities.cubes.get(cube.name) is cube for cube in self._cubes.values()) and all(
-            entities.joints.get(joint.name) is joint for joint in self._joints.values()
-        )
+    def changed(self) -> JsonObject:
+        """What replies about it tell besides: its `layout`, unless it is whole."""
+        return {"layout": self.layout} if self.layout > 1 else {}
+
+    @property
+    def lost(self) -> tuple[list[str], list[str]]:
+        """The ids of the cubes and of the joints of its body that it has no more."""
+        cubes = [part.id for part in self.body.cubes if part.id not in self._cubes]
+        return cubes, [part.id for part in self.body.joints if part.id not in self._joints]
+
+    def settle(self) -> bool:
+        """Takes note of parts that were taken away or cut off; returns whether its root is still there."""
+        cubes, joints = attached(self._entities, self._cubes, self._joints)
+        if cubes and (len(cubes), len(joints)) != (len(self._cubes), len(self._joints)):
+            self._bind(cubes, joints)
+        return bool(cubes)
+
+    def shed(self, part: str) -> list[Cube]:
+        """Cuts off a part and all that hangs on it alone; returns their cubes, which stay where they are.
+
+        Raises:
+            WorldError: It has no such part (`cube_not_found`), or that is its root (`invalid`).
+        """
+        if part not in self._cubes:
+            raise WorldError("cube_not_found", f"{self.name!r} has no part {part!r} now", "part")
+        if self._cubes[part].body == self.root:
+            raise WorldError("invalid", f"part: {part!r} is the root of {self.name!r}, on which all hangs", "part")
+        cut = beyond(self._cubes, self._joints, part)
+        numbers = {cube.body for cube in cut}
+        for joint in list(self._joints.values()):
+            if (joint.cube1.body in numbers) != (joint.cube2.body in numbers):
+                self._entities.cut(joint)
+        return cut
 
     def _disturbance(self) -> Disturbance | None:
         """Returns what its flaws do: of each of the genome's and of all the worse."""
@@ -199,6 +240,8 @@ class Creature:
         np.add(controls, self._ones, out=targets)  # of arrays alone: a float would be made one each time
         np.multiply(targets, self._half, out=targets)
         np.add(targets, self._low, out=targets)
+        if self._there is not None:
+            targets = targets.take(self._there)
         if self._tuned != self._entities.tuned:
             self._prepare_motors(targets)
         self._simulation.set_motor_targets(self._numbers, self._params, targets)
@@ -207,7 +250,7 @@ class Creature:
 
     def _prepare_motors(self, targets: Array) -> None:
         """Has all motors run in the mode that they were made for, and keeps their parameters at hand for `drive`."""
-        for joint, motor, field, target in zip(self._driven, self.motors, self._fields, targets.tolist(), strict=True):
+        for joint, motor, field, target in zip(self._driven, self._moved, self._fields, targets.tolist(), strict=True):
             servo = joint.params["target_position"] is not None
             if not joint.params["motor_enabled"] or servo != (motor.mode == "position"):
                 self._entities.set_params(joint, {field: target}, "value")
@@ -250,6 +293,8 @@ class Creatures:
         self._creatures: dict[str, Creature] = {}
         self._minds: list[Creature] = []  # those whose brains the world runs
         self._flawed: list[Creature] = []
+        self._lessened: list[Creature] = []  # those that have lost parts
+        self._changed: dict[str, None] = {}  # the names of those that lost parts since `changes` was called
         self._count = 0
         self._version = entities.version
         self._nearby = Nearby(entities, lambda: [creature.root for creature in self._present().values()])
@@ -279,9 +324,15 @@ class Creatures:
         return self._present().get(name)
 
     def _forget_dissolved(self) -> None:
-        self._creatures = {name: creature for name, creature in self._creatures.items() if creature.whole}
+        for name, creature in list(self._creatures.items()):
+            before = creature.layout
+            if not creature.settle():
+                del self._creatures[name]
+            elif creature.layout != before:
+                self._changed[name] = None
         self._minds = [creature for creature in self._creatures.values() if creature.mind is not None]
         self._flawed = [creature for creature in self._creatures.values() if creature.disturbance is not None]
+        self._lessened = [creature for creature in self._creatures.values() if creature.layout > 1]
         self._version = self._entities.version
 
     def act(self) -> None:
@@ -297,11 +348,27 @@ class Creatures:
             creature.disturb()
 
     def memory(self) -> bytes:
-        """Returns what the brains that the world runs remember, and flaws, as bytes; empty where there are none."""
-        if (self._minds or self._flawed) and self._version != self._entities.version:
+        """Returns what the brains that the world runs and flaws remember, and who lost which parts, as bytes."""
+        if self._creatures and self._version != self._entities.version:
             self._forget_dissolved()
+        lost = [orjson.dumps([creature.name, *creature.lost]) for creature in self._lessened]
         minds = [each.mind.memory().tobytes() for each in self._minds if each.mind is not None]
-        return b"".join(minds + [each.disturbance.memory() for each in self._flawed if each.disturbance is not None])
+        flaws = [each.disturbance.memory() for each in self._flawed if each.disturbance is not None]
+        return b"".join(minds + flaws + lost)
+
+    def changes(self, frame: int) -> list[JsonObject]:
+        """Returns which creatures have lost parts since this was asked last, as events."""
+        if self._creatures and self._version != self._entities.version:
+            self._forget_dissolved()
+        if not self._changed:
+            return []
+        names, self._changed = [name for name in self._changed if name in self._creatures], {}
+        return [self._change(self._creatures[name], frame) for name in names]
+
+    def _change(self, creature: Creature, frame: int) -> JsonObject:
+        cubes, joints = creature.lost
+        head = {"type": "creature_changed", "frame": frame, "creature": creature.name, "layout": creature.layout}
+        return {**head, "lost_cubes": cubes, "lost_joints": joints}
 
     def spawn(
         self,
@@ -369,6 +436,9 @@ class Creatures:
                 "genome": creature.genome.document,
                 "target": creature.target,
                 **({} if creature.mind is None else {"mind": creature.mind.state()}),
+                **(
+                    {} if creature.layout == 1 else {"lost": dict(zip(("cubes", "joints"), creature.lost, strict=True))}
+                ),
                 **({} if creature.flaws is None else {"flaws": creature.flaws}),
                 **({} if creature.disturbance is None else {"disturbance": creature.disturbance.state()}),
             }
@@ -381,8 +451,11 @@ class Creatures:
         entities, self._count, self._version = self._entities, state["count"], self._entities.version
         for values in state["creatures"]:
             name, genome = values["name"], Genome(values["genome"])
-            cubes = {part.id: entities.cube(f"{name}.{part.id}") for part in genome.body.cubes}
-            joints = {part.id: entities.joint(f"{name}.{part.id}") for part in genome.body.joints}
+            lost = values.get("lost", {"cubes": [], "joints": []})
+            body = genome.body
+            cubes = {each.id: entities.cube(f"{name}.{each.id}") for each in body.cubes if each.id not in lost["cubes"]}
+            left = (each.id for each in body.joints if each.id not in lost["joints"])
+            joints = {part: entities.joint(f"{name}.{part}") for part in left}
             target = values["target"]
             target = (target[0], target[1], target[2]) if isinstance(target, list) else target
             mind = Mind(genome, *self._beginning(cubes), values["mind"]) if "mind" in values else None

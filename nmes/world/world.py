@@ -272,6 +272,9 @@ class World(WorldQueries):
             except RecordingError as error:
                 self.stop_recording(error)
                 return
+        changes = self.all_creatures.changes(self.frame)
+        if changes:
+            self._clients.tell(self.emit, "creatures", changes)
         if events:
             self._record(lambda journal: journal.lived(self.frame, events))
             self._clients.tell(self.emit, "life", events)

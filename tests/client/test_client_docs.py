@@ -55,6 +55,7 @@ REFUSED: dict[str, list[dict[str, Any]]] = {
         {"type": "drive", "creature": "x", "controls": []},
         {"type": "get_genome", "creature": "x"},
         {"type": "sense", "creature": "x"},
+        {"type": "shed", "creature": "x", "part": "y"},
         {"type": "set_objective", "expression": "time", "creature": "x"},
         {"type": "give", "creature": "x", "player": 1},
         {"type": "say", "creature": "x", "channel": "talk", "value": 1},

@@ -317,13 +317,12 @@ def test_a_creature_s_history_is_reproduced_on_any_engine(backend: str, tmp_path
     assert replay(tmp_path / "a.mcap").verdict == "reproduced"
 
 
-def test_a_creature_exists_until_a_part_is_removed() -> None:
+def test_a_creature_exists_until_its_root_is_removed() -> None:
     place = Place()
     for name in "ab":
         place("spawn_creature", genome=crawler(), name=name)
-    place("despawn_cube", cube_name="a.s3")
-    place("remove_joint", joint_name="b.j0")
-    assert place.world.creatures() == []
+    place("despawn_cube", cube_name="a.s0")
+    assert place.world.creatures() == ["b"]
     for command in ({"kind": "sense"}, {"kind": "drive", "controls": [0, 0, 0]}):
         assert place(**command, creature="a")["code"] == "creature_not_found"
     assert len(place.world.cubes()) == 7

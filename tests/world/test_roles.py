@@ -118,6 +118,7 @@ def about(who: str) -> dict[str, list[Reply]]:
         "get_joints_for_cube": [{"cube_name": a}],
         "get_world_state": [{"cubes": [a]}],
         "sense": [{"creature": pet}],
+        "shed": [{"creature": pet, "part": "c3"}],
         "get_genome": [{"creature": pet}],
         "say": [{"cube_name": a, "channel": "talk", "value": 0.5}, {"creature": pet, "channel": "talk", "value": 0.5}],
         "hear": [{"cube_name": a, "channel": "talk"}, {"creature": pet, "channel": "talk"}],

@@ -1,4 +1,4 @@
-"""Creatures: spawned whole or not at all, sensed and driven by lists of numbers, and gone when a part of them is."""
+"""Creatures: spawned whole or not at all, sensed and driven by lists of numbers; parts of them can be lost."""
 
 from __future__ import annotations
 
@@ -242,20 +242,59 @@ def wrong_controls_move_nothing(t: Trial, controls: Any) -> None:
     11,
     "3.7.4",
     [
-        Row("a-cube", {"type": "despawn_cube", "cube_name": "arm"}),
-        Row("a-joint", {"type": "remove_joint", "joint_name": "shoulder"}),
+        Row("cube", {"type": "despawn_cube", "cube_name": "torso"}),
+        Row("part", {"type": "shed", "part": "torso"}),
     ],
-    needs=(*NEEDS, "sense", "drive"),
+    needs=(*NEEDS, "sense", "drive", "shed"),
 )
-def a_creature_that_lost_a_part(t: Trial, command: dict[str, Any]) -> None:
-    """When a part of it is taken away a creature is one no more, and what is left stays."""
+def a_creature_that_lost_its_root(t: Trial, command: dict[str, Any]) -> None:
+    """Without its root a creature is one no more, and what is left stays; the root cannot be shed."""
     wire = t.join()
     name = spawned(t, wire)["creature"]
-    removal = {key: value if key == "type" else f"{name}.{value}" for key, value in command.items()}
-    t.ask(wire, removal, "cube_despawned" if command["type"] == "despawn_cube" else "joint_removed")
-    t.refused(wire, {"type": "sense", "creature": name}, "creature_not_found", "creature")
-    t.refused(wire, {"type": "drive", "creature": name, "controls": [0]}, "creature_not_found", "creature")
-    t.info(wire, f"{name}.torso")
+    sense, drive = {"type": "sense", "creature": name}, {"type": "drive", "creature": name, "controls": [0]}
+    if command["type"] == "shed":
+        t.refused(wire, {**command, "creature": name}, "invalid", "part")
+        t.ask(wire, sense, "senses")
+        return
+    t.ask(wire, {**command, "cube_name": f"{name}.torso"}, "cube_despawned")
+    t.refused(wire, sense, "creature_not_found", "creature")
+    t.refused(wire, drive, "creature_not_found", "creature")
+    t.info(wire, f"{name}.arm")
+
+
+@table(
+    19,
+    "3.7.5",
+    [
+        Row("cube", ({"type": "despawn_cube", "cube_name": "arm"}, "cube_despawned")),
+        Row("joint", ({"type": "remove_joint", "joint_name": "shoulder"}, "joint_removed")),
+        Row("shed", ({"type": "shed", "part": "arm", "remove": False}, "part_shed")),
+        Row("removed", ({"type": "shed", "part": "arm", "remove": True}, "part_shed")),
+    ],
+    needs=(*NEEDS, "sense", "drive", "shed"),
+)
+def a_creature_that_lost_a_part(t: Trial, way: tuple[dict[str, Any], str]) -> None:
+    """What a creature has lost reads 0 and does nothing; the rest of it goes on."""
+    wire, (command, answer) = t.join(), way
+    name = spawned(t, wire)["creature"]
+    whole = senses(t, wire, name)
+    named = {key: f"{name}.{value}" for key, value in command.items() if key.endswith("_name")}
+    about = {"creature": name} if command["type"] == "shed" else {}
+    reply = t.ask(wire, {**command, **named, **about}, answer)
+    if command["type"] == "shed":
+        t.equal((reply["layout"], reply["cubes"]), (3, [f"{name}.arm"]), "layout and cubes of the answer")
+    lessened = senses(t, wire, name)
+    lost = {key: value for key, value in lessened.items() if key.startswith(("shoulder", "arm"))}
+    t.equal(set(lost.values()), {0.0}, "what is lost reads")
+    t.equal(lessened["torso.height"], whole["torso.height"], "the height of the torso")
+    drive = {"type": "drive", "creature": name, "controls": [1]}
+    layout = t.ask(wire, drive, "driven")["layout"]
+    t.ask(wire, {**drive, "layout": layout}, "driven")
+    t.refused(wire, {**drive, "layout": layout - 1}, "layout_changed", "layout")
+    if command["type"] == "remove_joint" or command.get("remove") is False:
+        t.info(wire, f"{name}.arm")
+    elif command["type"] == "despawn_cube" or command.get("remove"):
+        t.refused(wire, {"type": "get_cube_info", "cube_name": f"{name}.arm"}, "cube_not_found", "cube_name")
 
 
 @case(12, "4.error.creature_not_found", needs=("sense", "drive"))

@@ -59,6 +59,9 @@ def _bad_genome(error: DocumentError) -> WorldError:
 def drive(world: World, client: Client, command: JsonObject) -> JsonObject:
     """Sets the targets of all motors of a creature, and what its voices say."""
     creature, controls = world.creature(command["creature"]), command["controls"]
+    if command.get("layout", creature.layout) != creature.layout:
+        what = f"{creature.name!r} has changed: its layout is {creature.layout} now, and no more {command['layout']}"
+        raise WorldError("layout_changed", what, "layout")
     if creature.mind is not None:
         raise WorldError("invalid", f"creature: {creature.name!r} is driven by its own brain", "creature")
     motors, outputs = len(creature.motors), len(creature.body.outputs)
@@ -71,13 +74,25 @@ def drive(world: World, client: Client, command: JsonObject) -> JsonObject:
         message = f"controls: {creature.name!r} takes {expected}, got {len(controls)}"
         raise WorldError("invalid", message, "controls")
     creature.drive(np.array(controls, float))
-    return {"type": "driven", "creature": creature.name}
+    return {"type": "driven", "creature": creature.name, **creature.changed}
 
 
 def sense(world: World, client: Client, command: JsonObject) -> JsonObject:
     """Reads all sensors of a creature."""
     creature = world.creature(command["creature"])
-    return {"type": "senses", "creature": creature.name, "values": creature.sense()}
+    return {"type": "senses", "creature": creature.name, "values": creature.sense(), **creature.changed}
+
+
+def shed(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Cuts a part off a creature, and all that hangs on it alone."""
+    creature = world.creature(command["creature"])
+    cut = creature.shed(command["part"])
+    if command.get("remove"):
+        for cube in cut:
+            world.entities.despawn(cube)
+    names = [cube.name for cube in cut]
+    creature = world.creature(creature.name)
+    return {"type": "part_shed", "creature": creature.name, "layout": creature.layout, "cubes": names}
 
 
 def get_genome(world: World, client: Client, command: JsonObject) -> JsonObject:
@@ -86,7 +101,7 @@ def get_genome(world: World, client: Client, command: JsonObject) -> JsonObject:
     return {"type": "genome", "creature": creature.name, "genome": creature.genome.document}
 
 
-COMMANDS = {"get_genome": get_genome, "spawn_creature": spawn_creature, "drive": drive, "sense": sense}
+COMMANDS = {"get_genome": get_genome, "spawn_creature": spawn_creature, "drive": drive, "sense": sense, "shed": shed}
 
 
 def _cubes_of(world: World, client: Client, command: JsonObject) -> Touched:
@@ -104,5 +119,6 @@ RIGHTS = {
     "spawn_creature": Right("build", nothing),
     "drive": Right("act", _cubes_of),
     "sense": Right("look", _with_target),
+    "shed": Right("build", _cubes_of),
     "get_genome": Right("look", _cubes_of),
 }
