@@ -15,7 +15,6 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from hashlib import blake2b
-from math import cos, sin
 from typing import Any, Final, TypeAlias
 
 from nmes.backend import Vector, load_backend
@@ -162,7 +161,7 @@ class MatchTask(Setting):
         channels = tuple(
             (name, channel.get("size", 1)) for name, channel in sorted(self._config.get("channels", {}).items())
         )
-        senses = OF_OTHERS if len(self.roles) > 1 else ()
+        senses = (*(OF_OTHERS if len(self.roles) > 1 else ()), *self.senses)
         return Requirements(self.roles[role].limits, planar, partial(self._unsuited, role), senses, channels)
 
     def _unsuited(self, role: str, body: Body) -> list[str]:
@@ -190,7 +189,7 @@ class MatchTask(Setting):
             seed: The match's.
             genomes: The creatures, by role.
         """
-        commands = [self._standing(prop, seed) for prop in self.document["props"]]
+        commands = [self.standing(prop, seed) for prop in self.document["props"]]
         for role in self.roles.values():
             commands += self._set_down(role, seed, genomes)
         return commands
@@ -228,24 +227,6 @@ class MatchTask(Setting):
         if yaw:
             turned = list(multiply(turn, root.quaternion))
             yield {"type": "set_cube_state", "cube_name": f"{role.name}.{root.id}", "rotation": turned}
-
-    def _standing(self, prop: JsonObject, seed: int) -> JsonObject:
-        """Returns the command that puts a prop into the world, upon its foot."""
-        x, y, z = map(float, prop["position"])
-        if "away" in prop:
-            far, bearing = (
-                self.draw(seed, f"{prop['id']} {what}", prop["away"][what]) for what in ("distance", "bearing")
-            )
-            x, z = x + far * cos(bearing), z - far * sin(bearing)
-        return {
-            "type": "spawn_cube",
-            "cube_name": prop["id"],
-            "position": [x, y + prop["size"][1] / 2.0, z],
-            "size": prop["size"],
-            "mass": prop["mass"],
-            "color": prop["color"],
-            "list": False,
-        }
 
     def _aim(self, target: Vector | str, genomes: Mapping[str, Genome]) -> list[float] | str:
         """Returns a target as the command that makes a creature has it."""

@@ -12,8 +12,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from hashlib import blake2b
 from typing import Any, Final
 
+from nmes.backend import load_backend
 from nmes.errors import DocumentError, NmesError
 from nmes.genome.limits import Limits
+from nmes.genome.sensors import NEEDED
 from nmes.objective import Cast, Condition, Objective
 from nmes.protocol import complete_config
 from nmes.schemas.documents import (
@@ -130,6 +132,31 @@ class Setting:
         if "friction" in self.document["vary"]:
             config["friction"] = self.draw(seed, "friction", self.document["vary"]["friction"])
         return config
+
+    @property
+    def senses(self) -> tuple[str, ...]:
+        """The types of sensors of use here, besides those that are of use everywhere, that the engine has."""
+        able = load_backend(self._config["backend"]).capabilities
+        return tuple(kind for kind in self.document.get("senses", ()) if kind not in NEEDED or NEEDED[kind][0] in able)
+
+    def standing(self, prop: JsonObject, seed: int) -> JsonObject:
+        """Returns the command that puts a prop with a `position` into the world, upon its foot, as a seed draws it."""
+        x, y, z = map(float, prop["position"])
+        if "away" in prop:
+            far, bearing = (
+                self.draw(seed, f"{prop['id']} {what}", prop["away"][what]) for what in ("distance", "bearing")
+            )
+            x, z = x + far * math.cos(bearing), z - far * math.sin(bearing)
+        return {
+            "type": "spawn_cube",
+            "cube_name": prop["id"],
+            "position": [x, y + prop["size"][1] / 2.0, z],
+            "size": prop["size"],
+            "mass": prop["mass"],
+            "color": prop["color"],
+            **({"frozen": True} if prop.get("frozen") else {}),
+            "list": False,
+        }
 
     def prop_ids(self) -> list[str]:
         """Returns the ids of the props, as expressions have them."""

@@ -197,7 +197,7 @@ class Task(Setting):
         if "flaws" in self.document:
             spawn["flaws"] = self.document["flaws"]
         target = self.target(seed, place)
-        if target is not None:
+        if target is not None and not any(prop.get("hidden") for prop in self.document["props"]):
             spawn["target"] = place.prop(target) if isinstance(target, str) else target
         commands = [spawn]
         yaw = self.draw(seed, "yaw", vary["yaw"])
@@ -209,7 +209,7 @@ class Task(Setting):
         return commands
 
     def props(self, seed: int, body: Body, root: Array, place: Place = ALONE) -> list[JsonObject]:
-        """Returns the commands that put the props on a creature that has settled.
+        """Returns the commands that put the props into the world, or on a creature that has settled.
 
         Args:
             seed: The episode's.
@@ -220,6 +220,11 @@ class Task(Setting):
         commands: list[JsonObject] = []
         cube = body.cubes[0]
         for prop in self.document["props"]:
+            if "position" in prop:
+                standing = self.standing(prop, seed)
+                name, position = place.prop(prop["id"]), place.shifted(standing["position"])
+                commands.append({**standing, "cube_name": name, "position": position})
+                continue
             lean = self.draw(seed, f"lean of {prop['id']}", prop["lean"])
             foot = _top(root, cube.size)
             if not prop["hinge"]:
@@ -252,7 +257,7 @@ class Task(Setting):
     def requirements(self) -> Requirements:
         """What a body must be like to take part, for whoever varies genomes."""
         planar = load_backend(self._config["backend"]).dims == 2
-        return Requirements(self.limits, planar, self._unsuited)
+        return Requirements(self.limits, planar, self._unsuited, self.senses)
 
     def _unsuited(self, body: Body) -> list[str]:
         """Returns the reasons why a body within the limits may not take part."""
@@ -273,7 +278,7 @@ class Task(Setting):
         """Yields pairs of a prop and a cube of the body at rest that is in its place."""
         root = body.cubes[0]
         x, top, z = _top(np.array([*root.position, *root.quaternion]), root.size)
-        for prop in self.document["props"]:
+        for prop in [prop for prop in self.document["props"] if "position" not in prop]:
             width, height, depth = prop["size"]
             low = np.array([x - width / 2.0, top, z - depth / 2.0])
             high = np.array([x + width / 2.0, top + height, z + depth / 2.0])
@@ -304,11 +309,27 @@ def _problems(document: JsonObject) -> Iterator[tuple[str, str]]:
     props = document["props"]
     bounds = [(f"target/{name}", value) for name, value in document.get("target", {}).items() if name != "height"]
     yield from crossed_bounds([*bounds, *((f"props/{index}/lean", prop["lean"]) for index, prop in enumerate(props))])
+    yield from crossed_bounds(
+        (f"props/{index}/away/{name}", value)
+        for index, prop in enumerate(props)
+        for name, value in prop.get("away", {}).items()
+    )
     targets = [f"props/{index}/target" for index, prop in enumerate(props) if prop["target"]]
     for path in targets if "target" in document else targets[1:]:
         yield path, "there is a target already"
     for index, prop in enumerate(props):
-        for name in [name for name in ("position", "away") if name in prop]:
-            yield f"props/{index}/{name}", "only a task with roles says this: here it stands on the creature"
+        yield from ((f"props/{index}/{name}", problem) for name, problem in _prop_problems(prop))
         if prop["id"].startswith(f"{CREATURE}."):
             yield f"props/{index}/id", f"names that begin with {CREATURE!r} and a point are the creature's"
+
+
+def _prop_problems(prop: JsonObject) -> Iterator[tuple[str, str]]:
+    """Yields what is wrong with one prop by itself, each with its field."""
+    if "hidden" in prop and not prop["target"]:
+        yield "hidden", "only a target can be kept from the creature"
+    if "position" in prop:
+        if prop["hinge"] or any(prop["lean"]):
+            yield "hinge" if prop["hinge"] else "lean", "a prop does that upon the creature: only without a position"
+    else:
+        for name in [name for name in ("away", "frozen") if name in prop]:
+            yield name, "only a prop with a position says this: without, it stands on the creature"

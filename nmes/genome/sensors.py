@@ -14,12 +14,14 @@ from nmes.backend import BodyState, Vector
 
 __all__ = [
     "ACCELERATION",
+    "NEEDED",
     "OF_CUBE",
     "OF_FOOD",
     "OF_JOINT",
     "OF_OTHERS",
     "READING_OF",
     "SMELLS",
+    "SURROUNDED",
     "TURNING",
     "VECTORS",
     "Camera",
@@ -124,7 +126,7 @@ class Sensor:
     @property
     def solitary(self) -> bool:
         """Whether only a world of its own can read it, and no row of an engine."""
-        return self.type in _SOLITARY or self.face is not None or self.flaws is not None
+        return self.type in SURROUNDED or self.face is not None or self.flaws is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +188,15 @@ _FOOD_AXES = {"food_direction": "xyz", "food_distance": ""}
 SMELLS = ("food_smell", "other_smell", "target_smell")
 """The types of sensors of a cube that tell how near sources are, but not where."""
 _SMELL_AXES = dict.fromkeys(SMELLS, "")
-_SOLITARY = ("acceleration", "range", "camera", *SMELLS)
+NEEDED = {
+    "touch": ("contacts", "sense of touch"),
+    "acceleration": ("sensors.inertial", "accelerometers"),
+    "range": ("sensors.range", "range finders"),
+    "camera": ("sensors.range", "rays, of which creatures' cameras are made"),
+}
+"""The capability that an engine must have for types of sensors, and what to call it."""
+SURROUNDED = ("acceleration", "range", "camera", *SMELLS)
+"""The types of sensors of a cube that only a world of its own can read, and no row of an engine."""
 _FURTHER_AXES = {"acceleration": "xyz", "range": "", "camera": "", **_SMELL_AXES}
 _AXES = {**_STATE_AXES, "touch": "", **_TARGET_AXES, **_OTHER_AXES, "hear": "", **_FOOD_AXES, **_FURTHER_AXES}
 

@@ -14,12 +14,13 @@ from typing import Final
 from nmes.errors import DocumentError, VariationError
 from nmes.genome import Genome
 from nmes.genome.body import Body
-from nmes.genome.sensors import OF_CUBE, OF_FOOD, OF_JOINT, OF_OTHERS
+from nmes.genome.sensors import OF_CUBE, OF_FOOD, OF_JOINT, OF_OTHERS, SURROUNDED
 from nmes.schemas.documents import JsonObject, did_you_mean
 from nmes.variation import brain_changes, cube_bodies, graph_bodies
 from nmes.variation.draw import Draw
 from nmes.variation.offspring import offspring, written_sensors
 from nmes.variation.requirements import ANY, Requirements
+from nmes.variation.sensor_changes import POINTED, draw_details, point_anew
 
 __all__ = ["KINDS", "Mutant", "mutate"]
 
@@ -41,7 +42,7 @@ KINDS: Final[Mapping[str, float]] = {
     "voices": 0.4,
 }
 """The kinds of mutation, each with how often it is drawn where it can be, relative to the others."""
-_CUBE_SENSORS: Final = tuple(kind for kind in OF_CUBE if kind not in (*OF_OTHERS, *OF_FOOD, "hear"))
+_CUBE_SENSORS: Final = tuple(kind for kind in OF_CUBE if kind not in (*OF_OTHERS, *OF_FOOD, *SURROUNDED, "hear"))
 _MOST_VOICES = 128
 _TRIES = 100
 _FRUITLESS = 20  # draws in a row after which a kind that is asked for has nothing to change
@@ -128,6 +129,10 @@ def _change_sensors(document: JsonObject, body: Body, draw: Draw, requirements: 
     if len(sensors) > 1 and draw.chance(0.4):
         sensors.remove(draw.one_of(sensors))
         return True
+    pointed = [sensor for sensor in sensors if sensor["type"] in POINTED] if {*requirements.senses} & POINTED else []
+    if pointed and draw.chance(0.5):
+        point_anew(draw.one_of(pointed), draw, planar=requirements.planar)
+        return True
     if len(sensors) >= _MOST_SENSORS:
         return False
     driven = [joint.id for joint in body.joints if joint.kind in ("hinge", "slide")]
@@ -136,7 +141,11 @@ def _change_sensors(document: JsonObject, body: Body, draw: Draw, requirements: 
     else:
         kinds = (*_CUBE_SENSORS, *requirements.senses, *(("hear",) if requirements.channels else ()))
         sensor = {"type": draw.one_of(kinds), "cube": draw.one_of(body.cubes).id}
-        sensors.append({**sensor, **_draw_number(draw, requirements)} if sensor["type"] == "hear" else sensor)
+        if sensor["type"] == "hear":
+            sensor |= _draw_number(draw, requirements)
+        elif sensor["type"] in requirements.senses:
+            sensor |= draw_details(sensor["type"], sensor["cube"], sensors, draw, planar=requirements.planar)
+        sensors.append(sensor)
     return True
 
 

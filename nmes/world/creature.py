@@ -24,7 +24,7 @@ from nmes.backend.rotation import minus, plus
 from nmes.errors import WorldError
 from nmes.genome import Genome
 from nmes.genome.body import Body, BodyCube, BodyJoint, Motor
-from nmes.genome.sensors import Flaws, Sensor
+from nmes.genome.sensors import NEEDED, Flaws, Sensor
 from nmes.protocol import Request
 from nmes.schemas.documents import JsonObject
 from nmes.world import joint_params
@@ -40,13 +40,6 @@ from nmes.world.sights import Surroundings
 __all__ = ["Creature", "Creatures"]
 
 _NAME_LENGTH = 128
-_NEEDED = {
-    "touch": ("contacts", "sense of touch"),
-    "acceleration": ("sensors.inertial", "accelerometers"),
-    "range": ("sensors.range", "range finders"),
-    "camera": ("sensors.range", "rays, of which creatures' cameras are made"),
-}
-"""What an engine must be able to do for types of sensors, and what to call it."""
 
 
 class Creature:
@@ -506,7 +499,7 @@ class Creatures:
         for voice in body.voices:
             self._check_number(voice.channel, voice.number, "genome/voices")
         types = {sensor.type for sensor in body.sensors}
-        for sensor, (capability, what) in _NEEDED.items():
+        for sensor, (capability, what) in NEEDED.items():
             if sensor in types:
                 self._entities.require(capability, what, "genome/sensors")
 

@@ -59,7 +59,6 @@ def test_a_task_with_roles_that_is_none_is_refused_with_the_place(changes: dict[
     [
         ({"margin": 1}, "margin: only a task with roles says this"),
         ({"interchangeable": False}, "interchangeable: only a task with roles says this"),
-        ({"props": [BALL]}, "props/0/position: only a task with roles says this"),
         ({"objective": None}, "objective: "),
     ],
     ids=str,

@@ -21,14 +21,15 @@ from nmes.genome import Genome
 from nmes.genome.body import Body, BodyCube
 from nmes.objective.trajectory import ObservedBodies, Trajectory
 
-TEN = [
-    "carry", "gaps", "jump-far", "jump-high", "planar-walk", "pole", "reach", "rough", "stairs", "walk",
+SHIPPED = [
+    "carry", "dark", "eyes", "gaps", "jump-far", "jump-high", "planar-walk", "pole", "reach", "rough", "stairs", "walk",
 ]  # fmt: skip
 PLAIN: dict[str, Any] = {
     "format": "nmes-task/1", "name": "sprint", "description": "Run.", "duration": 5, "seeds": [1, 2],
     "objective": "displacement.x",
 }  # fmt: skip
 PROP: dict[str, Any] = {"id": "a", "size": [1, 1, 1], "mass": 1, "target": True}
+PILLAR: dict[str, Any] = {"id": "a", "size": [1, 2, 1], "mass": 1, "position": [1, 0, 2]}
 
 
 def block(*ids: str, mass: float = 10.0, size: float = 1.0, low: float = 0.0) -> Body:
@@ -39,12 +40,12 @@ def block(*ids: str, mass: float = 10.0, size: float = 1.0, low: float = 0.0) ->
     return Body(tuple(cubes), (), ())
 
 
-def test_ten_tasks_come_with_the_package() -> None:
-    assert list(Task.names()) == TEN
-    assert {path.stem for path in (ROOT / "nmes" / "evaluation" / "tasks").glob("*.json")} == set(TEN)
+def test_these_tasks_come_with_the_package() -> None:
+    assert list(Task.names()) == SHIPPED
+    assert {path.stem for path in (ROOT / "nmes" / "evaluation" / "tasks").glob("*.json")} == set(SHIPPED)
 
 
-@pytest.mark.parametrize("name", TEN)
+@pytest.mark.parametrize("name", SHIPPED)
 def test_each_shipped_task_is_complete(name: str) -> None:
     task = Task.load(name)
     assert task.name == name
@@ -97,6 +98,14 @@ def test_an_invalid_task_is_refused_with_all_its_mistakes(tmp_path: Path) -> Non
         ({"target": {"distance": [2, 1]}}, "target/distance", "the lowest first"),
         ({"target": {"distance": [1, 2]}, "props": [PROP]}, "props/0/target", "a target already"),
         ({"props": [{**PROP, "id": "b"}, PROP]}, "props/1/target", "a target already"),
+        ({"props": [{**PROP, "frozen": True}]}, "props/0/frozen", "only a prop with a position"),
+        ({"props": [{**PROP, "away": {"distance": [1, 2]}}]}, "props/0/away", "only a prop with a position"),
+        ({"props": [{**PILLAR, "hinge": True}]}, "props/0/hinge", "upon the creature"),
+        ({"props": [{**PILLAR, "lean": [0, 1]}]}, "props/0/lean", "upon the creature"),
+        ({"props": [{**PILLAR, "away": {"distance": [2, 1]}}]}, "props/0/away/distance", "the lowest first"),
+        ({"props": [{**PILLAR, "hidden": True}]}, "props/0/hidden", "only a target"),
+        ({"senses": ["up"]}, "senses/0", "touch"),
+        ({"flaws": {"motors": {"delay": 65}}}, "flaws/motors/delay", "64"),
         ({"world": {"scene": {"type": "flat", "heightfield": {}}}}, "world/scene/heightfield", "only where type is"),
         ({"seeds": [1, 1]}, "seeds", "different seeds"),
         ({"limits": {"cubes": 0}}, "limits/cubes", "from 1"),
@@ -114,8 +123,8 @@ def test_a_unit_is_told_and_makes_no_other_task(tmp_path: Path) -> None:
     assert (metres.unit, Task(PLAIN).unit) == ("m", "")
     assert metres.hash == Task(PLAIN).hash == Task({**PLAIN, "unit": "ft"}).hash
     assert metres.document["unit"] == "m"
-    units = {name: Task.load(name).unit for name in TEN}
-    assert units == dict.fromkeys(TEN, "m") | {"pole": "s", "reach": ""}
+    units = {name: Task.load(name).unit for name in SHIPPED}
+    assert units == dict.fromkeys(SHIPPED, "m") | {"pole": "s", "reach": "", "eyes": ""}
     (tmp_path / "sprint.json").write_text(json.dumps({**PLAIN, "unit": "furlong"}))
     shown = CliRunner().invoke(main, ["tasks", str(tmp_path / "sprint.json")]).stdout
     assert "unit of scores  furlong" in shown
@@ -169,6 +178,27 @@ def test_props_stand_on_the_top_of_the_root() -> None:
     assert pole["position"] == pytest.approx([5.0 - math.sin(0.3), top + math.cos(0.3), 2.0])
     assert cargo["position"] == pytest.approx([5.0, top + 0.1, 2.0], abs=0.002)
     assert cargo["position"][1] > top + 0.1
+
+
+def test_props_with_a_position_stand_in_the_world_where_the_seed_draws_them() -> None:
+    away = {"distance": [2, 4], "bearing": [-1, 1]}
+    task = Task({**PLAIN, "props": [PILLAR, {**PILLAR, "id": "b", "frozen": True, "away": away}]})
+    root = np.array([0, 0.5, 0, 0, 0, 0, 1.0])
+    (still, moved), (_, other) = (task.props(seed, block(), root) for seed in (1, 2))
+    assert still["position"] == [1, 1, 2] and "frozen" not in still and moved["frozen"]
+    x, y, z = moved["position"]
+    assert 2 <= math.hypot(x - 1, z - 2) <= 4 and abs(math.atan2(2 - z, x - 1)) <= 1 and y == 1
+    assert other["position"] != moved["position"]
+    aside = task.props(1, block(), root, Place("two", z=10))
+    assert aside[0]["cube_name"] == "two.a" and aside[0]["position"] == [1, 1, 12]
+    seen, unseen = (
+        Task({**PLAIN, "props": [{**PILLAR, "target": True, **hidden}]}) for hidden in ({}, {"hidden": True})
+    )
+    assert [seen.target(1), unseen.target(1)] == ["a", "a"]
+    assert ["target" in task.entry(1, {}, block())[0] for task in (seen, unseen)] == [True, False]
+    aimed = Task({**PLAIN, "props": [{**PILLAR, "position": [4, 0, 0], "target": True, "frozen": True}],
+                  "objective": "distance"})  # fmt: skip
+    assert evaluate(BLOCK, aimed).score == pytest.approx(math.hypot(4, 1 - 0.15), abs=0.3)
 
 
 def test_of_several_creatures_each_has_its_own_scene_in_a_place_of_its_own() -> None:
@@ -292,7 +322,7 @@ HOPPER = creature(
 )  # fmt: skip
 
 
-@pytest.mark.parametrize("name", TEN)
+@pytest.mark.parametrize("name", SHIPPED)
 def test_a_creature_that_does_nothing_scores_next_to_nothing(name: str) -> None:
     evaluation = evaluate(BLOCK, Task.load(name))
     assert evaluation.error is None
@@ -340,8 +370,13 @@ def test_jumping_scores_its_height_and_toppling_next_to_nothing() -> None:
 
 
 def blind(genome: Genome) -> Genome:
-    """The same creature without its sense of a target: what there was of it reads 0."""
+    """The same creature without its sense of a target, or of what is around it: what there was of it reads 0."""
     document = genome.document
+    document["sensors"] = [
+        {"id": sensor.id, "type": "spin", "cube": sensor.target, "axis": "y"} if sensor.solitary else entry
+        for entry in document["sensors"]
+        for sensor in Genome({**document, "sensors": [entry], "brain": {"kind": "constant"}}).body.sensors
+    ]
     for sensor in document["sensors"]:
         if sensor["type"].startswith("target_"):
             sensor["id"] = f"{sensor['cube']}.{sensor['type']}.{sensor['axis']}"
@@ -351,20 +386,23 @@ def blind(genome: Genome) -> Genome:
 
 @pytest.mark.parametrize(
     ("name", "task", "least", "most"),
-    [("seeker", "reach", 1.5, 0.5), ("centipede", "reach", 1.4, 0.5), ("juggler", "pole", 18.5, 1)],
-)
-def test_a_creature_that_senses_targets_and_props_reaches_and_balances_them(
+    [
+        ("seeker", "reach", 1.5, 0.5), ("centipede", "reach", 1.4, 0.5), ("juggler", "pole", 18.5, 1),
+        ("prowler", "dark", 3, 1.5), ("moth", "eyes", 1.3, 0.1),
+    ],
+)  # fmt: skip
+def test_a_creature_that_senses_what_a_task_is_about_does_it_and_not_without(
     name: str, task: str, least: float, most: float, tmp_path: Path
 ) -> None:
     genome, trial = Genome.load(name), Task.load(task)
     seeds = [*trial.seeds, *range(100, 106)]
     evaluation = evaluate(genome, trial, seeds=seeds)
     assert min(result.score or 0.0 for result in evaluation.results) >= least
-    # Whoever does the same without the sense of a target comes to next to nothing.
+    # Whoever does the same without that sense comes to next to nothing.
     unseen = evaluate(blind(genome), trial, seeds=seeds)
     assert unseen.score is not None and unseen.score < most
     # The recording holds the target, and the brain does the same with what it felt.
-    (path,) = evaluate(genome, trial, seeds=[3], record=tmp_path).recordings
+    (path,) = evaluate(genome, trial, seeds=seeds[2:3], record=tmp_path).recordings
     assert prove(path, brain=True).result == evaluation.results[2]
 
 
@@ -380,8 +418,8 @@ def test_nmes_tasks_lists_and_shows_tasks(tmp_path: Path) -> None:
     def run(*arguments: str) -> Any:
         return CliRunner().invoke(main, ["tasks", *arguments], env={"COLUMNS": "200"})
 
-    assert [line.split()[0] for line in run().output.splitlines()[1:]] == [*TEN, *MatchTask.names()]
-    assert [document["name"] for document in json.loads(run("--json").output)] == [*TEN, *MatchTask.names()]
+    assert [line.split()[0] for line in run().output.splitlines()[1:]] == [*SHIPPED, *MatchTask.names()]
+    assert [document["name"] for document in json.loads(run("--json").output)] == [*SHIPPED, *MatchTask.names()]
     shown = run("pole").output
     pole = Task.load("pole")
     for text in (pole.objective.text, *(condition.text for _, condition in pole.ends), "drop 0 to 0.02", pole.hash):

@@ -208,6 +208,34 @@ def test_who_has_others_and_channels_comes_to_sense_and_speak(name: str) -> None
     assert genome.body.voices and sensed["hear"] and any(sensed[kind] for kind in OF_OTHERS)
 
 
+AROUND = ("touch", "acceleration", "range", "camera", "target_smell")
+
+
+def test_where_senses_of_what_is_around_are_of_use_they_come_and_turn() -> None:
+    requirements, genome = Requirements(senses=AROUND), Genome.load("seeker")
+    sensed, directions = Counter[str](), set()
+    for number in range(80):
+        genome = mutate(genome, Draw(7, number), kind="sensors", requirements=requirements).genome
+        assert genome.brain().inputs == tuple(sensor.id for sensor in genome.body.sensors)
+        sensed.update(sensor.type for sensor in genome.body.sensors if sensor.solitary)
+        directions |= {(sensor.id, sensor.direction) for sensor in genome.body.sensors if sensor.type == "range"}
+    assert sensed.keys() == set(AROUND)
+    assert len(directions) > len({sensor for sensor, _ in directions})  # some have turned
+    alone = mutate(Genome.load("seeker"), Draw(7, 1), kind="sensors").genome
+    assert not any(sensor.solitary for sensor in alone.body.sensors)
+
+
+def test_in_a_plane_new_sensors_look_along_it() -> None:
+    genome, requirements = Genome.load("inchworm"), Requirements(planar=True, senses=("range", "camera", "touch"))
+    looks, faces = list[Any](), set[str | None]()
+    for number in range(90):
+        genome = mutate(genome, Draw(8, number), kind="sensors", requirements=requirements).genome
+        looks += [sensor.direction for sensor in genome.body.sensors if sensor.direction is not None]
+        faces |= {sensor.face for sensor in genome.body.sensors}
+    assert looks and all(look[2] == 0 for look in looks)
+    assert {None} < faces <= {None, "+x", "-x", "+y", "-y"}
+
+
 def test_a_body_that_changes_keeps_its_voices() -> None:
     brain = {"kind": "sine", "oscillators": [{"motor": name, "frequency": 1} for name in ("*axle", "say.lead")]}
     parent = Genome({**Genome.load("roller").document, "voices": [{"channel": "lead"}], "brain": brain})
