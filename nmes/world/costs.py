@@ -24,6 +24,7 @@ _GROWTH = 0.05  # s: a genome that is read, grown, judged and made
 _EXPRESSION = 2e-3  # s: an expression of the greatest length that is read, over as many cubes as there may be
 _SCENE = 0.02  # s: a scene that is made anew
 _PICTURE, _PIXEL = 0.01, 1e-7  # s: a picture, and each of its pixels
+_RAY, _MET = 3e-6, 2e-8  # s: a ray of a creature's sensors, and each cube that it may meet
 _BUILT, _PART = 2e-3, 1e-3  # s: a model that an engine compiles, and each cube and joint in it
 
 
@@ -79,6 +80,7 @@ _COSTS: Final[Mapping[str, Callable[[Entities, Mapping[str, Any]], float]]] = {
     "link_body_cubes": _neighbours,
     "link_cube_chains": _chains,
     "reset": lambda entities, command: _SCENE,
+    "sense": lambda entities, command: entities.rays * (_RAY + len(entities.cubes) * _MET),
     "set_cube_state": lambda entities, command: min(len(entities.cubes), len(entities.joints) + 1) * _MOVED,
     "set_objective": lambda entities, command: _EXPRESSION,
     "spawn_creature": lambda entities, command: _GROWTH,

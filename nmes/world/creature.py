@@ -24,6 +24,7 @@ from nmes.backend.rotation import minus, plus
 from nmes.errors import WorldError
 from nmes.genome import Genome
 from nmes.genome.body import Body, BodyCube, BodyJoint, Motor
+from nmes.genome.sensor_entries import count_rays
 from nmes.genome.sensors import NEEDED, Flaws, Sensor
 from nmes.protocol import Request
 from nmes.schemas.documents import JsonObject
@@ -90,6 +91,7 @@ class Creature:
         self._spoken = _by_channel(body, channels)
         self._drive_head = protocol.encode({"type": "drive", "creature": name, "controls": []}).removesuffix(b"[]}")
         self.disturbance = self._disturbance()
+        entities.rays = max(entities.rays, count_rays(self.sensors))
         self._bind(cubes, joints)
 
     def _bind(self, cubes: dict[str, Cube], joints: dict[str, Joint]) -> None:

@@ -90,6 +90,7 @@ class Entities:
         meter: The work of the joints' motors.
         tick_rate: Ticks per second.
         food: Where there is something to eat, array (n, 3), m.
+        rays: The most rays that the sensors of one creature send.
         version: Increases with every change of cubes, joints, frozenness or colours.
         tuned: Increases with every `set_params`.
         moments: Increases with every tick and snapshot: what the engine then tells of cubes may have other bits.
@@ -119,6 +120,7 @@ class Entities:
         self._spawned = 0
         self._joined = 0
         self.food: Array = np.empty((0, 3))
+        self.rays = 0
         self.tick_rate: int = config["tick_rate"]
         self.meter = EnergyMeter(self.simulation)
 

@@ -388,7 +388,7 @@ def blind(genome: Genome) -> Genome:
     ("name", "task", "least", "most"),
     [
         ("seeker", "reach", 1.5, 0.5), ("centipede", "reach", 1.4, 0.5), ("juggler", "pole", 18.5, 1),
-        ("prowler", "dark", 3, 1.5), ("moth", "eyes", 1.3, 0.1),
+        ("prowler", "dark", 10, 1.5), ("moth", "eyes", 1.3, 0.1),
     ],
 )  # fmt: skip
 def test_a_creature_that_senses_what_a_task_is_about_does_it_and_not_without(

@@ -108,6 +108,6 @@ def test_a_sensor_is_added(copy: Path) -> None:
     page.write_text(run(copy, sys.executable, "-m", "nmes.schemas"))
     assert "speed (m/s)" in page.read_text()
     files = ["tests/schemas/test_schemas.py", "tests/genome/test_genomes.py", "tests/world/test_creatures.py"]
-    chosen = "reference_page or sixteen or falling_cube_reads"
+    chosen = "reference_page or many_kinds or falling_cube_reads"
     output = run(copy, sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *files, "-k", chosen)
     assert re.search(r"^[3-9] passed", output, flags=re.MULTILINE), output

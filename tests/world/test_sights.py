@@ -269,3 +269,12 @@ def test_a_recording_of_a_creature_that_looks_around_replays(tmp_path: Path) -> 
         place("step")
     recorder.close()
     assert replay(path).verdict == "reproduced"
+
+
+def test_a_host_is_told_what_cameras_cost() -> None:
+    place, command = Place(), {"type": "sense", "creature": "me"}
+    place.spawn({"type": "range"}, name="poor", x=5.0)
+    few = place.world.cost(command)
+    place.spawn(*({"type": "camera", "width": 16, "height": 16, "id": f"eye{i}"} for i in range(4)))
+    assert 0 < few * 1024 == pytest.approx(place.world.cost(command), rel=0.1)
+    assert place.world.cost(command) > 0.002

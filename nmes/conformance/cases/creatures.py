@@ -45,6 +45,9 @@ GENOME: dict[str, Any] = {
 }
 
 
+_WAYS: dict[str, list[int]] = {"up": [0, 1, 0], "down": [0, -1, 0]}
+
+
 def edited(**parts: Any) -> dict[str, Any]:
     """Returns the genome with some members of its joint, or of its arm, replaced."""
     genome = copy.deepcopy(GENOME)
@@ -286,7 +289,7 @@ def a_creature_that_lost_a_part(t: Trial, way: tuple[dict[str, Any], str]) -> No
     lessened = senses(t, wire, name)
     lost = {key: value for key, value in lessened.items() if key.startswith(("shoulder", "arm"))}
     t.equal(set(lost.values()), {0.0}, "what is lost reads")
-    t.equal(lessened["torso.height"], whole["torso.height"], "the height of the torso")
+    t.true(abs(lessened["torso.height"] - whole["torso.height"]) < 0.05, "the torso's height as before", lessened)
     drive = {"type": "drive", "creature": name, "controls": [1]}
     layout = t.ask(wire, drive, "driven")["layout"]
     t.ask(wire, {**drive, "layout": layout}, "driven")
@@ -321,6 +324,35 @@ def a_target_may_come_later(t: Trial) -> None:
     t.advance(wire, 0.5)
     (ahead,) = t.ask(wire, sense, "senses")["values"]
     t.true(ahead > 0.5, "a value above 0.5: the target is ahead, along +x", ahead)
+
+
+@case(19, "4.spawn_creature", needs=(*NEEDS, "sense", "time", "sensors.range"), scope=Scope.TIME)
+def a_range_finder_measures(t: Trial) -> None:
+    """A creature's range finder reads what get_cube_info tells of such a ray, and its range beyond that."""
+    wire = t.join()
+    up, down = ({"id": name, "type": "range", "cube": "arm", "direction": way} for name, way in _WAYS.items())
+    reply = spawned(t, wire, {**GENOME, "sensors": [{**up, "range": 3}, down]})
+    t.advance(wire, 1.0)
+    above, below = t.ask(wire, {"type": "sense", "creature": reply["creature"]}, "senses")["values"]
+    asked = {"type": "get_cube_info", "cube_name": reply["cubes"]["arm"], "rays": [_WAYS["down"]]}
+    (told,) = t.ask(wire, asked, "cube_info")["ranges"]
+    t.close([above, below], [3.0, told], 0.02, "the ranges above and below")
+
+
+@case(20, "4.spawn_creature", needs=(*NEEDS, "drive", "sense", "time"), scope=Scope.TIME)
+def flaws_keep_motors_and_sensors(t: Trial) -> None:
+    """With flaws, motors and sensors that always drop out do as if nobody drove, and read 0."""
+    wire, name = t.join(), t.name("creature")
+    command = {"type": "spawn_creature", "genome": GENOME, "name": name, "position": t.at(y=0)}
+    flaws = {"sensors": {"drop_out": 1}, "motors": {"drop_out": 1}}
+    reply = t.ask(wire, {**command, "flaws": flaws}, "creature_spawned")
+    for cube in reply["cubes"].values():
+        t.adopt(cube)
+    drive(t, wire, name, 1.0)
+    t.advance(wire, 1.0)
+    joint = t.ask(wire, {"type": "get_joint_info", "joint_name": reply["joints"]["shoulder"]}, "joint_info")
+    t.close(joint["position"], 0.0, 0.05, "position of a joint whose motor does not hear")
+    t.equal(t.ask(wire, {"type": "sense", "creature": name}, "senses")["values"], [0.0] * len(SENSORS), "values")
 
 
 @case(13, "4.reset", needs=(*NEEDS, "sense", "lockstep", "reset"), scope=Scope.WORLD)
