@@ -23,6 +23,7 @@ from nmes.world.snapshot import pack_array, unpack_array
 __all__ = ["Disturbance"]
 
 _WORDS: Final = 4  # of 64 bits, drawn for each sensor or motor: three for noise, one for whether it fails
+_OLDEST: Final = 2**53  # ticks, which a double still counts
 _SENSORS, _MOTORS = 0, 1  # the streams of what is drawn
 
 
@@ -112,6 +113,8 @@ class Disturbance:
         Raises:
             ValueError: It is none of such a creature.
         """
+        if state["age"] >= _OLDEST:
+            raise ValueError("no creature is as old as that")
         self._age = state["age"]
         for name, flawed in self._named():
             past = unpack_array(state[name], max(1, len(flawed.columns)))

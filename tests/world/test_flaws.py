@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import base64
+import json
 import math
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +13,7 @@ import numpy as np
 import pytest
 
 from nmes import World
+from nmes.errors import WorldError
 from nmes.evaluation import Evaluator, Task, evaluate
 from nmes.genome import Genome
 from nmes.playback import replay
@@ -206,6 +210,39 @@ def test_a_restored_world_errs_as_the_first_would(before: int) -> None:
     again.world.restore(place.world.snapshot())
     again.client = max(again.world._clients)
     assert run(again, 12) == run(place, 12)
+
+
+FORGED: dict[str, Callable[[Document], object]] = {
+    "an age beyond all": lambda creature: creature["disturbance"].update(age=10**30),
+    "more ticks than a delay holds back": lambda creature: creature["disturbance"].update(
+        sensors=base64.b64encode(np.zeros(2 * 7).tobytes()).decode()
+    ),
+    "what is no number": lambda creature: creature["disturbance"].update(
+        motors=base64.b64encode(np.full(5, np.nan).tobytes()).decode()
+    ),
+    "a control beyond its range": lambda creature: creature["disturbance"].update(
+        driven=base64.b64encode(np.array([2.0, 0.0]).tobytes()).decode()
+    ),
+    "nothing that is remembered": lambda creature: creature.pop("disturbance"),
+    "flaws that it has not": lambda creature: creature.update(flaws={"sensors": {"delay": 3}}),
+}
+
+
+@pytest.mark.parametrize("what", FORGED)
+def test_a_snapshot_with_forged_flaws_is_refused(what: str) -> None:
+    place = Place()
+    place.spawn(arm(FLAWS, FLAWS), flaws={"sensors": {"delay": 6}})
+    run(place, 9)
+    snapshot = place.world.snapshot()
+    line, _, engine = snapshot.partition(b"\n")
+    state = json.loads(line)
+    FORGED[what](state["creatures"]["creatures"][0])
+    again = World({"mode": "lockstep", "tick_rate": 20})
+    with pytest.raises(WorldError) as caught:
+        again.restore(json.dumps(state).encode() + b"\n" + engine)
+    assert caught.value.code == "bad_snapshot"
+    again.restore(snapshot)
+    assert again.snapshot() == snapshot
 
 
 def test_what_a_delay_holds_back_is_in_the_digest() -> None:
