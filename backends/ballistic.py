@@ -1,8 +1,8 @@
 """The reference engine: exact ballistic motion, a ground, fixed joints, and nothing else.
 
 It hides no library. Bodies fly on exact parabolas, turn about their centre of mass with their angular momentum kept,
-and pass through each other; they meet only the ground, on the lower face of their bounding box, which stops their
-turning. Bodies held together by fixed joints are one rigid cluster. Read this file first when writing a backend.
+and pass through each other; they meet only the ground, with their lowest point, which stops their turning. Bodies held
+together by fixed joints are one rigid cluster. Read this file first when writing a backend.
 
 Invariants: bodies are the truth, a cluster is only a list of them, in order of creation, and everything iterates in
 that order; all state is immutable tuples, so that nothing returned or saved can alias it.
@@ -35,7 +35,8 @@ from nmes.backend import (
     Simulation,
     Vector,
 )
-from nmes.backend.rotation import cross, multiply, normalize, total
+from nmes.backend.rotation import conjugate, cross, multiply, normalize, rotate, total
+from nmes.backend.shapes import SHAPES, misfit, moments, reach
 from nmes.errors import SimulationFault, WorldError
 
 __all__ = ["BallisticBackend"]
@@ -167,6 +168,8 @@ class BallisticSimulation(Simulation):
             spec = (b.number, *b.spec.size, b.spec.mass, b.spec.friction, b.spec.restitution, b.frozen)
             pose = (*b.position, *b.quaternion, *b.linear, *b.angular)
             state.update(ROW.pack(*spec, *pose, *b.force, *b.torque, *b.impulse, *b.angular_impulse, b.ground_force))
+            if b.spec.shape != "box":
+                state.update(b.spec.shape.encode())
         for number, joint in self._joints.items():
             state.update(struct.pack("<9d", number, joint.body1, joint.body2, *joint.anchor, *joint.axis))
         return state.digest()
@@ -176,6 +179,8 @@ class BallisticSimulation(Simulation):
         bodies = [asdict(b) for b in self._bodies.values()]
         for body in bodies:
             del body["spec"]["group"]  # there are none without collisions
+            if body["spec"]["shape"] == "box":
+                del body["spec"]["shape"]
         return json.dumps([bodies, [(n, asdict(spec)) for n, spec in self._joints.items()]]).encode()
 
     def members(self) -> tuple[dict[int, bool], dict[int, tuple[str, int, int]]]:
@@ -278,7 +283,10 @@ class BallisticBackend(Backend):
     """The engine as `nmes serve --backend ballistic` finds it."""
 
     name = "ballistic"
-    capabilities = frozenset({"joint.fixed", "joint.several", "friction", "restitution", "contacts", "snapshot"})
+    capabilities = frozenset(
+        {"joint.fixed", "joint.several", "friction", "restitution", "contacts", "snapshot"}
+        | {"shape.sphere", "shape.capsule", "shape.cylinder"}
+    )
 
     def version(self) -> str:
         """Returns the version of this engine."""
@@ -332,6 +340,7 @@ def _sound(b: _Body) -> bool:
     qx, qy, qz, qw = b.quaternion
     turn = qx * qx + qy * qy + qz * qz + qw * qw
     solid = all(0.0 < x < TOO_FAR for x in (*spec.size, spec.mass))
+    solid = solid and spec.shape in SHAPES and misfit(spec.shape, spec.size) is None
     return solid and all(abs(x) < TOO_FAR for x in state) and abs(turn - 1.0) < 1e-6
 
 
@@ -354,14 +363,19 @@ def _rotation(velocity: Array, time: float) -> Quaternion:
 
 
 def _inertia(b: _Body) -> Array:
-    """Returns a box's moment of inertia about its centre, in world directions."""
-    x, y, z = (edge * edge for edge in b.spec.size)
+    """Returns a body's moment of inertia about its centre, in world directions."""
     turn = _matrix(b.quaternion)
-    own = turn * (np.array((y + z, x + z, x + y)) * b.spec.mass / 12.0)
+    if b.spec.shape == "box":
+        x, y, z = (edge * edge for edge in b.spec.size)
+        own = turn * (np.array((y + z, x + z, x + y)) * b.spec.mass / 12.0)
+    else:
+        own = turn * (np.array(moments(b.spec.shape, b.spec.size)) * b.spec.mass)
     return np.asarray((own[:, None] * turn).sum(axis=2))
 
 
 def _reach(b: _Body) -> float:
-    """Returns how far a body's bounding box reaches below its centre."""
+    """Returns how far a body reaches below its centre."""
+    if b.spec.shape != "box":
+        return reach(b.spec.shape, b.spec.size, rotate(conjugate(b.quaternion), (0.0, -1.0, 0.0)))
     (x, y, z, w), (a, b_, c) = b.quaternion, b.spec.size
     return abs(x * y + w * z) * a + abs(0.5 - x * x - z * z) * b_ + abs(y * z - w * x) * c

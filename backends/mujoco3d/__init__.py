@@ -52,6 +52,9 @@ class MujocoBackend(Backend):
             "scene.obstacles",
             "scene.planets",
             "sleep",
+            "shape.capsule",
+            "shape.cylinder",
+            "shape.sphere",
             "snapshot",
             *(["scene.arena"] if arenas.installed() else []),
         }

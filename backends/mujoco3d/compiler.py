@@ -22,9 +22,10 @@ import mujoco
 
 from nmes.backend import Quaternion, SceneSpec, Vector
 from nmes.backend.rotation import conjugate, rotate
+from nmes.backend.shapes import Shape, moments
 from nmes.backends.mujoco3d.forest import Body, Forest, Joint, perpendicular_axes, spanning_forest
 from nmes.backends.mujoco3d.model import GROUP_BITS, SPARE, CompiledModel, Slot, park, set_mean_inertia
-from nmes.backends.mujoco3d.scenery import Scenery, set_options
+from nmes.backends.mujoco3d.scenery import Scenery, set_options, solid
 
 __all__ = ["arena_bytes", "compile_lone_body", "compile_model"]
 
@@ -78,7 +79,7 @@ def compile_model(
 def compile_lone_body(scene: SceneSpec, body: Body) -> mujoco.MjModel:
     """Compiles a model of one free body: what the compiler makes of its mass, shape and group."""
     surface = body.friction, body.restitution
-    return _lone_body(scene.timestep, scene.passes, body.size, body.mass, *surface, body.group)
+    return _lone_body(scene.timestep, scene.passes, body.size, body.mass, *surface, body.group, body.shape)
 
 
 @lru_cache(maxsize=64)
@@ -90,8 +91,9 @@ def _lone_body(
     friction: float,
     restitution: float,
     group: int,
+    shape: Shape,
 ) -> mujoco.MjModel:
-    bodies = {1: Body(1, size, mass, friction, restitution, frozen=False, group=group)}
+    bodies = {1: Body(1, size, mass, friction, restitution, frozen=False, group=group, shape=shape)}
     builder = _Builder(SceneSpec(timestep=timestep, passes=passes), bodies, {}, spanning_forest(bodies, ()))
     return builder.build(None, {}, [1]).model
 
@@ -208,9 +210,10 @@ class _Builder:
             handle = self.spec.worldbody.add_body(name=f"b{number}")
             self.free[number] = handle.add_freejoint()
         self.handles[number] = handle
+        if body.shape != "box":
+            self._set_inertia(handle, body)  # along the body's own axes: the geom's may be others
         handle.add_geom(
-            type=mujoco.mjtGeom.mjGEOM_BOX,
-            size=[edge / 2 for edge in body.size],
+            **solid(body.shape, body.size),
             mass=body.mass * self.share[number],
             friction=[body.friction, 0.005, 0.0001],
             solref=_bounce(body.restitution, self.scene.timestep),
@@ -301,13 +304,16 @@ class _Builder:
 
     def _proxy(self, joint: Joint, body: Body, name: str) -> mujoco.MjsBody:
         proxy = self._attach(joint, joint.body2 if body.number == joint.body1 else joint.body1, name)
-        mass = body.mass * self.share[body.number]
-        x, y, z = (edge * edge for edge in body.size)
-        proxy.explicitinertial = True
-        proxy.ipos, proxy.iquat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
-        proxy.mass = mass
-        proxy.inertia = [mass * (y + z) / 12.0, mass * (x + z) / 12.0, mass * (x + y) / 12.0]
+        self._set_inertia(proxy, body)
         return proxy
+
+    def _set_inertia(self, handle: mujoco.MjsBody, body: Body) -> None:
+        """Gives a body of the model the mass and the inertia of a body, or its share of them."""
+        mass = body.mass * self.share[body.number]
+        handle.explicitinertial = True
+        handle.ipos, handle.iquat = [0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]
+        handle.mass = mass
+        handle.inertia = [mass * moment for moment in moments(body.shape, body.size)]
 
     def _connect(self, joint: Joint) -> None:
         # Sites, since between bodies the compiler would take the second anchor from the poses at coordinate zero.

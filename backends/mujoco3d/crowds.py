@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nmes.backend import Array
-from nmes.backends.mujoco3d.model import GROUP_BITS, CompiledModel
+from nmes.backends.mujoco3d.model import GROUP_BITS, CompiledModel, inner_radii
 from nmes.backends.mujoco3d.scenery import Scenery
 
 __all__ = ["Crowds"]
@@ -112,7 +112,7 @@ class _Free:
         self.v = np.array([slot.v for slot in slots], np.intp)
         self._model = model = compiled.model
         self._index = model.dof_bodyid[self.v]
-        self.radii: Array = model.geom_size[model.body_geomadr[self._index]].min(axis=1)  # of balls within them
+        self.radii: Array = inner_radii(model, self._index)
 
     def places(self, data: mujoco.MjData) -> Array:
         places: Array = data.qpos[self.q[:, None] + np.arange(3)]

@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from nmes.backend import Array
 from nmes.backends.mujoco3d.crowds import Crowds
-from nmes.backends.mujoco3d.model import CompiledModel
+from nmes.backends.mujoco3d.model import CompiledModel, inner_radii
 from nmes.backends.mujoco3d.scenery import Scenery
 
 __all__ = ["Depenetration"]
@@ -26,6 +26,7 @@ Trees = npt.NDArray[np.intp]
 
 _DEEP = 0.01  # part of a box's shortest edge
 _SPEED = 3.0  # m/s and rad/s
+_CAPSULE = int(mujoco.mjtGeom.mjGEOM_CAPSULE)
 
 
 class Depenetration:
@@ -75,15 +76,16 @@ class Depenetration:
         index = np.array([compiled.body_index[body] for body in bodies], np.intp)
         dofs = np.array([compiled.free[body].v for body in bodies], np.intp)
         speeds = np.abs(data.qvel[dofs[:, None] + np.arange(3)]).max(axis=1)
-        radii = model.geom_size[model.body_geomadr[index]].min(axis=1)  # of balls within the boxes
-        trees: Trees = model.body_treeid[index[speeds * model.opt.timestep > radii]]
+        trees: Trees = model.body_treeid[index[speeds * model.opt.timestep > inner_radii(model, index)]]
         return trees
 
 
 def _deep(model: mujoco.MjModel, data: mujoco.MjData, watched: Trees) -> Trees:
     """Returns the trees that are deep inside a watched one, or are watched and deep inside anything."""
     geoms = data.contact.geom
-    edges = np.where(model.geom_size > 0.0, 2.0 * model.geom_size, np.inf).min(axis=1)  # a plane has none
+    edges = np.where(model.geom_size > 0.0, 2.0 * model.geom_size, np.inf)  # a plane has none
+    edges[model.geom_type == _CAPSULE, 1] = np.inf  # how long it is between its ends counts for nothing
+    edges = edges.min(axis=1)
     pairs = model.body_treeid[model.geom_bodyid[geoms[data.contact.dist < -_DEEP * edges[geoms].min(axis=1)]]]
     trees = np.unique(pairs[np.isin(pairs, watched[watched >= 0]).any(axis=1)])
     return trees[trees >= 0]

@@ -17,6 +17,7 @@ from typing import Any
 
 from nmes.backend import BodySpec, BodyState, JointParams, JointSpec, Quaternion, Vector
 from nmes.backend.rotation import conjugate, cross, minus, multiply, normalize, rotate
+from nmes.backend.shapes import Shape
 
 __all__ = ["Body", "Forest", "Joint", "perpendicular_axes", "relative_orientation", "spanning_forest"]
 
@@ -28,7 +29,7 @@ def _hash(*parts: object) -> int:
 
 @dataclass(slots=True)
 class Body:
-    """A box as the model needs it; see `nmes.backend.BodySpec` for units."""
+    """A body as the model needs it; see `nmes.backend.BodySpec` for units and shapes."""
 
     number: int
     size: Vector
@@ -37,11 +38,12 @@ class Body:
     restitution: float
     frozen: bool
     group: int = field(default=0, repr=False)
+    shape: Shape = field(default="box", repr=False)
 
     @classmethod
     def from_spec(cls, number: int, spec: BodySpec) -> Body:
         """Returns the body that a spec describes."""
-        return cls(number, spec.size, spec.mass, spec.friction, spec.restitution, spec.frozen, spec.group)
+        return cls(number, spec.size, spec.mass, spec.friction, spec.restitution, spec.frozen, spec.group, spec.shape)
 
     @classmethod
     def from_json(cls, fields: dict[str, Any]) -> Body:
@@ -49,14 +51,16 @@ class Body:
         return cls(**{**fields, "size": tuple(fields["size"])})
 
     def to_json(self) -> dict[str, Any]:
-        """Returns the fields for a snapshot: `group` only where it is in one."""
+        """Returns the fields for a snapshot: `group` only where it is in one, `shape` only where it is no box."""
         fields = {name: getattr(self, name) for name in self.__slots__}
-        return fields if self.group else {name: value for name, value in fields.items() if name != "group"}
+        left_out = [*([] if self.group else ["group"]), *(["shape"] if self.shape == "box" else [])]
+        return {name: value for name, value in fields.items() if name not in left_out}
 
     @property
     def identity(self) -> int:
         """A hash of all that MuJoCo's state does not hold."""
-        return _hash("body", self.number, self, *([self.group] if self.group else []))
+        later = [*([self.group] if self.group else []), *([] if self.shape == "box" else [self.shape])]
+        return _hash("body", self.number, self, *later)
 
 
 @dataclass(slots=True)

@@ -13,6 +13,7 @@ from math import sin, sqrt
 
 import mujoco
 import numpy as np
+import numpy.typing as npt
 
 from nmes.backends.mujoco3d.forest import Body, Forest, Joint
 
@@ -21,6 +22,7 @@ __all__ = [
     "SPARE",
     "CompiledModel",
     "Slot",
+    "inner_radii",
     "occupy",
     "park",
     "set_mean_inertia",
@@ -44,7 +46,10 @@ _OF_BODY = (
     "body_conaffinity",
 )
 _OF_GEOM = (
+    "geom_type",
     "geom_size",
+    "geom_quat",
+    "geom_sameframe",
     "geom_aabb",
     "geom_rbound",
     "geom_friction",
@@ -54,6 +59,7 @@ _OF_GEOM = (
     "geom_conaffinity",
 )
 _OF_DOF = ("dof_M0", "dof_invweight0", "dof_length")
+_BOX, _CYLINDER = int(mujoco.mjtGeom.mjGEOM_BOX), int(mujoco.mjtGeom.mjGEOM_CYLINDER)
 _WIDEST_SWING = 1.4  # rad: a cone's two swinging hinges fall together at a right angle
 _SERVO_RATE = 60.0  # 1/s: a strong servo closes 63% of a small error in 1/30 s
 
@@ -171,6 +177,18 @@ def set_mean_inertia(compiled: CompiledModel) -> None:
         used[model.body_dofadr[index] : model.body_dofadr[index] + 6] = False
     if used.any():
         model.stat.meaninertia = float(model.dof_M0[used].mean())
+
+
+def inner_radii(model: mujoco.MjModel, bodies: npt.NDArray[np.intp]) -> npt.NDArray[np.float64]:
+    """Returns the radii, m, of the largest balls about the middles of some bodies that are within them."""
+    geoms = model.body_geomadr[bodies]
+    sizes, types = model.geom_size[geoms], model.geom_type[geoms]
+    radii: npt.NDArray[np.float64] = sizes.min(axis=1)
+    rounded = types != _BOX
+    if rounded.any():
+        flat = types[rounded] == _CYLINDER  # whose second size may be the smaller one
+        radii[rounded] = np.where(flat, sizes[rounded, :2].min(axis=1), sizes[rounded, 0])
+    return radii
 
 
 # -- parameters of joints --------------------------------------------------------------------------------------------

@@ -165,7 +165,7 @@ def _paint(scene: mujoco.MjvScene, geom: mujoco.MjvGeom) -> bool:
         geom.matid, geom.rgba = _ON_FIELDS + geom.dataid, _MEADOW
         return False
     if geom.type != mujoco.mjtGeom.mjGEOM_BOX:
-        geom.rgba = _MEADOW
+        geom.rgba = _STONE[geom.objid % len(_STONE)] if np.array_equal(geom.rgba, _GREY) else _MEADOW
         return False
     top = geom.pos[1] + np.abs(geom.mat[1]) @ geom.size
     if top > _LEVEL:

@@ -14,11 +14,13 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from nmes.backend import Array, Heightfield, Quaternion, SceneSpec, Vector
+from nmes.backend import Array, Heightfield, Quaternion, SceneSpec, StaticBox, Vector
+from nmes.backend.rotation import multiply
+from nmes.backend.shapes import Shape, axis, lying
 from nmes.backends.mujoco3d.arenas import Part, parts
 from nmes.errors import WorldError
 
-__all__ = ["Scenery", "set_options"]
+__all__ = ["Scenery", "set_options", "solid"]
 
 _FACE_UP: Quaternion = (-sqrt(0.5), 0.0, 0.0, sqrt(0.5))
 _UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
@@ -88,8 +90,8 @@ class Scenery:
     def add(self, spec: mujoco.MjSpec) -> None:
         """Adds the scenery to the world body of a model that is being built."""
         if self._fields:
-            # Nothing but landscapes is met by this algorithm, and it finds one point where a face lies on a triangle:
-            # a cube smaller than the grid's cells would tumble for ever. Its predecessor finds the face's corners.
+            # Boxes meet nothing but landscapes by this algorithm, and it finds one point where a face lies on a
+            # triangle: a cube smaller than the grid's cells would tumble for ever. Its predecessor finds the corners.
             spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_NATIVECCD
         for i, geom in enumerate(self._geoms):
             field = self._fields.get(i)
@@ -171,11 +173,36 @@ def _refined(heights: Array, extent: float) -> Array:
 
 
 def _obstacles(scene: SceneSpec) -> list[Part]:
-    box, ball = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_SPHERE
-    return [
-        Part(box, (b.size[0] / 2.0, b.size[1] / 2.0, b.size[2] / 2.0), b.position, b.quaternion, _GREY)
-        for b in scene.boxes
-    ] + [Part(ball, (planet.radius, 0.0, 0.0), planet.position, _UPRIGHT, _GREEN) for planet in scene.planets]
+    ball = mujoco.mjtGeom.mjGEOM_SPHERE
+    return [_obstacle(box) for box in scene.boxes] + [
+        Part(ball, (planet.radius, 0.0, 0.0), planet.position, _UPRIGHT, _GREEN) for planet in scene.planets
+    ]
+
+
+def _obstacle(box: StaticBox) -> Part:
+    kind, size, turn = _geometry(box.shape, box.size)
+    quaternion = box.quaternion if turn == _UPRIGHT else multiply(box.quaternion, turn)
+    return Part(kind, size, box.position, quaternion, _GREY)
+
+
+def solid(shape: Shape, size: Vector) -> dict[str, Any]:
+    """Returns the fields of a geom of a shape, in the box of full edge lengths `size` (m) that it just fills."""
+    kind, sizes, turn = _geometry(shape, size)
+    fields: dict[str, Any] = {"type": kind, "size": list(sizes)}
+    return fields if turn == _UPRIGHT else {**fields, "quat": [turn[3], *turn[:3]]}
+
+
+def _geometry(shape: Shape, size: Vector) -> tuple[Any, Vector, Quaternion]:
+    """Returns MuJoCo's type of a shape, its sizes, and how the shape is turned: MuJoCo's own lie along z."""
+    if shape == "box":
+        return mujoco.mjtGeom.mjGEOM_BOX, (size[0] / 2.0, size[1] / 2.0, size[2] / 2.0), _UPRIGHT
+    lies = axis(size)
+    radius, half = size[lies - 1] / 2.0, size[lies] / 2.0
+    if shape == "sphere":
+        return mujoco.mjtGeom.mjGEOM_SPHERE, (radius, 0.0, 0.0), _UPRIGHT
+    if shape == "cylinder":
+        return mujoco.mjtGeom.mjGEOM_CYLINDER, (radius, half, 0.0), lying(size)
+    return mujoco.mjtGeom.mjGEOM_CAPSULE, (radius, half - radius, 0.0), lying(size)
 
 
 # -- settings ---------------------------------------------------------------------------------------------------------

@@ -12,6 +12,7 @@ import orjson
 
 from nmes.backend import SceneSpec
 from nmes.backend.rotation import total
+from nmes.backend.shapes import SHAPES, misfit
 from nmes.backends.mujoco3d.compiler import compile_model
 from nmes.backends.mujoco3d.forest import Body, Joint, spanning_forest
 from nmes.backends.mujoco3d.model import SPARE, CompiledModel
@@ -116,6 +117,7 @@ def _check_structure(fields: dict[str, Any], bodies: dict[int, Body], joints: di
     for body in bodies.values():
         _require(type(body.number) is int and type(body.frozen) is bool, "numbers and flags of bodies")
         _require(min(*_numbers(body.size, 3), *_numbers((body.mass,), 1)) > 0.0, "sizes and masses above zero")
+        _require(body.shape in SHAPES and misfit(body.shape, body.size) is None, "shapes, each of a size it may have")
         _require(min(_numbers((body.friction, body.restitution), 2)) >= 0.0, "friction and restitution of bodies")
     for joint in joints.values():
         _require(type(joint.number) is int and joint.kind in _KINDS, "numbers and kinds of joints")

@@ -33,6 +33,7 @@ from nmes.backend import (
     Simulation,
     Vector,
 )
+from nmes.backend.shapes import axis, moments
 from nmes.backends.pymunk2d.joints import Body, Joint, MotorWork
 from nmes.backends.pymunk2d.scenery import add_scenery
 from nmes.errors import SimulationFault, WorldError
@@ -83,14 +84,13 @@ class PymunkSimulation(Simulation):
 
     def add_body(self, body: int, spec: BodySpec) -> None:
         """Adds a body; the space has it at once."""
-        width, height = spec.size[:2]
         kind = pymunk.Body.STATIC if spec.frozen else pymunk.Body.DYNAMIC
         b = pymunk.Body(spec.mass, _moment(spec), kind)
         b.position = spec.position[:2]
         b.angle = _angle(spec.quaternion)
         if not spec.frozen:
             b.velocity, b.angular_velocity = spec.linear_velocity[:2], spec.angular_velocity[2]
-        shape = pymunk.Poly.create_box(b, (width, height))
+        shape = _shape(b, spec)
         shape.friction, shape.elasticity = spec.friction, spec.restitution
         if spec.group:  # all others are of all categories
             shape.filter = pymunk.ShapeFilter(categories=1 << spec.group, mask=~self._passes[spec.group - 1] & _ALL)
@@ -416,6 +416,8 @@ class PymunkSimulation(Simulation):
             yield struct.pack("<8d", b.number, *spec.size, spec.mass, spec.friction, spec.restitution, b.frozen)
             if spec.group:
                 yield struct.pack("<d", spec.group)
+            if spec.shape != "box":
+                yield spec.shape.encode()
         for number, j in self._joints.items():
             p = j.params
             fields = (number, j.one.number, j.two.number, *j.anchor1, *j.anchor2, *j.axis, j.sign, j.twists, j.zero)
@@ -438,5 +440,20 @@ def _angle(quaternion: Quaternion) -> float:
     return math.remainder(2.0 * math.atan2(quaternion[2], quaternion[3]), math.tau)
 
 
+def _shape(body: pymunk.Body, spec: BodySpec) -> pymunk.Shape:
+    """Returns the slice of a body in the plane: a circle, a capsule as a thick line, or a rectangle."""
+    width, height = spec.size[:2]
+    lies = axis(spec.size)
+    if spec.shape == "sphere" or (spec.shape != "box" and lies == 2):
+        return pymunk.Circle(body, width / 2.0)
+    if spec.shape == "capsule":
+        radius = min(width, height) / 2.0
+        x, y = width / 2.0 - radius, height / 2.0 - radius
+        return pymunk.Segment(body, (-x, -y), (x, y), radius)
+    return pymunk.Poly.create_box(body, (width, height))
+
+
 def _moment(spec: BodySpec) -> float:
+    if spec.shape != "box":
+        return spec.mass * moments(spec.shape, spec.size)[2]
     return spec.mass * (spec.size[0] ** 2 + spec.size[1] ** 2) / 12.0

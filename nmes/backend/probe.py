@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from functools import cache
 from hashlib import blake2b
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy._core.multiarray import c_einsum
@@ -141,7 +141,7 @@ def _readings(
 # -- what moves -------------------------------------------------------------------------------------------------------
 
 
-def _box(number: int, position: Vector, dims: int, **changes: bool) -> BodySpec:
+def _box(number: int, position: Vector, dims: int, **changes: Any) -> BodySpec:
     """Returns one of many boxes that all differ."""
     part = number * 0.618034 % 1.0
     size = (0.4 + 0.3 * part, 0.5 - 0.2 * part, 0.4 + 0.2 * part)

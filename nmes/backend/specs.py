@@ -5,15 +5,16 @@ All are immutable, in SI units, Y up, with quaternions `(x, y, z, w)`.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from math import cos, radians, sin
+from math import cos, pi, radians, sin, sqrt
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from nmes.backend.rotation import quaternion_from_euler, rotate
+from nmes.backend.rotation import conjugate, quaternion_from_euler, rotate
+from nmes.backend.shapes import Shape, axis, reach
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]  # x, y, z, w
@@ -26,6 +27,7 @@ CAPABILITIES = frozenset(
     | {"motor", "servo", "spring", "limits"}  # what hinges and slides have; `limits` are also a conetwist's
     | {"collisions", "friction", "restitution", "contacts"}  # between bodies; on the ground; and whether it tells
     | {"collision_groups"}  # of bodies that pass through each other
+    | {"shape.sphere", "shape.capsule", "shape.cylinder"}  # of bodies and obstacles, besides boxes
     | {"scene.obstacles", "scene.heightfield", "scene.planets", "scene.arena"}  # what a SceneSpec may hold
     | {"scene.damping"}  # and how the velocities of its bodies may decay
     | {"sensors.inertial", "sensors.range", "camera"}  # what else than contacts a body can feel and see
@@ -33,19 +35,33 @@ CAPABILITIES = frozenset(
 )
 
 
+_UNITS: tuple[Vector, Vector, Vector] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+_CIRCLE = [(cos(pi / 24.0 * step), sin(pi / 24.0 * step)) for step in range(48)]  # corners by which a circle is told
+
+
 @dataclass(frozen=True, slots=True)
 class StaticBox:
-    """An immovable box of scenery: full edge lengths `size` (m). It takes on the surface of whatever touches it."""
+    """An immovable box of scenery, or the `shape` that just fills it: full edge lengths `size` (m).
+
+    It takes on the surface of whatever touches it.
+    """
 
     size: Vector
     position: Vector
     quaternion: Quaternion = (0.0, 0.0, 0.0, 1.0)
+    shape: Shape = "box"
+
+    def reach(self, direction: Vector) -> float:
+        """Returns how far (m) it reaches from its middle in a direction of the world, times that one's length."""
+        return reach(self.shape, self.size, rotate(conjugate(self.quaternion), direction))
 
     def section(self) -> list[tuple[float, float]]:
         """Returns the corners (x, y) of the slice that the plane z = 0 cuts out, for engines of that plane.
 
         They are in no particular order, and none where the box does not reach the plane.
         """
+        if self.shape != "box":
+            return list(self._round_section())
         (dx, dy, dz), (px, py, pz) = self.size, self.position
         signs = [(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)]
         arms = [rotate(self.quaternion, (x * dx, y * dy, z * dz)) for x, y, z in signs]
@@ -58,6 +74,35 @@ class StaticBox:
                     part = a[2] / (a[2] - b[2])
                     cut.append((a[0] + part * (b[0] - a[0]), a[1] + part * (b[1] - a[1])))
         return cut
+
+    def _round_section(self) -> Iterator[tuple[float, float]]:
+        """Yields the corners of a polygon in the slice of a round shape: of a ball's the circle's, of a side's ends."""
+        lies = axis(self.size)
+        radius, half = self.size[lies - 1] / 2.0, self.size[lies] / 2.0
+        along, one, two = (rotate(self.quaternion, _UNITS[lies - i]) for i in range(3))
+        x, y, z = self.position
+        if self.shape != "cylinder":
+            half -= radius
+            for end in (-half, half):
+                deep = z + end * along[2]
+                if deep * deep < radius * radius:
+                    wide = sqrt(radius * radius - deep * deep)
+                    middle = x + end * along[0], y + end * along[1]
+                    yield from ((middle[0] + wide * c, middle[1] + wide * s) for c, s in _CIRCLE)
+        rims: list[list[Vector]] = []
+        for end in (-half, half):
+            arms = [
+                [end * a + radius * (c * u + s * v) for a, u, v in zip(along, one, two, strict=True)]
+                for c, s in _CIRCLE
+            ]
+            rims.append([(x + arm[0], y + arm[1], z + arm[2]) for arm in arms])
+        edges = [*zip(*rims, strict=True)]
+        for rim in rims:
+            edges += zip(rim, [*rim[1:], rim[0]], strict=True)
+        for a, b in edges:
+            if (a[2] < 0.0) != (b[2] < 0.0):
+                part = a[2] / (a[2] - b[2])
+                yield a[0] + part * (b[0] - a[0]), a[1] + part * (b[1] - a[1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,7 +168,7 @@ class SceneSpec:
         gravity: Acceleration of free fall, m/s^2.
         max_bodies: How many bodies may exist at once; a hint for memory.
         ground: Whether the flat ground y = 0 is there.
-        boxes: Obstacles (`scene.obstacles`).
+        boxes: Obstacles (`scene.obstacles`), of the shapes that the engine has.
         heightfield: A landscape (`scene.heightfield`).
         planets: Balls (`scene.planets`). Where there are any, each body falls towards the centre of the nearest one,
             as strongly as `gravity` says, at any distance.
@@ -154,6 +199,7 @@ class SceneSpec:
 class BodySpec:
     """A box: full edge lengths `size` (m), `mass` (kg), surface, and its state when it appears.
 
+    It is solid and even throughout. With a `shape` it is what just fills that box, see `nmes.backend.shapes`.
     `frozen` bodies are immovable: infinite mass, no velocity. `group` is the collision group, of those in the scene's
     `passes`; bodies of none (0) meet everything.
     """
@@ -168,6 +214,7 @@ class BodySpec:
     angular_velocity: Vector = (0.0, 0.0, 0.0)
     frozen: bool = False
     group: int = 0
+    shape: Shape = "box"
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,6 +17,7 @@ from typing import Any, Final
 import numpy as np
 
 from nmes.backend import Array, Places
+from nmes.backend.shapes import moments
 from nmes.objective.trajectory import ObservedBodies
 from nmes.world.fields import vector
 from nmes.world.scenery import planet_list
@@ -122,10 +123,13 @@ class Balance:
     def _kinetic(self, columns: Array) -> Array:
         masses = self.bodies.masses
         a, b, c = (self.bodies.sizes * self.bodies.sizes).T
-        moments = np.stack([b + c, a + c, a + b], axis=1) * masses[:, None] / 12.0
+        own = np.stack([b + c, a + c, a + b], axis=1) * masses[:, None] / 12.0
+        for row, shape in enumerate(self.bodies.shapes):
+            if shape != "box":
+                own[row] = masses[row] * np.array(moments(shape, tuple(self.bodies.sizes[row].tolist())))
         each = np.empty((*columns.shape[1:], 3))
         for axis, (velocity, spin) in enumerate(zip(columns[7:10], _own(columns), strict=True)):
-            np.add(masses * velocity * velocity, moments[:, axis] * spin * spin, out=each[..., axis])
+            np.add(masses * velocity * velocity, own[:, axis] * spin * spin, out=each[..., axis])
         return np.asarray(each.sum(axis=(1, 2)) / 2.0)
 
     def _potential(self, columns: Array) -> Array:

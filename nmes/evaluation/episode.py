@@ -317,11 +317,17 @@ class Observer:
     def __init__(self, world: World, creature: Creature, task: Task, seed: int, place: Place = ALONE) -> None:
         body, props = creature.body, task.document["props"]
         cubes = [creature.cubes[cube.id] for cube in body.cubes] + [place.prop(name) for name in task.prop_ids()]
-        shapes = [world.cube_shape(name)[0] for name in cubes]
+        sizes, _, shapes = zip(*map(world.cube_shape, cubes), strict=True)
         masses = [*(cube.mass for cube in body.cubes), *(prop["mass"] for prop in props)]
         ids = (*(cube.id for cube in body.cubes), *task.prop_ids())
         bodies = ObservedBodies(
-            ids, len(body.cubes), np.array(shapes), np.array(masses, float), task.tick_rate, task.target(seed, place)
+            ids,
+            len(body.cubes),
+            np.array(sizes),
+            np.array(masses, float),
+            task.tick_rate,
+            task.target(seed, place),
+            shapes,
         )
         motors = [joint for joint in body.joints if joint.motor is not None]
         sprung = [joint for joint in body.joints if joint.stiffness]

@@ -78,7 +78,8 @@ def _body(body: Body) -> list[Any]:
     shapes, bonds = [], []
     for cube in body.cubes:
         place = np.array(cube.position) - origin, _half(cube.quaternion)
-        shapes.append((cube.size, cube.mass, *place, cube.friction, cube.restitution))
+        shape = [] if cube.shape == "box" else [cube.shape]
+        shapes.append((cube.size, cube.mass, *place, cube.friction, cube.restitution, *shape))
     for joint in body.joints:
         motor = joint.motor
         drive = None if motor is None else (motor.mode, motor.low, motor.high, motor.max_effort, *_flaws(motor.flaws))

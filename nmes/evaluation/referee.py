@@ -235,9 +235,16 @@ def _slices(counts: list[int]) -> list[slice]:
 def _observed(world: World, names: list[str], body: int, tick_rate: int) -> ObservedBodies:
     cubes = [world.entities.cube(name) for name in names]
     sizes, masses = np.array([cube.size for cube in cubes]), np.array([cube.mass for cube in cubes], float)
-    return ObservedBodies(tuple(names), body, sizes, masses, tick_rate)
+    return ObservedBodies(tuple(names), body, sizes, masses, tick_rate, shapes=tuple(cube.shape for cube in cubes))
 
 
 def _picked(bodies: ObservedBodies, columns: slice, ids: list[str], body: int) -> ObservedBodies:
     """Returns some of the bodies, by the ids that expressions have for them."""
-    return ObservedBodies(tuple(ids), body, bodies.sizes[columns], bodies.masses[columns], bodies.tick_rate)
+    return ObservedBodies(
+        tuple(ids),
+        body,
+        bodies.sizes[columns],
+        bodies.masses[columns],
+        bodies.tick_rate,
+        shapes=bodies.shapes[columns],
+    )

@@ -19,6 +19,7 @@ import numpy as np
 
 from nmes.backend import Array, Quaternion, Vector
 from nmes.backend.rotation import normalize, quaternion_from_euler, rotate, total
+from nmes.backend.shapes import Shape, misfit, volume
 from nmes.errors import DocumentError
 from nmes.genome.sensor_entries import MOST_RAYS, count_rays, read_sensor
 from nmes.genome.sensors import Flaws, Sensor
@@ -44,7 +45,8 @@ _ROOT = ("height", "up", "velocity", "spin")  # what the root senses where a doc
 class BodyCube:
     """A cube as the document has it: m, kg; `friction` and `restitution` None where they are the world's.
 
-    `group` is its collision group, None for none.
+    `group` is its collision group, None for none. Of another `shape` than a box it fills the box that `size` says; for
+    what overlaps what, how large the body is and how deep it reaches, that box counts.
     """
 
     id: str
@@ -56,6 +58,12 @@ class BodyCube:
     restitution: float | None
     color: tuple[float, ...] | None
     group: str | None = None
+    shape: Shape = "box"
+
+    @property
+    def volume(self) -> float:
+        """Its volume, m^3."""
+        return volume(self.shape, self.size)
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,6 +208,10 @@ class _Reader:
     def read(self, body: JsonObject, sensors: Sequence[JsonObject] | None, voices: Sequence[JsonObject]) -> Body:
         cubes = [read_cube(entry) for entry in body["cubes"]]
         self.unique([f"body/cubes/{i}/id" for i in range(len(cubes))], [cube.id for cube in cubes], "cube")
+        for i, cube in enumerate(cubes):
+            problem = misfit(cube.shape, cube.size)
+            if problem is not None:
+                self.note(f"body/cubes/{i}/size", f"cube {cube.id!r}: {problem}")
         joints = [_joint(entry) for entry in body.get("joints", ())]
         self.unique([f"body/joints/{i}/id" for i in range(len(joints))], [joint.id for joint in joints], "joint")
         for i, joint in enumerate(joints):
@@ -355,6 +367,7 @@ def read_cube(entry: JsonObject) -> BodyCube:
         restitution=None if "restitution" not in entry else float(entry["restitution"]),
         color=None if color is None else tuple(map(float, color)),
         group=entry.get("group"),
+        shape=entry.get("shape", "box"),
     )
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -60,7 +59,7 @@ class Limits:
         """Yields the reasons why nothing of this kind could be built: the worst of its cubes, pairs and motors."""
         masses = {cube.id: cube.mass for cube in body.cubes}
         weight = _GRAVITY * body.mass
-        densities = [(cube.mass / math.prod(cube.size), cube.id) for cube in body.cubes]
+        densities = [(cube.mass / cube.volume, cube.id) for cube in body.cubes]
         bounces = [(cube.restitution or 0.0, cube.id) for cube in body.cubes]
         pairs = [(masses[joint.cube1] / masses[joint.cube2], joint.id) for joint in body.joints]
         pairs += [(1.0 / ratio, joint) for ratio, joint in pairs]

@@ -21,6 +21,7 @@ import numpy as np
 
 from nmes.backend import Array, Quaternion, Vector
 from nmes.backend.rotation import multiply, normalize, quaternion_from_euler, rotate, total
+from nmes.backend.shapes import misfit, volume
 from nmes.errors import DocumentError
 from nmes.schemas.documents import did_you_mean, nor_at
 
@@ -187,6 +188,10 @@ class _Plant:
         self.parts = {part["id"]: part for part in graph["parts"]}
         self.growing = {name: [] for name in self.parts}
         problems = []
+        for i, part in enumerate(graph["parts"]):
+            problem = misfit(part.get("shape", "box"), _edges(part))
+            if problem is not None:
+                problems.append((f"body/graph/parts/{i}/size", f"part {part['id']!r}: {problem}"))
         if len(self.parts) < len(graph["parts"]):
             seen: set[str] = set()
             for i, part in enumerate(graph["parts"]):
@@ -281,11 +286,18 @@ def _cube(grown: _Grown, position: Sequence[float], turn: Sequence[float]) -> di
     return {
         "id": grown.name,
         "size": _rounded(size),
-        "mass": round(float(part.get("density", 500.0)) * size[0] * size[1] * size[2], _DIGITS),
+        "mass": round(_mass(part, size), _DIGITS),
         "position": _rounded(position),
         "rotation": _rounded(turn),
-        **{name: part[name] for name in ("friction", "restitution", "color", "group") if name in part},
+        **{name: part[name] for name in ("shape", "friction", "restitution", "color", "group") if name in part},
     }
+
+
+def _mass(part: JsonObject, size: Sequence[float]) -> float:
+    density, shape = float(part.get("density", 500.0)), part.get("shape", "box")
+    if shape == "box":
+        return density * size[0] * size[1] * size[2]
+    return density * volume(shape, (size[0], size[1], size[2]))
 
 
 def _joint(grown: _Grown, parent: _Grown, anchor: Sequence[float], axis: Sequence[float]) -> dict[str, Any]:

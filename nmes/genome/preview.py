@@ -1,8 +1,8 @@
 """Pictures of bodies at rest, drawn in software: the same pixels on every machine, without a GPU or a window.
 
-Hides an orthographic ray caster over boxes: one view from the front right and above (+x, forward, is to the right), one
-lamp, a shadow on the ground, thin lines along edges, and a grid on the ground whose lines are a round number of metres
-apart. Boxes may pass through each other, which drawing them one over the other could not show.
+Hides an orthographic ray caster over boxes and round shapes: one view from the front right and above (+x, forward, is
+to the right), one lamp, a shadow on the ground, thin lines along edges, and a grid on the ground whose lines are a
+round number of metres apart. Parts may pass through each other, which drawing them one over the other could not show.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 from nmes.backend import Array
 from nmes.backend import Image as Pixels
 from nmes.backend.rotation import rotate
+from nmes.backend.shapes import axis as axis_of
 from nmes.genome.body import PALETTE, Body, BodyCube, corners
 
 __all__ = ["grid_step", "render_body", "render_cutout", "render_text", "sheet"]
@@ -175,7 +176,7 @@ class _Canvas:
         for cube in self._body.cubes:
             area = self._area(_on_ground(corners(cube)))
             if area[0].stop > area[0].start and area[1].stop > area[1].start:
-                near, far, _ = _meet(cube, self._landing(area), _LAMP)
+                near, far, *_ = _meet(cube, self._landing(area), _LAMP)
                 shaded[area] |= (near <= far) & (far > 0.0)
         image[shaded] = 0.45 * image[shaded] + 0.55 * _SHADE
         fade = np.linspace(0.55, 0.0, self._height)[:, None, None]
@@ -188,13 +189,12 @@ class _Canvas:
     def _cast(self, image: Array, number: int, cube: BodyCube) -> None:
         """Paints a cube where nothing is in front of it."""
         area = self._area(corners(cube))
-        near, far, face = _meet(cube, self._origins(area), -_BACK)
+        near, far, face, lit = _meet(cube, self._origins(area), -_BACK)
         visible = (near <= far) & (near < self._depth[area])
         self._depth[area][visible] = near[visible]
         self.seen[area][visible] = 6 * number + face[visible]
         base = 255.0 * np.array(cube.color[:3] if cube.color is not None else PALETTE[number % len(PALETTE)])
-        shades = np.array([0.42 + 0.58 * max(0.0, float(normal @ _LAMP)) for normal in _normals(cube)])
-        image[area][visible] = base * shades[face[visible]][:, None]
+        image[area][visible] = base * lit[visible][:, None]
 
     def _outline(self, image: Array) -> None:
         """Draws lines where one face ends and another begins."""
@@ -210,18 +210,70 @@ def _normals(cube: BodyCube) -> Array:
     return np.array([[sign * part for part in axis] for axis in axes for sign in (-1.0, 1.0)])
 
 
-def _meet(cube: BodyCube, origins: Array, direction: Array) -> tuple[Array, Array, Array]:
-    """Returns the distances at which rays enter and leave a cube (a miss leaves first), and the faces they enter by."""
+def _meet(cube: BodyCube, origins: Array, direction: Array) -> tuple[Array, Array, Array, Array]:
+    """Returns where rays meet a cube.
+
+    Returns:
+        The distances at which they enter and leave it (a miss leaves first), the faces by which they enter, and how
+        light it is there, from 0 to 1.
+    """
     axes = _normals(cube)[1::2]
     start = (origins - np.array(cube.position)) @ axes.T
     slope = axes @ direction
     slope = np.where(abs(slope) < 1e-9, 1e-9, slope)
+    if cube.shape != "box":
+        near, far, face, normals = _meet_round(cube, start, slope)
+        return near, far, face, 0.42 + 0.58 * np.maximum(normals @ (axes @ _LAMP), 0.0)
+    shades = np.array([0.42 + 0.58 * max(0.0, float(normal @ _LAMP)) for normal in _normals(cube)])
     half = np.array(cube.size) / 2.0
     first, second = (-half - start) / slope, (half - start) / slope
     entries = np.minimum(first, second)
     axis = entries.argmax(axis=-1)
     face = 2 * axis + (slope < 0.0)[axis]
-    return entries.max(axis=-1), np.maximum(first, second).min(axis=-1), face
+    return entries.max(axis=-1), np.maximum(first, second).min(axis=-1), face, shades[face]
+
+
+def _meet_round(cube: BodyCube, start: Array, slope: Array) -> tuple[Array, Array, Array, Array]:
+    """Returns what `_meet` does of a round shape, and in place of the light the direction in which its surface looks.
+
+    Args:
+        cube: Of a round shape.
+        start: Where the rays begin, along its own axes, shape (h, w, 3).
+        slope: Their direction there.
+    """
+    lies = axis_of(cube.size)
+    radius, half = cube.size[lies - 1] / 2.0, cube.size[lies] / 2.0
+    if cube.shape != "cylinder":
+        half -= radius
+    across = np.array([float(i != lies) for i in range(3)])
+    near, far = _cut(start * across, slope * across, radius)  # a cylinder without ends
+    first, second = ((end - start[..., lies]) / slope[lies] for end in (-half, half))
+    enter, leave = np.minimum(first, second), np.maximum(first, second)
+    capped, face = enter > near, np.zeros(near.shape, int)
+    near, far = np.maximum(near, enter), np.minimum(far, leave)
+    if cube.shape == "cylinder":
+        face[capped] = 1
+        normals = (start + np.where(near <= far, near, 0.0)[..., None] * slope) * across / radius
+        normals[capped] = -np.sign(slope) * (1.0 - across)
+        return near, far, face, normals
+    near = np.where(near <= far, near, np.inf)
+    far = np.where(near <= far, far, -np.inf)
+    for end in (-half, half):
+        ball = start - end * (1.0 - across)
+        into, out = _cut(ball, slope, radius)
+        near = np.where(into <= out, np.minimum(near, into), near)
+        far = np.where(into <= out, np.maximum(far, out), far)
+    points = start + np.where(np.isfinite(near), near, 0.0)[..., None] * slope
+    middle = np.clip(points[..., lies], -half, half)[..., None] * (1.0 - across)
+    return near, far, face, (points - middle) / radius
+
+
+def _cut(start: Array, slope: Array, radius: float) -> tuple[Array, Array]:
+    """Returns where lines enter and leave a ball about the origin, or a cylinder of which they lack the axis."""
+    a, b = float((slope * slope).sum()), (start * slope).sum(axis=-1)
+    square = b * b - a * ((start * start).sum(axis=-1) - radius * radius)
+    root = np.sqrt(np.maximum(square, 0.0))
+    return np.where(square < 0.0, np.inf, (-b - root) / a), np.where(square < 0.0, -np.inf, (root - b) / a)
 
 
 def _on_ground(points: Array) -> Array:

@@ -13,6 +13,7 @@ import numpy as np
 
 from nmes import protocol
 from nmes.backend import Array
+from nmes.backend.shapes import Shape
 from nmes.errors import WorldError
 from nmes.evaluation.task import CREATURE, Task
 from nmes.genome import Genome
@@ -78,7 +79,10 @@ class WireScene:
         masses = np.array([*(cube.mass for cube in cubes), *(prop["mass"] for prop in props)], float)
         ids = (*(cube.id for cube in cubes), *task.prop_ids())
         self.body = genome.body
-        self.bodies = ObservedBodies(ids, len(cubes), sizes, masses, task.tick_rate, task.target(task.seeds[0]))
+        boxes: tuple[Shape, ...] = ("box",) * len(props)
+        shapes = (*(cube.shape for cube in cubes), *boxes)
+        target = task.target(task.seeds[0])
+        self.bodies = ObservedBodies(ids, len(cubes), sizes, masses, task.tick_rate, target, shapes)
         body = [f"{CREATURE}.{cube.id}" for cube in cubes]
         self._own = set(body)
         self.look_at_body: JsonObject = {"type": "get_world_state", "cubes": body}

@@ -12,7 +12,7 @@ changes no bit.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from math import fsum
@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nmes.backend import Array, Contact
+from nmes.backend.shapes import Shape, axis
 from nmes.errors import WorldError
 from nmes.objective.expression import Condition, Objective
 from nmes.objective.quantities import Quantity
@@ -55,6 +56,7 @@ class ObservedBodies:
         masses: Array (n,), kg.
         tick_rate: Rows in a second.
         target: Where `distance` is measured from: a point, m, or the id of a cube; None: from the start.
+        shapes: One each of `nmes.backend.shapes`; empty where all are boxes.
     """
 
     cubes: tuple[str, ...]
@@ -63,6 +65,7 @@ class ObservedBodies:
     masses: Array
     tick_rate: int
     target: tuple[float, float, float] | str | None = None
+    shapes: tuple[Shape, ...] = ()
 
     def columns(self, cube: str | None) -> slice:
         """Returns the columns of a cube, or of the body where `cube` is None.
@@ -533,22 +536,50 @@ class _Block:
         return sums[:, -1]
 
     def _extent(self, name: str, columns: slice, cube: str | None) -> Array:
-        states, half = self.states[:, columns], self.bodies.sizes[columns] / 2.0
+        states, halves = self.states[:, columns], self.bodies.sizes[columns] / 2.0
         if name != "reach":
             x, y, z, w = (states[:, :, i] for i in range(3, 7))
             # How far a turned box reaches up and down from its centre: its half edges along the world's y axis.
-            up = np.abs(2.0 * (x * y + w * z)) * half[:, 0]
-            up += np.abs(1.0 - 2.0 * (x * x + z * z)) * half[:, 1]
-            up += np.abs(2.0 * (y * z - w * x)) * half[:, 2]
+            rises = [
+                np.abs(each) for each in (2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x))
+            ]
+            up = rises[0] * halves[:, 0]
+            up += rises[1] * halves[:, 1]
+            up += rises[2] * halves[:, 2]
             middle = states[:, :, 1]
+            for column, lies, radius, half, ball in self._rounds(columns):
+                along = rises[lies][:, column]
+                across = radius if ball else radius * np.sqrt(np.maximum(1.0 - along * along, 0.0))
+                up[:, column] = along * half + across
             end: Array = np.min(middle - up, axis=1) if name == "lowest" else np.max(middle + up, axis=1)
             return end
         # The arm from the centre in the box's own axes; its farthest corner lies beyond its centre along each of them.
         a, b, c = (states[:, :, i] - self._centre(cube)[:, i : i + 1] for i in range(3))
         x, y, z, w = np.ascontiguousarray(np.moveaxis(states[:, :, 3:7], 2, 0))
         xx, yy, zz, xy, xz, yz, wx, wy, wz = x * x, y * y, z * z, x * y, x * z, y * z, w * x, w * y, w * z
-        u = np.abs(a * (1.0 - 2.0 * (yy + zz)) + b * (2.0 * (xy + wz)) + c * (2.0 * (xz - wy))) + half[:, 0]
-        v = np.abs(a * (2.0 * (xy - wz)) + b * (1.0 - 2.0 * (xx + zz)) + c * (2.0 * (yz + wx))) + half[:, 1]
-        t = np.abs(a * (2.0 * (xz + wy)) + b * (2.0 * (yz - wx)) + c * (1.0 - 2.0 * (xx + yy))) + half[:, 2]
-        farthest: Array = np.max(np.sqrt(u * u + v * v + t * t), axis=1)
+        u = np.abs(a * (1.0 - 2.0 * (yy + zz)) + b * (2.0 * (xy + wz)) + c * (2.0 * (xz - wy))) + halves[:, 0]
+        v = np.abs(a * (2.0 * (xy - wz)) + b * (1.0 - 2.0 * (xx + zz)) + c * (2.0 * (yz + wx))) + halves[:, 1]
+        t = np.abs(a * (2.0 * (xz + wy)) + b * (2.0 * (yz - wx)) + c * (1.0 - 2.0 * (xx + yy))) + halves[:, 2]
+        reaches = np.sqrt(u * u + v * v + t * t)
+        for column, lies, radius, half, ball in self._rounds(columns):
+            arm = [each[:, column] - edges[column] for each, edges in zip((u, v, t), halves.T, strict=True)]
+            beyond, aside, off = arm[lies] + half, arm[lies - 1], arm[lies - 2]
+            wide = np.sqrt(aside * aside + off * off)
+            if ball:
+                reaches[:, column] = np.sqrt(beyond * beyond + wide * wide) + radius
+            else:
+                reaches[:, column] = np.sqrt(beyond * beyond + (wide + radius) * (wide + radius))
+        farthest: Array = np.max(reaches, axis=1)
         return farthest
+
+    def _rounds(self, columns: slice) -> Iterator[tuple[int, int, float, float, bool]]:
+        """Yields column, axis, radius (m) and half length (m) of each round cube, and whether it ends in balls.
+
+        The length is then from the middle of one ball to that of the other.
+        """
+        for column, shape in enumerate(self.bodies.shapes[columns]):
+            if shape != "box":
+                size = self.bodies.sizes[columns][column].tolist()
+                lies = axis(size)
+                radius, half, ball = size[lies - 1] / 2.0, size[lies] / 2.0, shape != "cylinder"
+                yield column, lies, radius, half - radius if ball else half, ball

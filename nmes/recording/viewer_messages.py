@@ -1,9 +1,10 @@
 """A world as viewers see it: poses and shapes in the Protobuf messages of Foxglove.
 
-Each cube is a coordinate frame that moves in the frame `ROOT` and carries one box. Poses are rounded to float32:
-viewers draw no finer, and it halves what they take up. For what is exact there are digests.
+Each cube is a coordinate frame that moves in the frame `ROOT` and carries one box, or what its shape is made of. Poses
+are rounded to float32: viewers draw no finer, and it halves what they take up. For what is exact there are digests.
 
-Rerun knows no scene updates. For it each box is written once more, as a grid of one voxel in its cube's frame.
+Rerun knows no scene updates. For it each box is written once more, as a grid of one voxel in its cube's frame; what is
+round is seen there as the box that it fills (`nmes view` draws it as it is).
 """
 
 from __future__ import annotations
@@ -15,13 +16,17 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
 from foxglove_schemas_protobuf.PackedElementField_pb2 import PackedElementField
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
 from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from foxglove_schemas_protobuf.VoxelGrid_pb2 import VoxelGrid
 from google.protobuf.descriptor import FileDescriptor
 from google.protobuf.descriptor_pb2 import FileDescriptorSet
 
-from nmes.backend import Array, Vector
+from nmes.backend import Array, Quaternion, Vector
+from nmes.backend.rotation import rotate
+from nmes.backend.shapes import ROUND, axis, lying, misfit
+from nmes.backend.shapes import Shape as Form
 
 if TYPE_CHECKING:
     from nmes.world import World
@@ -44,6 +49,7 @@ __all__ = [
 ROOT = "world origin"  # no cube can have a name with white space in it
 POSES_SCHEMA = FrameTransforms.DESCRIPTOR.full_name
 SCENE_SCHEMA = SceneUpdate.DESCRIPTOR.full_name
+_KIND, _SIZE = "shape", "size"  # keys of an entity's metadata
 BOX_SCHEMA = VoxelGrid.DESCRIPTOR.full_name
 _MESSAGES = {message.DESCRIPTOR.full_name: message for message in (FrameTransforms, SceneUpdate, VoxelGrid)}
 
@@ -52,7 +58,7 @@ Pose = tuple[float, float, float, float, float, float, float]  # position, quate
 
 
 Color = tuple[float, float, float, float]
-Shape = tuple[Vector, Color]  # edge lengths, colour
+Shape = tuple[Vector, Color, Form]  # edge lengths, colour, one of nmes.backend.shapes
 
 
 class Snapshot(NamedTuple):
@@ -136,11 +142,8 @@ class Painter:
             if self._shapes.get(name) != shape:
                 entity = update.entities.add(id=name, frame_id=name, frame_locked=True)
                 entity.timestamp.seconds, entity.timestamp.nanos = seconds, nanos
-                cube, (size, color) = entity.cubes.add(), shape
-                cube.size.x, cube.size.y, cube.size.z = size
-                cube.color.r, cube.color.g, cube.color.b, cube.color.a = color
-                cube.pose.orientation.w = 1.0
-                boxes[name] = _box(name, size, color, seconds, nanos)
+                _add_solid(entity, shape)
+                boxes[name] = _box(name, shape[0], shape[1], seconds, nanos)
         self._shapes = shapes
         self._transforms.Clear()
         self._handles = []
@@ -148,6 +151,43 @@ class Painter:
             transform = self._transforms.transforms.add(parent_frame_id=ROOT, child_frame_id=name)
             self._handles.append((transform.timestamp, transform.translation, transform.rotation))
         return bytes(update.SerializeToString()), boxes
+
+
+def _add_solid(entity: SceneEntity, shape: Shape) -> None:
+    """Adds what a shape looks like to its entity: a box, a ball, a cylinder, or one between two balls.
+
+    An entity of what is no box says in its metadata what it is.
+    """
+    size, color, kind = shape
+    if kind == "box":
+        _paint(entity.cubes.add(), size, color)
+        return
+    entity.metadata.add(key=_KIND, value=kind)
+    entity.metadata.add(key=_SIZE, value=" ".join(map(repr, size)))
+    along, across = size[axis(size)], size[axis(size) - 1]
+    turn = lying(size)
+    if kind != "sphere":
+        length = along if kind == "cylinder" else along - across
+        cylinder = entity.cylinders.add(bottom_scale=1.0, top_scale=1.0)
+        _paint(cylinder, (across, across, length), color, turn=turn)
+    if kind != "cylinder":
+        for end in (0.0,) if kind == "sphere" else (-0.5, 0.5):
+            _paint(entity.spheres.add(), (across,) * 3, color, rotate(turn, (0.0, 0.0, end * (along - across))))
+
+
+def _paint(
+    thing: Any,
+    size: Vector,
+    color: Color,
+    place: Vector = (0.0, 0.0, 0.0),
+    turn: Quaternion = (0.0, 0.0, 0.0, 1.0),
+) -> None:
+    """Gives a thing of an entity its size, colour and pose."""
+    thing.size.x, thing.size.y, thing.size.z = size
+    thing.color.r, thing.color.g, thing.color.b, thing.color.a = color
+    thing.pose.position.x, thing.pose.position.y, thing.pose.position.z = place
+    turned = thing.pose.orientation
+    turned.x, turned.y, turned.z, turned.w = turn
 
 
 def _box(name: str, size: Vector, color: Color | None, seconds: int, nanos: int) -> bytes:
@@ -198,10 +238,27 @@ def decode_shapes(data: bytes, known: Mapping[str, Shape]) -> dict[str, Shape]:
     gone = {deletion.id for deletion in update.deletions}
     shapes = {name: shape for name, shape in known.items() if name not in gone}
     for entity in update.entities:
-        for cube in entity.cubes:
-            size, color = cube.size, cube.color
-            shapes[entity.id] = (size.x, size.y, size.z), (color.r, color.g, color.b, color.a)
+        for thing in (*entity.cubes, *entity.cylinders, *entity.spheres):
+            size, color = thing.size, thing.color
+            rgba = color.r, color.g, color.b, color.a
+            shapes[entity.id] = _kind(entity, (size.x, size.y, size.z), rgba)
     return shapes
+
+
+def _kind(entity: SceneEntity, size: Vector, color: Color) -> Shape:
+    """Returns the shape of an entity that holds a thing of some size and colour.
+
+    Raises:
+        ValueError: It is something else than it says.
+    """
+    said = {pair.key: pair.value for pair in entity.metadata}
+    if _KIND not in said:
+        return size, color, "box"
+    edges = [float(edge) for edge in said.get(_SIZE, "").split()[:4]]
+    kind = next((form for form in ROUND if form == said[_KIND]), None)
+    if kind is None or len(edges) != 3 or not min(edges) > 0.0 or misfit(kind, edges) is not None:
+        raise ValueError("not a scene message")
+    return (edges[0], edges[1], edges[2]), color, kind
 
 
 @cache

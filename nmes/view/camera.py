@@ -103,7 +103,7 @@ def _middles(moments: Sequence[Moment], names: set[str], *, flags: bool) -> tupl
         rows = [row for row, name in enumerate(moment.shapes) if name in names]
         if rows:
             places = moment.poses[rows, :3]
-            halves = [hypot(*size) / 2.0 for name, (size, _) in moment.shapes.items() if name in names]
+            halves = [hypot(*size) / 2.0 for name, (size, *_) in moment.shapes.items() if name in names]
             targets = np.array(moment.targets if flags else ()).reshape(-1, 3)
             near = targets[np.linalg.norm(targets - places.mean(axis=0), axis=1) < _NEAR]
             places, halves = np.concatenate([places, near]), halves + [_MARK] * len(near)

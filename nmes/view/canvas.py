@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from nmes.backend import Array, Heightfield, SceneSpec
-from nmes.backend.rotation import cross, normalize, rotate
+from nmes.backend import Array, Heightfield, SceneSpec, StaticBox, Vector
+from nmes.backend.rotation import cross, multiply, normalize, rotate
+from nmes.backend.shapes import SHAPES, axis, lying
 from nmes.errors import MissingPackage
 from nmes.recording.viewer_messages import Shape
 from nmes.view.part_colors import visible_shapes
@@ -98,17 +99,12 @@ class Canvas:
             self._log("scene/ground", rr.LineStrips2D(strips, colors=[_SCENERY]), static=True)
             return
         if scene.boxes:
-            self._log(
-                "scene/obstacles",
-                rr.Boxes3D(
-                    sizes=[box.size for box in scene.boxes],
-                    centers=[box.position for box in scene.boxes],
-                    quaternions=[box.quaternion for box in scene.boxes],
-                    colors=[_SCENERY],
-                    fill_mode="solid",
-                ),
-                static=True,
-            )
+            for kind in SHAPES:
+                things = [box for box in scene.boxes if box.shape == kind]
+                if things:
+                    poses = np.array([[*box.position, *box.quaternion] for box in things])
+                    solids = _solids(rr, kind, [box.size for box in things], poses, colors=[_SCENERY])
+                    self._log("scene/obstacles" if kind == "box" else f"scene/{kind}s", solids, static=True)
         if scene.heightfield is not None:
             self._log("scene/landscape", self._landscape(scene.heightfield), static=True)
         if scene.planets:
@@ -139,7 +135,7 @@ class Canvas:
         """Draws the cubes; returns whether any had changed by as much as can be seen, else nothing is sent.
 
         Args:
-            shapes: Their edge lengths (m) and colours, by name.
+            shapes: Their edge lengths (m), colours and shapes, by name.
             poses: Array (n, 7), in the same order: positions (m) and quaternions (x, y, z, w).
         """
         rr = self._rr
@@ -150,34 +146,38 @@ class Canvas:
         self._poses = poses.copy()
         self._reach_out(shapes, poses)
         if self.planar:
-            corners = [_outline(size, pose) for (size, _), pose in zip(shapes.values(), poses.tolist(), strict=True)]
-            colors = [_bytes(color) for _, color in shapes.values()]
+            corners = [_outline(shape, pose) for shape, pose in zip(shapes.values(), poses.tolist(), strict=True)]
+            colors = [_bytes(color) for _, color, _ in shapes.values()]
             self._log(
                 "cubes", rr.LineStrips2D(corners, colors=colors, radii=_THICK, labels=list(shapes), show_labels=False)
             )
-        elif same:
-            self._log("cubes", rr.Boxes3D.from_fields(centers=poses[:, :3], quaternions=poses[:, 3:]))
         else:
-            self._log(
-                "cubes",
-                rr.Boxes3D(
-                    sizes=[size for size, _ in shapes.values()],
-                    centers=poses[:, :3],
-                    quaternions=poses[:, 3:],
-                    colors=[_bytes(color) for _, color in shapes.values()],
-                    labels=list(shapes),
-                    show_labels=False,
-                    fill_mode="solid",
-                ),
-            )
+            for kind in SHAPES:
+                self._solids(kind, shapes, poses, same)
         self._shapes = shapes
         return True
+
+    def _solids(self, kind: str, shapes: Mapping[str, Shape], poses: Array, same: bool) -> None:
+        """Draws the cubes of one shape; of those that were drawn before the poses alone."""
+        path = "cubes" if kind == "box" else f"{kind}s"
+        names = [name for name, shape in shapes.items() if shape[2] == kind]
+        if not names and kind != "box":
+            self._erase(path)
+            return
+        rows = [row for row, shape in enumerate(shapes.values()) if shape[2] == kind]
+        sizes = [shapes[name][0] for name in names]
+        looks: dict[str, Any] = {}
+        if not same:
+            looks = {"colors": [_bytes(shapes[name][1]) for name in names], "labels": names, "show_labels": False}
+        self._log(path, _solids(self._rr, kind, sizes, poses[rows], moved=same, **looks))
+        if kind != "box":
+            self._drawn.add(path)
 
     def _reach_out(self, shapes: Mapping[str, Shape], poses: Array) -> None:
         if not shapes or self._now > self._until:
             return
         # However a cube is turned, it is in the ball round it.
-        around = np.array([[np.linalg.norm(size) / 2.0] for size, _ in shapes.values()])
+        around = np.array([[np.linalg.norm(size) / 2.0] for size, _, _ in shapes.values()])
         low, high = (poses[:, :3] - around).min(axis=0), (poses[:, :3] + around).max(axis=0)
         if self.extent is None:
             self._until = self._now + _FIRST
@@ -269,9 +269,45 @@ def _bytes(color: Sequence[float]) -> tuple[int, ...]:
     return tuple(round(255 * part) for part in color)
 
 
-def _outline(size: Sequence[float], pose: Sequence[float]) -> list[tuple[float, float]]:
+def _solids(rr: Any, kind: str, sizes: Sequence[Vector], poses: Array, moved: bool = False, **looks: Any) -> Any:
+    """Returns what Rerun draws of things of one shape: all of it, or where they are alone where they only `moved`.
+
+    Args:
+        rr: Rerun.
+        kind: The shape.
+        sizes: Edge lengths, m.
+        poses: Array (n, 7): positions (m) and quaternions (x, y, z, w).
+        moved: See above.
+        looks: Colours and labels.
+    """
+    places, turns = poses[:, :3], poses[:, 3:]
+    lengths = np.array([size[axis(size)] for size in sizes])
+    radii = np.array([size[axis(size) - 1] / 2.0 for size in sizes])
+    if kind in ("capsule", "cylinder"):  # which are drawn along z
+        turned = [multiply(tuple(turn), lying(size)) for turn, size in zip(turns.tolist(), sizes, strict=True)]
+        turns = np.array(turned)
+        if kind == "capsule":  # and from one end
+            lengths = lengths - 2.0 * radii
+            ways = [rotate(turn, (0.0, 0.0, 0.5)) for turn in turned]
+            places = places - np.array(ways) * lengths[:, None]
+    kinds: dict[str, tuple[Any, str, dict[str, Any]]] = {
+        "box": (rr.Boxes3D, "centers", {"sizes": sizes}),
+        "sphere": (rr.Ellipsoids3D, "centers", {"half_sizes": np.repeat(radii[:, None], 3, axis=1)}),
+        "capsule": (rr.Capsules3D, "translations", {"lengths": lengths, "radii": radii}),
+        "cylinder": (rr.Cylinders3D, "centers", {"lengths": lengths, "radii": radii}),
+    }
+    archetype, where, form = kinds[kind]
+    if moved:
+        return archetype.from_fields(**{where: places}, quaternions=turns)
+    return archetype(**form, **{where: places}, quaternions=turns, **looks, fill_mode="solid")
+
+
+def _outline(shape: Shape, pose: Sequence[float]) -> list[tuple[float, float]]:
     """Returns the corners of a cube of the plane; Rerun's second axis points downwards."""
-    turn = (pose[3], pose[4], pose[5], pose[6])
+    turn, (size, _, kind) = (pose[3], pose[4], pose[5], pose[6]), shape
+    if kind != "box":
+        thing = StaticBox(size, (pose[0], pose[1], 0.0), turn, kind)
+        return [(x, -y) for x, y in _hull(thing.section())]
     corners = []
     for x, y in ((-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1), (1, 1)):
         across, up, _ = rotate(turn, (x * size[0] / 2.0, y * size[1] / 2.0, 0.0))

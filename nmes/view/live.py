@@ -142,7 +142,7 @@ def _ask_shapes(client: Client, names: Sequence[str], count: int) -> dict[str, S
         if info is not None:
             x, y, z = info["size"]
             red, green, blue, alpha = info.get("color") or (*hls_to_rgb(i * _GOLDEN % 1.0, 0.6, 0.5), 1.0)
-            shapes[name] = (x, y, z), (red, green, blue, alpha)
+            shapes[name] = (x, y, z), (red, green, blue, alpha), info.get("shape", "box")
     return shapes
 
 

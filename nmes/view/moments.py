@@ -27,7 +27,7 @@ class Moment(NamedTuple):
     Attributes:
         time: s since the recording began; a `reset` does not set it back.
         seed: The world's seed, from which scenery may be drawn.
-        shapes: The cubes in order of creation: edge lengths (m) and colour.
+        shapes: The cubes in order of creation: edge lengths (m), colour and shape.
         poses: Array (n, 7): their positions (m) and quaternions (x, y, z, w).
         targets: The points that creatures have as their targets, m; none where poses were recorded.
         food: The points where an ecosystem has food, m; none where poses were recorded.

@@ -22,10 +22,10 @@ def visible_shapes(shapes: Mapping[str, Shape]) -> dict[str, Shape]:
     """Returns the cubes of a world, by name, with the colours in which they are shown."""
     visible: dict[str, Shape] = {}
     parts: Counter[str] = Counter()
-    for name, (size, color) in shapes.items():
+    for name, (size, color, kind) in shapes.items():
         creature, dot, _ = name.rpartition(".")
         number = parts[creature] if dot else crc32(name.encode())
         parts[creature] += 1
         plain = color == _GIVEN_NONE
-        visible[name] = (size, (*PALETTE[number % len(PALETTE)], 1.0)) if plain else (size, color)
+        visible[name] = size, (*PALETTE[number % len(PALETTE)], 1.0) if plain else color, kind
     return visible

@@ -27,10 +27,10 @@ _UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
 _RED, _WHITE = (0.9, 0.15, 0.1, 1.0), (0.97, 0.97, 0.97, 1.0)
 # The parts of a flag: where they are from the target, m, and their edge lengths and colours.
 _FLAG: tuple[tuple[Vector, Shape], ...] = (
-    ((0.0, 0.4, 0.0), ((0.05, 1.2, 0.05), _WHITE)),
-    ((0.2, 0.85, 0.0), ((0.36, 0.26, 0.03), _RED)),
+    ((0.0, 0.4, 0.0), ((0.05, 1.2, 0.05), _WHITE, "box")),
+    ((0.2, 0.85, 0.0), ((0.36, 0.26, 0.03), _RED, "box")),
 )
-_FOOD: Shape = ((0.16, 0.16, 0.16), (0.95, 0.75, 0.1, 1.0))
+_FOOD: Shape = (0.16, 0.16, 0.16), (0.95, 0.75, 0.1, 1.0), "box"
 
 
 class Stage:
@@ -76,7 +76,7 @@ class Stage:
             else:
                 self._made += 1
                 bodies[name] = (self._made, shape)
-                simulation.add_body(self._made, BodySpec(shape[0], 1.0, 0.0, 0.0, position, quaternion))
+                simulation.add_body(self._made, _spec(shape, position, quaternion))
         simulation.step(1)
 
     def draw(self, camera: CameraSpec) -> Image:
@@ -85,11 +85,16 @@ class Stage:
         Raises:
             WorldError: `unsupported`: no OpenGL works here; the message says what to install.
         """
-        return _smoothed(self._simulation.draw(camera, {body: color for body, (_, color) in self._bodies.values()}))
+        return _smoothed(self._simulation.draw(camera, {body: shape[1] for body, shape in self._bodies.values()}))
 
     def close(self) -> None:
         """Frees the scene."""
         self._simulation.close()
+
+
+def _spec(shape: Shape, position: Vector, quaternion: Quaternion) -> BodySpec:
+    size, _, kind = shape
+    return BodySpec(size, 1.0, 0.0, 0.0, position, quaternion, shape=kind)
 
 
 def _smoothed(image: Image) -> Image:

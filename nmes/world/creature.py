@@ -418,7 +418,9 @@ class Creatures:
 
     def place(self, body: Body, position: Vector) -> Vector:
         """Returns where the origin of a body comes to be, m: there, or above, so that no part is in the ground."""
-        parts = [StaticBox(part.size, plus(part.position, position), part.quaternion) for part in body.cubes]
+        parts = [
+            StaticBox(part.size, plus(part.position, position), part.quaternion, part.shape) for part in body.cubes
+        ]
         first = self._entities.terrain.outside(parts)[0]
         return position if first == parts[0].position else plus(position, minus(first, parts[0].position))
 
@@ -487,6 +489,8 @@ class Creatures:
         self._entities.require_plane(body.planar, "body that leaves the XY plane", "genome/body")
         for cube in body.cubes:
             self._entities.groups.number(cube.group, "genome/body")
+            if cube.shape != "box":
+                self._entities.require(f"shape.{cube.shape}", f"bodies of the shape {cube.shape}", "genome/body")
         for joint in body.joints:
             path = "genome/body"
             self._entities.require(f"joint.{joint.kind}", f"joints of type {joint.kind}", path)
@@ -522,6 +526,8 @@ def _spawn_command(part: BodyCube, name: str, position: Vector) -> JsonObject:
         "position": _shifted(part.position, position),
         "rotation": list(part.quaternion),
     }
+    if part.shape != "box":
+        command["shape"] = part.shape
     surface = {name: getattr(part, name) for name in ("friction", "restitution", "color", "group")}
     return {**command, **{field: value for field, value in surface.items() if value is not None}}
 

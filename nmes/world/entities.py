@@ -21,6 +21,7 @@ import numpy as np
 from nmes import protocol
 from nmes.backend import Array, Backend, BodySpec, BodyState, JointSpec, Simulation, StaticBox, Vector
 from nmes.backend.rotation import cross, minus, plus, total
+from nmes.backend.shapes import Shape, misfit
 from nmes.errors import WorldError
 from nmes.schemas.documents import JsonObject
 from nmes.world import joint_params, scenery
@@ -35,6 +36,7 @@ __all__ = ["Cube", "Entities", "Joint", "cube_not_found", "identity"]
 ZERO: Vector = (0.0, 0.0, 0.0)
 _NAME_LENGTH = 128
 _NOTES = 32  # of a joint
+_LATER = frozenset({"joints", "group", "player", "shape"})  # of a cube: not in snapshots, or not in all
 
 
 @dataclass(slots=True)
@@ -54,6 +56,7 @@ class Cube:
     group: str | None = None  # the collision group
     joints: dict[str, None] = field(default_factory=dict)  # in order of creation
     player: int | None = None  # whose it is; None: nobody's
+    shape: Shape = "box"
 
 
 @dataclass(slots=True)
@@ -135,8 +138,9 @@ class Entities:
         """Returns the cubes and joints as plain JSON data."""
         cubes = [
             {
-                **{name: getattr(cube, name) for name in Cube.__slots__ if name not in ("joints", "group", "player")},
+                **{name: getattr(cube, name) for name in Cube.__slots__ if name not in _LATER},
                 **({} if cube.group is None else {"group": cube.group}),
+                **({} if cube.shape == "box" else {"shape": cube.shape}),
             }
             for cube in self.cubes.values()
         ]
@@ -173,7 +177,10 @@ class Entities:
         for values in state["cubes"]:
             self.groups.number(values.get("group"), "group")
             vectors = {name: vector(values[name]) for name in ("size", "origin")}
-            self._add_cube(Cube(**{**values, **vectors, "color": tuple(values["color"])}))
+            cube = Cube(**{**values, **vectors, "color": tuple(values["color"])})
+            if misfit(cube.shape, cube.size) is not None:
+                raise WorldError("bad_snapshot", f"the cube {cube.name!r} cannot have its shape and size")
+            self._add_cube(cube)
         for values in state["joints"]:
             cubes = {name: self.cubes[values[name]] for name in ("cube1", "cube2")}
             if not joint_params.is_complete(values["params"]):
@@ -263,7 +270,7 @@ class Entities:
         fields, default = self.fields, protocol.COMMANDS["spawn_cube"].defaults
         frozen = bool(command.get("is_base"))
         name, count = self._new_cube_name(command.get("cube_name"), "_BASE" if frozen else "")
-        size = command.get("size", default["size"])
+        size, shape = command.get("size", default["size"]), self._shape(command)
         color = [float(part) for part in command.get("color", default["color"])]
         cube = Cube(
             name=name,
@@ -275,11 +282,12 @@ class Entities:
             color=(color[0], color[1], color[2], color[3] if len(color) == 4 else 1.0),
             frozen=frozen,
             group=command.get("group"),
+            shape=shape,
             origin=fields.position(command.get("position", default["position"])),
         )
         quaternion = fields.rotation(command.get("rotation", default["rotation"]))
         if not frozen:
-            cube.origin = self.terrain.outside([StaticBox(cube.size, cube.origin, quaternion)])[0]
+            cube.origin = self.terrain.outside([StaticBox(cube.size, cube.origin, quaternion, shape)])[0]
         self.simulation.add_body(
             cube.body,
             BodySpec(
@@ -293,12 +301,28 @@ class Entities:
                 angular_velocity=fields.turn(command.get("angular_velocity", ZERO)),
                 frozen=cube.frozen,
                 group=group,
+                shape=shape,
             ),
         )
         self._spawned = count
         self._add_cube(cube)
         self.version += 1
         return cube
+
+    def _shape(self, command: JsonObject) -> Shape:
+        """Returns the shape that a `spawn_cube` command asks for.
+
+        Raises:
+            WorldError: `unsupported`, or `invalid` where it cannot have the size that is asked for.
+        """
+        shape: Shape = command.get("shape", "box")
+        if shape != "box":
+            self.require(f"shape.{shape}", f"bodies of the shape {shape}", "shape")
+            size = command.get("size", 1.0)
+            problem = misfit(shape, size if isinstance(size, list) else [size] * 3)
+            if problem is not None:
+                raise WorldError("invalid", f"size: {problem}", "size")
+        return shape
 
     def _new_cube_name(self, name: str | None, suffix: str) -> tuple[str, int]:
         """Returns the name of the next cube, as wished or drawn, and its number in the engine."""
@@ -361,7 +385,10 @@ class Entities:
         cubes = connected_cubes(cube, self.joints)
         states = [new, *(motion.moved(self.simulation.body_state(other.body)) for other in cubes[1:])]
         if ("position" in command or "rotation" in command) and not any(other.frozen for other in cubes):
-            boxes = [StaticBox(one.size, at.position, at.quaternion) for one, at in zip(cubes, states, strict=True)]
+            boxes = [
+                StaticBox(one.size, at.position, at.quaternion, one.shape)
+                for one, at in zip(cubes, states, strict=True)
+            ]
             places = self.terrain.outside(boxes)
             states = [replace(state, position=place) for state, place in zip(states, places, strict=True)]
         placed = list(zip(cubes, states, strict=True))

@@ -14,6 +14,7 @@ from typing import Any
 from nmes import protocol
 from nmes.backend import Array, Backend, Contact, Simulation, Track, Vector
 from nmes.backend.rotation import total
+from nmes.backend.shapes import Shape
 from nmes.errors import WorldError
 from nmes.objective.trajectory import Flags, touches
 from nmes.schemas.documents import JsonObject
@@ -183,14 +184,14 @@ class WorldQueries:
         entities = self.entities
         return touches(entities.simulation, [entities.cube(name).body for name in cubes], body)
 
-    def cube_shape(self, name: str) -> tuple[Vector, tuple[float, float, float, float]]:
-        """Returns a cube's edge lengths (m) and colour (RGBA, 0 to 1).
+    def cube_shape(self, name: str) -> tuple[Vector, tuple[float, float, float, float], Shape]:
+        """Returns a cube's edge lengths (m), colour (RGBA, 0 to 1) and shape.
 
         Raises:
             WorldError: `cube_not_found`.
         """
         cube = self.entities.cube(name)
-        return cube.size, cube.color
+        return cube.size, cube.color, cube.shape
 
     def joint_infos(self) -> list[JsonObject]:
         """Returns every joint's state and parameters, as `get_joint_info` answers, in order of creation."""

@@ -56,6 +56,8 @@ def cube_info(entities: Entities, cube: Cube) -> JsonObject:
     simulation = entities.simulation
     reply = cube_state(entities, cube)
     reply["size"] = cube.size
+    if cube.shape != "box":
+        reply["shape"] = cube.shape
     reply["mass"] = cube.mass
     reply["friction"] = cube.friction
     reply["restitution"] = cube.restitution

@@ -12,7 +12,7 @@ import base64
 import binascii
 import io
 import struct
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import lru_cache
 from hashlib import blake2b
 from itertools import pairwise, product
@@ -24,6 +24,7 @@ from PIL import Image
 
 from nmes.backend import Arena, Array, Heightfield, Planet, Quaternion, SceneSpec, StaticBox, Vector
 from nmes.backend.rotation import normalize, quaternion_from_euler, rotate
+from nmes.backend.shapes import ROUND, SHAPES, misfit
 from nmes.errors import WorldError
 from nmes.schemas.documents import JsonObject
 from nmes.world.fields import vector
@@ -47,6 +48,9 @@ def needs(config: Mapping[str, Any]) -> dict[str, str]:
     fields = {} if scene["type"] == "flat" else {f"scene.{scene['type']}": "scene/type"}
     if scene["obstacles"]:
         fields["scene.obstacles"] = "scene/obstacles"
+        for i, obstacle in enumerate(scene["obstacles"]):
+            if obstacle["type"] in ROUND:
+                fields.setdefault(f"shape.{obstacle['type']}", f"scene/obstacles/{i}/type")
     if any(config.get("damping", {}).values()):
         fields["scene.damping"] = "damping"
     if config.get("collision_groups"):
@@ -66,6 +70,10 @@ def scene_spec(config: Mapping[str, Any], seed: int) -> SceneSpec:
     if steps > _MOST_BOXES:
         message = f"they are {steps:,} boxes, each step of stairs being one; at most {_MOST_BOXES:,}"
         raise WorldError("invalid", message, "scene/obstacles")
+    for i, obstacle in enumerate(scene["obstacles"]):
+        problem = misfit(obstacle["type"], _edges(obstacle)) if obstacle["type"] in ROUND else None
+        if problem is not None:
+            raise WorldError("invalid", problem, f"scene/obstacles/{i}/size")
     boxes = [box for obstacle in scene["obstacles"] for box in _OBSTACLES[obstacle["type"]](obstacle)]
     gaps = [(i, obstacle) for i, obstacle in enumerate(scene["obstacles"]) if obstacle["type"] == "gap"]
     if gaps and kind != "flat":
@@ -92,11 +100,15 @@ def scene_spec(config: Mapping[str, Any], seed: int) -> SceneSpec:
 # -- obstacles --------------------------------------------------------------------------------------------------------
 
 
+def _edges(obstacle: JsonObject) -> Vector:
+    size = obstacle["size"]
+    return vector(size) if isinstance(size, list) else (float(size),) * 3
+
+
 def _box(obstacle: JsonObject) -> list[StaticBox]:
-    size, turn = obstacle["size"], obstacle["rotation"]
-    edges = vector(size) if isinstance(size, list) else (float(size),) * 3
+    turn, kind = obstacle["rotation"], obstacle["type"]
     quaternion = quaternion_from_euler(*turn) if len(turn) == 3 else normalize((turn[0], turn[1], turn[2], turn[3]))
-    return [StaticBox(edges, vector(obstacle["position"]), quaternion)]
+    return [StaticBox(_edges(obstacle), vector(obstacle["position"]), quaternion, kind)]
 
 
 def _placed(obstacle: JsonObject, size: Vector, along: float, up: float, tilt: float = 0.0) -> StaticBox:
@@ -134,7 +146,13 @@ def _gap(obstacle: JsonObject) -> list[StaticBox]:
     return []  # what is left of the ground is made of all gaps together
 
 
-_OBSTACLES = {"box": _box, "wall": _wall, "ramp": _ramp, "stairs": _stairs, "gap": _gap}
+_OBSTACLES: dict[str, Callable[[JsonObject], list[StaticBox]]] = {
+    **dict.fromkeys(SHAPES, _box),
+    "wall": _wall,
+    "ramp": _ramp,
+    "stairs": _stairs,
+    "gap": _gap,
+}
 
 
 def _ground_with_gaps(gaps: list[JsonObject]) -> list[StaticBox]:

@@ -3,6 +3,8 @@
 Hides what counts as inside, which way is out, and how far. A body that stands in the ground is set down on the surface
 above it: straight up, or away from the nearest planet. What is only a little inside is left to the engine, and so is a
 body beside an obstacle whose side it is pressed into, for on top of it would be far away. Arenas are not known here.
+What is round counts as inside of an obstacle where its box's faces or the obstacle's do not tell them apart, and of
+landscapes and planets where its box is.
 
 Sums, products and square roots only, so that it is the same everywhere.
 """
@@ -69,7 +71,7 @@ class Terrain:
         planet = self._nearest_planet(boxes[0].position)
         up = _UP if planet is None else _direction(planet, boxes)
         if self._planar:
-            boxes = [replace(box, size=(box.size[0], box.size[1], 0.0)) for box in boxes]
+            boxes = [replace(box, size=(box.size[0], box.size[1], 0.0)) if box.shape == "box" else box for box in boxes]
         lift, shift = 0.0, _ZERO
         for _ in range(_LAYERS):
             moved = [replace(box, position=plus(box.position, shift)) for box in boxes] if lift else boxes
@@ -87,7 +89,7 @@ class Terrain:
         """Returns how far (m) a box must go up to be out of what it is in; 0 where that is nothing."""
         scene, shallow, depths = self._scene, _SHALLOW * min(box.size[:2] if self._planar else box.size), [0.0]
         if scene.ground:
-            depths.append(_reach(box, _UP) - box.position[1])
+            depths.append(box.reach(_UP) - box.position[1])
         if self._landscape is not None:
             depths.append(_depth_in_landscape(box, self._landscape))
         if planet is not None:
@@ -116,16 +118,9 @@ def _axes(quaternion: Quaternion) -> list[Vector]:
     return [rotate(quaternion, axis) for axis in _AXES]
 
 
-def _reach(box: StaticBox, direction: Vector) -> float:
-    """Returns how far a box reaches from its centre in a direction."""
-    x, y, z = rotate(conjugate(box.quaternion), direction)
-    a, b, c = box.size
-    return (abs(x) * a + abs(y) * b + abs(z) * c) / 2.0
-
-
 def _extent(box: StaticBox) -> tuple[Vector, Vector]:
     """Returns the corners of the upright box around a box."""
-    x, y, z = (_reach(box, axis) for axis in _AXES)
+    x, y, z = (box.reach(axis) for axis in _AXES)
     return minus(box.position, (x, y, z)), plus(box.position, (x, y, z))
 
 
@@ -146,14 +141,14 @@ def _depth_in_obstacle(box: StaticBox, obstacle: StaticBox, up: Vector, shallow:
             continue  # the cross product of parallel axes
         length = sqrt(square)
         distance, rise = dot(way, axis) / length, dot(up, axis) / length
-        reach = (_reach(box, axis) + _reach(obstacle, axis)) / length
+        reach = (box.reach(axis) + obstacle.reach(axis)) / length
         if reach - abs(distance) <= shallow:
             return 0.0
         if abs(rise) > 1e-9:
             lift = min(lift, (reach - distance) / rise if rise > 0.0 else (reach + distance) / -rise)
     middle = rotate(conjugate(obstacle.quaternion), way)
     buried = all(abs(part) < edge / 2.0 for part, edge in zip(middle, obstacle.size, strict=True))
-    return lift if buried or lift < _reach(box, up) else 0.0
+    return lift if buried or lift < box.reach(up) else 0.0
 
 
 def _depth_in_planet(box: StaticBox, planet: Planet, up: Vector) -> float:

@@ -18,6 +18,7 @@ import programs
 from layout import SUPPORT
 from nmes import World
 from nmes.backend import Array, JointParams, JointSpec, SceneSpec, Vector
+from nmes.backend.shapes import SHAPES, Shape, fitted
 from nmes.backends.mujoco3d import MujocoSimulation, compiler, rebuild
 from nmes.backends.mujoco3d.compiler import compile_lone_body, compile_model
 from nmes.backends.mujoco3d.forest import Body, spanning_forest
@@ -344,22 +345,28 @@ def test_parked_bodies_do_not_affect_the_world(number: int, monkeypatch: pytest.
 
 
 @given(
-    st.tuples(*[st.floats(0.01, 10)] * 3), st.floats(0.001, 1000), st.floats(0, 2), st.floats(0, 1), st.integers(1, 3)
+    st.tuples(*[st.floats(0.01, 10)] * 3),
+    st.floats(0.001, 1000),
+    st.floats(0, 2),
+    st.floats(0, 1),
+    st.integers(1, 3),
+    st.sampled_from(SHAPES),
 )
 def test_a_body_that_takes_a_parked_place_acts_like_a_compiled_one(
-    size: Vector, mass: float, friction: float, restitution: float, before: int
+    size: Vector, mass: float, friction: float, restitution: float, before: int, shape: Shape
 ) -> None:
     flat = SceneSpec(timestep=STEP)
+    size = fitted(shape, size)
 
     def laid(count: int, spares: int) -> CompiledModel:
         bodies = {n: Body(n, (1.0, 0.5, 0.25), 2.0, 0.7, 0.0, False) for n in range(1, before + 1)}
         if count:
-            bodies[9] = Body(9, size, mass, friction, restitution, False)
+            bodies[9] = Body(9, size, mass, friction, restitution, False, shape=shape)
         forest = spanning_forest(bodies, ())
         return compile_model(flat, Scenery(flat), bodies, {}, forest, {}, [*forest.trees, *[SPARE] * spares])
 
     compiled, filled = laid(1, 1), laid(0, 2)
-    body = Body(9, size, mass, friction, restitution, False)
+    body = Body(9, size, mass, friction, restitution, False, shape=shape)
     occupy(filled, body, compile_lone_body(SceneSpec(timestep=STEP), body))
     set_mean_inertia(filled)
     for name in dir(compiled.model):

@@ -103,7 +103,7 @@ def test_a_film_has_the_moments_of_the_ticks(thrown: Recording) -> None:
         "green_BASE",
         "blue_BASE",
     ]
-    assert ticks[60].shapes["blue_BASE"] == ((1.0, 1.0, 1.0), (0.0, 0.0, 1.0, 1.0))
+    assert ticks[60].shapes["blue_BASE"] == ((1.0, 1.0, 1.0), (0.0, 0.0, 1.0, 1.0), "box")
     for moment in ticks:
         assert moment.poses[0] == pytest.approx([2 * moment.time, 5, 0, 0, 0, 0, 1], abs=1e-9)
 
@@ -282,7 +282,7 @@ def test_cubes_without_a_colour_are_told_apart(recording: Recording, tmp_path: P
         send(world, client, type="step")
 
     source = Recording(record(tmp_path / "plain.mcap", play, CONFIG))
-    colors = {name: color for name, (_, color) in visible_shapes(list(moments(source))[-1].shapes).items()}
+    colors = {name: color for name, (_, color, _) in visible_shapes(list(moments(source))[-1].shapes).items()}
     assert colors["grey"] == (0.8, 0.8, 0.79, 1.0)
     assert np.ptp(colors["one"][:3]) > 0.15 and np.ptp(colors["two"][:3]) > 0.15 and colors["one"] != colors["two"]
     film([source], tmp_path / "x.png", titles=[""], size=(160, 120))

@@ -11,10 +11,11 @@ what only three have is checked where `dims` is 3.
 from nmes.backend.contract.bodies import BodyChecks
 from nmes.backend.contract.joints import JointChecks
 from nmes.backend.contract.programs import program_digest, random_program
+from nmes.backend.contract.shapes import ShapeChecks
 from nmes.backend.contract.trust import TrustChecks
 
 __all__ = ["BackendContract", "program_digest", "random_program"]
 
 
-class BackendContract(TrustChecks, BodyChecks, JointChecks):
+class BackendContract(TrustChecks, BodyChecks, JointChecks, ShapeChecks):
     """All that an engine promises. Subclass it as `TestSomething` and set `backend`; `base.Checks` has the settings."""

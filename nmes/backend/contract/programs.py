@@ -19,6 +19,7 @@ import numpy as np
 
 from nmes.backend import Array, Backend, BodySpec, BodyState, JointParams, JointSpec, SceneSpec, Simulation, Vector
 from nmes.backend.contract.base import KINDS, SUBSTEPS, TIMESTEP, ZERO, about_z, vector
+from nmes.backend.shapes import ROUND, Shape, fitted
 from nmes.errors import SimulationFault
 
 Operation = tuple[str, tuple[Any, ...]]
@@ -31,6 +32,8 @@ class _Generator:
         self.random = random.Random(seed)
         self.capabilities, self.dims = backend.capabilities, backend.dims
         self.kinds = [kind for kind in KINDS if f"joint.{kind}" in backend.capabilities]
+        self.shapes: list[Shape] = [shape for shape in ROUND if f"shape.{shape}" in backend.capabilities]
+        self.forms = random.Random(~seed)  # of its own: programs are what they were, but for shapes
         self.program: list[Operation] = []
         self.places: dict[int, Vector] = {}  # by body
         self.joints: dict[int, tuple[str, int, int]] = {}  # kind and bodies
@@ -53,6 +56,9 @@ class _Generator:
             angular_velocity=(0.0, 0.0, rng.uniform(-3, 3)),
             frozen=rng.random() < 0.1,
         )
+        if self.shapes and self.forms.random() < 0.3:
+            shape = self.forms.choice(self.shapes)
+            spec = replace(spec, shape=shape, size=fitted(shape, spec.size))
         body = next(self.numbers)
         self.places[body] = place
         self.call("add_body", body, spec)

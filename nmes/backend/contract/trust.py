@@ -18,6 +18,7 @@ import numpy as np
 from nmes.backend import CAPABILITIES, BodySpec, JointParams, JointSpec, SceneSpec, Simulation
 from nmes.backend.contract.base import KINDS, SUBSTEPS, TIMESTEP, ZERO, Checks, about_z, box, joint, run, vector
 from nmes.backend.contract.programs import all_states, execute, program_digest, random_program
+from nmes.backend.shapes import ROUND
 from nmes.errors import SimulationFault, WorldError
 
 
@@ -257,6 +258,10 @@ class TrustChecks(Checks):
             changed = {name: math.nextafter(getattr(spec, name), math.inf)}
             yield name, world(replace(spec, **changed))
         yield "quaternion", world(replace(spec, quaternion=about_z(1e-12)))
+        for shape in ROUND:
+            if self.can(f"shape.{shape}"):
+                length = {"cylinder": 0.5, "capsule": 1.5}.get(shape, 1.0)
+                yield f"a {shape}", world(replace(spec, size=(1.0, length, 1.0), shape=shape))
         yield "frozen", world(replace(spec, frozen=True))
         two = world()
         two.add_body(1, replace(spec, position=(9.0, 9.0, 0.0)))

@@ -334,3 +334,26 @@ def an_unknown_group(t: Trial) -> None:
     command = {"type": "spawn_cube", "cube_name": name, "group": f"{t.probe.tag}-nobody"}
     t.equal(t.refused(wire, command, "invalid").get("field"), "group", "field")
     t.true(name not in t.cubes(wire), "no cube", name)
+
+
+@case(47, "4.spawn_cube", needs=("time", "shape.sphere"), scope=Scope.TIME)
+def a_ball_rests_on_its_lowest_point(t: Trial) -> None:
+    """A ball that was spawned turned comes to rest at half its edge, and `cube_info` says what it is."""
+    wire = t.join()
+    name = t.spawn(wire, position=t.at(y=0.6), shape="sphere", rotation=[0.0, 0.0, 0.8])
+    t.equal(t.info(wire, name).get("shape"), "sphere", "shape")
+
+    def rests(info: Message) -> bool:
+        return abs(info["position"][1] - 0.5) < GIVE and math.hypot(*info["linear_velocity"]) < STILL
+
+    t.until(wire, name, 3.0, rests, "a ball at rest on the ground")
+
+
+@case(48, "4.spawn_cube", needs=("shape.capsule",))
+def a_capsule_that_is_none(t: Trial) -> None:
+    """A capsule that is no longer than it is wide is refused, and not made."""
+    wire = t.join()
+    name = t.name()
+    command = {"type": "spawn_cube", "cube_name": name, "shape": "capsule", "size": [1.0, 1.0, 1.0]}
+    t.equal(t.refused(wire, command, "invalid").get("field"), "size", "field")
+    t.true(name not in t.cubes(wire), "no cube", name)
