@@ -347,6 +347,8 @@ type CubeInfo struct {
 	AngularVelocity Vector `json:"angular_velocity"`
 	// Edges, in m.
 	Size Vector `json:"size"`
+	// Its shape; absent where it is a box. One of box, sphere, capsule, cylinder.
+	Shape string `json:"shape,omitempty"`
 	// Mass.
 	Mass float64 `json:"mass"`
 	// Coefficient of sliding friction.
@@ -1199,6 +1201,10 @@ type SpawnCube struct {
 	Rotation []float64 `json:"rotation,omitempty"`
 	// The edge of a cube, or the 3 edges of a box (x, y, z), in m, from 0.001 to 1,000. Default: 1.
 	Size []float64 `json:"size,omitempty"`
+	// What fills the box that `size` says: all of it (box), or a sphere, which has three equal edges, or a capsule
+	// or a cylinder, which has two and lies along the third (along y where all three are equal; a capsule is longer
+	// than it is wide). One of box, sphere, capsule, cylinder. Default: box.
+	Shape string `json:"shape,omitempty"`
 	// Mass in kg, from 0.000001 to 1,000,000,000. Default: 1.
 	Mass *float64 `json:"mass,omitempty"`
 	// Coefficient of sliding friction, from 0 to 10; the world's (config) if left out.
