@@ -185,7 +185,8 @@ def _paint(
     """Gives a thing of an entity its size, colour and pose."""
     thing.size.x, thing.size.y, thing.size.z = size
     thing.color.r, thing.color.g, thing.color.b, thing.color.a = color
-    thing.pose.position.x, thing.pose.position.y, thing.pose.position.z = place
+    if any(place):  # else the message would have a position of zeros, which old recordings have not
+        thing.pose.position.x, thing.pose.position.y, thing.pose.position.z = place
     turned = thing.pose.orientation
     turned.x, turned.y, turned.z, turned.w = turn
 
