@@ -79,7 +79,8 @@ class WireScene:
         masses = np.array([*(cube.mass for cube in cubes), *(prop["mass"] for prop in props)], float)
         ids = (*(cube.id for cube in cubes), *task.prop_ids())
         self.body = genome.body
-        shapes: tuple[Shape, ...] = (*(cube.shape for cube in cubes), *("box" for _ in props))
+        boxes: list[Shape] = ["box"] * len(props)
+        shapes = (*(cube.shape for cube in cubes), *boxes)
         target = task.target(task.seeds[0])
         self.bodies = ObservedBodies(ids, len(cubes), sizes, masses, task.tick_rate, target, shapes)
         body = [f"{CREATURE}.{cube.id}" for cube in cubes]
