@@ -285,6 +285,8 @@ def _prop_problems(prop: JsonObject, roles: list[str]) -> Iterator[tuple[str, st
         )
     if "position" not in prop:
         yield "position", "is missing: in a task with roles props stand in the world"
+    if "hidden" in prop:
+        yield "hidden", "in a task with roles no prop is a target by itself"
     if prop["target"]:
         yield "target", "in a task with roles it is a role that names its target: roles/0/target"
     if prop["hinge"] or any(prop["lean"]):

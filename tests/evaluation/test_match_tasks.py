@@ -11,6 +11,7 @@ from duels import DUEL, duel, roles
 from nmes.errors import DocumentError
 from nmes.evaluation import MatchTask, Task
 from nmes.evaluation.match_task import load_task
+from nmes.genome import Genome
 
 BALL = {"id": "ball", "size": [1, 1, 1], "mass": 1, "position": [0, 0, 5]}
 WRONG: list[tuple[dict[str, Any], str]] = [
@@ -38,6 +39,7 @@ WRONG: list[tuple[dict[str, Any], str]] = [
     ({"props": [{**BALL, "position": [0, 0]}]}, "props/0/position: expected"),
     ({"props": [{key: value for key, value in BALL.items() if key != "position"}]}, "props/0/position: is missing"),
     ({"props": [{**BALL, "target": True}]}, "props/0/target: in a task with roles it is a role that names its target"),
+    ({"props": [{**BALL, "hidden": True}]}, "props/0/hidden: in a task with roles no prop is a target"),
     ({"props": [{**BALL, "hinge": True}]}, "props/0/hinge: a prop does that upon a creature"),
     ({"props": [{**BALL, "lean": [0, 1]}]}, "props/0/lean: a prop does that upon a creature"),
     ({"props": [{**BALL, "id": "red"}]}, "props/0/id: in a task with roles it is small letters"),
@@ -100,6 +102,16 @@ def test_defaults_unit_and_order_of_keys_change_no_hash_and_all_else_does() -> N
         {"roles": DUEL["roles"][::-1]},
     ]
     assert len({full.hash, *(duel(**change).hash for change in others)}) == 5
+
+
+def test_a_match_may_have_flaws_immovable_props_and_senses_of_its_own() -> None:
+    flaws = {"motors": {"noise": 0.1}}
+    task = duel(flaws=flaws, senses=["range"], props=[{**BALL, "frozen": True}])
+    genomes = dict.fromkeys(task.roles, Genome.load("walker"))
+    ball, *creatures = [command for command in task.entry(1, genomes) if command["type"].startswith("spawn")]
+    assert ball["frozen"] and [creature["flaws"] for creature in creatures] == [flaws, flaws]
+    senses = task.requirements("red").senses
+    assert "range" in senses and {*senses} == {*duel().requirements("red").senses, "range"}
 
 
 def test_where_roles_are_interchangeable_each_plays_each_and_who_begins_is_drawn() -> None:
