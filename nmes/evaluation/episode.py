@@ -144,6 +144,7 @@ class Episode:
             return
         note, sense, controls = observer.note, observer.creature.sense, None
         note()
+        self._leaves = self._leaves and not observer.creature.solitary
         if self._leaves and self._leave(0):
             return
         ticks, block = self._task.ticks, self._task.tick_rate
@@ -178,7 +179,7 @@ class Episode:
         """Hands the scene over as a row, if that can be now; returns whether this world is done with."""
         observer = self._observer
         assert observer is not None
-        row = None if observer.creature.solitary else self._world.simulation.hand_over()
+        row = self._world.simulation.hand_over()
         if row is None:
             return False
         self._ended = observer.look()

@@ -48,9 +48,8 @@ class Senses:
         present = {row for row, _ in there}
         self._missing = [row for row in range(self._count) if row not in present]
         self._plan_joints(body, [(row, sensor) for row, sensor in there if sensor.of == "joint"], joints)
-        looking = [pair for pair in there if looks_around(pair[1])]
-        self._readers = look_around(looking, cubes, around)
-        self._plan_cubes([pair for pair in there if pair[1].of == "cube" and pair not in looking], cubes)
+        self._readers = look_around([pair for pair in there if looks_around(pair[1])], cubes, around)
+        self._plan_cubes([pair for pair in there if pair[1].of == "cube" and not looks_around(pair[1])], cubes)
 
     def _plan_joints(self, body: Body, sensors: list[tuple[int, Sensor]], joints: Mapping[str, Joint]) -> None:
         """Finds the columns of the joints' readings, and what to multiply them by."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from math import inf, tan
+from math import inf, sqrt, tan
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -67,7 +67,7 @@ class Surroundings:
 
 
 def looks_around(sensor: Sensor) -> bool:
-    """Whether `look_around` is for a sensor."""
+    """Whether a sensor is one that `look_around` takes."""
     return sensor.type in _READERS and (sensor.type != "touch" or sensor.face is not None)
 
 
@@ -240,5 +240,5 @@ def _sum(ahead: Vector, right: Vector, x: float, above: Vector, y: float) -> Vec
 
 def _unit(vector: Vector) -> Vector:
     x, y, z = vector
-    length = dot(vector, vector) ** 0.5
+    length = sqrt(dot(vector, vector))
     return x / length, y / length, z / length
