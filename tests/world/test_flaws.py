@@ -6,6 +6,7 @@ import base64
 import json
 import math
 from collections.abc import Callable
+from hashlib import blake2b
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +85,32 @@ def test_noise_has_the_spread_that_is_asked_for() -> None:
     beyond = [np.mean(np.abs(values) > 0.25 * spreads) for spreads in (1, 2, 3)]
     assert beyond == pytest.approx([0.317, 0.0455, 0.0027], abs=0.04)  # of a normal distribution
     assert abs(np.corrcoef(values[1:], values[:-1])[0, 1]) < 4 / math.sqrt(TICKS)  # each tick's is its own
+
+
+def philox(counter: list[int], key: list[int]) -> list[int]:
+    """Returns four words of Philox 4x64-10, as Salmon et al. (2011) write it."""
+    word = 2**64 - 1
+    for _ in range(10):
+        one, two = counter[0] * 0xD2E7470EE14C6C93, counter[2] * 0xCA5A826395121157
+        counter = [(two >> 64) ^ counter[1] ^ key[0], two & word, (one >> 64) ^ counter[3] ^ key[1], one & word]
+        key = [(key[0] + 0x9E3779B97F4A7C15) & word, (key[1] + 0xBB67AE8584CAA73B) & word]
+    return counter
+
+
+def test_noise_is_twelve_even_draws_of_a_generator_that_counts_ticks() -> None:
+    place, bare = Place(seed=7), Place(seed=7)
+    place.spawn(arm({"noise": 1.0}))
+    bare.spawn(arm())
+    root = place.world.entities.cube("me.root").body
+    digest = blake2b(f"7:{root}:flaws".encode(), digest_size=16).digest()
+    key = [int.from_bytes(digest[:8], "little"), int.from_bytes(digest[8:], "little")]
+    for tick in range(3):
+        for number, (noisy, true) in enumerate(zip(place.sense(), bare.sense(), strict=True)):
+            words = philox([number + 1, tick, 0, 0], key)  # numpy counts before it draws
+            draws = [(words[place // 4] >> 16 * (place % 4) & 0xFFFF) + 0.5 for place in range(12)]
+            assert noisy == true + (sum(draws) / 65536 - 6)
+        place("step")
+        bare("step")
 
 
 def test_noise_is_asked_for_as_often_as_one_likes() -> None:
