@@ -35,6 +35,7 @@ class MujocoBackend(Backend):
             "joint.pin",
             "joint.conetwist",
             "joint.several",
+            "medium",
             "motor",
             "servo",
             "limits",

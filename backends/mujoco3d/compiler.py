@@ -20,9 +20,10 @@ from math import log, pi, sqrt
 
 import mujoco
 
-from nmes.backend import Quaternion, SceneSpec, Vector
+from nmes.backend import Medium, Quaternion, SceneSpec, Vector
 from nmes.backend.rotation import conjugate, rotate
 from nmes.backend.shapes import Shape, moments
+from nmes.backends.mujoco3d.fluid import lift
 from nmes.backends.mujoco3d.forest import Body, Forest, Joint, perpendicular_axes, spanning_forest
 from nmes.backends.mujoco3d.model import GROUP_BITS, SPARE, CompiledModel, Slot, park, set_mean_inertia
 from nmes.backends.mujoco3d.scenery import Scenery, set_options, solid
@@ -79,7 +80,8 @@ def compile_model(
 def compile_lone_body(scene: SceneSpec, body: Body) -> mujoco.MjModel:
     """Compiles a model of one free body: what the compiler makes of its mass, shape and group."""
     surface = body.friction, body.restitution
-    return _lone_body(scene.timestep, scene.passes, body.size, body.mass, *surface, body.group, body.shape)
+    kind = body.group, body.shape, scene.medium
+    return _lone_body(scene.timestep, scene.passes, body.size, body.mass, *surface, *kind)
 
 
 @lru_cache(maxsize=64)
@@ -92,9 +94,12 @@ def _lone_body(
     restitution: float,
     group: int,
     shape: Shape,
+    medium: Medium | None,
 ) -> mujoco.MjModel:
     bodies = {1: Body(1, size, mass, friction, restitution, frozen=False, group=group, shape=shape)}
-    builder = _Builder(SceneSpec(timestep=timestep, passes=passes), bodies, {}, spanning_forest(bodies, ()))
+    builder = _Builder(
+        SceneSpec(timestep=timestep, passes=passes, medium=medium), bodies, {}, spanning_forest(bodies, ())
+    )
     return builder.build(None, {}, [1]).model
 
 
@@ -174,7 +179,7 @@ class _Builder:
         actuators: dict[int, mujoco.MjsActuator],
     ) -> CompiledModel:
         """Looks up where everything is in the compiled model."""
-        compiled = CompiledModel(model, self.forest, list(roots))
+        compiled = CompiledModel(model, self.forest, list(roots), bodies=self.bodies)
         for place, (root, handle) in enumerate(zip(roots, root_handles, strict=True)):
             compiled.root_place[handle.id] = place
             if root == SPARE:
@@ -212,6 +217,7 @@ class _Builder:
         self.handles[number] = handle
         if body.shape != "box":
             self._set_inertia(handle, body)  # along the body's own axes: the geom's may be others
+        handle.gravcomp = lift(self.scene, body)
         handle.add_geom(
             **solid(body.shape, body.size),
             mass=body.mass * self.share[number],
@@ -230,6 +236,7 @@ class _Builder:
 
     def _spare(self, place: int) -> mujoco.MjsBody:
         handle = self.spec.worldbody.add_body(name=f"p{place}")
+        handle.gravcomp = float(self.scene.medium is not None and self.scene.medium.level is None)
         handle.add_freejoint()
         handle.add_geom(type=mujoco.mjtGeom.mjGEOM_BOX, size=[0.5, 0.5, 0.5], mass=1.0, priority=1)
         return handle
@@ -305,6 +312,7 @@ class _Builder:
     def _proxy(self, joint: Joint, body: Body, name: str) -> mujoco.MjsBody:
         proxy = self._attach(joint, joint.body2 if body.number == joint.body1 else joint.body1, name)
         self._set_inertia(proxy, body)
+        proxy.gravcomp = lift(self.scene, body)
         return proxy
 
     def _set_inertia(self, handle: mujoco.MjsBody, body: Body) -> None:

@@ -8,6 +8,7 @@ the joined boxes, shares its mass and is welded to it (see `compiler`).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import sin, sqrt
 
@@ -44,6 +45,7 @@ _OF_BODY = (
     "body_subtreemass",
     "body_contype",
     "body_conaffinity",
+    "body_gravcomp",
 )
 _OF_GEOM = (
     "geom_type",
@@ -93,6 +95,7 @@ class CompiledModel:
         joint_index: The (first) joint of the model, by the joint's number.
         actuator: The motor of a joint, by the joint's number.
         loop_proxy: The index of a loop joint's proxy and the number of the body that it stands for.
+        bodies: All bodies by number, also those that are in it only from the next step on.
         swing_tendon: The tendon that bounds the swing of a cone, by the joint's number.
     """
 
@@ -110,6 +113,7 @@ class CompiledModel:
     actuator: dict[int, int] = field(default_factory=dict)
     loop_proxy: dict[int, tuple[int, int]] = field(default_factory=dict)
     swing_tendon: dict[int, int] = field(default_factory=dict)
+    bodies: Mapping[int, Body] = field(default_factory=dict)
 
     def add_body(self, number: int, index: int) -> None:
         """Enters a body that is no proxy."""

@@ -78,6 +78,7 @@ def _fill_places(running: RunningModel, structure: Structure, scene: SceneSpec) 
         place_body(data, compiled.free[body], structure.overrides[body])
     if structure.arrived or structure.departed:
         set_mean_inertia(compiled)
+        running.fluid.install(compiled)
     count_awake(model, data)
     running.depenetration.watch(structure.touched)
     running.forget_kinematics()

@@ -18,6 +18,7 @@ import numpy.typing as npt
 from nmes.backend import Array, BodyState, SceneSpec, Vector
 from nmes.backends.mujoco3d.damping import Damping
 from nmes.backends.mujoco3d.depenetration import Depenetration
+from nmes.backends.mujoco3d.fluid import Fluid
 from nmes.backends.mujoco3d.forest import Joint
 from nmes.backends.mujoco3d.model import CompiledModel, write_params
 from nmes.backends.mujoco3d.motors import ActuatorBatch
@@ -89,7 +90,9 @@ class RunningModel:
         motors: The motors and joints of this model.
         depenetration: The bodies that are let apart.
         heaped: Whether more than `_HEAP` trees hold each other, or did before they fell asleep.
-        one_by_one: Whether something is to be done before each engine step: bodies are damped, or planets attract.
+        fluid: The medium.
+        one_by_one: Whether something is to be done before each engine step: bodies are damped, planets attract, or the
+            medium acts by forces of ours.
         qpos: `data.qpos`; likewise `qvel`, `efforts` (`actuator_force`) and `asleep` (`tree_asleep`).
     """
 
@@ -99,7 +102,7 @@ class RunningModel:
         self.depenetration = Depenetration(scenery)
         self.heaped = False
         self._damping = Damping(scene)
-        self.one_by_one = scenery.attracts or self._damping.acts
+        self.fluid = Fluid(scene)
 
     def install(
         self, compiled: CompiledModel, joints: Mapping[int, Joint], shared_data: mujoco.MjData | None = None
@@ -131,6 +134,8 @@ class RunningModel:
         self.motors = ActuatorBatch(compiled, data, joints)
         self._driven = bool(compiled.actuator)
         self._damping.install(model)
+        self.fluid.install(compiled)
+        self.one_by_one = self.scenery.attracts or self._damping.acts or self.fluid.acts
         self._may_heap = self._heaps and model.ntree > _HEAP
         self._set_heaped(self.heaped and self._may_heap)
         if self.scenery.attracts:
@@ -236,6 +241,8 @@ class RunningModel:
         if self.scenery.attracts:
             data.xfrc_applied[:] = 0.0
             self.scenery.pull(model, data)  # the state has no forces in it: these go again
+        if self.fluid.acts:
+            self.fluid.act(model, data)  # likewise
         with self.depenetration.crowds.apart(self.compiled, data, self.depenetration.bodies):
             mujoco.mj_forward(model, data)
         mujoco.mj_setState(model, data, state, STATE)
@@ -345,6 +352,8 @@ class RunningModel:
                 self._xfrc[sleeping] = applied[sleeping]
             if self._damping.acts:
                 self._damping.act(self.model, self.data)
+            if self.fluid.acts:
+                self.fluid.act(self.model, self.data)
             step = self._step_attracted if self.scenery.attracts and not pulled else self._step_alone
             if self.depenetration.bodies:
                 self.depenetration.step(self.compiled, self.data, step)

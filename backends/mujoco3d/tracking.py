@@ -8,6 +8,7 @@ are made of them when they are asked for, many rows at a time, element by elemen
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import mujoco
 import numpy as np
@@ -15,8 +16,10 @@ import numpy.typing as npt
 
 from nmes.backend import Array, Simulation, Track
 from nmes.backends.mujoco3d.motors import WorkLog, compact
-from nmes.backends.mujoco3d.running import RunningModel
 from nmes.backends.mujoco3d.structure import Structure
+
+if TYPE_CHECKING:
+    from nmes.backends.mujoco3d.running import RunningModel
 
 __all__ = ["MujocoTrack", "states_of"]
 

@@ -31,7 +31,7 @@ class PymunkBackend(Backend):
         {"joint.fixed", "joint.hinge", "joint.slide", "joint.pin", "joint.conetwist", "joint.several", "motor", "servo"}
         | {"limits", "spring", "friction", "restitution", "contacts", "collisions", "collision_groups", "sleep"}
         | {"scene.obstacles", "scene.heightfield", "scene.damping"}
-        | {"shape.sphere", "shape.capsule", "shape.cylinder"}
+        | {"medium", "shape.sphere", "shape.capsule", "shape.cylinder"}
     )
 
     def version(self) -> str:

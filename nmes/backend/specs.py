@@ -30,6 +30,7 @@ CAPABILITIES = frozenset(
     | {"shape.sphere", "shape.capsule", "shape.cylinder"}  # of bodies and obstacles, besides boxes
     | {"scene.obstacles", "scene.heightfield", "scene.planets", "scene.arena"}  # what a SceneSpec may hold
     | {"scene.damping"}  # and how the velocities of its bodies may decay
+    | {"medium"}  # water or air about them
     | {"sensors.inertial", "sensors.range", "camera"}  # what else than contacts a body can feel and see
     | {"sleep", "snapshot"}
 )
@@ -157,6 +158,21 @@ class Arena:
 
 
 @dataclass(frozen=True, slots=True)
+class Medium:
+    """Water or air: what slows bodies down and lifts them; `nmes.backend.medium` has the formulas.
+
+    Attributes:
+        density: kg/m^3.
+        viscosity: Pa s.
+        level: The height y up to which it reaches, m; above there is nothing. None: it is everywhere.
+    """
+
+    density: float
+    viscosity: float
+    level: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class SceneSpec:
     """What a scene is before any body is in it.
 
@@ -178,6 +194,7 @@ class SceneSpec:
         angular_damping: Likewise of the angular velocity, 1/s.
         passes: Of each collision group, the first being 1 (`collision_groups`), the groups whose bodies its own pass
             through, as bits: 1 << group. Where one has another's, that one has its own; there are at most 15.
+        medium: What is about the bodies (`medium`); nothing where None. Where it has a level, gravity is along y.
         options: The world config's `engine` object: settings of one engine, which it validates itself.
     """
 
@@ -192,6 +209,7 @@ class SceneSpec:
     linear_damping: float = 0.0
     angular_damping: float = 0.0
     passes: tuple[int, ...] = ()
+    medium: Medium | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
 
 

@@ -17,10 +17,11 @@ from typing import Any, Final
 import numpy as np
 
 from nmes.backend import Array, Places
-from nmes.backend.shapes import moments
+from nmes.backend.medium import Immersion
+from nmes.backend.shapes import Shape, moments
 from nmes.objective.trajectory import ObservedBodies
 from nmes.world.fields import vector
-from nmes.world.scenery import planet_list
+from nmes.world.scenery import medium_of, planet_list
 
 __all__ = ["PART", "RISE", "Balance", "BalanceRows", "Excess"]
 
@@ -63,19 +64,22 @@ class Balance:
         gravity: m/s^2, array (3,).
         planets: Their centres, array (p, 3), m: where there are any, the nearest pulls as strongly as gravity would.
         stiffnesses: Of the springs, array (s,), N m/rad or N/m.
+        immersion: The bodies in the medium that is about them, if there is one: it lifts them, and else only slows.
     """
 
     bodies: ObservedBodies
     gravity: Array
     planets: Array
     stiffnesses: Array
+    immersion: Immersion | None = None
 
     @classmethod
     def of(cls, bodies: ObservedBodies, config: Mapping[str, Any], stiffnesses: Sequence[float]) -> Balance:
         """Returns the balance of bodies in a world of a complete config."""
         centres = [list(planet["Position"].values()) for planet in planet_list(config, 0)]
         gravity = np.array(vector(config["gravity"]))
-        return cls(bodies, gravity, np.array(centres, float).reshape(-1, 3), np.array(stiffnesses, float))
+        springs = np.array(stiffnesses, float)
+        return cls(bodies, gravity, np.array(centres, float).reshape(-1, 3), springs, _immersion(bodies, config))
 
     def excess(self, states: Array, powers: Array, positions: Array) -> Excess | None:
         """Returns where the body first gained more than it may; None if it never did.
@@ -118,6 +122,8 @@ class Balance:
         # Of rows of some size, numbers that lie side by side are computed with several times faster.
         columns = np.ascontiguousarray(np.moveaxis(states, 2, 0))
         energy = self._kinetic(columns) + self._potential(columns)
+        if self.immersion is not None:
+            energy = energy + self.immersion.potentials(columns).sum(axis=1)
         return np.asarray(energy + (self.stiffnesses * positions * positions).sum(axis=1) / 2.0)
 
     def _kinetic(self, columns: Array) -> Array:
@@ -215,6 +221,16 @@ class BalanceRows:
         if keep:
             self._sums[places], self._held[places], self._least[places] = sums[-1], free[-balance.moment :].T, least[-1]
         return excess
+
+
+def _immersion(bodies: ObservedBodies, config: Mapping[str, Any]) -> Immersion | None:
+    medium = medium_of(config)
+    if medium is None:
+        return None
+    sizes = [(x, y, z) for x, y, z in bodies.sizes.tolist()]
+    shapes: list[Shape] = [*bodies.shapes]
+    shapes += ["box"] * (len(sizes) - len(shapes))
+    return Immersion(medium, vector(config["gravity"]), 1.0 / config["tick_rate"], shapes, sizes, bodies.masses)
 
 
 def _sums(powers: Array) -> Array:

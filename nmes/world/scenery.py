@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from nmes.backend import Arena, Array, Heightfield, Planet, Quaternion, SceneSpec, StaticBox, Vector
+from nmes.backend import Arena, Array, Heightfield, Medium, Planet, Quaternion, SceneSpec, StaticBox, Vector
 from nmes.backend.rotation import normalize, quaternion_from_euler, rotate
 from nmes.backend.shapes import ROUND, SHAPES, misfit
 from nmes.errors import WorldError
@@ -30,7 +30,7 @@ from nmes.schemas.documents import JsonObject
 from nmes.world.fields import vector
 from nmes.world.groups import CollisionGroups
 
-__all__ = ["needs", "planet_list", "scene_spec"]
+__all__ = ["medium_of", "needs", "planet_list", "scene_spec"]
 
 _PLANK = 0.1  # m: thickness of a ramp
 _PLAIN = 1000.0  # m: how far the ground reaches where it has gaps, and thus an end
@@ -53,6 +53,8 @@ def needs(config: Mapping[str, Any]) -> dict[str, str]:
                 fields.setdefault(f"shape.{obstacle['type']}", f"scene/obstacles/{i}/type")
     if any(config.get("damping", {}).values()):
         fields["scene.damping"] = "damping"
+    if "medium" in config:
+        fields["medium"] = "medium"
     if config.get("collision_groups"):
         fields["collision_groups"] = "collision_groups"
     return fields
@@ -93,8 +95,26 @@ def scene_spec(config: Mapping[str, Any], seed: int) -> SceneSpec:
         linear_damping=float(damping["linear"]),
         angular_damping=float(damping["angular"]),
         passes=CollisionGroups(config).passes,
+        medium=medium_of(config),
         options=config["engine"],
     )
+
+
+def medium_of(config: Mapping[str, Any]) -> Medium | None:
+    """Returns the medium of a world, if it has one.
+
+    Raises:
+        WorldError: `invalid`: it cannot be there.
+    """
+    if "medium" not in config:
+        return None
+    medium, (across, _, along) = config["medium"], config["gravity"]
+    if config["scene"]["type"] == "planets":
+        raise WorldError("invalid", "a world of planets has no medium: there is no one way up in it", "medium")
+    if "level" in medium and (across or along):
+        raise WorldError("invalid", "a level needs gravity straight down, along y, or none", "medium/level")
+    level = float(medium["level"]) if "level" in medium else None
+    return Medium(float(medium["density"]), float(medium["viscosity"]), level)
 
 
 # -- obstacles --------------------------------------------------------------------------------------------------------

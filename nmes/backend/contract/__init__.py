@@ -10,6 +10,7 @@ what only three have is checked where `dims` is 3.
 
 from nmes.backend.contract.bodies import BodyChecks
 from nmes.backend.contract.joints import JointChecks
+from nmes.backend.contract.media import MediumChecks
 from nmes.backend.contract.programs import program_digest, random_program
 from nmes.backend.contract.shapes import ShapeChecks
 from nmes.backend.contract.trust import TrustChecks
@@ -17,5 +18,5 @@ from nmes.backend.contract.trust import TrustChecks
 __all__ = ["BackendContract", "program_digest", "random_program"]
 
 
-class BackendContract(TrustChecks, BodyChecks, JointChecks, ShapeChecks):
+class BackendContract(TrustChecks, BodyChecks, JointChecks, ShapeChecks, MediumChecks):
     """All that an engine promises. Subclass it as `TestSomething` and set `backend`; `base.Checks` has the settings."""
