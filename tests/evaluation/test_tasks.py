@@ -22,7 +22,8 @@ from nmes.genome.body import Body, BodyCube
 from nmes.objective.trajectory import ObservedBodies, Trajectory
 
 SHIPPED = [
-    "carry", "dark", "eyes", "gaps", "jump-far", "jump-high", "planar-walk", "pole", "reach", "rough", "stairs", "swim", "walk",
+    "carry", "dark", "eyes", "gaps", "jump-far", "jump-high", "planar-walk", "pole", "reach", "rough", "stairs",
+    "swim", "walk",
 ]  # fmt: skip
 PLAIN: dict[str, Any] = {
     "format": "nmes-task/1", "name": "sprint", "description": "Run.", "duration": 5, "seeds": [1, 2],
