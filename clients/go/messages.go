@@ -7,6 +7,17 @@ import (
 	"encoding/json"
 )
 
+// Adopt: Makes a cube of the world a part of a creature's body that is not there, joined to it where it is now.
+// What a lost part carried, by the body's own joints, comes along.
+type Adopt struct {
+	// The creature.
+	Creature string `json:"creature"`
+	// The id of the cube in its genome. What it hangs on must be there.
+	Part string `json:"part"`
+	// The cube, which is no part of a creature.
+	CubeName string `json:"cube_name"`
+}
+
 // AllFlaws: How all its sensors and motors err, besides what its genome says: of each number the larger counts.
 type AllFlaws struct {
 	// How each sensor errs.
@@ -258,14 +269,15 @@ type CreatureBornEvent struct {
 	Species int `json:"species"`
 }
 
-// CreatureChangedEvent: A creature has lost parts. Its sensors and controls stay what they were: sensors of lost
-// parts read 0, and motors there do nothing.
+// CreatureChangedEvent: A creature has lost or gained parts. Its sensors and controls stay what they were:
+// sensors of lost parts read 0, and motors there do nothing.
 type CreatureChangedEvent struct {
 	// Ticks since the world was created or reset.
 	Frame int `json:"frame"`
 	// Its name.
 	Creature string `json:"creature"`
-	// Which of its parts a creature has: 1 while it is whole, and more with each cube or joint that it loses.
+	// Which of its parts a creature has: 1 while it is whole and always was, and more with each cube or joint that
+	// is missing at birth, or that it loses or gains.
 	Layout int `json:"layout"`
 	// The ids in its genome of all cubes that it has no more.
 	LostCubes []string `json:"lost_cubes"`
@@ -631,6 +643,15 @@ type Given struct {
 	Cubes []string `json:"cubes"`
 }
 
+// Grow: Grows a part of a creature's body that is not there: one that is later, or that it has lost. It comes to
+// be where the genome has it, seen from the part that it hangs on, and at rest there, with its joint and motor.
+type Grow struct {
+	// The creature.
+	Creature string `json:"creature"`
+	// The id of the cube in its genome. What it hangs on must be there, and there must be room.
+	Part string `json:"part"`
+}
+
 // Hear: Tells which voices on a channel are heard where a cube or the root of a creature is, the nearest first.
 // Neither hears itself.
 type Hear struct {
@@ -906,12 +927,27 @@ type ObjectiveSet struct {
 	Needs []string `json:"needs"`
 }
 
+// PartGrown: The creature has the part.
+type PartGrown struct {
+	Reply
+	// The creature.
+	Creature string `json:"creature"`
+	// The id of the part.
+	Part string `json:"part"`
+	// The name of its cube.
+	Cube string `json:"cube"`
+	// Which of its parts a creature has: 1 while it is whole and always was, and more with each cube or joint that
+	// is missing at birth, or that it loses or gains.
+	Layout int `json:"layout"`
+}
+
 // PartShed: The part is cut off.
 type PartShed struct {
 	Reply
 	// The creature.
 	Creature string `json:"creature"`
-	// Which of its parts a creature has: 1 while it is whole, and more with each cube or joint that it loses.
+	// Which of its parts a creature has: 1 while it is whole and always was, and more with each cube or joint that
+	// is missing at birth, or that it loses or gains.
 	Layout int `json:"layout"`
 	// The names of the cubes that were cut off.
 	Cubes []string `json:"cubes"`
@@ -1482,6 +1518,15 @@ type WorldStateCubesContacts struct {
 	Force float64 `json:"force"`
 }
 
+func (Adopt) command() string    { return "adopt" }
+func (Adopt) answer() *PartGrown { return new(PartGrown) }
+
+// Adopt makes a cube of the world a part of a creature's body that is not there, joined to it where it is now.
+// What a lost part carried, by the body's own joints, comes along.
+func (c *Client) Adopt(ctx context.Context, command Adopt) (*PartGrown, error) {
+	return Do(ctx, c, command)
+}
+
 func (ApplyForce) command() string         { return "apply_force" }
 func (ApplyForce) answer() *PhysicsApplied { return new(PhysicsApplied) }
 
@@ -1659,6 +1704,15 @@ func (Give) answer() *Given  { return new(Given) }
 
 // Give makes a cube or a creature, with all that joints connect to it, belong to another player.
 func (c *Client) Give(ctx context.Context, command Give) (*Given, error) {
+	return Do(ctx, c, command)
+}
+
+func (Grow) command() string    { return "grow" }
+func (Grow) answer() *PartGrown { return new(PartGrown) }
+
+// Grow grows a part of a creature's body that is not there: one that is later, or that it has lost. It comes to
+// be where the genome has it, seen from the part that it hangs on, and at rest there, with its joint and motor.
+func (c *Client) Grow(ctx context.Context, command Grow) (*PartGrown, error) {
 	return Do(ctx, c, command)
 }
 

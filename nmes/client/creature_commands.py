@@ -17,6 +17,7 @@ from nmes.client.replies import (
     Heard,
     Life,
     ObjectiveSet,
+    PartGrown,
     PartShed,
     Reward,
     Said,
@@ -234,6 +235,50 @@ class CreatureCommands:
             TimeoutError: No reply came in time.
         """
         return PartShed
+
+    @command
+    def grow(self, creature: str, part: str) -> type[PartGrown]:
+        """Grows a part of a creature's body that is not there: one that is later, or that it has lost.
+
+        It comes to be where the genome has it, seen from the part that it hangs on, and at rest there, with its joint
+        and motor.
+
+        Args:
+            creature: The creature.
+            part: The id of the cube in its genome. What it hangs on must be there, and there must be room.
+
+        Returns:
+            PartGrown: The creature has the part.
+
+        Raises:
+            CommandFailed: The server refused it: `creature_not_found`, `invalid`, `not_allowed`, `unsupported` or
+                `world_faulted`.
+            Disconnected: The connection was lost.
+            TimeoutError: No reply came in time.
+        """
+        return PartGrown
+
+    @command
+    def adopt(self, creature: str, part: str, cube_name: str) -> type[PartGrown]:
+        """Makes a cube of the world a part of a creature's body that is not there, joined to it where it is now.
+
+        What a lost part carried, by the body's own joints, comes along.
+
+        Args:
+            creature: The creature.
+            part: The id of the cube in its genome. What it hangs on must be there.
+            cube_name: The cube, which is no part of a creature.
+
+        Returns:
+            PartGrown: The creature has the part.
+
+        Raises:
+            CommandFailed: The server refused it: `creature_not_found`, `cube_not_found`, `invalid`, `not_allowed`,
+                `unsupported` or `world_faulted`.
+            Disconnected: The connection was lost.
+            TimeoutError: No reply came in time.
+        """
+        return PartGrown
 
     @command
     def set_objective(

@@ -165,6 +165,14 @@ class Senses(TypedDict):
     layout: NotRequired[int]
 
 
+class PartGrown(TypedDict):
+    type: Literal["part_grown"]
+    creature: str
+    part: str
+    cube: str
+    layout: int
+
+
 class PartShed(TypedDict):
     type: Literal["part_shed"]
     creature: str

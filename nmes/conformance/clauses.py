@@ -136,6 +136,7 @@ UNTESTED: Final[Mapping[str, str]] = {
     "4.barrier_timeout": "see 3.5.3",
     "4.census": "only a world that lives tells it",
     "4.creature_changed": "see 3.7.5",
+    "4.error.no_room": "see 4.grow",
     "4.creature_born": "only a world that lives tells it",
     "4.creature_died": "only a world that lives tells it",
     "4.food_eaten": "only a world that lives tells it",

@@ -28,12 +28,24 @@ from nmes.schemas.documents import (
     plain,
 )
 
-__all__ = ["MATCHES", "SHIPPED", "Setting", "complete_task", "crossed_bounds", "infinite", "read_task", "task_identity"]
+__all__ = [
+    "LATER",
+    "MATCHES",
+    "SHIPPED",
+    "Setting",
+    "complete_task",
+    "crossed_bounds",
+    "infinite",
+    "read_task",
+    "task_identity",
+]
 
 SHIPPED: Final = ShippedDocuments("task", "nmes.evaluation", "tasks")
 """The tasks for one creature that ship with the package."""
 MATCHES: Final = ShippedDocuments("task", "nmes.evaluation", "matches")
 """The tasks with roles that ship with the package."""
+LATER: Final = "the body has parts that are later, and in an episode a body keeps its parts: leave 'later' out"
+"""Why a body that grows may not take part."""
 _TASK: Final = compile_schema("task.json")
 # Of the world's config.
 _OURS: Final = {

@@ -21,7 +21,7 @@ import numpy as np
 from nmes.backend import Array, Quaternion, Vector, load_backend
 from nmes.backend.rotation import multiply, quaternion_from_euler, rotate, total
 from nmes.errors import DocumentError
-from nmes.evaluation.setting import SHIPPED, Setting, complete_task, crossed_bounds, infinite, read_task
+from nmes.evaluation.setting import LATER, SHIPPED, Setting, complete_task, crossed_bounds, infinite, read_task
 from nmes.genome.body import Body, corners
 from nmes.genome.limits import Limits
 from nmes.objective import Quantity
@@ -262,7 +262,8 @@ class Task(Setting):
     def _unsuited(self, body: Body) -> list[str]:
         """Returns the reasons why a body within the limits may not take part."""
         ids, props = {cube.id for cube in body.cubes}, self.prop_ids()
-        reasons = [
+        reasons = [LATER] if body.later else []
+        reasons += [
             f"the task puts a cube {name!r} there, and the body has one of that id" for name in props if name in ids
         ]
         reasons += [

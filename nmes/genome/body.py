@@ -11,7 +11,7 @@ overlap unless a joint joins them.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Literal
 
@@ -25,7 +25,19 @@ from nmes.genome.sensor_entries import MOST_RAYS, count_rays, read_sensor
 from nmes.genome.sensors import Flaws, Sensor
 from nmes.schemas.documents import did_you_mean, fits, nor_at
 
-__all__ = ["PALETTE", "Body", "BodyCube", "BodyJoint", "Motor", "Sensor", "Voice", "corners", "read_body", "read_cube"]
+__all__ = [
+    "PALETTE",
+    "Body",
+    "BodyCube",
+    "BodyJoint",
+    "Motor",
+    "Sensor",
+    "Voice",
+    "corners",
+    "overlap",
+    "read_body",
+    "read_cube",
+]
 
 JsonObject = Mapping[str, Any]
 
@@ -114,12 +126,16 @@ class Voice:
 
 @dataclass(frozen=True)
 class Body:
-    """A whole body: cubes, joints, sensors and voices, in the order that the module promises."""
+    """A whole body: cubes, joints, sensors and voices, in the order that the module promises.
+
+    `later` are the ids of the cubes that are not there at birth, and may grow.
+    """
 
     cubes: tuple[BodyCube, ...]
     joints: tuple[BodyJoint, ...]
     sensors: tuple[Sensor, ...]
     voices: tuple[Voice, ...] = ()
+    later: tuple[str, ...] = ()
 
     @property
     def motors(self) -> tuple[Motor, ...]:
@@ -142,6 +158,15 @@ class Body:
         flat = all(cube.position[2] == 0.0 and cube.quaternion[:2] == (0.0, 0.0) for cube in self.cubes)
         return flat and all(_stays_in_plane(joint) for joint in self.joints)
 
+    @property
+    def born(self) -> Body:
+        """What of it is there at birth: its cubes and joints but those that are later, with all sensors and voices."""
+        if not self.later:
+            return self
+        cubes = tuple(cube for cube in self.cubes if cube.id not in self.later)
+        joints = tuple(each for each in self.joints if not {each.cube1, each.cube2} & {*self.later})
+        return replace(self, cubes=cubes, joints=joints, later=())
+
     @cached_property
     def bounds(self) -> tuple[Vector, Vector]:
         """The lowest and the highest corner of the box around the body, m."""
@@ -161,6 +186,7 @@ def read_body(
     voices: Sequence[JsonObject] = (),
     place: str | None = None,
     absent: Collection[str] = (),
+    later: Sequence[str] = (),
 ) -> tuple[list[tuple[str, str]], Body]:
     """Reads the `body`, `sensors` and `voices` of a document, of which the schema has accepted at least what is given.
 
@@ -171,6 +197,7 @@ def read_body(
         place: What of the document to blame for the cubes and joints; None where they stand in it themselves.
         absent: The ids of cubes and joints that were left out, `*` for one whose id is not known: what may be due to
             that is no problem.
+        later: As in the document.
 
     Returns:
         Everything that is wrong, each with its place; and the body, which is good only where that is nothing.
@@ -180,7 +207,9 @@ def read_body(
     """
     reader = _Reader(place, absent)
     read = reader.read(body, sensors, voices)
-    return reader.problems, read
+    if later and not absent:
+        reader.later(read, later)
+    return reader.problems, replace(read, later=tuple(later))
 
 
 class _Reader:
@@ -232,6 +261,25 @@ class _Reader:
                 break
         self.unique(paths, [sensor.id for sensor in all_sensors], "sensor")
         return Body(tuple(cubes), tuple(joints), tuple(all_sensors), self.voices(voices, joints))
+
+    def later(self, body: Body, names: Sequence[str]) -> None:
+        """Notes what is wrong with the parts that are not there at birth."""
+        known, root = {cube.id for cube in body.cubes}, body.cubes[0].id
+        for i, name in enumerate(names):
+            if name not in known:
+                self.note(f"later/{i}", f"there is no cube {name!r}{self.hint(name, sorted(known))}")
+        if body.cubes[0].id in names:
+            self.note(
+                f"later/{names.index(body.cubes[0].id)}", f"{body.cubes[0].id!r} is the root, on which all others hang"
+            )
+        elif not self.problems:
+            born = replace(body, later=tuple(names)).born
+            ends, hanging = [_ends(joint) for joint in born.joints], {root}
+            while more := {name for pair in ends if pair & hanging for name in pair} - hanging:
+                hanging |= more
+            for i, cube in enumerate(body.cubes):
+                if cube.id not in hanging and cube.id not in names:
+                    self.note(f"body/cubes/{i}", f"{cube.id!r} is there at birth, and what it hangs on is later")
 
     def voices(self, entries: Sequence[JsonObject], joints: Sequence[BodyJoint]) -> tuple[Voice, ...]:
         """Reads the voices, and notes those that are there twice, or called like a joint, which may have a motor."""
@@ -438,6 +486,13 @@ def _boxes(cubes: Sequence[BodyCube]) -> tuple[Array, Array, Array]:
     """Returns centres (n, 3), own directions as rows (n, 3, 3) and halves of the edges (n, 3) of cubes, m."""
     centres, halves = np.array([cube.position for cube in cubes]), np.array([cube.size for cube in cubes]) / 2.0
     return centres, np.array([_axes(cube) for cube in cubes]), halves
+
+
+def overlap(one: BodyCube, other: BodyCube) -> float:
+    """Returns how far two cubes overlap, m; not above 0 where they do not."""
+    centres, axes, halves = _boxes((one, other))
+    arms = centres[1:] - centres[:1]
+    return float(_depths(arms, axes[:1], axes[1:], halves[:1], halves[1:])[0])
 
 
 def _near_pairs(centres: Array, halves: Array) -> list[tuple[int, int]]:

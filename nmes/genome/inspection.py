@@ -68,10 +68,11 @@ def _body_of(document: JsonObject) -> Inspection:
         DocumentError: It cannot be read.
     """
     body, sensors, voices = document["body"], document.get("sensors"), document.get("voices", [])
+    later = document.get("later", [])
     if ("cubes" in body) == ("graph" in body) or ("graph" in body and "joints" in body):
         raise DocumentError([("body", "must have either cubes (and joints between them) or a graph")])
     if "graph" not in body:
-        return Inspection(*_read_body(write_json([body, sensors, voices, None])))
+        return Inspection(*_read_body(write_json([body, sensors, voices, None, later])))
     grown = morphology.grow(body["graph"])
     # Scales may have taken a size or a mass out of its bounds.
     outgrown = [
@@ -80,7 +81,7 @@ def _body_of(document: JsonObject) -> Inspection:
     ]
     if outgrown:
         raise DocumentError(outgrown)
-    return Inspection(*_read_body(write_json([grown, sensors, voices, "body/graph"])))
+    return Inspection(*_read_body(write_json([grown, sensors, voices, "body/graph", later])))
 
 
 def _remaining(document: Any, unsound: Sequence[Problem]) -> Inspection:
@@ -182,8 +183,8 @@ def _read_body(text: bytes) -> tuple[list[tuple[str, str]], Body]:
     Raises:
         DocumentError: As `read_body`.
     """
-    body, sensors, voices, place = orjson.loads(text)
-    return read_body(body, sensors, voices, place)
+    body, sensors, voices, place, later = orjson.loads(text)
+    return read_body(body, sensors, voices, place, later=later)
 
 
 def _quantity(body: JsonObject, path: str) -> str:

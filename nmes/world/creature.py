@@ -11,7 +11,8 @@ would, in order; `sense` changes nothing; creatures are in order of creation.
 
 from __future__ import annotations
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -23,12 +24,13 @@ from nmes.backend.arrays import ArrayLike
 from nmes.backend.rotation import minus, plus
 from nmes.errors import WorldError
 from nmes.genome import Genome
-from nmes.genome.body import Body, BodyCube, BodyJoint, Motor
+from nmes.genome.body import Body, Motor
 from nmes.genome.sensor_entries import count_rays
 from nmes.genome.sensors import NEEDED, Flaws, Sensor
 from nmes.protocol import Request
 from nmes.schemas.documents import JsonObject
 from nmes.world import joint_params
+from nmes.world.building import cube_command, joint_command
 from nmes.world.channels import Channels
 from nmes.world.disturbance import Disturbance
 from nmes.world.entities import Cube, Entities, Joint
@@ -53,7 +55,7 @@ class Creature:
         root: The number of its root in the engine: where others see it, and where it speaks.
         bodies: The numbers of all its cubes.
         cubes: The names of its cubes in the world by the ids in its body, of those that are there; `joints` likewise.
-        layout: Rises with each part that it loses, a cube or a joint; 1 while it is whole.
+        layout: Rises with each part, a cube or a joint, that it loses or grows; 1 while it is whole and always was.
         motors: In the order of controls, those that are lost too.
         sensors: In the order of values, likewise.
         controls: What it was driven with last, shape (m + v,); None until it is driven, or since it was restored.
@@ -75,7 +77,9 @@ class Creature:
         channels: Channels,
         mind: Mind | None = None,
         flaws: JsonObject | None = None,
+        grown: int = 0,
     ) -> None:
+        self._grown = grown  # cubes and joints that were added so far
         self._entities, self._simulation = entities, entities.simulation
         self._channels, self._others = channels, others
         self.name, self.genome, self.body = name, genome, (body := genome.body)
@@ -101,7 +105,8 @@ class Creature:
         self.bodies = tuple(cube.body for cube in cubes.values())
         self.cubes: dict[str, str] = {part: cube.name for part, cube in cubes.items()}
         self.joints: dict[str, str] = {part: joint.name for part, joint in joints.items()}
-        self.layout = 1 + len(body.cubes) - len(cubes) + len(body.joints) - len(joints)
+        # Whatever is lost or grows makes it more, and when that is noticed does not matter.
+        self.layout = 1 + len(body.cubes) - len(cubes) + len(body.joints) - len(joints) + 2 * self._grown
         there = [row for row, motor in enumerate(self.motors) if motor.id in joints]
         self._there = None if len(there) == len(self.motors) else np.array(there, np.intp)
         self._moved = tuple(self.motors[row] for row in there)
@@ -164,6 +169,36 @@ class Creature:
             if (joint.cube1.body in numbers) != (joint.cube2.body in numbers):
                 self._entities.cut(joint)
         return cut
+
+    @property
+    def present(self) -> Body:
+        """The part of its body that is there, with the sensors and voices of all of it."""
+        if self.layout == 1:
+            return self.body
+        cubes = tuple(each for each in self.body.cubes if each.id in self._cubes)
+        joints = tuple(each for each in self.body.joints if each.id in self._joints)
+        return replace(self.body, cubes=cubes, joints=joints, later=())
+
+    @property
+    def there(self) -> tuple[dict[str, Cube], dict[str, Joint]]:
+        """Its cubes and joints that are there, by their ids, in the body's order."""
+        return self._cubes, self._joints
+
+    def extend(self, cubes: Mapping[str, Cube], joints: Mapping[str, Joint]) -> None:
+        """Takes cubes and joints of the world as parts that were not there, by their ids in the body."""
+        self._grown += len(cubes) + len(joints)
+        cubes, joints = {**self._cubes, **cubes}, {**self._joints, **joints}
+        in_order = {each.id: cubes[each.id] for each in self.body.cubes if each.id in cubes}
+        self._bind(in_order, {each.id: joints[each.id] for each in self.body.joints if each.id in joints})
+
+    @property
+    def added(self) -> list[JsonObject]:
+        """What a snapshot tells of parts that were added, how many ever and their names; nothing where none were."""
+        if not self._grown:
+            return []
+        names = {"cubes": self.cubes, "joints": self.joints}
+        others = {kind: _renamed(self.name, parts) for kind, parts in names.items()}
+        return [{"count": self._grown, **others}]
 
     def _disturbance(self) -> Disturbance | None:
         """Returns what its flaws do: of each of the genome's and of all the worse."""
@@ -262,6 +297,22 @@ class Creature:
         return values if self.disturbance is None else self.disturbance.sensed(values)
 
 
+def _require_body(body: Body, cubes: Mapping[str, Cube], joints: Mapping[str, Joint]) -> None:
+    """Raises `bad_snapshot` unless joints hold the cubes together as in the body, no cube twice."""
+    ends = {each.id: (each.cube1, each.cube2) for each in body.joints}
+    held = all(
+        joint.cube1 is cubes.get(ends[part][0]) and joint.cube2 is cubes.get(ends[part][1])
+        for part, joint in joints.items()
+    )
+    if not held or len({cube.body for cube in cubes.values()}) < len(cubes):
+        raise WorldError("bad_snapshot", "the parts of a creature are not joined as in its body")
+
+
+def _renamed(creature: str, names: Mapping[str, str]) -> dict[str, str]:
+    """Returns the names of the parts that are not called as at birth."""
+    return {part: name for part, name in names.items() if name != f"{creature}.{part}"}
+
+
 def _by_channel(body: Body, channels: Channels) -> list[tuple[str, int, list[tuple[int, int]]]]:
     """Returns the channels of a world on which a body has voices.
 
@@ -346,7 +397,7 @@ class Creatures:
         """Returns what the brains that the world runs and flaws remember, and who lost which parts, as bytes."""
         if self._creatures and self._version != self._entities.version:
             self._forget_dissolved()
-        lost = [orjson.dumps([creature.name, *creature.lost]) for creature in self._lessened]
+        lost = [orjson.dumps([each.name, *each.lost, *each.added]) for each in self._lessened]
         minds = [each.mind.memory().tobytes() for each in self._minds if each.mind is not None]
         flaws = [each.disturbance.memory() for each in self._flawed if each.disturbance is not None]
         return b"".join(minds + flaws + lost)
@@ -359,6 +410,10 @@ class Creatures:
             return []
         names, self._changed = [name for name in self._changed if name in self._creatures], {}
         return [self._change(self._creatures[name], frame) for name in names]
+
+    def note_growth(self, creature: Creature) -> None:
+        """Takes note that a creature has more parts than it had, to tell of it."""
+        self._changed[creature.name] = None
 
     def _change(self, creature: Creature, frame: int) -> JsonObject:
         cubes, joints = creature.lost
@@ -400,10 +455,10 @@ class Creatures:
         self._check(body, name)
         if autonomous:
             require_mind(genome)
-        cubes = {part.id: entities.spawn(_spawn_command(part, name, position)) for part in body.cubes}
+        cubes = {part.id: entities.spawn(cube_command(part, name, position)) for part in body.born.cubes}
         joints = {}
-        for joint in body.joints:
-            command = _joint_command(joint, name, position)
+        for joint in body.born.joints:
+            command = joint_command(joint, name, position)
             joints[joint.id] = entities.joint(entities.connect(command, joint.kind, "joint"))
         self._count = count
         mind = Mind(genome, *self._beginning(cubes)) if autonomous else None
@@ -436,6 +491,7 @@ class Creatures:
                 **(
                     {} if creature.layout == 1 else {"lost": dict(zip(("cubes", "joints"), creature.lost, strict=True))}
                 ),
+                **({"grown": creature.added[0]} if creature.added else {}),
                 **({} if creature.flaws is None else {"flaws": creature.flaws}),
                 **({} if creature.disturbance is None else {"disturbance": creature.disturbance.state()}),
             }
@@ -450,14 +506,17 @@ class Creatures:
             name, genome = values["name"], Genome(values["genome"])
             lost = values.get("lost", {"cubes": [], "joints": []})
             body = genome.body
-            cubes = {each.id: entities.cube(f"{name}.{each.id}") for each in body.cubes if each.id not in lost["cubes"]}
+            grown = values.get("grown", {"count": 0, "cubes": {}, "joints": {}})
+            there = (each.id for each in body.cubes if each.id not in lost["cubes"])
+            cubes = {part: entities.cube(grown["cubes"].get(part, f"{name}.{part}")) for part in there}
             left = (each.id for each in body.joints if each.id not in lost["joints"])
-            joints = {part: entities.joint(f"{name}.{part}") for part in left}
+            joints = {part: entities.joint(grown["joints"].get(part, f"{name}.{part}")) for part in left}
+            _require_body(body, cubes, joints)
             target = values["target"]
             target = (target[0], target[1], target[2]) if isinstance(target, list) else target
             mind = Mind(genome, *self._beginning(cubes), values["mind"]) if "mind" in values else None
             around = self._nearby, self._channels
-            parts = entities, name, genome, cubes, joints, target, *around, mind, values.get("flaws")
+            parts = entities, name, genome, cubes, joints, target, *around, mind, values.get("flaws"), grown["count"]
             self._creatures[name] = creature = Creature(*parts)
             if creature.disturbance is not None:
                 creature.disturbance.recall(values["disturbance"])
@@ -485,7 +544,7 @@ class Creatures:
             most = _NAME_LENGTH - 1 - longest
             message = f"name: the names of this body's parts leave room for {most} characters"
             raise WorldError("invalid", message, "name")
-        self._entities.require_room(len(body.cubes), len(body.joints))
+        self._entities.require_room(len(body.born.cubes), len(body.born.joints))
         self._entities.require_plane(body.planar, "body that leaves the XY plane", "genome/body")
         for cube in body.cubes:
             self._entities.groups.number(cube.group, "genome/body")
@@ -515,43 +574,3 @@ class Creatures:
         if channel is not None and number > channel.size:
             message = f"the channel {name!r} of this world has {channel.size} numbers, and no number {number}"
             raise WorldError("invalid", message, path)
-
-
-def _spawn_command(part: BodyCube, name: str, position: Vector) -> JsonObject:
-    """Returns the `spawn_cube` command that makes a cube of a creature."""
-    command: JsonObject = {
-        "cube_name": f"{name}.{part.id}",
-        "size": list(part.size),
-        "mass": part.mass,
-        "position": _shifted(part.position, position),
-        "rotation": list(part.quaternion),
-    }
-    if part.shape != "box":
-        command["shape"] = part.shape
-    surface = {name: getattr(part, name) for name in ("friction", "restitution", "color", "group")}
-    return {**command, **{field: value for field, value in surface.items() if value is not None}}
-
-
-def _joint_command(joint: BodyJoint, name: str, position: Vector) -> JsonObject:
-    """Returns the `create_joint` command that makes a joint of a creature: a motor begins at rest, at position 0."""
-    command: JsonObject = {
-        "joint_name": f"{name}.{joint.id}",
-        "cube1": f"{name}.{joint.cube1}",
-        "cube2": f"{name}.{joint.cube2}",
-        "position": _shifted(joint.anchor, position),
-    }
-    if joint.axis is not None:
-        command["axis"] = list(joint.axis)
-    if joint.limits is not None:
-        command["limits"] = list(joint.limits)
-    for field, value in (("stiffness", joint.stiffness), ("damping", joint.damping)):
-        if value:
-            command[field] = value
-    if joint.motor is not None:
-        command["motor_max_force"] = joint.motor.max_effort
-        command["target_position" if joint.motor.mode == "position" else "motor_target_velocity"] = 0.0
-    return command
-
-
-def _shifted(point: Vector, by: Vector) -> list[float]:
-    return [point[0] + by[0], point[1] + by[1], point[2] + by[2]]

@@ -88,7 +88,7 @@ class Roll:
         self._entities = entities
         self._version, self._motors = entities.version, entities.meter.numbers
         self.creatures = list(creatures)
-        self.traits = traits_of([creature.body for creature in creatures])
+        self.traits = traits_of([creature.present for creature in creatures])
         self.mouths = [entities.cube(next(iter(creature.cubes.values()))).body for creature in creatures]
         owners = {
             entities.joint(name).number: row

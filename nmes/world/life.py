@@ -159,7 +159,7 @@ class Life:
             x, _, z = self._middle(creature)
             self._take_apart(creature)
             if carrion:
-                self.food.put(self._entities.terrain.surface(x, z), carrion * creature.body.mass)
+                self.food.put(self._entities.terrain.surface(x, z), carrion * creature.present.mass)
             yield self._leave(each.name, frame, "starved" if starved else "old")
 
     def lose(self, body: int, frame: int) -> list[JsonObject]:

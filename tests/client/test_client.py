@@ -123,16 +123,16 @@ def check_shape(typed: Any, schema: Any) -> None:
 
 # The commands that clients have a method for; a new one gets its own when somebody writes it.
 TYPED = """
-apply_force apply_physics batch compute_reward create_bone create_joint despawn_cube drive freeze_cube get_camera
-get_cube_info get_cube_list get_cube_state get_genome get_joint_info get_joint_list get_joints_for_cube get_planets
-get_world_info get_world_state give hear link_body_cubes link_cube_chains pause ping remove_joint reset resume say
-sense set_color set_cube_state set_joint_param set_joint_params set_mode set_objective shed spawn_creature spawn_cube
-step subscribe unsubscribe
+adopt apply_force apply_physics batch compute_reward create_bone create_joint despawn_cube drive freeze_cube
+get_camera get_cube_info get_cube_list get_cube_state get_genome get_joint_info get_joint_list get_joints_for_cube
+get_planets get_world_info get_world_state give grow hear link_body_cubes link_cube_chains pause ping remove_joint
+reset resume say sense set_color set_cube_state set_joint_param set_joint_params set_mode set_objective shed
+spawn_creature spawn_cube step subscribe unsubscribe
 """.split()
 
 
 def test_no_command_has_lost_its_method() -> None:
-    assert len(TYPED) == 43 and set(TYPED) <= set(declared())
+    assert len(TYPED) == 45 and set(TYPED) <= set(declared())
 
 
 @pytest.mark.parametrize("name", sorted(declared()))
@@ -231,6 +231,9 @@ def test_every_command_works_once() -> None:
         assert checked.set_objective("time", name="b", cubes=["a_BASE"])["cubes"] == ["a_BASE"]
         assert checked.compute_reward(objective="b")["value"] == 0.0
         assert checked.shed("r", "arm")["cubes"] == ["r.arm"]
+        assert checked.adopt("r", "arm", "r.arm")["layout"] == 5
+        checked.shed("r", "arm", remove=True)
+        assert checked.grow("r", "arm")["cube"] == "r.arm"
         assert checked.compute_reward(metric="displacement", cube="a_BASE", axis=[0, 0, 1])["metric"] == "displacement"
         assert checked.compute_reward(metric="distance", cube="a_BASE", target=[0, 0, 0])["value"] > 0.0
         assert checked.subscribe(events=["state"], every=2)["every"] == 2

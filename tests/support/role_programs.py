@@ -94,6 +94,8 @@ ATTEMPTS: Mapping[str, _Made] = {
     "set_joint_param": lambda d: {"joint_name": d.joint(), "param_name": "damping", "value": d.source.random()},
     "set_joint_params": lambda d: {"joint_name": d.joint(), **_NOTES},
     "drive": lambda d: {"creature": (name := d.creature()), "controls": _controls(d, name)},
+    "grow": lambda d: {"creature": d.creature(), "part": d.source.choice(["c1", "c2", "c3"])},
+    "adopt": lambda d: {"creature": d.creature(), "part": d.source.choice(["c1", "c2"]), "cube_name": d.cube()},
     "shed": lambda d: {"creature": d.creature(), "part": d.source.choice(["c1", "c2", "c3"])},
     "say": lambda d: {"channel": "alarm", "value": d.source.uniform(-1, 1), "cube_name": d.cube()},
     "give": lambda d: {"cube_name": d.cube(), "player": d.source.randint(1, 4)},

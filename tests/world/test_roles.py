@@ -84,7 +84,13 @@ def furnished() -> Play:
             play.ok(who, "spawn_cube", cube_name=f"{who}-{name}", position=[20.0 * place + 1.2 * number, 3, 0])
         ends = {"cube1": f"{who}-a", "cube2": f"{who}-b"}
         play.ok(who, "create_joint", joint_name=f"{who}-j", joint_type="hinge", **ends)
-        play.ok(who, "spawn_creature", genome=snake(), name=f"{who}-pet", position=[20.0 * place, 0.5, 8])
+        play.ok(
+            who,
+            "spawn_creature",
+            genome={**snake(), "later": ["c3"]},
+            name=f"{who}-pet",
+            position=[20.0 * place, 0.5, 8],
+        )
         play.ok(who, "set_objective", expression="displacement.x", cubes=[f"{who}-a"], name="mine")
     play.ok("owner", "spawn_cube", cube_name="nobody")
     play.world.entities.cubes["nobody"].player = None
@@ -111,6 +117,8 @@ def about(who: str) -> dict[str, list[Reply]]:
         "set_joint_params": [{**joint, "params": {"damping": 2}, "notes": {"x": 1}}],
         "drive": [{"creature": pet, "controls": [0.5] * 3}],
         "give": [{"cube_name": a, "player": 1}, {"creature": pet, "player": 1}],
+        "grow": [{"creature": pet, "part": "c3"}],
+        "adopt": [{"creature": pet, "part": "c3", "cube_name": c}],
         "get_cube_info": [{"cube_name": a}],
         "get_cube_state": [{"cube_name": a}],
         "get_camera": [{"cube_name": a, "width": 8, "height": 8}],
@@ -118,7 +126,7 @@ def about(who: str) -> dict[str, list[Reply]]:
         "get_joints_for_cube": [{"cube_name": a}],
         "get_world_state": [{"cubes": [a]}],
         "sense": [{"creature": pet}],
-        "shed": [{"creature": pet, "part": "c3"}],
+        "shed": [{"creature": pet, "part": "c2"}],
         "get_genome": [{"creature": pet}],
         "say": [{"cube_name": a, "channel": "talk", "value": 0.5}, {"creature": pet, "channel": "talk", "value": 0.5}],
         "hear": [{"cube_name": a, "channel": "talk"}, {"creature": pet, "channel": "talk"}],

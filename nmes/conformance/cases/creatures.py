@@ -300,6 +300,37 @@ def a_creature_that_lost_a_part(t: Trial, way: tuple[dict[str, Any], str]) -> No
         t.refused(wire, {"type": "get_cube_info", "cube_name": f"{name}.arm"}, "cube_not_found", "cube_name")
 
 
+@case(31, "4.grow", needs=(*NEEDS, "shed", "grow"))
+def a_part_grows_again(t: Trial) -> None:
+    """A part that is lost grows where the genome has it, with its joint and motor, if there is room."""
+    wire = t.join()
+    name = spawned(t, wire)["creature"]
+    grow = {"type": "grow", "creature": name, "part": "arm"}
+    t.refused(wire, grow, "invalid", "part")
+    place = t.info(wire, f"{name}.arm")["position"]
+    t.ask(wire, {"type": "shed", "creature": name, "part": "arm"}, "part_shed")
+    t.refused(wire, grow, "no_room", "part")
+    t.ask(wire, {"type": "despawn_cube", "cube_name": f"{name}.arm"}, "cube_despawned")
+    reply = t.ask(wire, grow, "part_grown")
+    t.equal((reply["cube"], reply["layout"]), (f"{name}.arm", 5), "the cube and the layout")
+    t.close(t.info(wire, f"{name}.arm")["position"], place, 0.05, "where it grew")
+    joint = t.ask(wire, {"type": "get_joint_info", "joint_name": f"{name}.shoulder"}, "joint_info")
+    t.true(joint["params"]["motor_enabled"], "a joint with its motor", joint)
+
+
+@case(32, "4.adopt", needs=(*NEEDS, "shed", "adopt", "sense", "drive"))
+def a_part_is_adopted(t: Trial) -> None:
+    """A cube becomes a part that is missing, where it is; one that is a part already does not."""
+    wire = t.join()
+    name = spawned(t, wire)["creature"]
+    adopt = {"type": "adopt", "creature": name, "part": "arm", "cube_name": f"{name}.arm"}
+    t.refused(wire, adopt, "invalid")
+    t.ask(wire, {"type": "shed", "creature": name, "part": "arm"}, "part_shed")
+    t.ask(wire, adopt, "part_grown")
+    t.true(senses(t, wire, name)["arm.height"] > 0.1, "the height of the arm above 0.1", None)
+    t.ask(wire, {"type": "drive", "creature": name, "controls": [1], "layout": 5}, "driven")
+
+
 @case(12, "4.error.creature_not_found", needs=("sense", "drive"))
 def an_unknown_creature(t: Trial) -> None:
     """What is about a creature that there is not gets creature_not_found."""

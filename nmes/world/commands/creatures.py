@@ -10,8 +10,10 @@ from nmes import protocol
 from nmes.errors import DocumentError, WorldError
 from nmes.genome import Genome
 from nmes.schemas.documents import JsonObject
+from nmes.world import growth
 from nmes.world.clients import Client
 from nmes.world.rights import Right, Touched, nothing
+from nmes.world.structure import connected_cubes
 
 if TYPE_CHECKING:
     from nmes.world.world import World
@@ -95,13 +97,45 @@ def shed(world: World, client: Client, command: JsonObject) -> JsonObject:
     return {"type": "part_shed", "creature": creature.name, "layout": creature.layout, "cubes": names}
 
 
+def grow(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Grows a part of a creature's body that is not there."""
+    creature = world.creature(command["creature"])
+    cube = growth.grow(world.entities, creature, command["part"])
+    return _gained(world, creature.name, command["part"], cube.name)
+
+
+def adopt(world: World, client: Client, command: JsonObject) -> JsonObject:
+    """Makes a cube of the world a part of a creature's body that is not there."""
+    creature, cube = world.creature(command["creature"]), world.entities.cube(command["cube_name"])
+    owner = next((name for name in world.creatures() if cube.body in world.creature(name).bodies), None)
+    if owner is not None:
+        raise WorldError("invalid", f"cube_name: {cube.name!r} is a part of {owner!r}", "cube_name")
+    growth.adopt(world.entities, creature, command["part"], cube)
+    return _gained(world, creature.name, command["part"], cube.name)
+
+
+def _gained(world: World, name: str, part: str, cube: str) -> JsonObject:
+    """Returns the reply to a creature that has gained a part, and has it told of."""
+    creature = world.creature(name)
+    world.all_creatures.note_growth(creature)
+    return {"type": "part_grown", "creature": name, "part": part, "cube": cube, "layout": creature.layout}
+
+
 def get_genome(world: World, client: Client, command: JsonObject) -> JsonObject:
     """Tells the genome of a creature."""
     creature = world.creature(command["creature"])
     return {"type": "genome", "creature": creature.name, "genome": creature.genome.document}
 
 
-COMMANDS = {"get_genome": get_genome, "spawn_creature": spawn_creature, "drive": drive, "sense": sense, "shed": shed}
+COMMANDS = {
+    "get_genome": get_genome,
+    "spawn_creature": spawn_creature,
+    "drive": drive,
+    "sense": sense,
+    "shed": shed,
+    "grow": grow,
+    "adopt": adopt,
+}
 
 
 def _cubes_of(world: World, client: Client, command: JsonObject) -> Touched:
@@ -115,10 +149,18 @@ def _with_target(world: World, client: Client, command: JsonObject) -> Touched:
     return [cubes[name] for name in names if name in cubes]
 
 
+def _with_adopted(world: World, client: Client, command: JsonObject) -> Touched:
+    """The creature, and all that joints connect with the cube: it may come along."""
+    adopted = connected_cubes(world.entities.cube(command["cube_name"]), world.entities.joints)
+    return [*(_cubes_of(world, client, command) or ()), *adopted]
+
+
 RIGHTS = {
     "spawn_creature": Right("build", nothing),
     "drive": Right("act", _cubes_of),
     "sense": Right("look", _with_target),
     "shed": Right("build", _cubes_of),
+    "grow": Right("build", _cubes_of),
+    "adopt": Right("build", _with_adopted),
     "get_genome": Right("look", _cubes_of),
 }

@@ -1,0 +1,125 @@
+"""How a creature that lives gains parts of its body: they grow, or are made of cubes that are there.
+
+Hides by which joint a part hangs, what it is called where another still has its name, and what comes along with it.
+Invariant: what is refused has changed nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from nmes.errors import WorldError
+from nmes.world.building import ORIGIN, cube_command, grown_part, hanging_joint, joint_command, joint_where
+
+if TYPE_CHECKING:
+    from nmes.genome.body import BodyCube, BodyJoint
+    from nmes.world.creature import Creature
+    from nmes.world.entities import Cube, Entities, Joint
+
+__all__ = ["adopt", "grow"]
+
+_NAME_LENGTH = 128
+
+
+def grow(entities: Entities, creature: Creature, part: str) -> Cube:
+    """Grows a part of a creature that is not there, at rest where its body has it; returns the new cube.
+
+    Raises:
+        WorldError: `cube_not_found`: its body has no such part, or what that hangs on is not there; `invalid`: the part
+            is there; `no_room`: it would be in another cube, or in the ground; `limit_reached`; `joint_exists`.
+    """
+    joint, base, cube = _base(creature, part)
+    shape = next(each for each in creature.body.cubes if each.id == part)
+    entities.require_room(cubes=1, joints=1)
+    name = _free_name(creature, part, entities.cubes)
+    joint_name = _free_name(creature, joint.id, entities.joints)
+    grown, motion = grown_part(entities, shape, base, cube)
+    entities.require_joinable([(cube, replace(cube, name=name, body=-1, joints={}))], "part")
+    new = entities.spawn({**cube_command(grown, creature.name, ORIGIN), "cube_name": name, **motion})
+    new.player = cube.player
+    made = _join(entities, part, new, (joint, base, cube), joint_name)
+    creature.extend({part: new}, {joint.id: made})
+    return new
+
+
+def adopt(entities: Entities, creature: Creature, part: str, cube: Cube) -> None:
+    """Makes a cube of the world a part of a creature that is not there, joined where it is now, at position 0.
+
+    What the body's other joints, where they are still there under their first names, hold to it comes along.
+
+    Raises:
+        WorldError: As by `grow`, but for want of room.
+    """
+    hold = _base(creature, part)
+    entities.require_room(joints=1)
+    made = _join(entities, part, cube, hold, _free_name(creature, hold[0].id, entities.joints))
+    cubes, joints = creature.there
+    more_cubes, more_joints = {part: cube}, {hold[0].id: made}
+    while (found := _also(entities, creature, {**cubes, **more_cubes}, {**joints, **more_joints})) is not None:
+        one, old, ends = found
+        more_joints[one.id] = old
+        more_cubes |= {end: held for end, held in ends.items() if end not in cubes}
+    creature.extend(more_cubes, more_joints)
+
+
+def _also(
+    entities: Entities, creature: Creature, cubes: dict[str, Cube], joints: dict[str, Joint]
+) -> tuple[BodyJoint, Joint, dict[str, Cube]] | None:
+    """Returns a joint of a body that is there as at birth on one of some cubes, and is not one of some joints."""
+    for each in creature.body.joints:
+        old = entities.joints.get(f"{creature.name}.{each.id}")
+        if old is None or each.id in joints or old.kind != each.kind:
+            continue
+        ends = {each.cube1: old.cube1, each.cube2: old.cube2}
+        own = {end: cubes[end].name if end in cubes else f"{creature.name}.{end}" for end in ends}
+        if not cubes.keys().isdisjoint(ends) and all(held.name == own[end] for end, held in ends.items()):
+            return each, old, ends
+    return None
+
+
+def _base(creature: Creature, part: str) -> tuple[BodyJoint, BodyCube, Cube]:
+    """Returns the joint by which a part that is not there hangs on one that is; that, and its cube.
+
+    Raises:
+        WorldError: `cube_not_found`, `invalid`.
+    """
+    cubes, _ = creature.there
+    if part in cubes:
+        raise WorldError("invalid", f"part: {creature.name!r} has its part {part!r}", "part")
+    joint = hanging_joint(creature.body, part, cubes)
+    if joint is None:
+        known = any(each.id == part for each in creature.body.cubes)
+        why = "what it hangs on is not there" if known else "its body has none"
+        raise WorldError("cube_not_found", f"{creature.name!r} can have no part {part!r} now: {why}", "part")
+    base = joint.cube2 if joint.cube1 == part else joint.cube1
+    return joint, next(each for each in creature.body.cubes if each.id == base), cubes[base]
+
+
+def _free_name(creature: Creature, part: str, taken: Container[str]) -> str:
+    """Returns a name for a part in the world, with a number where one that was lost still has its name.
+
+    Raises:
+        WorldError: `invalid`: it is too long.
+    """
+    name, number = f"{creature.name}.{part}", 1
+    while name in taken:
+        number += 1
+        name = f"{creature.name}.{part}.{number}"
+    if len(name) > _NAME_LENGTH:
+        raise WorldError("invalid", f"part: with a number the name {name!r} is too long", "part")
+    return name
+
+
+def _join(entities: Entities, part: str, cube: Cube, hold: tuple[BodyJoint, BodyCube, Cube], name: str) -> Joint:
+    """Makes the joint by which a cube becomes a part.
+
+    Raises:
+        WorldError: As by `connect`; nothing has changed.
+    """
+    joint, base, held = hold
+    ends = {base.id: held.name, part: cube.name}
+    here = joint_where(joint, base, entities.simulation.body_state(held.body))
+    command = {**joint_command(here, "", ORIGIN), "cube1": ends[joint.cube1], "cube2": ends[joint.cube2]}
+    return entities.joint(entities.connect({**command, "joint_name": name}, joint.kind, "joint"))
