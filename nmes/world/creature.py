@@ -294,7 +294,10 @@ class Creature:
         Units are those of `schemas/genome.json`.
         """
         values = self.senses.read()
-        return values if self.disturbance is None else self.disturbance.sensed(values)
+        if self.disturbance is not None:
+            values = self.disturbance.sensed(values)
+            values[self.senses.missing] = 0.0  # what is not there does not err
+        return values
 
 
 def _require_body(body: Body, cubes: Mapping[str, Cube], joints: Mapping[str, Joint]) -> None:

@@ -33,6 +33,9 @@ class Senses:
         cubes: Its cubes in the world, by the ids in the body; the values of sensors of what is missing are 0.
         joints: Its joints, likewise.
         around: What it may sense besides.
+
+    Attributes:
+        missing: The rows of sensors of what is missing.
     """
 
     def __init__(
@@ -46,7 +49,7 @@ class Senses:
             if sensor.target in (joints if sensor.of == "joint" else cubes)
         ]
         present = {row for row, _ in there}
-        self._missing = [row for row in range(self._count) if row not in present]
+        self.missing = [row for row in range(self._count) if row not in present]
         self._plan_joints(body, [(row, sensor) for row, sensor in there if sensor.of == "joint"], joints)
         self._readers = look_around([pair for pair in there if looks_around(pair[1])], cubes, around)
         self._plan_cubes([pair for pair in there if pair[1].of == "cube" and not looks_around(pair[1])], cubes)
@@ -103,8 +106,8 @@ class Senses:
         """
         out = np.empty(self._count)
         simulation = self._simulation
-        if self._missing:
-            out[self._missing] = 0.0
+        if self.missing:
+            out[self.missing] = 0.0
         if self.joint_numbers:
             out[self.joint_rows] = (
                 simulation.joint_readings(self.joint_numbers).take(self.joint_columns) * self.joint_scale

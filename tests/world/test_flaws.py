@@ -239,6 +239,20 @@ def test_a_restored_world_errs_as_the_first_would(before: int) -> None:
     assert run(again, 12) == run(place, 12)
 
 
+def test_a_sensor_of_what_is_lost_reads_nothing_and_no_noise() -> None:
+    place = Place()
+    place.spawn(arm({"noise": 1.0, "delay": 2}, FLAWS))
+    run(place, 5)
+    assert 0 not in place.sense()
+    place("remove_joint", joint_name="me.hip")
+    place("step")
+    lost, kept = place.sense()
+    assert lost == 0 != kept
+    place("drive", creature="me", controls=[1])
+    place("step", ticks=3)
+    assert place.sense()[0] == 0 and place.world.fault is None
+
+
 FORGED: dict[str, Callable[[Document], object]] = {
     "an age beyond all": lambda creature: creature["disturbance"].update(age=10**30),
     "more ticks than a delay holds back": lambda creature: creature["disturbance"].update(
