@@ -96,7 +96,7 @@ def test_what_moves_comes_and_goes_is_seen_at_once() -> None:
     assert place.sense("me")[3] == pytest.approx(7, abs=0.01)
     place.spawn("newcomer", 0.0, 3.0)
     assert place.sense("me")[3] == pytest.approx(3)
-    place("despawn_cube", cube_name="newcomer.tail")  # which leaves a cube, and no creature
+    place("despawn_cube", cube_name="newcomer.root")  # which leaves a cube, and no creature
     assert place.sense("me")[3] == pytest.approx(7, abs=0.01)
     place("reset")
     place.spawn("me", 0.0)
