@@ -162,7 +162,9 @@ class MatchTask(Setting):
             (name, channel.get("size", 1)) for name, channel in sorted(self._config.get("channels", {}).items())
         )
         senses = (*(OF_OTHERS if len(self.roles) > 1 else ()), *self.senses)
-        return Requirements(self.roles[role].limits, planar, partial(self._unsuited, role), senses, channels)
+        return Requirements(
+            self.roles[role].limits, planar, partial(self._unsuited, role), senses, channels, self.shapes
+        )
 
     def _unsuited(self, role: str, body: Body) -> list[str]:
         """Returns the reasons why a body within the limits may not play a role."""

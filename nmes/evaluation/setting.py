@@ -13,6 +13,7 @@ from hashlib import blake2b
 from typing import Any, Final
 
 from nmes.backend import load_backend
+from nmes.backend.shapes import Shape
 from nmes.errors import DocumentError, NmesError
 from nmes.genome.limits import Limits
 from nmes.genome.sensors import NEEDED
@@ -150,6 +151,12 @@ class Setting:
         """The types of sensors of use here, besides those that are of use everywhere, that the engine has."""
         able = load_backend(self._config["backend"]).capabilities
         return tuple(kind for kind in self.document.get("senses", ()) if kind not in NEEDED or NEEDED[kind][0] in able)
+
+    @property
+    def shapes(self) -> tuple[Shape, ...]:
+        """The shapes that parts of bodies may come to have here, besides boxes, that the engine has."""
+        able = load_backend(self._config["backend"]).capabilities
+        return tuple(shape for shape in self.document.get("shapes", ()) if f"shape.{shape}" in able)
 
     def standing(self, prop: JsonObject, seed: int) -> JsonObject:
         """Returns the command that puts a prop with a `position` into the world, upon its foot, as a seed draws it."""

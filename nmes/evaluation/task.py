@@ -257,7 +257,7 @@ class Task(Setting):
     def requirements(self) -> Requirements:
         """What a body must be like to take part, for whoever varies genomes."""
         planar = load_backend(self._config["backend"]).dims == 2
-        return Requirements(self.limits, planar, self._unsuited, self.senses)
+        return Requirements(self.limits, planar, self._unsuited, self.senses, shapes=self.shapes)
 
     def _unsuited(self, body: Body) -> list[str]:
         """Returns the reasons why a body within the limits may not take part."""

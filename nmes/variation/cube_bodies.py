@@ -7,7 +7,7 @@ stood, but may overlap, or may not meet the requirements: whoever mutates looks 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import pi
 from typing import Final
@@ -16,12 +16,14 @@ import numpy as np
 
 from nmes.backend import Array, Quaternion
 from nmes.backend.rotation import conjugate, multiply, quaternion_from_euler, rotate
+from nmes.backend.shapes import Shape, volume
 from nmes.genome.body import Body, BodyCube, BodyJoint, corners, read_cube
 from nmes.schemas.documents import JsonObject
 from nmes.variation.draw import Draw
 from nmes.variation.joints import CHANGES_OF_JOINTS, JointChange, draw_joint
+from nmes.variation.shapes import fit
 
-__all__ = ["CHANGES", "graft"]
+__all__ = ["CHANGES", "graft", "stand"]
 
 _Change = Callable[[JsonObject, Body, Draw, bool], bool]
 
@@ -94,7 +96,7 @@ def _fresh(body: JsonObject, name: str) -> str:
     return free
 
 
-def _stand(body: JsonObject, before: Body) -> None:
+def stand(body: JsonObject, before: Body) -> None:
     """Lifts or lowers a whole body to where its lowest point was."""
     lowest = min(float(corners(read_cube(cube))[:, 1].min()) for cube in body["cubes"])
     by = np.array([0.0, before.bounds[0][1] - lowest, 0.0])
@@ -141,7 +143,7 @@ def _add_part(body: JsonObject, before: Body, draw: Draw, planar: bool) -> bool:
     joint |= draw_joint(draw, before.mass, float(size.max()), planar)
     body["cubes"].append(cube)
     body["joints"].append(joint)
-    _stand(body, before)
+    stand(body, before)
     return True
 
 
@@ -152,7 +154,7 @@ def _remove_part(body: JsonObject, before: Body, draw: Draw, planar: bool) -> bo
         return False
     gone = draw.one_of(limbs, [1.0 / len(limb.cubes) for limb in limbs]).cubes
     _cut(body, gone)
-    _stand(body, before)
+    stand(body, before)
     return True
 
 
@@ -170,6 +172,8 @@ def _resize_part(body: JsonObject, before: Body, draw: Draw, planar: bool) -> bo
     pivot = np.array(chosen.position if hung is None else hung.joint.anchor)
     whole, alike = draw.factor(0.25), draw.chance(0.4)
     wanted = [_edge(edge * (whole if alike else draw.factor(0.25))) for edge in chosen.size]
+    if chosen.shape != "box":
+        wanted = fit(chosen.shape, wanted)
     factors = np.array(wanted) / chosen.size
 
     def scaled(point: Iterable[float]) -> Array:
@@ -177,15 +181,20 @@ def _resize_part(body: JsonObject, before: Body, draw: Draw, planar: bool) -> bo
         return pivot + _turned(chosen.quaternion, local * factors)
 
     cube = _find(body, "cubes", chosen.id)
-    cube |= {"size": wanted, "mass": _mass(chosen.mass * float(factors.prod()))}
+    larger = float(factors.prod()) if chosen.shape == "box" else _volume(chosen.shape, wanted) / chosen.volume
+    cube |= {"size": wanted, "mass": _mass(chosen.mass * larger)}
     cube["position"] = _place(scaled(chosen.position))
     for limb in limbs:
         if limb.parent.id == chosen.id:
             anchor = scaled(limb.joint.anchor)
             _shift(body, limb.cubes, anchor - limb.joint.anchor)
             _find(body, "joints", limb.joint.id)["anchor"] = _place(anchor)
-    _stand(body, before)
+    stand(body, before)
     return True
+
+
+def _volume(shape: Shape, size: Sequence[float]) -> float:
+    return volume(shape, (size[0], size[1], size[2]))
 
 
 def _move_part(body: JsonObject, before: Body, draw: Draw, planar: bool) -> bool:
@@ -204,7 +213,7 @@ def _move_part(body: JsonObject, before: Body, draw: Draw, planar: bool) -> bool
     else:
         angles = [0.0, 0.0, draw.normal(0.3)] if planar else [draw.normal(0.3) for _ in range(3)]
         _turn(body, before, limb, quaternion_from_euler(*angles))
-    _stand(body, before)
+    stand(body, before)
     return True
 
 
@@ -276,7 +285,7 @@ def _symmetry(body: JsonObject, before: Body, draw: Draw, planar: bool) -> bool:
             # A hinge's axis is that of a turn, which a mirror turns round: then both sides move as mirror images.
             _aim(entry, joint, opposite if joint.kind == "hinge" else mirrored)
             body["joints"].append({**entry, **ends, "anchor": anchor})
-    _stand(body, before)
+    stand(body, before)
     return True
 
 
@@ -325,7 +334,7 @@ def graft(body: JsonObject, before: Body, donor: JsonObject, donor_body: Body, d
         entry = {**_find(donor, "joints", joint.id), "id": taken[joint.id], "anchor": moved(joint.anchor)}
         _aim(entry, joint, lambda axis: _turned(turn, axis))
         body["joints"].append({**entry, "cube1": cubes[joint.cube1], "cube2": cubes[joint.cube2]})
-    _stand(body, before)
+    stand(body, before)
     return taken
 
 

@@ -15,6 +15,7 @@ from nmes.genome.body import PALETTE, Body
 from nmes.schemas.documents import JsonObject
 from nmes.variation.draw import Draw
 from nmes.variation.joints import CHANGES_OF_JOINTS, JointChange, draw_joint
+from nmes.variation.shapes import fit
 
 __all__ = ["CHANGES", "graft", "prune"]
 
@@ -115,6 +116,8 @@ def _resize_part(graph: JsonObject, body: Body, draw: Draw, planar: bool) -> boo
         return True
     whole = draw.factor(0.25)
     part["size"] = [_edge(edge * (whole if draw.chance(0.5) else draw.factor(0.25))) for edge in _edges(part)]
+    if "shape" in part:
+        part["size"] = fit(part["shape"], part["size"])
     return True
 
 

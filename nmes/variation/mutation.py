@@ -21,6 +21,7 @@ from nmes.variation.draw import Draw
 from nmes.variation.offspring import offspring, written_sensors
 from nmes.variation.requirements import ANY, Requirements
 from nmes.variation.sensor_changes import POINTED, draw_details, point_anew
+from nmes.variation.shapes import change_shape
 
 __all__ = ["KINDS", "Mutant", "mutate"]
 
@@ -40,6 +41,7 @@ KINDS: Final[Mapping[str, float]] = {
     "oscillators": 4.0,
     "topology": 1.0,
     "voices": 0.4,
+    "shape": 0.8,
 }
 """The kinds of mutation, each with how often it is drawn where it can be, relative to the others."""
 _CUBE_SENSORS: Final = tuple(kind for kind in OF_CUBE if kind not in (*OF_OTHERS, *OF_FOOD, *SURROUNDED, "hear"))
@@ -82,7 +84,9 @@ def mutate(genome: Genome, draw: Draw, *, kind: str | None = None, requirements:
     if "brain" in genome.document:
         genome.brain()
     reason = "there is nothing of that kind to change"
-    kinds = {name: weight for name, weight in KINDS.items() if name != "voices" or requirements.channels}
+    # Only where they may change anything: they draw nothing elsewhere.
+    use = {"voices": bool(requirements.channels), "shape": bool(requirements.shapes)}
+    kinds = {name: weight for name, weight in KINDS.items() if use.get(name, True)}
     given, fruitless = genome.document, 0
     for _ in range(_TRIES):
         chosen = draw.one_of(tuple(kinds), tuple(kinds.values())) if kind is None else kind
@@ -114,6 +118,8 @@ def _change(document: JsonObject, body: Body, kind: str, draw: Draw, requirement
         return _change_sensors(document, body, draw, requirements)
     if kind == "voices":
         return _change_voices(document, draw, requirements)
+    if kind == "shape":
+        return _change_shape(document["body"], body, draw, requirements)
     graph = document["body"].get("graph")
     if graph is not None:
         graph.setdefault("connections", [])
@@ -146,6 +152,15 @@ def _change_sensors(document: JsonObject, body: Body, draw: Draw, requirements: 
         elif sensor["type"] in requirements.senses:
             sensor |= draw_details(sensor["type"], sensor["cube"], sensors, draw, planar=requirements.planar)
         sensors.append(sensor)
+    return True
+
+
+def _change_shape(document: JsonObject, body: Body, draw: Draw, requirements: Requirements) -> bool:
+    """Gives a part another of the shapes that there are."""
+    if not requirements.shapes or not change_shape(document, draw, requirements.shapes):
+        return False
+    if "graph" not in document:
+        cube_bodies.stand(document, body)
     return True
 
 

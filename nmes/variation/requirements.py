@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
+from nmes.backend.shapes import Shape
 from nmes.genome.body import Body
 from nmes.genome.limits import Limits
 
@@ -26,6 +27,7 @@ class Requirements:
         further: Returns what else is wrong with a body, in words.
         senses: Types of sensors of cubes that are of use where it will live, besides those that are everywhere.
         channels: The channels on which it may come to speak and hear, each with how many numbers it has.
+        shapes: What its parts may come to be besides boxes.
     """
 
     limits: Limits = field(default_factory=Limits)
@@ -33,6 +35,7 @@ class Requirements:
     further: Callable[[Body], Sequence[str]] = _none
     senses: tuple[str, ...] = ()
     channels: tuple[tuple[str, int], ...] = ()
+    shapes: tuple[Shape, ...] = ()
 
     def check(self, body: Body) -> list[str]:
         """Returns the reasons why a body does not meet them, in words; none if it does."""

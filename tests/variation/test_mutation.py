@@ -33,6 +33,7 @@ NEVER = {
     "weights": "there is nothing of that kind to change",  # of oscillators
     "oscillators": "there is nothing of that kind to change",  # of networks
     "voices": "there is nothing of that kind to change",  # where there are no channels
+    "shape": "there is nothing of that kind to change",  # where tasks name no shapes
 }
 
 
@@ -60,7 +61,7 @@ def lines_of_descent(kind: str, task: Task) -> Iterator[tuple[Genome, Genome]]:
                 parent = mutant.genome
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "voices"])
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("voices", "shape")])
 @pytest.mark.parametrize("mutants", [SHORT, pytest.param(LONG, marks=[pytest.mark.long, pytest.mark.timeout(20_000)])])
 def test_mutants_are_good_genomes_that_may_take_part(kind: str, mutants: int) -> None:
     task = Task.load("walk")
@@ -283,3 +284,29 @@ def test_mutants_and_children_are_the_same_in_fresh_processes() -> None:
     assert len(seen) == 1
     # Runs of evolution are asked again by those who verify them: what a seed gives must never change.
     assert seen.pop().split()[0] == b"5cbb39a57c5258b95236115077c4f119c14dadcb16bca60578838846421b4e72"
+
+
+@pytest.mark.parametrize("name", ["walker", "centipede", "tumbler"])
+def test_shapes_come_where_a_task_names_them_and_stay_sound_when_parts_change(name: str) -> None:
+    requirements = Requirements(shapes=("capsule", "cylinder", "sphere"))
+    seen: Counter[str] = Counter()
+    for number in range(3):
+        child = Genome.load(name)
+        for step, kind in enumerate(("shape", "resize-part", "shape", "resize-part", "resize-part", "shape")):
+            before = child
+            child = mutate(child, Draw(5, kind, 10 * number + step), kind=kind, requirements=requirements).genome
+            if kind == "shape":
+                old = {cube.id: cube.shape for cube in before.body.cubes}
+                assert any(old[cube.id] != cube.shape for cube in child.body.cubes)
+                assert child.body.mass < 3 * before.body.mass
+        seen.update(cube.shape for cube in child.body.cubes)
+    assert set(seen) > {"box"}
+
+
+def test_swimmers_may_become_round_and_walkers_may_not() -> None:
+    swim, walk = Task.load("swim").requirements, Task.load("walk").requirements
+    assert set(swim.shapes) == {"sphere", "capsule", "cylinder"} and not walk.shapes
+    parent = Genome.load("walker")
+    kinds = Counter(mutate(parent, Draw(6, number), requirements=swim).kind for number in range(60))
+    assert kinds["shape"] > 0
+    assert not any(mutate(parent, Draw(6, number), requirements=walk).kind == "shape" for number in range(60))
