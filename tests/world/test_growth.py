@@ -18,7 +18,7 @@ from nmes.recording import Recorder
 from nmes.world.snapshot import pack, unpack
 
 Json = dict[str, Any]
-FLOAT = {"gravity": [0, 0, 0]}
+FLOAT: dict[str, Any] = {"gravity": [0, 0, 0]}
 
 
 def young(*later: str, **changes: Any) -> Json:
