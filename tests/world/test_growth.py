@@ -110,6 +110,10 @@ def test_what_cannot_grow_changes_nothing(part: str, code: str) -> None:
 def test_there_must_be_room_in_the_world_and_above_the_ground() -> None:
     place = Place(young("c3"), limits={"cubes": 3, "joints": 3}, **FLOAT)
     assert place.grow("c3")["code"] == "limit_reached"
+    few = Place(young("c3"), limits={"cubes": 9, "joints": 2}, **FLOAT)
+    before = few.world.digest()
+    assert few.grow("c3")["code"] == "limit_reached"
+    assert few.world.digest() == before and len(few.world.cubes()) == 3, "a part without its joint is none"
     deep = Place(young("c3"), **FLOAT)
     deep("set_cube_state", cube_name="s.c0", position=[0, 1, 0], rotation=[0, 0, -1.5])
     deep("set_cube_state", cube_name="s.c0", position=[0, 0.9, 0])

@@ -124,7 +124,13 @@ def check_answer(command: Reply, reply: Reply, code: str | None = None) -> None:
 EXAMPLES = [sent for command in protocol.COMMANDS.values() for sent in command.schema["examples"]]
 FIRST = {kind: command.schema["examples"][0] for kind, command in protocol.COMMANDS.items()}
 NAMED = sorted({sent[field] for sent in EXAMPLES for field in ("cube", "cube1", "cube2") if field in sent})
-REFUSED = {"spawn_cube": "cube_exists", "spawn_creature": "creature_exists", "give": "unsupported"}
+REFUSED = {
+    "spawn_cube": "cube_exists",
+    "spawn_creature": "creature_exists",
+    "give": "unsupported",
+    "grow": "invalid",
+    "adopt": "invalid",
+}
 """Commands that cannot be executed where what their examples name is there, or nobody's, and the refusal's code."""
 
 
