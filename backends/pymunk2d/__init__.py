@@ -4,7 +4,7 @@ It hides how NMES's joints are put together from Chipmunk's constraints, and wha
 motor along a line, joints between frozen bodies, faults instead of infinities. Motion along z and rotation about x
 and y do not exist: they are 0 in every answer and ignored in every argument.
 
-`joints` puts joints together, `scenery` makes what stands still, `simulation` runs the space.
+`joints` puts joints together, `scenery` makes what stands still, `fluid` is the medium, `simulation` runs the space.
 """
 
 from __future__ import annotations

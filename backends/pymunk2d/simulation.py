@@ -28,14 +28,13 @@ from nmes.backend import (
     JointParams,
     JointSpec,
     JointState,
-    Medium,
     Quaternion,
     SceneSpec,
     Simulation,
     Vector,
 )
-from nmes.backend.medium import Immersion
 from nmes.backend.shapes import axis, moments
+from nmes.backends.pymunk2d.fluid import Fluid
 from nmes.backends.pymunk2d.joints import Body, Joint, MotorWork
 from nmes.backends.pymunk2d.scenery import add_scenery
 from nmes.errors import SimulationFault, WorldError
@@ -63,8 +62,7 @@ class PymunkSimulation(Simulation):
         space.gravity = scene.gravity[:2]
         space.collision_slop = OVERLAP
         space.idle_speed_threshold, space.sleep_time_threshold = SLEEP_SPEED, SLEEP_TIME
-        self._passes, self._medium, self._gravity = scene.passes, scene.medium, scene.gravity
-        self._immersion: Immersion | None = None  # None: the bodies are to be looked up
+        self._passes, self._fluid = scene.passes, Fluid(scene)
         self._bodies: dict[int, Body] = {}
         self._joints: dict[int, Joint] = {}
         self._numbers: dict[pymunk.Shape, int] = {}
@@ -100,7 +98,8 @@ class PymunkSimulation(Simulation):
         self._space.add(b, shape)
         self._bodies[body] = self._placed[body] = Body(body, spec, b, shape, spec.frozen)
         self._numbers[shape] = body
-        self._ranks = self._rows = self._motors = self._packed_specs = self._immersion = None
+        self._ranks = self._rows = self._motors = self._packed_specs = None
+        self._fluid.forget()
 
     def remove_body(self, body: int) -> None:
         """Removes a body; Chipmunk wakes what touched it."""
@@ -109,7 +108,8 @@ class PymunkSimulation(Simulation):
         self._pushed.pop(body, None)
         del self._numbers[b.shape]
         self._space.remove(b.shape, b.body)
-        self._ranks = self._rows = self._motors = self._packed_specs = self._immersion = None
+        self._ranks = self._rows = self._motors = self._packed_specs = None
+        self._fluid.forget()
 
     def add_joint(self, joint: int, spec: JointSpec) -> None:
         """Joins two bodies.
@@ -298,8 +298,8 @@ class PymunkSimulation(Simulation):
         for _ in range(substeps):
             for b in self._pushed.values():
                 b.body.force, b.body.torque = b.force, b.torque
-            if self._medium is not None:
-                self._immerse(self._medium)
+            if self._fluid.acts:
+                self._fluid.act(self._bodies, self.states(list(self._bodies)))
             if self._kept_spin != 1.0:
                 self._damp_spins()
             self._space.step(self._timestep)
@@ -316,18 +316,6 @@ class PymunkSimulation(Simulation):
         self._elapsed = substeps * self._timestep
         for b in list(self._pushed.values()):
             self._clear_wrench(b)
-
-    def _immerse(self, medium: Medium) -> None:
-        """Adds the forces of the medium to those that act in the next engine step."""
-        if self._immersion is None:
-            specs = [b.spec for b in self._bodies.values()]
-            shapes, sizes = [spec.shape for spec in specs], [spec.size for spec in specs]
-            masses = np.array([spec.mass for spec in specs])
-            self._immersion = Immersion(medium, self._gravity, self._timestep, shapes, sizes, masses)
-        wrenches = self._immersion.wrenches(self.states(list(self._bodies)))
-        for b, (x, y, _, _, _, turn) in zip(self._bodies.values(), wrenches.T.tolist(), strict=True):
-            if not b.frozen and not b.body.is_sleeping and (x or y or turn):
-                b.body.force, b.body.torque = (b.force[0] + x, b.force[1] + y), b.torque + turn
 
     def _damp_spins(self) -> None:
         """Scales angular velocities by what Chipmunk, which damps all alike, takes too little or too much of them."""
