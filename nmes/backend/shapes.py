@@ -7,7 +7,7 @@ third one; where all three of a cylinder are equal it lies along y. Lengths are 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import cbrt, pi, sqrt
+from math import pi, sqrt
 from typing import Final, Literal, TypeAlias
 
 __all__ = ["ROUND", "SHAPES", "Shape", "axis", "fitted", "lying", "misfit", "moments", "reach", "volume"]
@@ -106,9 +106,9 @@ def fitted(shape: Shape, size: Vector) -> Vector:
     """Returns the size that a shape may have which is nearest to one that it may not have, of about its volume."""
     if misfit(shape, size) is None:
         return size
-    if shape == "sphere":
-        return (cbrt(size[0] * size[1] * size[2]),) * 3
     low, middle, high = sorted(range(3), key=lambda i: size[i])
+    if shape == "sphere":  # by roots that every machine computes alike
+        return (sqrt(sqrt(size[low] * size[high]) * size[middle]),) * 3
     # A cylinder may be flat: it lies along the edge that differs most from the other two.
     flat = shape == "cylinder" and size[middle] * size[middle] > size[low] * size[high]
     lies = low if flat else high
