@@ -6,6 +6,7 @@ The docstrings of the methods are written by `make format` from the schemas (too
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 from nmes.client.declaration import Array, Vector, command
 from nmes.client.replies import (
@@ -35,6 +36,7 @@ class CubeCommands:
         position: Vector | None = None,
         rotation: Vector | None = None,
         size: float | Vector | None = None,
+        shape: Literal["box", "sphere", "capsule", "cylinder"] | None = None,
         mass: float | None = None,
         friction: float | None = None,
         restitution: float | None = None,
@@ -56,6 +58,9 @@ class CubeCommands:
                 be normalised but not all of it may be nearer to 0 than 0.000001. Each number is from -1,000 to 1,000.
                 Default: [0, 0, 0].
             size: The edge of a cube, or the 3 edges of a box (x, y, z), in m, from 0.001 to 1,000. Default: 1.
+            shape: What fills the box that `size` says: all of it (box), or a sphere, which has three equal edges, or a
+                capsule or a cylinder, which has two and lies along the third (along y where all three are equal; a
+                capsule is longer than it is wide). Default: 'box'.
             mass: Mass in kg, from 0.000001 to 1,000,000,000. Default: 1.
             friction: Coefficient of sliding friction, from 0 to 10; the world's (config) if left out.
             restitution: Coefficient of restitution, from 0 to 1; the world's (config) if left out.

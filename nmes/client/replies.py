@@ -266,6 +266,7 @@ class Touch(TypedDict):
 class CubeInfo(CubeMotion):
     type: Literal["cube_info"]
     size: list[float]
+    shape: NotRequired[Literal["box", "sphere", "capsule", "cylinder"]]
     mass: float
     friction: float
     restitution: float
