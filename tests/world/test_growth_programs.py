@@ -60,7 +60,7 @@ def run(seed: int, backend: str, recording: Path | None = None) -> set[str]:
         before = world.digest()
         reply = world.execute(client, command)
         protocol.validate_reply(reply)
-        replies.add(reply.get("code", reply["type"]))
+        replies.add(str(reply.get("code", reply["type"])))
         assert reply["type"] != "error" or world.digest() == before, (seed, command, reply)
         step = {"type": "step", "ticks": draw.randrange(1, 4)}
         world.execute(client, step)
