@@ -143,6 +143,11 @@ class Player:
             return self._error(reply, "cube_exists")
         if name in self._used and reply["type"] == "error":  # a server need not accept a name again
             return self._error(reply, "cube_exists")
+        shape = command.get("shape", "box")
+        wrong = [] if shape == "box" or self._trial.probe.claims(f"shape.{shape}") else ["unsupported"]
+        wrong += [] if _fits(shape, command.get("size", 1.0)) else ["invalid"]
+        if wrong:
+            return self._error(reply, *wrong)
         self._ok(command, reply)
         spawned = str(reply["spawned"])
         self._trial.adopt(spawned)
@@ -290,3 +295,13 @@ def load_script(text: bytes) -> Script:
     except (RejectedMessage, jsonschema_rs.ValidationError) as error:
         raise DocumentError([("", f"no case of nmes conform: {str(error).splitlines()[0]}")]) from error
     return list(case["script"])
+
+
+def _fits(shape: str, size: Any) -> bool:
+    """Whether a shape can fill a box of this size."""
+    edges = sorted(size) if isinstance(size, list) else [size] * 3
+    if shape == "sphere":
+        return bool(edges[0] == edges[2])
+    if shape == "capsule":
+        return bool(edges[0] == edges[1] < edges[2])
+    return shape == "box" or edges[1] in (edges[0], edges[2])
