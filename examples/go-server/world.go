@@ -169,6 +169,7 @@ func init() {
 			{"position", false, vector(1e6)},
 			{"rotation", false, rotation},
 			{"size", false, size},
+			{"shape", false, oneOf("box", "sphere", "capsule", "cylinder")},
 			{"mass", false, between(1e-6, 1e9)},
 			{"friction", false, between(0, 10)},
 			{"restitution", false, between(0, 1)},
@@ -281,6 +282,9 @@ func (w *World) spawnCube(c *client, given map[string]any) (reply, *failure) {
 		if w.used[called] {
 			return nil, &failure{"cube_exists", "a cube has, or had, that name", "cube_name"}
 		}
+	}
+	if shape, said := given["shape"].(string); said && shape != "box" {
+		return nil, &failure{"unsupported", "all cubes of this server are boxes", "shape"}
 	}
 	for !isNamed || w.used[called] {
 		w.cubeCount++
