@@ -80,9 +80,8 @@ def _rated(entries: Sequence[Entry]) -> list[Rated]:
     ratings = rate(len(names), matches)
     found = []
     for creature, number in numbers.items():
-        own = [(places[who.index(number)], places) for who, places in matches if number in who]
-        wins = sum(place == 0 and places.count(0) == 1 for place, places in own)
-        draws = sum(place == 0 and places.count(0) > 1 for place, places in own)
+        own = [(places[who.index(number)], places.count(0)) for who, places in matches if number in who]
+        wins, draws = own.count((0, 1)), len([1 for place, first in own if place == 0 and first > 1])
         about = entries[0].task, entries[0].task_hash, names[creature], creature
         found.append(Rated(*about, ratings[number], len(own), wins, draws))
     return sorted(found, key=lambda each: (-each.rating.sure, each.name, each.creature_hash))

@@ -296,7 +296,7 @@ def test_a_sheet_has_room_for_long_and_strange_names() -> None:
 def test_the_examples_of_the_page_work() -> None:
     page = (ROOT / "docs" / "genomes.md").read_text()
     examples = re.findall(r"^```json\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
-    whole, sensors, seen, flawed, talk, config, body = examples
+    whole, sensors, seen, flawed, talk, config, young, body = examples
     hopper = Genome.parse(whole.encode())
     assert [motor.id for motor in hopper.body.motors] == list(hopper.brain().outputs) == ["leg"]
     head = {"format": "nmes-genome/1", "name": "grown"}
@@ -310,6 +310,16 @@ def test_the_examples_of_the_page_work() -> None:
     watcher = Genome({**hopper.document, **json.loads(f"{{{seen}}}")}).body.sensors
     assert (watcher[0].id, watcher[-2].id, watcher[-1].id) == ("torso.camera.1.1.r", "torso.camera.4.8.b", "below")
     assert Genome({**hopper.document, **json.loads(f"{{{flawed}}}")}).body.sensors[0].flaws == Flaws(0.02, 2, 0.01)
+    later = json.loads(f"{{{young}}}")["later"]
+    cubes = [
+        {"id": name, "size": 0.2, "mass": 1, "position": [0, 0.1, z]}
+        for name, z in zip(["trunk", *later], (0, 1, -1), strict=True)
+    ]
+    joints = [
+        {"id": f"to.{name}", "type": "fixed", "cube1": "trunk", "cube2": name, "anchor": [0, 0.1, 0]} for name in later
+    ]
+    fledgling = Genome({**head, "body": {"cubes": cubes, "joints": joints}, "later": later}).body
+    assert [cube.id for cube in fledgling.cubes] == ["trunk", *later] and set(fledgling.later) == {*later}
     talker = Genome({**hopper.document, **json.loads(f"{{{talk}}}")}).body
     assert [voice.id for voice in talker.voices] == ["say.alarm", "east", "say.map.2"] and len(talker.sensors) == 2
     assert {voice.channel for voice in talker.voices} == World(json.loads(config)).channels.channels.keys()
