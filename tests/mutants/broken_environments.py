@@ -304,7 +304,7 @@ class TheThread(Good):
         return super().reward() + (threading.current_thread() is threading.main_thread())
 
 
-@fault(r"episode 1, step \d+: observation\[1\]")
+@fault(r"episode 1, (reset|step \d+): observation\[1\]")
 class TheLastBit(Good):
     def observe(self) -> Any:
         state = self.state.copy()
