@@ -21,6 +21,7 @@ from nmes.backend import Array, Quaternion, Vector
 from nmes.backend.rotation import normalize, quaternion_from_euler, rotate, total
 from nmes.backend.shapes import Shape, misfit, volume
 from nmes.errors import DocumentError
+from nmes.genome.development import Rule, read_rules
 from nmes.genome.sensor_entries import MOST_RAYS, count_rays, read_sensor
 from nmes.genome.sensors import Flaws, Sensor
 from nmes.schemas.documents import did_you_mean, fits, nor_at
@@ -128,7 +129,8 @@ class Voice:
 class Body:
     """A whole body: cubes, joints, sensors and voices, in the order that the module promises.
 
-    `later` are the ids of the cubes that are not there at birth, and may grow.
+    `later` are the ids of the cubes that are not there at birth, and may grow; `development` are the rules by which it
+    changes.
     """
 
     cubes: tuple[BodyCube, ...]
@@ -136,6 +138,7 @@ class Body:
     sensors: tuple[Sensor, ...]
     voices: tuple[Voice, ...] = ()
     later: tuple[str, ...] = ()
+    development: tuple[Rule, ...] = ()
 
     @property
     def motors(self) -> tuple[Motor, ...]:
@@ -187,6 +190,7 @@ def read_body(
     place: str | None = None,
     absent: Collection[str] = (),
     later: Sequence[str] = (),
+    development: Sequence[JsonObject] = (),
 ) -> tuple[list[tuple[str, str]], Body]:
     """Reads the `body`, `sensors` and `voices` of a document, of which the schema has accepted at least what is given.
 
@@ -198,6 +202,7 @@ def read_body(
         absent: The ids of cubes and joints that were left out, `*` for one whose id is not known: what may be due to
             that is no problem.
         later: As in the document.
+        development: As in the document.
 
     Returns:
         Everything that is wrong, each with its place; and the body, which is good only where that is nothing.
@@ -209,7 +214,10 @@ def read_body(
     read = reader.read(body, sensors, voices)
     if later and not absent:
         reader.later(read, later)
-    return reader.problems, replace(read, later=tuple(later))
+    rules: tuple[Rule, ...] = ()
+    if development and not absent:
+        rules = reader.development(read, development)
+    return reader.problems, replace(read, later=tuple(later), development=rules)
 
 
 class _Reader:
@@ -280,6 +288,13 @@ class _Reader:
             for i, cube in enumerate(body.cubes):
                 if cube.id not in hanging and cube.id not in names:
                     self.note(f"body/cubes/{i}", f"{cube.id!r} is there at birth, and what it hangs on is later")
+
+    def development(self, body: Body, entries: Sequence[JsonObject]) -> tuple[Rule, ...]:
+        """Reads the rules of development, and notes what is wrong with them."""
+        problems, rules = read_rules(entries, body)
+        for problem in problems:
+            self.note(*problem)
+        return rules
 
     def voices(self, entries: Sequence[JsonObject], joints: Sequence[BodyJoint]) -> tuple[Voice, ...]:
         """Reads the voices, and notes those that are there twice, or called like a joint, which may have a motor."""

@@ -68,11 +68,11 @@ def _body_of(document: JsonObject) -> Inspection:
         DocumentError: It cannot be read.
     """
     body, sensors, voices = document["body"], document.get("sensors"), document.get("voices", [])
-    later = document.get("later", [])
+    later, development = document.get("later", []), document.get("development", [])
     if ("cubes" in body) == ("graph" in body) or ("graph" in body and "joints" in body):
         raise DocumentError([("body", "must have either cubes (and joints between them) or a graph")])
     if "graph" not in body:
-        return Inspection(*_read_body(write_json([body, sensors, voices, None, later])))
+        return Inspection(*_read_body(write_json([body, sensors, voices, None, later, development])))
     grown = morphology.grow(body["graph"])
     # Scales may have taken a size or a mass out of its bounds.
     outgrown = [
@@ -81,7 +81,7 @@ def _body_of(document: JsonObject) -> Inspection:
     ]
     if outgrown:
         raise DocumentError(outgrown)
-    return Inspection(*_read_body(write_json([grown, sensors, voices, "body/graph", later])))
+    return Inspection(*_read_body(write_json([grown, sensors, voices, "body/graph", later, development])))
 
 
 def _remaining(document: Any, unsound: Sequence[Problem]) -> Inspection:
@@ -183,8 +183,8 @@ def _read_body(text: bytes) -> tuple[list[tuple[str, str]], Body]:
     Raises:
         DocumentError: As `read_body`.
     """
-    body, sensors, voices, place, later = orjson.loads(text)
-    return read_body(body, sensors, voices, place, later=later)
+    body, sensors, voices, place, later, development = orjson.loads(text)
+    return read_body(body, sensors, voices, place, later=later, development=development)
 
 
 def _quantity(body: JsonObject, path: str) -> str:

@@ -16,7 +16,7 @@ import difflib
 import math
 import operator
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, Literal, NoReturn
 
@@ -122,6 +122,7 @@ _OPERATORS: Final[dict[str, Callable[..., Any]]] = {
 LENGTH: Final = 2000  # characters
 WORDS: Final = 500
 _NESTING: Final = 30
+_LISTED: Final = 60  # names that a message lists
 
 _Kind = Literal["number", "truth"]
 _KIND = {"number": "a number", "truth": "true or false"}
@@ -162,6 +163,7 @@ class _Expression:
         path: str = "expression",
         *,
         names: Mapping[str, tuple[str, str]] | None = None,
+        parts: Mapping[str, Collection[str]] | None = None,
         cast: Cast | None = None,
     ) -> None:
         """Reads an expression.
@@ -171,6 +173,8 @@ class _Expression:
             path: The field to blame.
             names: What it may name instead of the quantities of a trajectory: each with its meaning and unit. These
                 are what they are once and for all: nothing stands before them, and they are of no cube.
+            parts: Besides `names`, what it may ask of things that have ids, each with those ids: `sense("foot.touch")`.
+                Such a quantity has the id as its `cube`.
             cast: Of a task with roles, one of which stands before each quantity; None elsewhere.
 
         Raises:
@@ -178,7 +182,7 @@ class _Expression:
         """
         self.text = text
         self._path = path
-        reader = _Reader(text, path, names, cast)
+        reader = _Reader(text, path, names, parts or {}, cast)
         self._result = reader.read(self._kind)
         self.needs: tuple[Quantity, ...] = tuple(reader.needs)
         """What it needs to know, in order of first use."""
@@ -268,8 +272,15 @@ class _Reader:
             sides of a choice are computed, and nothing but this order is left of how deep the expression was nested.
     """
 
-    def __init__(self, text: str, path: str, names: Mapping[str, object] | None, cast: Cast | None) -> None:
-        self._text, self._path, self._names, self._cast = text, path, names, cast
+    def __init__(
+        self,
+        text: str,
+        path: str,
+        names: Mapping[str, object] | None,
+        parts: Mapping[str, Collection[str]],
+        cast: Cast | None,
+    ) -> None:
+        self._text, self._path, self._names, self._parts, self._cast = text, path, names, parts, cast
         self.needs: dict[Quantity, int] = {}
         self.slots: list[float | bool] = []
         self.steps: list[tuple[int, Callable[..., Any], tuple[int, ...]]] = []
@@ -450,7 +461,7 @@ class _Reader:
         if token.text in ("true", "false"):
             return _Value("truth", self._slot(self._take().text == "true"))
         following = self._tokens[self._next + 1]
-        plain = token.text != "cube" or self._names is not None
+        plain = token.text != "cube" if self._names is None else token.text not in self._parts
         if plain and following.kind == "mark" and following.text == "(":
             return self._call()
         quantity = self._quantity() if self._names is None else self._other(self._names)
@@ -533,9 +544,25 @@ class _Reader:
     def _other(self, names: Mapping[str, object]) -> Quantity:
         """Reads one of the names that are given instead of a trajectory's."""
         word = self._take()
+        if word.text in self._parts:
+            return self._part(word)
         if word.text not in names:
             self._refuse(word.at, f"there is no quantity {_clip(word.text)!r}{_near(word.text, names)}")
         return Quantity(word.text)
+
+    def _part(self, word: _Token) -> Quantity:
+        """Reads the id in `sense("foot.touch")`, and looks whether there is such a thing."""
+        known = self._parts[word.text]
+        self._expect("(", f"and an id after {word.text}")
+        token = self._token
+        name = token.text[1:-1]
+        if token.kind != "string":
+            self._refuse(token.at, f'expected an id in quotes, as in {word.text}("leg"), found {self._here()}')
+        if name not in known:
+            self._refuse(token.at, f"there is none {_clip(name)!r}{_near(name, known)}")
+        self._take()
+        self._expect(")", "after the id")
+        return Quantity(word.text, name)
 
     def _cube(self) -> str:
         self._take()
@@ -558,6 +585,8 @@ def _clip(name: str) -> str:
     return name if len(name) <= 80 else f"{name[:77]}..."
 
 
-def _near(name: str, known: Mapping[str, object]) -> str:
+def _near(name: str, known: Collection[str]) -> str:
     near = difflib.get_close_matches(name[:80], known, n=1)
-    return f"; did you mean {near[0]}?" if near else f"; there are {', '.join(known)}"
+    there = list(known)[:_LISTED]
+    more = f" and {len(known) - _LISTED} more" if len(known) > _LISTED else ""
+    return f"; did you mean {near[0]}?" if near else f"; there are {', '.join(there)}{more}" if there else ""
