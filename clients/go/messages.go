@@ -269,8 +269,9 @@ type CreatureBornEvent struct {
 	Species int `json:"species"`
 }
 
-// CreatureChangedEvent: A creature has lost or gained parts. Its sensors and controls stay what they were:
-// sensors of lost parts read 0, and motors there do nothing.
+// CreatureChangedEvent: A creature has lost or gained parts, has come to another stage of its development, or
+// was refused a change. Its sensors and controls stay what they were: sensors of lost parts read 0, and motors
+// there do nothing.
 type CreatureChangedEvent struct {
 	// Ticks since the world was created or reset.
 	Frame int `json:"frame"`
@@ -283,6 +284,20 @@ type CreatureChangedEvent struct {
 	LostCubes []string `json:"lost_cubes"`
 	// The ids of all joints that it has no more.
 	LostJoints []string `json:"lost_joints"`
+	// The stage that it is in, if its genome has rules of development.
+	Stage *int `json:"stage,omitempty"`
+	// What rules of its development could not do; absent where nothing was refused. Each is tried again.
+	Refused []CreatureChangedEventRefused `json:"refused,omitempty"`
+}
+
+// CreatureChangedEventRefused: A change.
+type CreatureChangedEventRefused struct {
+	// The number of the rule, from 0.
+	Rule int `json:"rule"`
+	// The id of the cube.
+	Part string `json:"part"`
+	// The code of the error, such as no_room.
+	Code string `json:"code"`
 }
 
 // CreatureDiedEvent: A creature lives no more.

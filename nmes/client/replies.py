@@ -500,6 +500,14 @@ class Census(TypedDict):
     means: CensusMeans
 
 
+class RefusedChange(TypedDict):
+    """What a rule of a creature's development could not do."""
+
+    rule: int
+    part: str
+    code: str
+
+
 class CreatureChanged(TypedDict):
     type: Literal["creature_changed"]
     frame: int
@@ -507,6 +515,8 @@ class CreatureChanged(TypedDict):
     layout: int
     lost_cubes: list[str]
     lost_joints: list[str]
+    stage: NotRequired[int]
+    refused: NotRequired[list[RefusedChange]]
 
 
 class WorldClosed(TypedDict):

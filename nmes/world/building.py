@@ -6,7 +6,7 @@ with it as one rigid body: its joint begins at rest, at position 0, and nothing 
 
 from __future__ import annotations
 
-from collections.abc import Container
+from collections.abc import Container, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,11 +19,21 @@ from nmes.schemas.documents import JsonObject
 from nmes.world.entities import Cube, Entities
 from nmes.world.structure import StructureMotion
 
-__all__ = ["ORIGIN", "cube_command", "grown_part", "hanging_joint", "joint_command", "joint_where"]
+__all__ = [
+    "ORIGIN",
+    "TOUCHING",
+    "cube_command",
+    "grown_part",
+    "hanging_joint",
+    "joint_command",
+    "joint_where",
+    "require_free",
+]
 
 ORIGIN: Vector = (0.0, 0.0, 0.0)
 _AXES = {"hinge": (0.0, 0.0, 1.0), "slide": (1.0, 0.0, 0.0)}  # where the document has none
-_TOUCHING = 1e-4  # m that cubes may overlap by rounding, as in a genome
+TOUCHING = 1e-4
+"""How far cubes may overlap by rounding, as in a genome, m."""
 
 
 def hanging_joint(body: Body, part: str, there: Container[str]) -> BodyJoint | None:
@@ -43,24 +53,21 @@ def grown_part(entities: Entities, part: BodyCube, base: BodyCube, cube: Cube) -
         part: What grows.
         base: What it hangs on, as its document has it.
         cube: The same as it is there now.
-
-    Raises:
-        WorldError: `no_room`: it would be in another cube, or in the ground.
     """
     rest = BodyState(base.position, base.quaternion, ORIGIN, ORIGIN)
     motion = StructureMotion(rest, entities.simulation.body_state(cube.body), turns=True, rigid=True)
     state = motion.moved(BodyState(part.position, part.quaternion, ORIGIN, ORIGIN))
     grown = replace(part, position=state.position, quaternion=state.quaternion)
-    _require_free(entities, grown, cube)
     return grown, {"linear_velocity": list(state.linear_velocity), "angular_velocity": list(state.angular_velocity)}
 
 
-def _require_free(entities: Entities, part: BodyCube, base: Cube) -> None:
-    """Raises `no_room` where a part would be in the ground, or in a cube other than the one that it hangs on."""
+def require_free(entities: Entities, part: BodyCube, spared: Sequence[Cube]) -> None:
+    """Raises `no_room` where a part would be in the ground, or in a cube other than some that are spared."""
     box = StaticBox(part.size, part.position, part.quaternion, part.shape)
     if entities.terrain.outside([box])[0] != box.position:
         raise WorldError("no_room", f"{part.id!r} would be in the ground", "part")
-    others = [other for other in entities.cubes.values() if other is not base]
+    numbers = {cube.body for cube in spared}
+    others = [other for other in entities.cubes.values() if other.body not in numbers]
     states = entities.simulation.states([other.body for other in others])
     sizes = np.array([part.size, *(other.size for other in others)])
     reach = np.sqrt((sizes * sizes).sum(axis=1)) / 2.0
@@ -69,7 +76,7 @@ def _require_free(entities: Entities, part: BodyCube, base: Cube) -> None:
     for row in np.flatnonzero(near).tolist():
         other, (x, y, z, qx, qy, qz, qw) = others[row], states[row, :7].tolist()
         there = replace(part, size=other.size, position=(x, y, z), quaternion=(qx, qy, qz, qw))
-        if overlap(part, there) > _TOUCHING:
+        if overlap(part, there) > TOUCHING:
             raise WorldError("no_room", f"{part.id!r} would be in the cube {other.name!r}", "part")
 
 

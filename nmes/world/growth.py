@@ -8,17 +8,29 @@ from __future__ import annotations
 
 from collections.abc import Container
 from dataclasses import replace
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 from nmes.errors import WorldError
-from nmes.world.building import ORIGIN, cube_command, grown_part, hanging_joint, joint_command, joint_where
+from nmes.genome.body import overlap
+from nmes.world.building import (
+    ORIGIN,
+    TOUCHING,
+    cube_command,
+    grown_part,
+    hanging_joint,
+    joint_command,
+    joint_where,
+    require_free,
+)
+from nmes.world.limbs import beyond
 
 if TYPE_CHECKING:
     from nmes.genome.body import BodyCube, BodyJoint
     from nmes.world.creature import Creature
     from nmes.world.entities import Cube, Entities, Joint
 
-__all__ = ["adopt", "grow"]
+__all__ = ["adopt", "grow", "hold", "may_hang", "regrow"]
 
 _NAME_LENGTH = 128
 
@@ -30,18 +42,66 @@ def grow(entities: Entities, creature: Creature, part: str) -> Cube:
         WorldError: `cube_not_found`: its body has no such part, or what that hangs on is not there; `invalid`: the part
             is there; `no_room`: it would be in another cube, or in the ground; `limit_reached`; `joint_exists`.
     """
-    joint, base, cube = _base(creature, part)
-    shape = next(each for each in creature.body.cubes if each.id == part)
+    return _grow(entities, creature, part, checked=False)
+
+
+def _grow(entities: Entities, creature: Creature, part: str, *, checked: bool) -> Cube:
+    """Grows a part; `checked`: where it comes to be was looked at before."""
+    joint, base, cube = hold(creature, part)
     entities.require_room(cubes=1, joints=1)
     name = _free_name(creature, part, entities.cubes)
     joint_name = _free_name(creature, joint.id, entities.joints)
-    grown, motion = grown_part(entities, shape, base, cube)
+    grown, motion = grown_part(entities, _shape(creature, part), base, cube)
+    if not checked:
+        require_free(entities, grown, [cube])
     entities.require_joinable([(cube, replace(cube, name=name, body=-1, joints={}))], "part")
     new = entities.spawn({**cube_command(grown, creature.name, ORIGIN), "cube_name": name, **motion})
     new.player = cube.player
     made = _join(entities, part, new, (joint, base, cube), joint_name)
     creature.extend({part: new}, {joint.id: made})
     return new
+
+
+def regrow(entities: Entities, creature: Creature, part: str) -> None:
+    """Grows a part that is there anew, with all that hangs on it alone: each where the creature's form has it, at rest.
+
+    Raises:
+        WorldError: `no_room`.
+    """
+    gone = beyond(*creature.there, part)
+    numbers = {cube.body for cube in gone}
+    there = creature.there[0]
+    again = [name for name, cube in there.items() if cube.body in numbers]
+    kept = {name: cube for name, cube in there.items() if name not in again}
+    joint = hanging_joint(creature.form, part, kept)
+    assert joint is not None  # it hangs on the root, and not through itself
+    base = joint.cube2 if joint.cube1 == part else joint.cube1
+    placed: list[BodyCube] = []
+    for name in again:  # all are at rest, and so move with what the first hangs on
+        grown, _ = grown_part(entities, _shape(creature, name), _shape(creature, base), kept[base])
+        require_free(entities, grown, [kept[base], *gone])
+        placed.append(grown)
+    joined = {frozenset((each.cube1, each.cube2)) for each in creature.form.joints}
+    for one, other in combinations(placed, 2):
+        if {one.id, other.id} not in joined and overlap(one, other) > TOUCHING:
+            raise WorldError("no_room", f"{one.id!r} would be in {other.id!r}", "part")
+    for cube in gone:
+        entities.despawn(cube)
+    creature.settle()
+    while again:
+        name = next(each for each in again if may_hang(creature, each))
+        again.remove(name)
+        _grow(entities, creature, name, checked=True)
+
+
+def may_hang(creature: Creature, part: str) -> bool:
+    """Whether what a part hangs on is there."""
+    return hanging_joint(creature.form, part, creature.there[0]) is not None
+
+
+def _shape(creature: Creature, part: str) -> BodyCube:
+    """Returns a part as the creature's form has it."""
+    return next(each for each in creature.form.cubes if each.id == part)
 
 
 def adopt(entities: Entities, creature: Creature, part: str, cube: Cube) -> None:
@@ -52,11 +112,11 @@ def adopt(entities: Entities, creature: Creature, part: str, cube: Cube) -> None
     Raises:
         WorldError: As by `grow`, but for want of room.
     """
-    hold = _base(creature, part)
+    held = hold(creature, part)
     entities.require_room(joints=1)
-    made = _join(entities, part, cube, hold, _free_name(creature, hold[0].id, entities.joints))
+    made = _join(entities, part, cube, held, _free_name(creature, held[0].id, entities.joints))
     cubes, joints = creature.there
-    more_cubes, more_joints = {part: cube}, {hold[0].id: made}
+    more_cubes, more_joints = {part: cube}, {held[0].id: made}
     while (found := _also(entities, creature, {**cubes, **more_cubes}, {**joints, **more_joints})) is not None:
         one, old, ends = found
         more_joints[one.id] = old
@@ -79,7 +139,7 @@ def _also(
     return None
 
 
-def _base(creature: Creature, part: str) -> tuple[BodyJoint, BodyCube, Cube]:
+def hold(creature: Creature, part: str) -> tuple[BodyJoint, BodyCube, Cube]:
     """Returns the joint by which a part that is not there hangs on one that is; that, and its cube.
 
     Raises:
@@ -88,13 +148,13 @@ def _base(creature: Creature, part: str) -> tuple[BodyJoint, BodyCube, Cube]:
     cubes, _ = creature.there
     if part in cubes:
         raise WorldError("invalid", f"part: {creature.name!r} has its part {part!r}", "part")
-    joint = hanging_joint(creature.body, part, cubes)
+    joint = hanging_joint(creature.form, part, cubes)
     if joint is None:
         known = any(each.id == part for each in creature.body.cubes)
         why = "what it hangs on is not there" if known else "its body has none"
         raise WorldError("cube_not_found", f"{creature.name!r} can have no part {part!r} now: {why}", "part")
     base = joint.cube2 if joint.cube1 == part else joint.cube1
-    return joint, next(each for each in creature.body.cubes if each.id == base), cubes[base]
+    return joint, _shape(creature, base), cubes[base]
 
 
 def _free_name(creature: Creature, part: str, taken: Container[str]) -> str:
@@ -112,13 +172,13 @@ def _free_name(creature: Creature, part: str, taken: Container[str]) -> str:
     return name
 
 
-def _join(entities: Entities, part: str, cube: Cube, hold: tuple[BodyJoint, BodyCube, Cube], name: str) -> Joint:
+def _join(entities: Entities, part: str, cube: Cube, held_by: tuple[BodyJoint, BodyCube, Cube], name: str) -> Joint:
     """Makes the joint by which a cube becomes a part.
 
     Raises:
         WorldError: As by `connect`; nothing has changed.
     """
-    joint, base, held = hold
+    joint, base, held = held_by
     ends = {base.id: held.name, part: cube.name}
     here = joint_where(joint, base, entities.simulation.body_state(held.body))
     command = {**joint_command(here, "", ORIGIN), "cube1": ends[joint.cube1], "cube2": ends[joint.cube2]}

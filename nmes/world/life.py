@@ -31,7 +31,8 @@ from nmes.world.life_rules import Price, founding_genomes, requirements
 
 if TYPE_CHECKING:
     from nmes.backend import Backend
-    from nmes.world.creature import Creature, Creatures
+    from nmes.world.creature import Creature
+    from nmes.world.creatures import Creatures
     from nmes.world.entities import Entities
 
 __all__ = ["Life"]
@@ -78,6 +79,11 @@ class Life:
     def living(self) -> list[Inhabitant]:
         """Who lives now, in the order in which they came."""
         return list(self._living.values())
+
+    def energy_of(self, name: str) -> float:
+        """Returns the energy of a creature, J; 0 of one that is not among the living."""
+        each = self._living.get(name)
+        return 0.0 if each is None else each.energy
 
     # -- a tick --------------------------------------------------------------------------------------------------
 

@@ -22,7 +22,8 @@ from nmes.world import readings
 from nmes.world.channels import Channels
 from nmes.world.clients import Clients
 from nmes.world.costs import command_cost, rebuild_cost
-from nmes.world.creature import Creature, Creatures
+from nmes.world.creature import Creature
+from nmes.world.creatures import Creatures
 from nmes.world.entities import Entities
 from nmes.world.life import Life
 from nmes.world.roles import Role

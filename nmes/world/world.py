@@ -30,7 +30,7 @@ from nmes.world.channels import Channels
 from nmes.world.client_objectives import ClientObjectives
 from nmes.world.clients import Client, Clients, Emit
 from nmes.world.commands import COMMANDS, HARMLESS
-from nmes.world.creature import Creatures
+from nmes.world.creatures import Creatures
 from nmes.world.entities import Entities
 from nmes.world.journal import Journal
 from nmes.world.keyframes import KeyframeSchedule
@@ -261,6 +261,7 @@ class World(WorldQueries):
             self._clients.measure(self.entities)
             self.channels.tick()
             events = lost if self.life is None else [*lost, *self.life.tick(self.frame + 1)]
+            self.all_creatures.develop(None if self.life is None else self.life.energy_of)
             digest = b"" if self.journal is None else self.digest()  # nobody else is told
         except Exception as error:
             self._engine_failed(error)
