@@ -1,4 +1,4 @@
-"""Random programs of growth, loss and adoption: no fault, replayed to the digest, and gone on with from anywhere."""
+"""Random programs of growth, loss, adoption and development: no fault, exact replays, forks from anywhere."""
 
 from __future__ import annotations
 
@@ -37,6 +37,37 @@ def any_command(draw: random.Random, world: World) -> Json:
     return draw.choice(kinds)
 
 
+def any_rules(draw: random.Random) -> list[Json]:
+    """Returns rules of development for a snake; some of them will find nothing to do, or no room."""
+
+    def some() -> list[str]:
+        return draw.sample(PARTS[1:], draw.randrange(1, 3))
+
+    kinds: list[Json] = [
+        {"shed": some()},
+        {"grow": some()},
+        {"adopt": some()},
+        {"resize": [{"part": part, "scale": draw.choice([0.5, 1, 1.3])} for part in some()]},
+        {"enter": draw.randrange(1, 4)},
+    ]
+    conditions = [
+        f"age > {draw.uniform(0, 2):.3f}",
+        'has("c2") < 1',
+        "cubes < 4",
+        "stage > 1",
+        'sense("c0.up.y") > 0.9',
+    ]
+    return [
+        {
+            "when": draw.choice(conditions),
+            **{name: value for kind in draw.sample(kinds, 2) for name, value in kind.items()},
+            "every": draw.choice([0.1, 0.5]),
+            "times": draw.randrange(1, 9),
+        }
+        for _ in range(draw.randrange(1, 6))
+    ]
+
+
 def run(seed: int, backend: str, recording: Path | None = None) -> set[str]:
     """Runs a program of forty commands, and replays it or goes on from some place in it; returns the replies' types.
 
@@ -50,6 +81,8 @@ def run(seed: int, backend: str, recording: Path | None = None) -> set[str]:
     for place, name in enumerate("ab"):
         brain = draw.choice([SINE, mlp(5, hidden=4, seed=seed)])
         genome = {**snake(brain, 5), "later": draw.choice([[], ["c4"], ["c2", "c3", "c4"]])}
+        if draw.random() < 0.6:
+            genome["development"] = any_rules(draw)
         spawn = {"type": "spawn_creature", "genome": genome, "name": name, "position": [0, 1 + 2 * place, 0]}
         assert world.execute(client, {**spawn, "autonomous": True})["type"] == "creature_spawned"
     fork, saved = draw.randrange(30), b""
