@@ -47,9 +47,8 @@ class Rated:
 
     def to_json(self) -> dict[str, Any]:
         """Returns the fields as plain data."""
-        rating = {"skill": self.rating.skill, "doubt": self.rating.doubt, "sure": self.rating.sure}
         names = ("task", "task_hash", "name", "creature_hash", "matches", "wins", "draws", "losses")
-        return {**{name: getattr(self, name) for name in names}, "rating": rating}
+        return {**{name: getattr(self, name) for name in names}, "rating": self.rating.to_json()}
 
 
 def rated(entries: Iterable[Entry]) -> list[Rated]:

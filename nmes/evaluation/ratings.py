@@ -34,6 +34,10 @@ class Rating:
         """What its skill is beyond doubt: the mean less three standard deviations, by which creatures are ranked."""
         return self.skill - 3.0 * self.doubt
 
+    def to_json(self) -> dict[str, float]:
+        """Returns it as plain data."""
+        return {"skill": self.skill, "doubt": self.doubt, "sure": self.sure}
+
 
 def places(results: Mapping[str, Result], margin: float) -> dict[str, int] | None:
     """Returns the place of each role in a match, from 0, the best; None where it is void.

@@ -87,9 +87,8 @@ class Standing:
 
     def to_json(self) -> dict[str, Any]:
         """Returns the fields as plain data."""
-        rating = {"skill": self.rating.skill, "doubt": self.rating.doubt, "sure": self.rating.sure}
         plain = {name: getattr(self, name) for name in ("matches", "wins", "draws", "losses", "void", "score")}
-        return {"genome": self.genome, "genome_hash": self.genome_hash, "rating": rating, **plain}
+        return {"genome": self.genome, "genome_hash": self.genome_hash, "rating": self.rating.to_json(), **plain}
 
 
 class Tournament:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from creatures import snake
+from lockstep import ask, joined
 from nmes import World, protocol
 from nmes.backend import Medium, Vector
 from nmes.backend.medium import Immersion
@@ -34,22 +35,10 @@ SOLIDS: list[tuple[Shape, Vector]] = [
 ]
 
 
-def world(backend: str = "mujoco", **config: Any) -> tuple[World, int]:
-    made = World({"mode": "lockstep", "backend": backend, **config})
-    return made, made.join()
-
-
-def ask(made: World, client: int, type: str, **fields: Any) -> Reply:
-    reply = made.execute(client, {"type": type, **fields})
-    protocol.validate_reply(reply)
-    assert reply["type"] != "error", reply
-    return reply
-
-
 @pytest.mark.parametrize("backend", ["mujoco", "pymunk"])
 @pytest.mark.parametrize("level", [{}, {"level": 50}])
 def test_what_weighs_as_much_as_its_water_hangs_in_it(backend: str, level: Reply) -> None:
-    made, client = world(backend, medium=level)
+    made, client = joined(backend, medium=level)
     for i, density in enumerate((1000, 500)):
         ask(made, client, "spawn_cube", cube_name=f"c{i}", position=[4 * i, 5, 0], mass=density)
     ask(made, client, "step", ticks=60)
@@ -90,9 +79,9 @@ def test_worlds_of_water_replay_and_restore_bit_for_bit(backend: str, level: Rep
     assert replay(record(tmp_path / "water.mcap", dive, config)).verdict == "reproduced"
     if backend == "pymunk":
         return  # it has no snapshots
-    made, client = world(medium=config["medium"])
+    made, client = joined(medium=config["medium"])
     dive(made, client)
-    again, _ = world(medium=config["medium"])
+    again, _ = joined(medium=config["medium"])
     again.restore(made.snapshot())
     for _ in range(30):
         made.tick()
@@ -104,7 +93,7 @@ def test_a_loop_is_slowed_like_the_same_cubes_held_without_one() -> None:
     """What closes a loop stands for a cube, and is not dragged and lifted once more."""
     speeds = []
     for closed in (False, True):
-        made, client = world(medium={"viscosity": 100}, scene={"obstacles": []})
+        made, client = joined(medium={"viscosity": 100}, scene={"obstacles": []})
         places = [(0, 50), (1.1, 50), (1.1, 51.1), (0, 51.1)]
         for i, (x, y) in enumerate(places):
             ask(made, client, "spawn_cube", cube_name=f"c{i}", position=[x, y, 0], mass=1500)
@@ -193,7 +182,7 @@ def test_creatures_in_water_are_run_together_as_each_is_alone(config: Reply, mon
 
 def excess(config: Reply, judged: Reply) -> Any:
     """Returns what bodies gain that fall, float up and bob in water, where the balance takes them to be in another."""
-    made, client = world(**config)
+    made, client = joined(**config)
     for i, (shape, size) in enumerate(SOLIDS):
         fields = {"shape": shape, "size": list(size), "mass": 30 + 60 * i, "rotation": [0.3, 0.2, 0.7 * i]}
         ask(made, client, "spawn_cube", cube_name=f"c{i}", position=[3 * i, 1.5 + i, 0], **fields)

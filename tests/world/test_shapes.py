@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from creatures import snake
-from nmes import World, protocol
+from lockstep import ask, joined, refused
+from nmes import World
 from nmes.evaluation import Evaluator, Task, evaluate, evaluator, population
 from nmes.evaluation.identity import creature_hash
 from nmes.genome import Genome
@@ -23,21 +24,10 @@ Reply = dict[str, Any]
 SIZES = {"sphere": [0.6, 0.6, 0.6], "capsule": [0.9, 0.3, 0.3], "cylinder": [0.6, 0.6, 0.2]}
 
 
-def world(backend: str = "mujoco", **config: Any) -> tuple[World, int]:
-    made = World({"mode": "lockstep", "backend": backend, **config})
-    return made, made.join()
-
-
-def ask(made: World, client: int, type: str, **fields: Any) -> Reply:
-    reply = made.execute(client, {"type": type, **fields})
-    protocol.validate_reply(reply)
-    return reply
-
-
 @pytest.mark.parametrize("backend", ["mujoco", "pymunk", "ballistic"])
 @pytest.mark.parametrize("shape", SIZES)
 def test_a_cube_may_have_another_shape_which_it_tells(backend: str, shape: str) -> None:
-    made, client = world(backend)
+    made, client = joined(backend)
     ask(made, client, "spawn_cube", cube_name="a", shape=shape, size=SIZES[shape], position=[0, 1, 0])
     ask(made, client, "spawn_cube", cube_name="b", shape="box", position=[3, 1, 0])
     info = ask(made, client, "get_cube_info", cube_name="a")
@@ -60,9 +50,9 @@ def test_a_cube_may_have_another_shape_which_it_tells(backend: str, shape: str) 
     ],
 )
 def test_a_size_that_a_shape_cannot_have_is_refused_and_nothing_is_made(shape: str, size: Any, words: str) -> None:
-    made, client = world()
+    made, client = joined()
     before = made.digest()
-    reply = ask(made, client, "spawn_cube", shape=shape, size=size)
+    reply = refused(made, client, "spawn_cube", shape=shape, size=size)
     assert (reply["code"], reply["field"]) == ("invalid", "size") and words in reply["message"]
     assert made.digest() == before and not made.cubes()
 
@@ -72,12 +62,12 @@ def test_a_shape_that_the_engine_lacks_is_refused(monkeypatch: pytest.MonkeyPatc
 
     few = PymunkBackend.capabilities - {"shape.capsule"}
     monkeypatch.setattr(PymunkBackend, "capabilities", few)
-    made, client = world("pymunk")
-    reply = ask(made, client, "spawn_cube", shape="capsule", size=SIZES["capsule"])
+    made, client = joined("pymunk")
+    reply = refused(made, client, "spawn_cube", shape="capsule", size=SIZES["capsule"])
     assert (reply["code"], reply["field"]) == ("unsupported", "shape")
     genome = snake(None)
     genome["body"]["cubes"][1] |= {"shape": "capsule", "size": [0.3, 0.14, 0.14]}
-    reply = ask(made, client, "spawn_creature", genome=genome)
+    reply = refused(made, client, "spawn_creature", genome=genome)
     assert (reply["code"], reply["field"]) == ("unsupported", "genome/body")
     scene = {"obstacles": [{"type": "sphere"}, {"type": "capsule", "size": [2, 1, 1]}]}
     with pytest.raises(Exception, match="capsule") as caught:
@@ -86,7 +76,7 @@ def test_a_shape_that_the_engine_lacks_is_refused(monkeypatch: pytest.MonkeyPatc
 
 
 def test_a_ball_in_the_ground_is_set_down_on_its_lowest_point_however_it_is_turned() -> None:
-    made, client = world()
+    made, client = joined()
     moved = ask(made, client, "spawn_cube", shape="sphere", position=[0, -1, 0], rotation=[0.4, 0.3, 0.2])["moved_to"]
     assert moved == pytest.approx([0, 0.5, 0], abs=1e-12)
 
@@ -116,9 +106,9 @@ def test_worlds_of_shapes_replay_and_restore_bit_for_bit(backend: str, tmp_path:
     assert replay(path).verdict == "reproduced"
     if backend == "pymunk":
         return  # it has no snapshots
-    made, client = world(backend, **scene)
+    made, client = joined(backend, **scene)
     play(made, client)
-    again, _ = world(backend, **scene)
+    again, _ = joined(backend, **scene)
     again.restore(made.snapshot())
     for _ in range(30):
         made.tick()
@@ -178,7 +168,7 @@ def test_creatures_that_differ_in_a_shape_alone_are_others() -> None:
 
 
 def test_the_lowest_and_the_farthest_point_are_those_of_the_shape() -> None:
-    made, client = world()
+    made, client = joined()
     turned = {"rotation": [0, 0, math.pi / 6]}
     cubes: dict[str, Reply] = {
         "ball": {"shape": "sphere", "size": 2, "position": [0, 3, 0], "rotation": [0.5, 0.2, 1]},
@@ -199,7 +189,7 @@ def test_the_lowest_and_the_farthest_point_are_those_of_the_shape() -> None:
 
 
 def test_viewers_get_shapes_as_what_they_are() -> None:
-    made, client = world()
+    made, client = joined()
     for i, (shape, size) in enumerate([*SIZES.items(), ("box", [1, 2, 3])]):
         ask(made, client, "spawn_cube", cube_name=f"c{i}", shape=shape, size=size, position=[3 * i, 5, 0])
     painter = Painter(made)
@@ -239,7 +229,7 @@ def test_a_scene_message_with_a_size_that_no_shape_has_is_refused(text: bytes) -
 
 def test_the_slice_of_a_round_obstacle_is_what_a_planar_engine_has() -> None:
     """A ball that the plane cuts off its middle is a smaller circle there."""
-    made, client = world("pymunk", scene={"obstacles": [{"type": "sphere", "size": 2, "position": [0, 0, 0.8]}]})
+    made, client = joined("pymunk", scene={"obstacles": [{"type": "sphere", "size": 2, "position": [0, 0, 0.8]}]})
     ask(made, client, "spawn_cube", cube_name="a", size=0.2, position=[0, 2, 0])
     ask(made, client, "step", ticks=90)
     height = ask(made, client, "get_cube_state", cube_name="a")["position"][1]
