@@ -98,6 +98,8 @@ _PROSE: Final[Mapping[str, str]] = {
     "of it any more; without its root it is a creature no more, and what is left stays.",
     "3.7.5": "Sensors of parts that it has lost read 0, and motors there do nothing: its values and controls stay as "
     "many as they were.",
+    "3.7.6": "A creature whose genome has rules of `development` follows them by itself from its first drive on, ten "
+    "times a second.",
     "3.8.1": "A world's config may name `collision_groups`: cubes of groups that pass through each other do not "
     "collide, all others do.",
     "3.8.2": "A cube of a group that the config has not is refused.",

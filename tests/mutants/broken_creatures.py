@@ -98,6 +98,31 @@ def creatures_driven_backwards(patch: MonkeyPatch) -> None:
     around(patch, "drive", mirror)
 
 
+@defect("18.33", backend="mujoco")
+def creatures_that_are_never_driven(patch: MonkeyPatch) -> None:
+    """It lets creatures develop from their birth."""
+
+    def begin(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        reply = answer(world, client, command)
+        development = world.creature(reply["creature"]).development
+        if development is not None:
+            development.begun = True
+        return reply
+
+    around(patch, "spawn_creature", begin)
+
+
+@defect("18.33", backend="mujoco")
+def genomes_without_rules(patch: MonkeyPatch) -> None:
+    """It drops the rules of development of a genome."""
+
+    def forget(answer: Answer, world: World, client: Client, command: JsonObject) -> JsonObject:
+        genome = {name: value for name, value in command["genome"].items() if name != "development"}
+        return answer(world, client, {**command, "genome": genome})
+
+    around(patch, "spawn_creature", forget)
+
+
 CHANNELS = {"channels": {"alarm": {"range": 8, "fades": True}, "map": {"size": 3}}}
 
 

@@ -331,6 +331,19 @@ def a_part_is_adopted(t: Trial) -> None:
     t.ask(wire, {"type": "drive", "creature": name, "controls": [1], "layout": 5}, "driven")
 
 
+@case(33, "3.7.6", needs=(*NEEDS, "shed", "grow", "drive", "sense", "time"), scope=Scope.TIME)
+def a_creature_develops(t: Trial) -> None:
+    """A rule of a creature's genome sheds a part at its age, which begins with the first drive, and not before."""
+    wire = t.join()
+    name = spawned(t, wire, {**GENOME, "development": [{"when": "age > 0.5", "shed": ["arm"]}]})["creature"]
+    t.advance(wire, 1.0)
+    t.true(senses(t, wire, name)["arm.height"] > 0.1, "the arm's height above 0.1 while nobody has driven it", None)
+    drive(t, wire, name, 0.0)
+    t.advance(wire, 1.0)
+    reply = t.ask(wire, {"type": "sense", "creature": name}, "senses")
+    t.equal((reply.get("layout"), reply["values"][3]), (3, 0.0), "layout and height of the arm once it is shed")
+
+
 @case(12, "4.error.creature_not_found", needs=("sense", "drive"))
 def an_unknown_creature(t: Trial) -> None:
     """What is about a creature that there is not gets creature_not_found."""
