@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from nmes.evaluation.environments import Environments
-from nmes.evaluation.episode import Episode, Result, brain_of
+from nmes.evaluation.episode import Episode, brain_of
 from nmes.evaluation.evaluation import Evaluation
 from nmes.evaluation.evaluator import Evaluator, Job, evaluate
+from nmes.evaluation.judge import Result
 from nmes.evaluation.match import Match, MatchResult, play
 from nmes.evaluation.match_proof import MatchProof, prove_match
 from nmes.evaluation.match_task import MatchTask

@@ -89,7 +89,11 @@ class Balance:
             powers: Mean power of each motor in the tick of each row, and its mean size, shape (k, 2, m), W.
             positions: Of the joints with springs, shape (k, s), rad or m.
         """
-        gain, allowed = self.gains(states, powers, positions)
+        return self.excess_of(self.energy(states, positions), powers)
+
+    def excess_of(self, energy: Array, powers: Array) -> Excess | None:
+        """Returns the same, of a body whose energy in each row is known, shape (k,), J."""
+        gain, allowed = self._gains(energy, powers)
         broken = np.flatnonzero(~(gain <= allowed))
         if not len(broken):
             return None
@@ -101,10 +105,13 @@ class Balance:
 
         The arguments are those of `excess`.
         """
+        return self._gains(self.energy(states, positions), powers)
+
+    def _gains(self, energy: Array, powers: Array) -> tuple[Array, Array]:
         sums = _sums(powers)
         sums[0] = 0.0  # what they gave before the start
         work, effort = np.add.accumulate(sums, axis=0).T / self.bodies.tick_rate
-        held = _highest(self.energy(states, positions) - work, self.moment)
+        held = _highest(energy - work, self.moment)
         return held - np.minimum.accumulate(held), PART * effort + self.rise
 
     @property

@@ -15,7 +15,8 @@ import numpy as np
 
 from nmes.backend import Array, Contact, Places, Rows
 from nmes.brain import Brain, BrainBatch, stack
-from nmes.evaluation.episode import Handover, Result
+from nmes.evaluation.episode import Handover
+from nmes.evaluation.judge import Result
 from nmes.evaluation.task import Task
 from nmes.objective.trajectory import touches
 from nmes.world.creature_rows import CreatureRows

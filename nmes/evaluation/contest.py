@@ -14,8 +14,8 @@ from typing import NamedTuple
 import orjson
 
 from nmes.errors import NmesError, RecordingError
-from nmes.evaluation.episode import Result
 from nmes.evaluation.evaluation import Evaluation
+from nmes.evaluation.judge import Result
 from nmes.evaluation.match import MatchResult, admit_players, play_match
 from nmes.evaluation.match_task import MatchTask
 from nmes.genome import Genome

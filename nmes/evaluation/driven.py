@@ -18,7 +18,8 @@ from nmes.backend import Array, BodyState, CameraSpec, Image, Places, Row
 from nmes.errors import WorldError
 from nmes.evaluation.balance import Balance
 from nmes.evaluation.cohort import PlaceOfRows
-from nmes.evaluation.episode import Episode, Watched
+from nmes.evaluation.episode import Episode
+from nmes.evaluation.judge import Watched
 from nmes.evaluation.task import CREATURE, Task
 from nmes.genome import Genome
 from nmes.objective.trajectory import Flags, touches

@@ -25,8 +25,8 @@ from nmes.backend import Array, Places
 from nmes.backend.arrays import ArrayLike
 from nmes.errors import WorldError
 from nmes.evaluation.driven import DrivenWorld, EngineRows, Scene
-from nmes.evaluation.episode import Result
 from nmes.evaluation.evaluator import episode_metadata, recorded
+from nmes.evaluation.judge import Result
 from nmes.evaluation.judging import JudgeRows
 from nmes.evaluation.progress import read_reward
 from nmes.evaluation.seeding import RowSeeds, check_actions, read_seeds

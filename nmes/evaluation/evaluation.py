@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, replace
 from math import fsum
 from typing import TYPE_CHECKING, Any, get_type_hints
 
-from nmes.evaluation.episode import Result
+from nmes.evaluation.judge import Result
 from nmes.evaluation.population import Outcome
 from nmes.evaluation.task import Task
 from nmes.genome import Genome

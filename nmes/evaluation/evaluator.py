@@ -32,8 +32,9 @@ from nmes.backend import load_backend
 from nmes.backend.fingerprint import decisive, fingerprint
 from nmes.brain import Brain
 from nmes.errors import DocumentError, NmesError, RecordingError
-from nmes.evaluation.episode import METADATA, Episode, Result
+from nmes.evaluation.episode import METADATA, Episode
 from nmes.evaluation.evaluation import Evaluation
+from nmes.evaluation.judge import Result
 from nmes.evaluation.parallel import Lost, open_pool
 from nmes.evaluation.population import admit, guarded, run_alone, run_population
 from nmes.evaluation.portions import cut

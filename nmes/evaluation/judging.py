@@ -11,7 +11,7 @@ import numpy as np
 
 from nmes.evaluation.balance import BalanceRows, Excess
 from nmes.evaluation.driven import Parts, Scene
-from nmes.evaluation.episode import Result
+from nmes.evaluation.judge import Result
 from nmes.evaluation.progress import Progress
 from nmes.evaluation.task import Task
 from nmes.objective import Objective

@@ -24,8 +24,9 @@ from nmes import protocol
 from nmes.backend import Array
 from nmes.brain import Brain
 from nmes.errors import NmesError, RecordingError, WorldError
-from nmes.evaluation.episode import Result, brain_of
+from nmes.evaluation.episode import brain_of
 from nmes.evaluation.evaluator import file_name, recorded
+from nmes.evaluation.judge import Result
 from nmes.evaluation.match_task import METADATA, MatchTask, MatchTaskLike
 from nmes.evaluation.referee import Referee, void_results
 from nmes.evaluation.seeding import read_seeds

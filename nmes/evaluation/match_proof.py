@@ -15,7 +15,7 @@ from itertools import islice
 from nmes import protocol
 from nmes.backend import Array
 from nmes.errors import ProofError
-from nmes.evaluation.episode import Result
+from nmes.evaluation.judge import Result
 from nmes.evaluation.match import Match, admit_players
 from nmes.evaluation.match_task import METADATA, MatchTask
 from nmes.evaluation.proof import closed, digest, follow

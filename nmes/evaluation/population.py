@@ -17,7 +17,8 @@ from typing import Final, TypeVar
 from nmes.brain import Brain
 from nmes.errors import NmesError, WorldError
 from nmes.evaluation.cohort import Entry, run_cohort
-from nmes.evaluation.episode import Episode, Handover, Result, brain_of
+from nmes.evaluation.episode import Episode, Handover, brain_of
+from nmes.evaluation.judge import Result
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
 from nmes.genome.body import Body

@@ -14,7 +14,7 @@ import numpy as np
 from nmes.backend import Array, Vector
 from nmes.errors import WorldError
 from nmes.evaluation.balance import Excess
-from nmes.evaluation.episode import MEASURED, Result, result_of
+from nmes.evaluation.judge import MEASURED, Result, result_of
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
 from nmes.objective import Objective, Quantity

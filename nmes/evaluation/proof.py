@@ -20,7 +20,8 @@ import numpy as np
 from nmes import protocol
 from nmes.backend import Array
 from nmes.errors import ProofError, RecordingError, WorldError
-from nmes.evaluation.episode import METADATA, Episode, Result, brain_of
+from nmes.evaluation.episode import METADATA, Episode, brain_of
+from nmes.evaluation.judge import Result
 from nmes.evaluation.match_task import METADATA as MATCH
 from nmes.evaluation.steps import ANY_CONTROLS, Drive, Step
 from nmes.evaluation.task import CREATURE, Task

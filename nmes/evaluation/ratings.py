@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 from openskill.models import PlackettLuce
 
-from nmes.evaluation.episode import Result
+from nmes.evaluation.judge import Result
 
 __all__ = ["Rating", "places", "rate"]
 

@@ -20,7 +20,7 @@ import numpy as np
 
 from nmes.errors import WorldError
 from nmes.evaluation.balance import Balance
-from nmes.evaluation.episode import MEASURED, Result
+from nmes.evaluation.judge import MEASURED, Result
 from nmes.evaluation.match_task import MatchTask, Role
 from nmes.objective.trajectories import Trajectories
 from nmes.objective.trajectory import ObservedBodies, Trajectory

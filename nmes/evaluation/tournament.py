@@ -26,8 +26,8 @@ from nmes.backend import load_backend
 from nmes.backend.fingerprint import decisive, fingerprint
 from nmes.errors import NmesError, RunError, WorldError
 from nmes.evaluation.bouts import Bout, play_bouts
-from nmes.evaluation.episode import Result
 from nmes.evaluation.evaluation import check_types
+from nmes.evaluation.judge import Result
 from nmes.evaluation.match import MatchResult, admit_players
 from nmes.evaluation.match_task import MatchTask
 from nmes.evaluation.parallel import Pool

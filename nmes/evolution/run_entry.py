@@ -13,8 +13,8 @@ from typing import Final
 import orjson
 
 from nmes.errors import DocumentError
-from nmes.evaluation.episode import Result
 from nmes.evaluation.evaluation import Evaluation
+from nmes.evaluation.judge import Result
 from nmes.evaluation.match_task import MatchTask
 from nmes.evaluation.setting import Setting
 from nmes.evolution.algorithm import Candidate, Score

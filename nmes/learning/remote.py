@@ -28,7 +28,7 @@ from nmes.backend.arrays import ArrayLike
 from nmes.client import Client
 from nmes.errors import CommandFailed, Disconnected, WorldError
 from nmes.evaluation.environments import AUTORESET, Autoreset
-from nmes.evaluation.episode import Result
+from nmes.evaluation.judge import Result
 from nmes.evaluation.progress import Progress, read_reward
 from nmes.evaluation.seeding import RowSeeds, check_actions
 from nmes.evaluation.steps import Rest

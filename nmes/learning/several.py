@@ -33,7 +33,8 @@ from nmes.backend import Array
 from nmes.backend.arrays import floats
 from nmes.backend.rotation import total
 from nmes.errors import RecordingError, WorldError
-from nmes.evaluation.episode import Entrant, Observer, Result, set_scene
+from nmes.evaluation.episode import Entrant, set_scene
+from nmes.evaluation.judge import Observer, Result
 from nmes.evaluation.progress import Progress
 from nmes.evaluation.seeding import RowSeeds
 from nmes.evaluation.steps import perform

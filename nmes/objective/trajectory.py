@@ -29,6 +29,7 @@ from nmes.objective.quantities import Quantity
 
 __all__ = [
     "UPRIGHT",
+    "Block",
     "Flags",
     "ObservedBodies",
     "QuantityRows",
@@ -210,7 +211,7 @@ class Trajectory(Rows):
             return np.concatenate([[0.0], np.cumsum(upright) / self.bodies.tick_rate])[begin:end]
         work = _in_order(self.work[begin:end])
         rows = self.states[begin:end], work, self.touches[begin:end]
-        block = _Block(self.bodies, self.states[:1], self.bodies.target, begin, *rows)
+        block = Block(self.bodies, self.states[:1], self.bodies.target, begin, *rows)
         return block.series(quantity)
 
     def duty(self) -> float:
@@ -293,11 +294,11 @@ class RunningQuantities:
                 values[quantity] = self._folds[quantity] / (self.ticks + 1 if quantity.fold == "mean" else 1)
         return values
 
-    def _row(self, states: Array, work: Array, touches: Flags) -> _Block:
+    def _row(self, states: Array, work: Array, touches: Flags) -> Block:
         rows = states[np.newaxis], _in_order(work[np.newaxis]), touches[np.newaxis]
-        return _Block(self.bodies, self._start[np.newaxis], self.bodies.target, self.ticks, *rows)
+        return Block(self.bodies, self._start[np.newaxis], self.bodies.target, self.ticks, *rows)
 
-    def _now(self, quantity: Quantity, row: _Block) -> float:
+    def _now(self, quantity: Quantity, row: Block) -> float:
         if quantity.name == "time_upright":
             return self._upright / self.bodies.tick_rate
         return float(row.series(quantity)[0])
@@ -354,7 +355,7 @@ class QuantityRows:
         if isinstance(self._targets, np.ndarray):
             self._targets[place] = target
         rows = states[np.newaxis], np.zeros(1), touches[np.newaxis]
-        block = _Block(self.bodies, self._starts[place : place + 1], target, 0, *rows)
+        block = Block(self.bodies, self._starts[place : place + 1], target, 0, *rows)
         values = {
             quantity: 0.0 if quantity.name == "time_upright" else float(block.series(quantity)[0])
             for quantity in self._quantities
@@ -373,7 +374,7 @@ class QuantityRows:
         """
         self._ticks += 1.0
         rows = states, _in_order(work), touches
-        block = _Block(self.bodies, self._starts, self._targets, self._ticks, *rows, self._origins)
+        block = Block(self.bodies, self._starts, self._targets, self._ticks, *rows, self._origins)
         if any(quantity.name == "time_upright" for quantity in self._quantities):
             self._upright += block.series(Quantity("uprightness")) >= UPRIGHT
         values = {}
@@ -459,7 +460,7 @@ def _length(vectors: Array) -> Array:
 
 
 @dataclass(eq=False, slots=True)
-class _Block:
+class Block:
     """Some rows: `states` (k, n, 13), `work` (k,), `touches` (k, n, 2).
 
     Of one episode in a row, `start` being (1, n, 13) and `number` that of the first; or each of another, with a start

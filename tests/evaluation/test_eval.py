@@ -26,7 +26,7 @@ from creatures import cpg, exploding, mlp, snake
 from nmes.cli import main
 from nmes.evaluation import Result as EpisodeResult
 from nmes.evaluation import scores_so_far
-from nmes.evaluation.episode import Judge
+from nmes.evaluation.judge import Judge
 from nmes.genome import Genome
 from nmes.recording import Recording
 from nmes.world import World

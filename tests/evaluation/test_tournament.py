@@ -19,7 +19,7 @@ from creatures import snake
 from duels import DUEL, push, roles
 from nmes.errors import RunError, WorldError
 from nmes.evaluation import prove_match
-from nmes.evaluation.episode import Result
+from nmes.evaluation.judge import Result
 from nmes.evaluation.match_task import MatchTask
 from nmes.evaluation.parallel import Here, Lost, Workers
 from nmes.evaluation.ratings import places, rate

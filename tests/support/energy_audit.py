@@ -22,7 +22,8 @@ from nmes import protocol
 from nmes.backend import Array
 from nmes.errors import WorldError
 from nmes.evaluation import Task
-from nmes.evaluation.episode import Episode, Result, brain_of
+from nmes.evaluation.episode import Episode, brain_of
+from nmes.evaluation.judge import Result
 from nmes.evaluation.steps import Drive, Step
 from nmes.genome import Genome
 from nmes.world import World

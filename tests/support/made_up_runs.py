@@ -11,7 +11,7 @@ from typing import Any
 import orjson
 
 from nmes.evaluation import Evaluation, Task, evaluate
-from nmes.evaluation.episode import Result
+from nmes.evaluation.judge import Result
 from nmes.evolution import Draw, mutate
 from nmes.evolution.run import Run
 from nmes.evolution.run_index import RunIndex, State
