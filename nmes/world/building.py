@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from nmes.backend import BodyState, StaticBox, Vector
-from nmes.backend.rotation import conjugate, minus, multiply, normalize, plus, rotate
+from nmes.backend.rotation import conjugate, minus, multiply, normalize, plus, rotate, total
 from nmes.errors import WorldError
 from nmes.genome.body import Body, BodyCube, BodyJoint, overlap
 from nmes.schemas.documents import JsonObject
@@ -34,6 +34,7 @@ ORIGIN: Vector = (0.0, 0.0, 0.0)
 _AXES = {"hinge": (0.0, 0.0, 1.0), "slide": (1.0, 0.0, 0.0)}  # where the document has none
 TOUCHING = 1e-4
 """How far cubes may overlap by rounding, as in a genome, m."""
+_SUNK = 0.01  # m that a part may be in the ground: a body that rests on it is in it by about a millimetre, and tilts
 
 
 def hanging_joint(body: Body, part: str, there: Container[str]) -> BodyJoint | None:
@@ -64,7 +65,8 @@ def grown_part(entities: Entities, part: BodyCube, base: BodyCube, cube: Cube) -
 def require_free(entities: Entities, part: BodyCube, spared: Sequence[Cube]) -> None:
     """Raises `no_room` where a part would be in the ground, or in a cube other than some that are spared."""
     box = StaticBox(part.size, part.position, part.quaternion, part.shape)
-    if entities.terrain.outside([box])[0] != box.position:
+    shift = minus(entities.terrain.outside([box])[0], box.position)
+    if total(each * each for each in shift) > _SUNK**2:
         raise WorldError("no_room", f"{part.id!r} would be in the ground", "part")
     numbers = {cube.body for cube in spared}
     others = [other for other in entities.cubes.values() if other.body not in numbers]

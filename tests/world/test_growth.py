@@ -218,10 +218,3 @@ def test_parts_that_cannot_be_later_are_told(later: list[Any], path: str) -> Non
         Genome({**snake(), "later": later})
     assert path in [where for where, _ in error.value.problems]
     assert Genome(young("c3")).hash != Genome(snake()).hash
-
-
-def test_tasks_say_that_they_take_no_body_that_grows() -> None:
-    from nmes.evaluation.task import Task
-
-    assert any("later" in reason for reason in Task.load("walk").check(Genome(young("c3")).body))
-    assert not any("later" in reason for reason in Task.load("walk").check(Genome(snake()).body))
