@@ -95,7 +95,7 @@ class Environments:
             raise ValueError(f"there must be 1 row and 1 seed or more, not {count} and {len(seeds)}")
         if autoreset not in AUTORESET:
             raise ValueError(f"autoreset is one of {', '.join(AUTORESET)}, not {autoreset!r}")
-        reasons = task.check(genome.body)
+        reasons = task.check_driven(genome.body)
         if reasons:
             raise WorldError("invalid", "; ".join(reasons))
         paid = None if reward is None else read_reward(reward, genome, task)

@@ -6,7 +6,7 @@ world's ordinary inputs, so that the recording of an episode replays like any ot
 
 from __future__ import annotations
 
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -15,6 +15,7 @@ import numpy as np
 from nmes import protocol
 from nmes.backend import Array, Row
 from nmes.brain import Brain
+from nmes.evaluation.changing import ChangingObserver
 from nmes.evaluation.judge import Judge, Observer, Result, Watched
 from nmes.evaluation.steps import ANY_CONTROLS, Drive, Step, perform, settle
 from nmes.evaluation.task import ALONE, CREATURE, Place, Task
@@ -99,9 +100,10 @@ class Episode:
         observer, world, brain = self._observer, self._world, self._brain
         if observer is None:
             return
+        cut = self._task.injury_tick(self._seed)
         note, sense, controls = observer.note, observer.creature.sense, None
         note()
-        self._leaves = self._leaves and not observer.creature.solitary
+        self._leaves = self._leaves and not observer.creature.solitary and cut is None
         if self._leaves and self._leave(0):
             return
         ticks, block = self._task.ticks, self._task.tick_rate
@@ -112,6 +114,8 @@ class Episode:
         for tick in range(ticks):
             if self._leaves and tick and self._leave(tick):
                 return
+            if tick == cut:
+                yield from self._injure(observer.creature)
             if controls is not None:
                 yield Drive(CREATURE, controls[tick])
             elif brain is not None:
@@ -131,6 +135,12 @@ class Episode:
                 self._ended = observer.look()
                 if self._ended is not None:
                     return
+
+    def _injure(self, creature: Creature) -> Iterator[Step]:
+        """Yields the step that cuts a limb off, if there is one."""
+        limb = self._task.limb(self._seed, creature.body, creature.cubes)
+        if limb is not None:
+            yield protocol.encode({"type": "shed", "creature": CREATURE, "part": limb})
 
     def _leave(self, tick: int) -> bool:
         """Hands the scene over as a row, if that can be now; returns whether this world is done with."""
@@ -259,4 +269,10 @@ def set_scene(
     for entrant, rest in zip(entrants, rests.values(), strict=True):
         for command in task.props(seed, entrant.genome.body, rest.states[0], entrant.place):
             yield protocol.encode(command)
-    return [Observer(world, world.creature(e.place.creature), task, seed, e.place) for e in entrants], {}
+    return [_observer(world, task, seed, entrant) for entrant in entrants], {}
+
+
+def _observer(world: World, task: Task, seed: int, entrant: Entrant) -> Observer:
+    changes = task.why_changing(entrant.genome.body) is not None
+    kind = ChangingObserver if changes else Observer
+    return kind(world, world.creature(entrant.place.creature), task, seed, entrant.place)

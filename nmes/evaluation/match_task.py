@@ -20,7 +20,7 @@ from typing import Any, Final, TypeAlias
 from nmes.backend import Vector, load_backend
 from nmes.backend.rotation import multiply, quaternion_from_euler, rotate, total
 from nmes.errors import DocumentError
-from nmes.evaluation.setting import LATER, MATCHES, Setting, complete_task, crossed_bounds, infinite, read_task
+from nmes.evaluation.setting import MATCHES, Setting, changing, complete_task, crossed_bounds, infinite, read_task
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
 from nmes.genome.body import Body
@@ -170,7 +170,8 @@ class MatchTask(Setting):
         """Returns the reasons why a body within the limits may not play a role."""
         ids = {cube.id for cube in body.cubes}
         asked = {quantity.cube for quantity in self.needs if quantity.role == role and quantity.cube is not None}
-        reasons = [LATER] if body.later else []
+        why = changing(body)
+        reasons = [] if why is None else [f"{why}, and in a match bodies keep their parts"]
         return reasons + [f"the task is about a cube {name!r}, which the body has not" for name in sorted(asked - ids)]
 
     def sides(self, seed: int) -> list[tuple[int, ...]]:

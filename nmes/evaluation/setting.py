@@ -15,6 +15,7 @@ from typing import Any, Final
 from nmes.backend import load_backend
 from nmes.backend.shapes import Shape
 from nmes.errors import DocumentError, NmesError
+from nmes.genome.body import Body
 from nmes.genome.limits import Limits
 from nmes.genome.sensors import NEEDED
 from nmes.objective import Cast, Condition, Objective
@@ -30,10 +31,10 @@ from nmes.schemas.documents import (
 )
 
 __all__ = [
-    "LATER",
     "MATCHES",
     "SHIPPED",
     "Setting",
+    "changing",
     "complete_task",
     "crossed_bounds",
     "infinite",
@@ -45,8 +46,6 @@ SHIPPED: Final = ShippedDocuments("task", "nmes.evaluation", "tasks")
 """The tasks for one creature that ship with the package."""
 MATCHES: Final = ShippedDocuments("task", "nmes.evaluation", "matches")
 """The tasks with roles that ship with the package."""
-LATER: Final = "the body has parts that are later, and in an episode a body keeps its parts: leave 'later' out"
-"""Why a body that grows may not take part."""
 _TASK: Final = compile_schema("task.json")
 # Of the world's config.
 _OURS: Final = {
@@ -209,6 +208,13 @@ def complete_task(document: Mapping[str, Any]) -> JsonObject:
     full["world"] = copied.get("world", {})
     full["seeds"] = [int(seed) for seed in full["seeds"]]
     return full
+
+
+def changing(body: Body) -> str | None:
+    """Returns why the parts of a body may come and go by themselves, in words; None where they do not."""
+    if body.later or body.development:
+        return "the body has parts that are later, or rules of development"
+    return None
 
 
 def infinite(limits: Limits) -> dict[str, float]:

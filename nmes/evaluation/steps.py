@@ -100,11 +100,8 @@ def settle(
     for command in commands:
         yield protocol.encode(command)
     creatures = [world.creature(name) for name in names]
-    rests = {creature.name: Rest(creature.body, setting) for creature in creatures}
-    tracks = [
-        world.track([creature.cubes[cube.id] for cube in creature.body.cubes], [], [], setting.settle_limit_ticks)
-        for creature in creatures
-    ]
+    rests = {creature.name: Rest(creature.present, setting) for creature in creatures}
+    tracks = [world.track([*creature.cubes.values()], [], [], setting.settle_limit_ticks) for creature in creatures]
     looked = 0  # rows
     while world.frame < setting.settle_ticks or not all(rest.reached for rest in rests.values()):
         if world.frame == setting.settle_limit_ticks:
@@ -125,7 +122,7 @@ class Rest:
     """Tells when a creature is at rest: for a while none of its corners was faster than a part of its size a second.
 
     Args:
-        body: The creature's, which has just been set down.
+        body: What of the creature's is there, which has just been set down.
         task: The task.
 
     Attributes:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Container, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass
 from typing import Any, Final, TypeAlias
@@ -21,8 +21,9 @@ import numpy as np
 from nmes.backend import Array, Quaternion, Vector, load_backend
 from nmes.backend.rotation import multiply, quaternion_from_euler, rotate, total
 from nmes.errors import DocumentError
-from nmes.evaluation.setting import LATER, SHIPPED, Setting, complete_task, crossed_bounds, infinite, read_task
+from nmes.evaluation.setting import SHIPPED, Setting, changing, complete_task, crossed_bounds, infinite, read_task
 from nmes.genome.body import Body, corners
+from nmes.genome.development import outgrown
 from nmes.genome.limits import Limits
 from nmes.objective import Quantity
 from nmes.objective.trajectory import Trajectory
@@ -158,6 +159,22 @@ class Task(Setting):
         # Of two with as many rows, the condition that comes first in the document; a limit was met a row later.
         return min(stops if beyond is None else [*stops, beyond], key=lambda stop: stop[0], default=None)
 
+    # -- bodies that change ----------------------------------------------------------------------------------------
+
+    def why_changing(self, body: Body) -> str | None:
+        """Returns why parts of a body may come and go here, in words; None where they do not."""
+        return "the task cuts off a limb" if "injury" in self.document else changing(body)
+
+    def injury_tick(self, seed: int) -> int | None:
+        """Returns the tick, counted from the start, before which a limb is cut off; None where none is."""
+        injury = self.document.get("injury")
+        return None if injury is None else round(self.draw(seed, "injury", injury["time"]) * self.tick_rate)
+
+    def limb(self, seed: int, body: Body, there: Container[str]) -> str | None:
+        """Returns the limb that is cut off, drawn among those that are there then; None where there is none."""
+        limbs = [limb for limb in _limbs(body) if limb in there]
+        return limbs[min(int(self.draw(seed, "limb", (0.0, len(limbs)))), len(limbs) - 1)] if limbs else None
+
     @property
     def needs(self) -> tuple[Quantity, ...]:
         """The quantities that the objective and the conditions name."""
@@ -188,7 +205,8 @@ class Task(Setting):
             body: The genome's.
             place: Where, of several creatures.
         """
-        vary, lowest = self.document["vary"], body.bounds[0][1]
+        vary, body = self.document["vary"], body.born
+        lowest = body.bounds[0][1]
         # Whoever was built beside its origin would begin at a target, or beyond an obstacle.
         x, z = (round(total(cube.mass * cube.position[axis] for cube in body.cubes) / body.mass, 2) for axis in (0, 2))
         position = [0.0 - x, self.draw(seed, "drop", vary["drop"]) - lowest, 0.0 - z]
@@ -253,16 +271,22 @@ class Task(Setting):
         """Returns the reasons why a body may not take part, in words; none if it may."""
         return [*self.limits.check(body), *self._unsuited(body)]
 
+    def check_driven(self, body: Body) -> list[str]:
+        """Returns the reasons why a body may not take part where somebody else drives it, as in a learner's rows."""
+        why = self.why_changing(body)
+        return self.check(body) + ([] if why is None else [f"{why}, and where others drive, bodies keep their parts"])
+
     @property
     def requirements(self) -> Requirements:
         """What a body must be like to take part, for whoever varies genomes."""
         planar = load_backend(self._config["backend"]).dims == 2
-        return Requirements(self.limits, planar, self._unsuited, self.senses, shapes=self.shapes)
+        develops = bool(self.document.get("development"))
+        return Requirements(self.limits, planar, self._unsuited, self.senses, shapes=self.shapes, development=develops)
 
     def _unsuited(self, body: Body) -> list[str]:
         """Returns the reasons why a body within the limits may not take part."""
         ids, props = {cube.id for cube in body.cubes}, self.prop_ids()
-        reasons = [LATER] if body.later else []
+        reasons = self._unborn(body)
         reasons += [
             f"the task puts a cube {name!r} there, and the body has one of that id" for name in props if name in ids
         ]
@@ -273,6 +297,20 @@ class Task(Setting):
         reasons += [
             f"the task is about a cube {name!r}, which the body has not" for name in sorted(cubes - ids - {*props})
         ]
+        return reasons
+
+    def _unborn(self, body: Body) -> list[str]:
+        """Returns the reasons why a body may not take part as it is at birth, or as it may come to be."""
+        born = body.born
+        why = None if self.document.get("development") else changing(body)
+        # Who sheds all below its root is higher at once: of a task that is about heights, that is not asked.
+        reasons = [] if why is None else [f"{why}, and on this task bodies do not develop"]
+        reasons += [f"at birth {reason}" for reason in Limits(**self.document.get("newborn", {})).check(born)]
+        if body.later:
+            reasons += [f"at birth {reason}" for reason in self.limits.check(born)]
+        reasons += [f"resized, {reason}" for largest in outgrown(body) for reason in self.limits.check(largest)]
+        if "injury" in self.document and not _limbs(born):
+            reasons.append("the task cuts off a limb, and the body has none at birth")
         return reasons
 
     def _covered(self, body: Body) -> Iterator[tuple[str, str]]:
@@ -287,6 +325,13 @@ class Task(Setting):
                 points = corners(cube)
                 if (np.minimum(points.max(axis=0), high) - np.maximum(points.min(axis=0), low) > _GAP).all():
                     yield prop["id"], cube.id
+
+
+def _limbs(body: Body) -> list[str]:
+    """Returns the cubes that joints hold to the root, in the order of those."""
+    root = body.cubes[0].id
+    ends = [(joint.cube1, joint.cube2) for joint in body.joints]
+    return list(dict.fromkeys(two if one == root else one for one, two in ends if root in (one, two)))
 
 
 def _top(root: Array, size: Vector) -> Vector:
@@ -308,6 +353,11 @@ def _problems(document: JsonObject) -> Iterator[tuple[str, str]]:
         if name in document:
             yield name, "only a task with roles says this"
     props = document["props"]
+    injury = document.get("injury")
+    if injury is not None:
+        yield from crossed_bounds([("injury/time", injury["time"])])
+        if injury["time"][1] >= document["duration"]:
+            yield "injury/time", f"expected times before the end, at {document['duration']:g} s"
     bounds = [(f"target/{name}", value) for name, value in document.get("target", {}).items() if name != "height"]
     yield from crossed_bounds([*bounds, *((f"props/{index}/lean", prop["lean"]) for index, prop in enumerate(props))])
     yield from crossed_bounds(

@@ -241,7 +241,7 @@ class RemoteEnvironments:
             raise ValueError(f"there must be 1 row and 1 seed or more, not {count} and {len(self._scenes)}")
         if autoreset not in AUTORESET:
             raise ValueError(f"autoreset is one of {', '.join(AUTORESET)}, not {autoreset!r}")
-        reasons = task.check(genome.body)
+        reasons = task.check_driven(genome.body)
         if reasons:
             raise WorldError("invalid", "; ".join(reasons))
         body = genome.body

@@ -159,7 +159,7 @@ class LearningSettings:
         brain = self.genome.document.get("brain")
         if brain is not None and brain.get("kind") == "mlp" and self.algorithm != "clone":
             yield from self._unsound_start()
-        for reason in self.task.check(self.genome.body):
+        for reason in self.task.check_driven(self.genome.body):
             yield "genome", f"{self.genome.name!r} may not take part: {reason}"
 
     def _unsound_start(self) -> Iterator[tuple[str, str]]:

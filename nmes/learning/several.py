@@ -113,7 +113,7 @@ class CreaturesEnv(ParallelEnv[str, Array, Array]):  # type: ignore[misc]
         seeds = task.seeds if seeds is None else seeds
         if not genomes or not seeds:
             raise ValueError(f"there must be 1 genome and 1 seed or more, not {len(genomes)} and {len(seeds)}")
-        reasons = [f"{name}: {reason}" for name, genome in genomes.items() for reason in task.check(genome.body)]
+        reasons = [f"{name}: {reason}" for name, genome in genomes.items() for reason in task.check_driven(genome.body)]
         if reasons:
             raise WorldError("invalid", "; ".join(reasons))
         self.metadata = {"name": f"nmes/{task.name}", "render_modes": [], "is_parallelizable": True}

@@ -28,6 +28,7 @@ class Requirements:
         senses: Types of sensors of cubes that are of use where it will live, besides those that are everywhere.
         channels: The channels on which it may come to speak and hear, each with how many numbers it has.
         shapes: What its parts may come to be besides boxes.
+        development: Whether bodies may come to develop.
     """
 
     limits: Limits = field(default_factory=Limits)
@@ -36,6 +37,7 @@ class Requirements:
     senses: tuple[str, ...] = ()
     channels: tuple[tuple[str, int], ...] = ()
     shapes: tuple[Shape, ...] = ()
+    development: bool = False
 
     def check(self, body: Body) -> list[str]:
         """Returns the reasons why a body does not meet them, in words; none if it does."""

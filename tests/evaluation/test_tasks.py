@@ -22,8 +22,8 @@ from nmes.genome.body import Body, BodyCube
 from nmes.objective.trajectory import ObservedBodies, Trajectory
 
 SHIPPED = [
-    "carry", "dark", "eyes", "gaps", "jump-far", "jump-high", "planar-walk", "pole", "reach", "rough", "stairs",
-    "swim", "walk",
+    "carry", "dark", "eyes", "gaps", "growth", "injury", "jump-far", "jump-high", "metamorphosis", "planar-walk",
+    "pole", "reach", "rough", "stairs", "swim", "walk",
 ]  # fmt: skip
 PLAIN: dict[str, Any] = {
     "format": "nmes-task/1", "name": "sprint", "description": "Run.", "duration": 5, "seeds": [1, 2],
@@ -291,7 +291,8 @@ def creature(cubes: list[dict[str, Any]], joint: dict[str, Any] | None = None, *
     document: dict[str, Any] = {"format": "nmes-genome/1", "name": "it", "body": {"cubes": cubes}}
     if joint is not None:
         document["body"]["joints"] = [{"id": "j", "cube1": cubes[0]["id"], "cube2": cubes[1]["id"], **joint}]
-        document["brain"] = {"kind": "sine", "oscillators": [{"motor": "j", **oscillator}]}
+        if "motor" in joint:
+            document["brain"] = {"kind": "sine", "oscillators": [{"motor": "j", **oscillator}]}
     return Genome(document)
 
 
@@ -323,9 +324,15 @@ HOPPER = creature(
 )  # fmt: skip
 
 
+PAIR = creature(
+    [cube("root", [0.3, 0.2, 0.3], 0.1, 10), cube("lid", [0.3, 0.2, 0.3], 0.3, 5)],
+    {"type": "fixed", "anchor": [0, 0.2, 0]},
+)
+
+
 @pytest.mark.parametrize("name", SHIPPED)
 def test_a_creature_that_does_nothing_scores_next_to_nothing(name: str) -> None:
-    evaluation = evaluate(BLOCK, Task.load(name))
+    evaluation = evaluate(PAIR if name in ("growth", "injury") else BLOCK, Task.load(name))
     assert evaluation.error is None
     assert [result.score for result in evaluation.results] == [0.0] * len(evaluation.results)
     assert {result.ended for result in evaluation.results} == ({"fallen"} if name == "pole" else {None})

@@ -1,0 +1,213 @@
+"""The observer and the judge of a creature whose parts come and go.
+
+Hides that an engine keeps the rows of one set of cubes only, and what energy parts bring along. What a part has of
+motion and height when it comes counts as work of the creature, in what it used and in its balance of energy: so nobody
+rises or runs on parts that are free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from nmes.backend import Array
+from nmes.backend.shapes import Shape
+from nmes.evaluation.balance import Balance, Excess
+from nmes.evaluation.judge import Judge, Observer, Watched
+from nmes.evaluation.task import ALONE, Place, Task
+from nmes.objective.changing import ChangingTrajectory
+from nmes.objective.trajectory import ObservedBodies
+from nmes.world import World
+from nmes.world.creature import Creature
+
+__all__ = ["ChangingJudge", "ChangingObserver"]
+
+Columns = npt.NDArray[np.intp]
+_BOX: Shape = "box"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Change:
+    """What is other from a row on.
+
+    Attributes:
+        came: The energy of what came, and the columns of that.
+        went: The same of what went.
+        stopped: The columns of the motors that went.
+    """
+
+    came: tuple[Balance, Columns]
+    went: tuple[Balance, Columns]
+    stopped: Columns
+
+
+class ChangingJudge(Judge):
+    """Decides how an episode comes out whose creature changes.
+
+    Args:
+        task: What is asked.
+        seed: The episode's.
+        balance: Of the energy of what is there at the start.
+        trajectory: Where to keep what is told.
+    """
+
+    trajectory: ChangingTrajectory
+
+    def __init__(self, task: Task, seed: int, balance: Balance, trajectory: ChangingTrajectory) -> None:
+        super().__init__(task, seed, balance, trajectory)
+        self._energies = np.zeros(len(trajectory.states))
+        self._now = balance
+        self._change: _Change | None = None
+
+    def change(self, balance: Balance, columns: Columns, change: _Change | None) -> None:
+        """Takes note of what is there from the next row on.
+
+        Args:
+            balance: Of the energy of what is there then.
+            columns: Where that is in the rows.
+            change: What is other than before; None at the start.
+        """
+        self.trajectory.change(balance.bodies, columns)
+        self._now, self._change = balance, change
+
+    def take(self, states: Array, powers: Array, positions: Array) -> str | None:
+        """As `Judge.take`, of all cubes and motors that may be there, with zeros for those that are not."""
+        begin, end, change = self.trajectory.rows, self.trajectory.rows + len(states), self._change
+        if begin == end:
+            return None
+        powers = np.concatenate([powers, np.zeros((len(states), 2, 1))], axis=2)
+        if change is not None:
+            came = _energy(change.came, states[0])
+            went = _energy(change.went, self.trajectory.states[begin - 1])
+            powers[0, :, -1] = (max(came, 0.0) + max(-went, 0.0)) * self.trajectory.bodies.tick_rate
+            # What a motor gave in the tick at whose end it went is not known: about what it gave before.
+            powers[0][:, change.stopped] = self._powers[begin - 1][:, change.stopped]
+            self._change = None
+        self._energies[begin:end] = self._now.energy(states[:, self.trajectory.there], positions)
+        return super().take(states, powers, positions)
+
+    def _excess(self, rows: int) -> Excess | None:
+        return self.balance.excess_of(self._energies[:rows], self._powers[:rows])
+
+
+class ChangingObserver(Observer):
+    """Tells a judge what one creature does in a world, whatever it loses or gains; `watched` is what is there now."""
+
+    judge: ChangingJudge
+
+    def __init__(self, world: World, creature: Creature, task: Task, seed: int, place: Place = ALONE) -> None:
+        self.creature, self._world, self._place = creature, world, place
+        self._props: Sequence[Mapping[str, Any]] = task.document["props"]
+        self._rate, self._target, self._room = task.tick_rate, task.target(seed, place), task.ticks + 1
+        self._springs = [joint for joint in creature.body.joints if joint.stiffness]
+        self._stiffnesses = [joint.stiffness for joint in self._springs]
+        self._motors = [joint for joint in creature.body.joints if joint.motor is not None]
+        self._ended: str | None = None
+        whole = self._bodies(range(len(creature.form.cubes) + len(self._props)))
+        trajectory = ChangingTrajectory(whole, task.ticks, len(self._motors), contacts=task.touchy)
+        columns = self._columns()
+        self._balance = start = Balance.of(self._bodies(columns), world.config, self._stiffnesses)
+        self.judge = ChangingJudge(task, seed, start, trajectory)
+        self._numbers: dict[int, int] = {}  # in the engine, of what is there, by the columns
+        self._driven: Columns = np.zeros(0, np.intp)
+        self.note = self._note
+        self._follow()
+
+    def _bodies(self, columns: Sequence[int]) -> ObservedBodies:
+        """Returns what is in some columns of all that may be there, in the sizes that it has now."""
+        cubes, props = self.creature.form.cubes, self._props
+        body = [cubes[column] for column in columns if column < len(cubes)]
+        others = [props[column - len(cubes)] for column in columns if column >= len(cubes)]
+        sizes = [*(cube.size for cube in body), *(tuple(map(float, prop["size"])) for prop in others)]
+        return ObservedBodies(
+            (*(cube.id for cube in body), *(prop["id"] for prop in others)),
+            len(body),
+            np.array(sizes, float).reshape(-1, 3),
+            np.array([*(cube.mass for cube in body), *(prop["mass"] for prop in others)], float),
+            self._rate,
+            self._target,
+            (*(cube.shape for cube in body), *(_BOX for _ in others)),
+        )
+
+    def _columns(self) -> list[int]:
+        """Returns the columns of what is there."""
+        cubes = self.creature.form.cubes
+        there = [column for column, cube in enumerate(cubes) if cube.id in self.creature.cubes]
+        return there + [len(cubes) + number for number in range(len(self._props))]
+
+    def _names(self, columns: Sequence[int]) -> list[str]:
+        """Returns the names in the world of what is in some columns."""
+        creature, cubes = self.creature, self.creature.form.cubes
+        props = [self._place.prop(prop["id"]) for prop in self._props]
+        return [creature.cubes[cubes[each].id] if each < len(cubes) else props[each - len(cubes)] for each in columns]
+
+    def _follow(self) -> None:
+        """Begins to keep the rows of what is there now."""
+        creature, world, entities = self.creature, self._world, self._world.entities
+        columns, old = self._columns(), self._numbers
+        self._cubes = self._names(columns)
+        numbers = {each: entities.cube(name).body for each, name in zip(columns, self._cubes, strict=True)}
+        springs, motors = (
+            np.array([at for at, joint in enumerate(joints) if joint.id in creature.joints], np.intp)
+            for joints in (self._springs, self._motors)
+        )
+        balance = Balance.of(self._bodies(columns), world.config, self._stiffnesses)
+        change = None
+        if old:
+            came = [each for each, number in numbers.items() if old.get(each) != number]
+            went = [each for each, number in old.items() if numbers.get(each) != number]
+            gone = _some(self._balance.bodies, [[*old].index(each) for each in went])
+            change = _Change(
+                (Balance.of(self._bodies(came), world.config, ()), np.array(came, np.intp)),
+                (Balance.of(gone, world.config, ()), np.array(went, np.intp)),
+                np.setdiff1d(self._driven, motors),
+            )
+        self.judge.change(balance, np.array(columns, np.intp), change)
+        self._numbers, self._balance, self._layout = numbers, balance, creature.layout
+        self._moved, self._driven, self._seen = springs, motors, self.judge.trajectory.rows
+        kinds = (self._springs, springs), (self._motors, motors)
+        joints = [[entities.joint(creature.joints[each[at].id]).number for at in some] for each, some in kinds]
+        self.watched = Watched([*numbers.values()], *joints)
+        self._track = world.simulation.track(*self.watched, self._room - self._seen)
+
+    def _note(self) -> None:
+        """Keeps a row, after each tick that counts and at the start, for `look`."""
+        if self.creature.layout != self._layout:
+            self.look()
+            self._follow()
+        judge = self.judge
+        if judge.touchy:
+            columns, body = judge.trajectory.there, self._balance.bodies.body
+            judge.touches[self._seen + self._track.rows, columns] = self._world.touches(self._cubes, body)
+        self._track.note()
+
+    def look(self) -> str | None:
+        """Has the new rows judged; returns the name of the condition that has ended the episode, if one has."""
+        judge, track = self.judge, self._track
+        begin, end = judge.trajectory.rows - self._seen, track.rows
+        if self._ended is None and begin < end:
+            columns, whole = judge.trajectory.there, len(judge.trajectory.bodies.cubes)
+            states = np.zeros((end - begin, whole, 13))
+            powers = np.zeros((end - begin, 2, len(self._motors)))
+            positions = np.zeros((end - begin, len(self._springs)))
+            states[:, columns] = track.states(begin, end)
+            powers[:, :, self._driven] = track.powers(begin, end)
+            positions[:, self._moved] = track.positions(begin, end)
+            self._ended = judge.take(states, powers, positions)
+        return self._ended
+
+
+def _some(bodies: ObservedBodies, rows: list[int]) -> ObservedBodies:
+    """Returns some of the bodies."""
+    ids, shapes = tuple(bodies.cubes[row] for row in rows), tuple(bodies.shapes[row] for row in rows)
+    return ObservedBodies(ids, len(rows), bodies.sizes[rows], bodies.masses[rows], bodies.tick_rate, shapes=shapes)
+
+
+def _energy(of: tuple[Balance, Columns], states: Array) -> float:
+    """Returns the energy of some bodies in a row of all, J."""
+    balance, columns = of
+    return float(balance.energy(states[np.newaxis, columns], np.zeros((1, 0)))[0]) if len(columns) else 0.0
