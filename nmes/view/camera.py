@@ -26,6 +26,7 @@ _CALM = 0.4  # s before and after a moment, over which a camera that follows smo
 _ROUND = 24.0  # s that an orbit takes
 _NEAREST = 1.0  # m: the smallest radius that is looked at
 _MOVES, _BESIDE = 0.02, 1.5  # m: how far a cube gets that moves; how near to it a neighbour is
+_BEHIND = 3.0  # m: how far what came to rest is left behind before it is looked at no more
 _NEAR = 6.0  # m: how near a creature's target is to what is looked at, to be looked at too
 _MARK = 0.6  # m: how much room its flag takes
 _FLAT = 1e-9  # m, and parts of a quaternion: a world in which nothing leaves the plane by more is planar
@@ -73,7 +74,10 @@ def _smooth(values: Array, fps: float) -> Array:
 
 
 def _looked_at(moments: Sequence[Moment], target: str | None) -> set[str]:
-    """Returns the names of the cubes to look at: the target's, else those that move and their neighbours, else all."""
+    """Returns the names of the cubes to look at: the target's, else those that move and their neighbours, else all.
+
+    What comes later beside any of them is looked at too: parts that grow.
+    """
     if target is not None:
         names = {name for moment in moments for name in moment.shapes if name.startswith(target)}
         if not names:
@@ -87,23 +91,49 @@ def _looked_at(moments: Sequence[Moment], target: str | None) -> set[str]:
             if np.abs(pose[:3] - first.setdefault(name, pose[:3])).max() > _MOVES:
                 moved[name] = None
     starts = np.array([first[name] for name in moved]).reshape(-1, 3)
-    beside = {name for name, at in first.items() if np.linalg.norm(starts - at, axis=1).min(initial=np.inf) < _BESIDE}
-    return beside or set(first)
+    beside = {name: at for name, at in first.items() if _near(at, starts)}
+    for name in [name for name in first if name not in moments[0].shapes]:
+        if name not in beside and _near(first[name], np.array([*beside.values()]).reshape(-1, 3)):
+            beside[name] = first[name]
+    return set(beside or first)
+
+
+def _near(place: Array, others: Array, far: float = _BESIDE) -> bool:
+    return bool(np.linalg.norm(others - place, axis=1).min(initial=np.inf) < far)
+
+
+def _rests(moments: Sequence[Moment], names: set[str]) -> dict[str, int]:
+    """Returns from which moment on each cube moves no more."""
+    ends: dict[str, Array] = {}
+    rests: dict[str, int] = {}
+    for i in range(len(moments) - 1, -1, -1):
+        for name, pose in zip(moments[i].shapes, moments[i].poses, strict=True):
+            if name in names and name not in rests:
+                if np.abs(pose[:3] - ends.setdefault(name, pose[:3])).max() > _MOVES:
+                    rests[name] = i + 1
+    return rests
 
 
 def _middles(moments: Sequence[Moment], names: set[str], *, flags: bool) -> tuple[Array, Array]:
     """Returns the middle of some cubes at each moment, and how far they reach from there, m.
 
-    With `flags`, the targets of creatures that are near belong to them. Where no cube is there, they are as at the
-    moment before.
+    With `flags`, the targets of creatures that are near belong to them. What came to rest for good, as a limb that was
+    lost, is left behind by what moves. Where no cube is there, they are as at the moment before.
     """
+    rests = _rests(moments, names)
     middles, radii = np.zeros((len(moments), 3)), np.full(len(moments), _NEAREST)
     last = -1
     for i, moment in enumerate(moments):
-        rows = [row for row, name in enumerate(moment.shapes) if name in names]
+        shown = {row: name for row, name in enumerate(moment.shapes) if name in names}
+        going = moment.poses[[row for row, name in shown.items() if rests.get(name, 0) > i], :3]
+        rows = [
+            row
+            for row, name in shown.items()
+            if not (0 < rests.get(name, 0) <= i and len(going)) or _near(moment.poses[row, :3], going, _BEHIND)
+        ]
         if rows:
-            places = moment.poses[rows, :3]
-            halves = [hypot(*size) / 2.0 for name, (size, *_) in moment.shapes.items() if name in names]
+            places, sizes = moment.poses[rows, :3], [size for size, *_ in moment.shapes.values()]
+            halves = [hypot(*sizes[row]) / 2.0 for row in rows]
             targets = np.array(moment.targets if flags else ()).reshape(-1, 3)
             near = targets[np.linalg.norm(targets - places.mean(axis=0), axis=1) < _NEAR]
             places, halves = np.concatenate([places, near]), halves + [_MARK] * len(near)
