@@ -18,7 +18,7 @@ from nmes.schemas.documents import did_you_mean
 if TYPE_CHECKING:
     from nmes.genome.body import Body, BodyJoint
 
-__all__ = ["NAMES", "PARTS", "Resize", "Rule", "hanging", "read_rules", "resized"]
+__all__ = ["NAMES", "PARTS", "Resize", "Rule", "deeds", "hanging", "read_rules", "resized"]
 
 JsonObject = Mapping[str, Any]
 
@@ -136,6 +136,17 @@ def _problems(entry: JsonObject, path: str, body: Body) -> Iterator[tuple[str, s
 
 def _listed(entry: JsonObject, name: str) -> list[tuple[int, Any]]:
     return list(enumerate(entry.get(name, ())))
+
+
+def deeds(rule: JsonObject) -> str:
+    """Returns what a rule of a document does, in words: `shed tail; grow leg, leg.2; enter stage 2`."""
+    done = [f"{kind} {', '.join(rule[kind])}" for kind in ("shed", "adopt", "grow") if kind in rule]
+    if "resize" in rule:
+        sizes = [f"{each['part']} to {each['scale']:g} times its size" for each in rule["resize"]]
+        done.append(f"resize {', '.join(sizes)}")
+    if "enter" in rule:
+        done.append(f"enter stage {rule['enter']:g}")
+    return "; ".join(done)
 
 
 # -- geometry ---------------------------------------------------------------------------------------------------------

@@ -23,8 +23,9 @@ def distance(one: Body, other: Body) -> float:
         other: Another.
 
     Returns:
-        The part of all their cubes and joints, told apart by their ids, that only one of them has; and the mean, over
-        the cubes that both have, of how far apart the logarithms of their edges are.
+        The part of all their cubes and joints, told apart by their ids, and of what their rules do to which cubes, that
+        only one of them has; and the mean, over the cubes that both have, of how far apart the logarithms of their
+        edges are.
     """
     mine, theirs = _ids(one), _ids(other)
     sizes = {cube.id: cube.size for cube in other.cubes}
@@ -35,4 +36,10 @@ def distance(one: Body, other: Body) -> float:
 
 
 def _ids(body: Body) -> set[tuple[str, str]]:
-    return {("cube", cube.id) for cube in body.cubes} | {("joint", joint.id) for joint in body.joints}
+    ids = {("cube", cube.id) for cube in body.cubes} | {("joint", joint.id) for joint in body.joints}
+    ids |= {("later", name) for name in body.later}
+    for rule in body.development:
+        lists = {"shed": rule.shed, "adopt": rule.adopt, "grow": rule.grow}
+        ids |= {(kind, name) for kind, names in lists.items() for name in names}
+        ids |= {("resize", each.part) for each in rule.resize}
+    return ids

@@ -17,6 +17,7 @@ from nmes.genome.body import Body
 from nmes.genome.sensors import OF_CUBE, OF_FOOD, OF_JOINT, OF_OTHERS, SURROUNDED
 from nmes.schemas.documents import JsonObject, did_you_mean
 from nmes.variation import brain_changes, cube_bodies, graph_bodies
+from nmes.variation.development_changes import change_development
 from nmes.variation.draw import Draw
 from nmes.variation.offspring import offspring, written_sensors
 from nmes.variation.requirements import ANY, Requirements
@@ -42,10 +43,12 @@ KINDS: Final[Mapping[str, float]] = {
     "topology": 1.0,
     "voices": 0.4,
     "shape": 0.8,
+    "development": 1.0,
 }
 """The kinds of mutation, each with how often it is drawn where it can be, relative to the others."""
 _CUBE_SENSORS: Final = tuple(kind for kind in OF_CUBE if kind not in (*OF_OTHERS, *OF_FOOD, *SURROUNDED, "hear"))
 _MOST_VOICES = 128
+_VARIED: Final = ("body", "later", "development", "sensors", "voices", "brain")
 _TRIES = 100
 _FRUITLESS = 20  # draws in a row after which a kind that is asked for has nothing to change
 _MOST_SENSORS = 1024
@@ -85,7 +88,11 @@ def mutate(genome: Genome, draw: Draw, *, kind: str | None = None, requirements:
         genome.brain()
     reason = "there is nothing of that kind to change"
     # Only where they may change anything: they draw nothing elsewhere.
-    use = {"voices": bool(requirements.channels), "shape": bool(requirements.shapes)}
+    use = {
+        "voices": bool(requirements.channels),
+        "shape": bool(requirements.shapes),
+        "development": requirements.development,
+    }
     kinds = {name: weight for name, weight in KINDS.items() if use.get(name, True)}
     given, fruitless = genome.document, 0
     for _ in range(_TRIES):
@@ -107,13 +114,15 @@ def mutate(genome: Genome, draw: Draw, *, kind: str | None = None, requirements:
 
 
 def _same(document: JsonObject, other: JsonObject) -> bool:
-    return all(document.get(name) == other.get(name) for name in ("body", "sensors", "voices", "brain"))
+    return all(document.get(name) == other.get(name) for name in _VARIED)
 
 
 def _change(document: JsonObject, body: Body, kind: str, draw: Draw, requirements: Requirements) -> bool:
     """Makes one change to a document; returns whether there was anything to change."""
     if kind in brain_changes.CHANGES:
         return "brain" in document and brain_changes.CHANGES[kind](document["brain"], body, draw)
+    if kind == "development":
+        return change_development(document, body, draw)
     if kind == "sensors":
         return _change_sensors(document, body, draw, requirements)
     if kind == "voices":

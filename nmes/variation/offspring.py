@@ -1,4 +1,4 @@
-"""From a document whose body was changed to a genome: sensors and brain go along, and all of it is judged.
+"""From a document whose body was changed to a genome: sensors, rules and brain go along, and all of it is judged.
 
 Hides what a child keeps of its parent's document besides the body: its name and licence, but neither its author nor
 what was said about it.
@@ -14,6 +14,7 @@ from nmes.genome import Genome
 from nmes.genome.body import Body
 from nmes.schemas.documents import JsonObject, fits
 from nmes.variation.brains import carry_over, motor_names, sensor_names
+from nmes.variation.development_changes import carry_over_development
 from nmes.variation.draw import Draw
 from nmes.variation.requirements import Requirements
 
@@ -26,7 +27,7 @@ def offspring(
     """Returns the genome that a changed document becomes.
 
     Args:
-        document: Its body was changed; its sensors and brain are still those of the body before.
+        document: Its body was changed; its sensors, its development and its brain are still those of the body before.
         before: That body.
         parents: Of whom it comes.
         draw: What is new in the brain.
@@ -38,6 +39,7 @@ def offspring(
     child = {name: value for name, value in document.items() if name not in ("author", "description")}
     child["parents"] = list(dict.fromkeys(parent.hash for parent in parents))
     after = _body_of(child)
+    carry_over_development(child, after)
     if "brain" in child and _names(before) != _names(after):
         child["brain"] = carry_over(child["brain"], before, after, draw)
     return admitted(child, requirements)

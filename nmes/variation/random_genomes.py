@@ -16,8 +16,10 @@ from nmes.backend.rotation import total
 from nmes.errors import DocumentError, VariationError
 from nmes.genome import Genome
 from nmes.genome.body import PALETTE, Body
+from nmes.genome.development import hanging
 from nmes.schemas.documents import JsonObject, fits
 from nmes.variation.brains import motor_names, sensor_names
+from nmes.variation.development_changes import delay
 from nmes.variation.draw import Draw
 from nmes.variation.joints import draw_joint
 from nmes.variation.offspring import admitted
@@ -41,6 +43,9 @@ _FREQUENCY: Final = (0.5, 4.0)  # Hz
 _RATE: Final = 60.0  # control steps a second, for which clocks of networks are drawn
 _GAIN: Final = 1.1  # of a clock: above 1 it goes on by itself
 _HEEDED: Final = 4  # sensors that a network listens to
+_DEVELOPING: Final = 0.5  # of those that may develop
+_BORN: Final = 3  # cubes that are there at birth, at most, of one that develops
+_GROWN: Final = (0.1, 2.0)  # s: ages at which limbs grow
 
 
 def random_genome(draw: Draw, requirements: Requirements, name: str) -> Genome:
@@ -67,6 +72,8 @@ def random_genome(draw: Draw, requirements: Requirements, name: str) -> Genome:
             reason = "it has no motor"
             continue
         document["brain"] = draw.one_of(tuple(_BRAINS), tuple(_BRAINS.values()))(body, draw)
+        if requirements.development and draw.chance(_DEVELOPING):
+            _delay_limbs(document, body, draw)
         try:
             return admitted(document, requirements)
         except DocumentError as error:
@@ -156,6 +163,14 @@ def _connection(parent: str, child: str, draw: Draw, planar: bool) -> JsonObject
     if draw.chance(0.65):
         connection["mirror"] = draw.one_of("xy") if planar else draw.one_of("zx", (0.8, 0.2))
     return connection
+
+
+def _delay_limbs(document: JsonObject, body: Body, draw: Draw) -> None:
+    """Has a creature be born with few of its cubes; each limb on these grows at an age of its own."""
+    parts = list(hanging(body))
+    for part in parts[draw.count(0, min(len(parts), _BORN) - 1) :]:
+        if part not in document.get("later", ()):
+            delay(document, body, part, _between(draw, *_GROWN))
 
 
 # -- brains -----------------------------------------------------------------------------------------------------------

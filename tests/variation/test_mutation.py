@@ -61,7 +61,7 @@ def lines_of_descent(kind: str, task: Task) -> Iterator[tuple[Genome, Genome]]:
                 parent = mutant.genome
 
 
-@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("voices", "shape")])
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in ("voices", "shape", "development")])
 @pytest.mark.parametrize("mutants", [SHORT, pytest.param(LONG, marks=[pytest.mark.long, pytest.mark.timeout(20_000)])])
 def test_mutants_are_good_genomes_that_may_take_part(kind: str, mutants: int) -> None:
     task = Task.load("walk")
