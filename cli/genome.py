@@ -22,6 +22,7 @@ from nmes.cli._output import check_output, whole_file
 from nmes.errors import DocumentError, VariationError, visible
 from nmes.genome import Genome
 from nmes.genome.body import Body
+from nmes.genome.development import deeds
 from nmes.genome.genome import SHIPPED
 from nmes.schemas import load
 from nmes.schemas.documents import parse_document
@@ -253,6 +254,8 @@ def _about(genome: Genome) -> dict[str, Any]:
         ],
         "sensors": [sensor.id for sensor in body.sensors],
         **({"voices": [voice.id for voice in body.voices]} if body.voices else {}),
+        **({"later": list(body.later)} if body.later else {}),
+        **({"development": document["development"]} if body.development else {}),
     }
 
 
@@ -280,6 +283,11 @@ def _print(console: Console, genome: Genome) -> None:
     console.print(f"\nsensors: {', '.join(about['sensors'])}")
     if body.voices:
         console.print(f"\nvoices: {', '.join(about['voices'])}")
+    if body.later:
+        console.print(f"\nnot there at birth: {', '.join(about['later'])}")
+    if body.development:
+        console.print()
+        console.print(_rules(body, about["development"]))
 
 
 def _cubes(body: Body) -> Table:
@@ -301,6 +309,17 @@ def _joints(body: Body) -> Table:
             speed, effort = ("/s" if motor.mode == "velocity" else ""), ("N" if joint.kind == "slide" else "N m")
             words = f"{motor.mode}, {motor.low:.3g} to {motor.high:.3g} {unit}{speed}, {motor.max_effort:.3g} {effort}"
         table.add_row(joint.id, joint.kind, f"{joint.cube1} - {joint.cube2}", limits, words)
+    return table
+
+
+def _rules(body: Body, entries: list[dict[str, Any]]) -> Table:
+    table = Table("rule", "when", "in stage", "does", "at most", "every", box=None, pad_edge=False)
+    for number, (rule, entry) in enumerate(zip(body.development, entries, strict=True)):
+        stage, times = (
+            "any" if rule.stage is None else str(rule.stage),
+            "once" if rule.times == 1 else f"{rule.times} times",
+        )
+        table.add_row(str(number), visible(rule.when), stage, deeds(entry), times, f"{rule.every:g} s")
     return table
 
 

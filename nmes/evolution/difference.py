@@ -1,6 +1,7 @@
 """The differences between two genomes, told as a breeder would: this joint's limits, that part gone.
 
-Hides which entries of two lists belong together: those of the same id or, where entries have none, of the same ends.
+Hides which entries of two lists belong together: those of the same id or, where entries have none, of the same ends;
+and rules that do the same.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from nmes.genome import Genome
+from nmes.genome.development import deeds
 
 __all__ = ["Difference", "differences"]
 
@@ -65,6 +67,8 @@ def _compare(path: tuple[str, ...], one: Any, other: Any) -> Iterator[Difference
         yield from _compare_entries(path, one, other)
     elif path and path[-1] in _KEYS and isinstance(one, list) and isinstance(other, list):
         yield from _compare_entries(path, _keyed(path[-1], one), _keyed(path[-1], other))
+    elif path == ("development",) and isinstance(one, list) and isinstance(other, list):
+        yield from _compare_entries(path, _rules(one), _rules(other))
     elif path and path[-1] == "layers" and isinstance(one, list) and isinstance(other, list):
         yield from _compare_entries(path, _numbered(one), _numbered(other))
     elif one != other:
@@ -78,10 +82,19 @@ def _compare_entries(path: tuple[str, ...], one: Mapping[str, Any], other: Mappi
 
 def _keyed(name: str, entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Returns the entries of a list by what tells them from each other; of equal ones, the second is numbered."""
+    keys = [" - ".join(str(entry[field]) for field in _KEYS[name] if field in entry) for entry in entries]
+    return _distinct(keys, entries)
+
+
+def _rules(entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Returns rules of development by what they do."""
+    return _distinct([deeds(entry) for entry in entries], entries)
+
+
+def _distinct(keys: Sequence[str], entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     seen: Counter[str] = Counter()
     keyed = {}
-    for entry in entries:
-        key = " - ".join(str(entry[field]) for field in _KEYS[name] if field in entry)
+    for key, entry in zip(keys, entries, strict=True):
         seen[key] += 1
         keyed[key if seen[key] == 1 else f"{key} ({seen[key]})"] = entry
     return keyed

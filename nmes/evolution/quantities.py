@@ -93,6 +93,8 @@ _OF_GENOME: Final[Mapping[str, tuple[str, str, Callable[[Genome], float]]]] = {
         "",
         lambda genome: _symmetry(genome.body),
     ),
+    "later": ("how many cubes are not there at birth", "", lambda genome: len(genome.body.later)),
+    "rules": ("how many rules of development there are", "", lambda genome: len(genome.body.development)),
     "parameters": ("how many numbers the brain has that can be varied; 0 without a brain", "", _parameters),
 }
 _OF_EVALUATION: Final[Mapping[str, tuple[str, str, Callable[[Evaluation, int], float]]]] = {

@@ -155,6 +155,8 @@ class Genome:
             "mass": f"{body.mass:.4g} kg",
             "motors": len(body.motors),
             "sensors": len(body.sensors),
+            **({"not there at birth": f"{len(body.later)} of the cubes"} if body.later else {}),
+            **({"rules of development": len(body.development)} if body.development else {}),
             "brain": self.document.get("brain", {}).get("kind", "none"),
             "hash": self.hash[:16],
         }

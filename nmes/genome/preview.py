@@ -29,6 +29,7 @@ _LAMP = np.array([0.35, 1.0, 0.55]) / sqrt(0.35**2 + 1.0 + 0.55**2)
 _SKY, _GROUND, _GRID, _SHADE = (
     np.array(c, float) for c in ((246, 247, 249), (232, 233, 236), (208, 211, 217), (150, 154, 163))
 )
+_FAINT = 0.4  # of the colour of parts that are not there at birth, the rest is white
 _MARGIN = 0.08  # of the picture, free on each side
 _FINE = 2  # rays a pixel, in each direction
 _RAMP = " .:-=+*#%@"
@@ -194,6 +195,8 @@ class _Canvas:
         self._depth[area][visible] = near[visible]
         self.seen[area][visible] = 6 * number + face[visible]
         base = 255.0 * np.array(cube.color[:3] if cube.color is not None else PALETTE[number % len(PALETTE)])
+        if cube.id in self._body.later:
+            base = _FAINT * base + (1.0 - _FAINT) * 255.0
         image[area][visible] = base * lit[visible][:, None]
 
     def _outline(self, image: Array) -> None:

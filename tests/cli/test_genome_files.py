@@ -77,3 +77,33 @@ def test_show_tells_the_voices_of_a_creature_that_has_some(tmp_path: Path) -> No
     assert run("show", path).stdout.splitlines()[-1] == "voices: say.lead.2"
     assert json.loads(run("show", path, "--json").stdout)[0]["voices"] == ["say.lead.2"]
     assert "voices" not in run("show", "roller").stdout
+
+
+def test_show_tells_how_a_creature_develops(tmp_path: Path) -> None:
+    path = tmp_path / "late.json"
+    rules = [
+        {"when": "age > 2", "grow": ["foot"], "enter": 2},
+        {"when": 'has("foot") < 1', "stage": 2, "grow": ["foot"], "every": 3, "times": 5},
+    ]
+    path.write_text(json.dumps({**Genome.load("jumper").document, "later": ["foot"], "development": rules}))
+    *_, born, _, _, first, second = [line.split() for line in run("show", path).stdout.splitlines()]
+    assert " ".join(born) == "not there at birth: foot"
+    assert " ".join(first) == "0 age > 2 any grow foot; enter stage 2 once 1 s"
+    assert " ".join(second) == '1 has("foot") < 1 2 grow foot 5 times 3 s'
+    (shown,) = json.loads(run("show", path, "--json").stdout)
+    assert shown["later"] == ["foot"] and shown["development"] == rules
+    assert "birth" not in run("show", "jumper").stdout
+
+
+def test_what_is_wrong_with_rules_is_told(tmp_path: Path) -> None:
+    path = tmp_path / "wrong.json"
+    rules = [{"when": "agge > 2", "grow": ["log"]}, {"when": "age > 1"}]
+    path.write_text(json.dumps({**Genome.load("jumper").document, "later": ["log"], "development": rules}))
+    told = run("check", path).stdout
+    for words in (
+        "later/0: there is no cube 'log'; did you mean leg?",
+        "development/0/grow/0: there is no cube 'log'; did you mean leg?",
+        "development/0/when: line 1, column 1: there is no quantity 'agge'; did you mean age?",
+        "development/1: it does nothing; expected shed, adopt, grow, resize or enter",
+    ):
+        assert words in told

@@ -41,3 +41,16 @@ def test_a_mutant_differs_where_it_was_changed() -> None:
     assert any(path.startswith(("body / graph / parts / part1", "body / graph / connections / ")) for path in paths)
     back = differences(child, centipede)
     assert [each.path for each in back if each.kind != "changed"] and len(back) == len(paths)
+
+
+def test_rules_are_told_apart_by_what_they_do() -> None:
+    document = Genome.load("jumper").document
+    rules = [{"when": "age > 1", "grow": ["foot"]}, {"when": "age > 2", "shed": ["foot"]}]
+    changed = [{"when": "age > 9", "enter": 2}, {"when": "age > 3", "grow": ["foot"]}, rules[1]]
+    one, other = (Genome({**document, "later": ["foot"], "development": each}) for each in (rules, changed))
+    assert [(each.path, each.kind) for each in differences(one, other)] == [
+        ("development / grow foot / when", "changed"),
+        ("development / enter stage 2", "added"),
+    ]
+    plain = differences(Genome(document), one)
+    assert [(each.path, each.kind) for each in plain] == [("later", "added"), ("development", "added")]

@@ -285,6 +285,17 @@ def test_the_grid_is_a_round_number_of_metres() -> None:
     assert set(steps.values()) <= {0.05, 0.1, 0.2, 0.5}
 
 
+def test_what_is_not_there_at_birth_is_drawn_paler_and_told_on_the_card() -> None:
+    document = Genome.load("jumper").document
+    rules = [{"when": "age > 1", "grow": ["foot"]}]
+    late = Genome({**document, "later": ["foot"], "development": rules})
+    plain, paler = (render_body(each.body, 160, 120).astype(int) for each in (Genome(document), late))
+    assert (paler >= plain).all() and (paler > plain + 40).any() and (paler == plain).any()
+    card = late._repr_html_()
+    assert "not there at birth" in card and "rules of development" in card
+    assert "birth" not in Genome(document)._repr_html_()
+
+
 def test_a_sheet_has_room_for_long_and_strange_names() -> None:
     body = Genome.load("jumper").body
     assert sheet([("x" * 100, body), ("ßé漢字", body), ("", body)], 120, 90).shape[2] == 3
@@ -293,10 +304,40 @@ def test_a_sheet_has_room_for_long_and_strange_names() -> None:
 # -- the page ---------------------------------------------------------------------------------------------------------
 
 
+def require_wings(development: Any) -> None:
+    """Requires that a creature develops as the page says of its rules: a wing grows, grows again, and is enlarged."""
+    trunk = {"id": "trunk", "size": 0.2, "mass": 1, "position": [0, 0.1, 0]}
+    wing = {"id": "wing", "size": 0.2, "mass": 1, "position": [0, 0.1, 0.25]}
+    joint = {"id": "wing", "type": "fixed", "cube1": "trunk", "cube2": "wing", "anchor": [0, 0.1, 0.1]}
+    document = {"format": "nmes-genome/1", "name": "bird", "body": {"cubes": [trunk, wing], "joints": [joint]}}
+    world = World({"mode": "lockstep", "gravity": [0, 0, 0]})
+    client = world.join()
+
+    def wings(seconds: float, **command: Any) -> list[float]:
+        """Lets time pass, and sends a command; returns the lengths of the wings that there are."""
+        assert world.execute(client, {"type": "step", "ticks": round(seconds * 60)})["type"] != "error"
+        if command:
+            assert world.execute(client, command)["type"] != "error"
+        cubes = world.creature("b").cubes
+        return [world.entities.cubes[cubes["wing"]].size[0]] if "wing" in cubes else []
+
+    spawn = {"type": "spawn_creature", "genome": {**document, **development}, "name": "b", "autonomous": False}
+    assert world.execute(client, spawn)["type"] != "error"
+    assert world.execute(client, {"type": "drive", "creature": "b", "controls": []})["type"] != "error"
+    assert wings(1.9) == [] and wings(0.3) == [0.2]
+    assert wings(1.0, type="shed", creature="b", part="wing") == []
+    for cube in [name for name in world.entities.cubes if name.startswith("b.wing")]:
+        world.execute(client, {"type": "despawn_cube", "cube_name": cube})
+    assert wings(0.3) == [0.2]
+    up = {"cube_name": "b.trunk", "impulse": [0, 5, 0]}
+    assert wings(1.0, type="apply_physics", **up) == [0.2]
+    assert wings(3.0) == [pytest.approx(0.3)]
+
+
 def test_the_examples_of_the_page_work() -> None:
     page = (ROOT / "docs" / "genomes.md").read_text()
     examples = re.findall(r"^```json\n(.*?)^```", page, flags=re.DOTALL | re.MULTILINE)
-    whole, sensors, seen, flawed, talk, config, young, body = examples
+    whole, sensors, seen, flawed, talk, config, young, rules, body = examples
     hopper = Genome.parse(whole.encode())
     assert [motor.id for motor in hopper.body.motors] == list(hopper.brain().outputs) == ["leg"]
     head = {"format": "nmes-genome/1", "name": "grown"}
@@ -320,6 +361,7 @@ def test_the_examples_of_the_page_work() -> None:
     ]
     fledgling = Genome({**head, "body": {"cubes": cubes, "joints": joints}, "later": later}).body
     assert [cube.id for cube in fledgling.cubes] == ["trunk", *later] and set(fledgling.later) == {*later}
+    require_wings(json.loads(f"{{{rules}}}"))
     talker = Genome({**hopper.document, **json.loads(f"{{{talk}}}")}).body
     assert [voice.id for voice in talker.voices] == ["say.alarm", "east", "say.map.2"] and len(talker.sensors) == 2
     assert {voice.channel for voice in talker.voices} == World(json.loads(config)).channels.channels.keys()
