@@ -23,6 +23,7 @@ from rich.table import Table
 import bodies
 import brains
 import company
+import developing
 import engines
 import evaluation
 import evolution
@@ -44,6 +45,7 @@ SUITES = {
     "bodies": bodies.figures,
     "brains": brains.figures,
     "company": company.figures,
+    "developing": developing.figures,
     "engines": engines.figures,
     "evaluation": evaluation.figures,
     "evolution": evolution.figures,
