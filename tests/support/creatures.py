@@ -47,6 +47,15 @@ def snake(brain: dict[str, Any] | None = SINE, segments: int = 4, **changes: Any
     return {**genome, **({} if brain is None else {"brain": brain}), **changes}
 
 
+def seedling() -> dict[str, Any]:
+    """Returns the genome of two small cubes with a servo between them, which is about as small as a creature gets."""
+    genome = snake(segments=2, name="seedling")
+    for i, cube in enumerate(genome["body"]["cubes"]):
+        cube |= {"size": 0.14, "position": [0.2 * i, 0.07, 0]}
+    genome["body"]["joints"][0]["anchor"] = [0.1, 0.07, 0]
+    return genome
+
+
 def exploding() -> dict[str, Any]:
     """Returns the genome of a snake that no engine can follow: motors of a million newton metres on a gram."""
     genome = snake(name="bang")
@@ -55,3 +64,9 @@ def exploding() -> dict[str, Any]:
     for joint in genome["body"]["joints"]:
         joint["motor"] = {"mode": "velocity", "range": [-1000, 1000], "max_effort": 1e6}
     return genome
+
+
+def able(task: str) -> str | dict[str, Any]:
+    """Returns a creature that may take part in a task that ships."""
+    special = {"carry": "juggler", "pole": "juggler", "planar-walk": "inchworm", "reach": "seeker"}
+    return seedling() if task == "growth" else special.get(task, "walker")

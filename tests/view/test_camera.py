@@ -6,6 +6,7 @@ import numpy as np
 
 from nmes.backend import CameraSpec
 from nmes.backend.rotation import rotate
+from nmes.backend.shapes import Shape
 from nmes.view.camera import cameras
 from nmes.view.moments import Moment
 
@@ -14,7 +15,8 @@ FPS = 10.0
 
 def film(*places: dict[str, tuple[float, float, float]]) -> list[Moment]:
     """Returns moments with cubes of 0.4 m at their places."""
-    look = (0.4, 0.4, 0.4), (0.5, 0.5, 0.5, 1.0), "box"
+    box: Shape = "box"
+    look = (0.4, 0.4, 0.4), (0.5, 0.5, 0.5, 1.0), box
     turn = (0.0, 0.1, 0.0, 1.0)
     return [
         Moment(i / FPS, 1, dict.fromkeys(at, look), np.array([(*place, *turn) for place in at.values()]))
