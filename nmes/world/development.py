@@ -8,6 +8,7 @@ and is told; a creature changes a bounded number of times in its life.
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from nmes.backend.rotation import minus, total
@@ -28,19 +29,19 @@ __all__ = ["Development", "Habitat"]
 _PERIOD: Final = 0.1  # s between two looks at the rules
 
 
+@dataclass(frozen=True, slots=True)
 class Habitat:
     """What a creature develops in.
 
-    Args:
+    Attributes:
         entities: The world's cubes and joints.
         is_part: Tells whether a cube, by its number in the engine, is a part of some creature.
         energy_of: Tells how much energy a creature has, J, by its name; None where creatures have none.
     """
 
-    def __init__(
-        self, entities: Entities, is_part: Callable[[int], bool], energy_of: Callable[[str], float] | None
-    ) -> None:
-        self.entities, self.is_part, self.energy_of = entities, is_part, energy_of
+    entities: Entities
+    is_part: Callable[[int], bool]
+    energy_of: Callable[[str], float] | None
 
 
 class Development:
