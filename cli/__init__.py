@@ -27,6 +27,7 @@ SUBCOMMANDS = {
     "backends": "List the physics engines that are installed.",
     "completion": "Print what makes a shell complete.",
     "conform": "Judge a server by the protocol.",
+    "conform-client": "Judge a client by the protocol.",
     "diff": "Compare two recordings.",
     "doctor": "See whether everything is as it must be.",
     "eval": "Score creatures on a task.",
@@ -64,7 +65,7 @@ class _Group(click.Group):
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name not in SUBCOMMANDS:
             return None
-        command = cast(click.Command, importlib.import_module(f"nmes.cli.{cmd_name}").command)
+        command = cast(click.Command, importlib.import_module(f"nmes.cli.{cmd_name.replace('-', '_')}").command)
         if is_completing():
             complete_arguments(command)
         return command

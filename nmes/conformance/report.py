@@ -17,7 +17,7 @@ from nmes.conformance.runner import Report, Result, Verdict, suite_hash
 from nmes.conformance.wire import Entry
 from nmes.protocol import PROTOCOL_VERSION
 
-__all__ = ["describe", "to_html", "to_json", "to_junit"]
+__all__ = ["describe", "readable", "to_html", "to_json", "to_junit"]
 
 BAD = frozenset({Verdict.FAILED, Verdict.FAULT})
 SHOWN = 4096  # bytes of one entry of a log that the reports hold; longer ones are cut in the middle
@@ -72,14 +72,14 @@ def _head(report: Report) -> dict[str, Any]:
 
 
 def _entry(entry: Entry) -> dict[str, Any]:
-    return {"at": round(entry.at, 6), "wire": entry.wire, "kind": entry.kind, "data": _text(entry.data)}
+    return {"at": round(entry.at, 6), "wire": entry.wire, "kind": entry.kind, "data": readable(entry.data)}
 
 
-def _text(data: bytes) -> str:
+def readable(data: bytes) -> str:
     """Returns bytes as text that shows every byte, those that cannot be printed as escapes."""
     if len(data) > SHOWN:
         half = SHOWN // 2
-        return f"{_text(data[:half])} ...[{len(data) - SHOWN:,} bytes left out]... {_text(data[-half:])}"
+        return f"{readable(data[:half])} ...[{len(data) - SHOWN:,} bytes left out]... {readable(data[-half:])}"
     text = data.decode("utf-8", "backslashreplace")
     return "".join(char if char.isprintable() else char.encode("unicode_escape").decode() for char in text)
 
@@ -139,7 +139,7 @@ def _xml(text: str) -> str:
 def _lines(log: Iterable[Entry]) -> Iterator[str]:
     arrows = {"sent": "->", "received": "<-", "note": "--"}
     for entry in log:
-        yield f"{entry.at:9.4f} {entry.wire} {arrows[entry.kind]} {_text(entry.data)}"
+        yield f"{entry.at:9.4f} {entry.wire} {arrows[entry.kind]} {readable(entry.data)}"
 
 
 def _by_category(results: Iterable[Result]) -> list[tuple[str, list[Result]]]:

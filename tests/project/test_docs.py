@@ -36,13 +36,13 @@ CONSOLE = [
 
 
 def subcommand(name: str) -> click.Command:
-    command = importlib.import_module(f"nmes.cli.{name}").command
+    command = importlib.import_module(f"nmes.cli.{name.replace('-', '_')}").command
     assert isinstance(command, click.Command)
     return command
 
 
 def test_every_file_of_the_command_line_is_a_listed_subcommand() -> None:
-    assert {path.stem for path in (ROOT / "cli").glob("[!_]*.py")} == set(SUBCOMMANDS)
+    assert {path.stem.replace("_", "-") for path in (ROOT / "cli").glob("[!_]*.py")} == set(SUBCOMMANDS)
 
 
 @pytest.mark.parametrize("name", SUBCOMMANDS)
