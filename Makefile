@@ -21,7 +21,7 @@ help:
 	@echo "make figures           draw the figures in docs/pictures anew (with Graphviz)"
 	@echo "make goldens           record the corpus in replays/ anew"
 	@echo "make format            write anew what is written from the schemas, mend what the linter can mend"
-	@echo "make clients           write the messages of the Go client anew (with Go)"
+	@echo "make clients           write the messages of the clients in Go and TypeScript anew (with Go)"
 	@echo "make clean             remove what was built, the environment too"
 
 setup: layout
@@ -92,6 +92,7 @@ format: layout
 # The messages of clients in other languages; it takes Go.
 clients: layout
 	$(BIN)/python tools/go_messages.py
+	$(BIN)/python tools/ts_messages.py
 
 bench: $(READY)
 	@$(BIN)/python benchmarks/bench.py
