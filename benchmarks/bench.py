@@ -22,6 +22,7 @@ from rich.table import Table
 
 import bodies
 import brains
+import clients
 import company
 import developing
 import engines
@@ -44,6 +45,7 @@ SUITES = {
     "ticking": ticking.figures,
     "bodies": bodies.figures,
     "brains": brains.figures,
+    "clients": clients.figures,
     "company": company.figures,
     "developing": developing.figures,
     "engines": engines.figures,

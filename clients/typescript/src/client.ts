@@ -66,7 +66,7 @@ export class Client extends Commands {
     const connection = new Connection(await this.dial());
     const { password, world, role } = this.options;
     try {
-      this.#welcome = await connection.send<AuthSuccess>({ type: "auth", password, world, role, token: this.#token });
+      this.#welcome = await connection.authenticate({ type: "auth", password, world, role, token: this.#token });
     } catch (error) {
       connection.lose(new Disconnected("closed", "the server did not let the client in"));
       throw error;
@@ -151,23 +151,28 @@ class Connection {
     });
   }
 
-  /** Sends a command, with a number. */
-  command<R>(message: object): Promise<R> {
-    return this.send({ ...message, id: this.#count });
+  /** Says who this is; there is no number, as it is no command. */
+  authenticate(message: object): Promise<AuthSuccess> {
+    return this.#send(() => encode(message), undefined);
   }
 
-  /** Sends a message; what cannot be encoded is not counted as sent, so that it puts nothing out of step. */
-  send<R>(message: { id?: number; [field: string]: unknown }): Promise<R> {
+  /** Sends a command, with a number; what cannot be encoded is not counted, so that it puts nothing out of step. */
+  command<R>(message: object): Promise<R> {
+    const id = this.#count;
+    return this.#send(() => {
+      const text = encode(message);
+      this.#count++;
+      return `${text.slice(0, -1)},"id":${id}}`;
+    }, id);
+  }
+
+  #send<R>(frame: () => string, id: number | undefined): Promise<R> {
     return new Promise<R>((resolve, reject) => {
       if (this.lost !== undefined) {
         throw this.lost;
       }
-      const frame = encode(message);
-      if (message.id !== undefined) {
-        this.#count++;
-      }
-      this.#waiting.push({ id: message.id, resolve, reject });
-      this.transport.send(frame);
+      this.transport.send(frame());
+      this.#waiting.push({ id, resolve, reject });
     });
   }
 
@@ -274,13 +279,17 @@ function refusal(message: Message): CommandError {
   return new CommandError(String(message["code"]), String(message["message"]), typeof field === "string" ? field : undefined);
 }
 
+// What JSON.stringify makes of numbers that are none and of halves of characters, and what has to be escaped.
+const SUSPECT = /null|\\ud|</;
+
 /** Returns a message as JSON whose strings hold no delimiter. */
 function encode(message: object): string {
   const text = JSON.stringify(message);
-  if (text.includes("null") || text.includes("\\ud")) {
+  if (SUSPECT.test(text)) {
     JSON.stringify(message, refuse);
+    return text.replaceAll("<", "\\u003c");
   }
-  return text.includes("<") ? text.replaceAll("<", "\\u003c") : text;
+  return text;
 }
 
 /** Throws a RangeError of what JSON.stringify would change: numbers that are none, halves of characters. */
