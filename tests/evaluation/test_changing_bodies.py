@@ -128,6 +128,57 @@ def test_without_that_payment_it_is_energy_of_nothing(monkeypatch: MonkeyPatch) 
     assert result.fault is not None and result.fault.startswith("energy: ")
 
 
+def ratchet() -> Json:
+    """Returns a creature that stays where it is: its arm swings a heavy load forwards, and a light one back."""
+    load = [{"part": "load", "scale": scale} for scale in (0.25, 1)]
+    return {
+        "format": "nmes-genome/1",
+        "name": "ratchet",
+        "body": {
+            "cubes": [
+                {"id": "root", "size": [1.2, 0.3, 0.6], "mass": 200, "position": [0, 0.15, 0], "friction": 1},
+                {"id": "arm", "size": [0.1, 0.1, 1], "mass": 4, "position": [0, 0.4, 0.5]},
+                {"id": "load", "size": 0.4, "mass": 40, "position": [0, 0.45, 1.2]},
+            ],
+            "joints": [
+                {
+                    "id": "arm",
+                    "cube1": "root",
+                    "cube2": "arm",
+                    "type": "hinge",
+                    "axis": [0, 1, 0],
+                    "anchor": [0, 0.35, 0],
+                    "limits": [-1.3, 1.3],
+                    "motor": {"mode": "velocity", "range": [-4, 4], "max_effort": 1500},
+                },
+                {"id": "hold", "cube1": "arm", "cube2": "load", "type": "fixed", "anchor": [0, 0.4, 1]},
+            ],
+        },
+        "brain": {"kind": "sine", "oscillators": [{"motor": "*", "amplitude": 1, "frequency": 0.6}]},
+        "development": [
+            {"when": f"stage == {stage} && sense(\"arm.position\") {beyond}", "resize": [load[stage - 1]],
+             "enter": 3 - stage, "every": 0.1, "times": 64}
+            for stage, beyond in ((1, "> 0.78"), (2, "< -0.78"))
+        ],
+    }  # fmt: skip
+
+
+def test_what_shipped_tasks_ask_cannot_be_had_by_a_ratchet() -> None:
+    shipped = Task.load("injury").document
+    assert Task.load("metamorphosis").document["objective"] == shipped["objective"]
+    ways = {"seeds": [1], "duration": 20, "limits": {}}
+    assert evaluate(ratchet(), task("displacement.x", **ways)).score > 2.0
+    assert evaluate(ratchet(), task(shipped["objective"], **ways)).score == 0.0
+
+
+def test_the_newt_swims_sheds_its_tail_and_drives_on() -> None:
+    ran = run(Genome.load("newt").document, Task.load("metamorphosis"))
+    way, cubes = series(ran, "displacement.x"), series(ran, "cubes")
+    assert (cubes[0], cubes[-1]) == (6, 5)
+    ashore = int(np.flatnonzero(cubes == 5)[0])
+    assert way[ashore] > 4 and way[-1] - way[ashore] > 15  # swum, and driven
+
+
 def test_limits_of_what_a_creature_does_hold_through_changes() -> None:
     fast = growing(GROW, later=("c2", "c3"))
     ended = evaluate(fast, task(limits={"energy": 0.01})).results[0]
