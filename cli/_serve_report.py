@@ -10,6 +10,8 @@ from nmes.world import World
 
 __all__ = ["Running", "ready_lines", "ready_object", "stopped_lines"]
 
+FEW = 20  # worlds, each of which has a line
+
 
 class Running(NamedTuple):
     """A host that clients may connect to.
@@ -57,8 +59,10 @@ def ready_object(running: Running) -> dict[str, Any]:
 
 def _many_worlds(running: Running) -> dict[str, Any]:
     directory = running.settings.record_to
+    few = len(running.ports) > 1 or len(running.worlds) <= FEW  # on one port, names that count on say no more
     return {
-        "worlds": [{"world": name, "port": port} for name, port in running.worlds.items()],
+        **({"worlds": [{"world": name, "port": port} for name, port in running.worlds.items()]} if few else {}),
+        "world_count": len(running.worlds),
         **_engine(running.sample),
         "recordings": None if directory is None else str(directory),
     }
@@ -82,7 +86,7 @@ def ready_lines(running: Running) -> list[str]:
     settings, sample = running.settings, running.sample
     pace = f"{sample.mode} x {sample.rate:g}" if sample.mode == "realtime" else sample.mode
     engine = f"{sample.backend.name} {sample.backend.version()}, {pace}, seed {sample.seed}"
-    lines = [f"World {name!r} on {running.address}:{port}: {engine}" for name, port in running.worlds.items()]
+    lines = _world_lines(running, engine)
     if not lines:
         lines = [f"World {sample.config['name']!r}: {engine}", f"Listening on {running.address}:{running.ports[0]}"]
     if settings.password_source == MADE_UP:
@@ -95,6 +99,16 @@ def ready_lines(running: Running) -> list[str]:
     if settings.parent is not None:
         lines.append(f"Going on from frame {running.start:,} of {settings.parent[0].path}")
     return [*lines, _recording_line(running), "Ctrl-C stops"]
+
+
+def _world_lines(running: Running, engine: str) -> list[str]:
+    """Returns a line for each of several worlds; one for all, where they are many."""
+    worlds = list(running.worlds.items())
+    if len(worlds) <= FEW:
+        return [f"World {name!r} on {running.address}:{port}: {engine}" for name, port in worlds]
+    (first, port), (last, end) = worlds[0], worlds[-1]
+    ports = f"{running.address}:{port}" if port == end else f"{running.address}:{port} to :{end}"
+    return [f"{len(worlds):,} worlds, {first!r} to {last!r}, on {ports}: {engine}"]
 
 
 def _roles_line(running: Running) -> str:
@@ -117,8 +131,10 @@ def _recording_line(running: Running) -> str:
 
 
 def stopped_lines(running: Running) -> list[str]:
-    """Returns a line for each world of a closed host, with its last frame."""
-    lines = []
+    """Returns a line for each world of a closed host, with its last frame; one for all, where they are many."""
+    lines: list[str] = []
+    if len(running.host.worlds) > FEW:
+        return [f"{len(running.host.worlds):,} worlds stopped"]
     for hosted in running.host.worlds.values():
         name = f"World {hosted.name!r} stopped" if running.settings.names else "Stopped"
         lines.append(f"{name} at frame {hosted.world.frame}")

@@ -16,15 +16,17 @@ import click
 
 from nmes.cli._password import PASSWORD_VARIABLE, choose_password, read_password
 from nmes.errors import DocumentError, RejectedMessage
-from nmes.protocol import parse_json
+from nmes.protocol import complete_config, parse_json
 from nmes.recording import Recording
 from nmes.schemas.documents import ShippedDocuments
+from nmes.server.catalog import DEFAULT
 from nmes.server.retention import Retention
 from nmes.world.roles import OWNER
 
-__all__ = ["DIALECTS", "MADE_UP", "MOST_WORLDS", "Settings", "read_settings"]
+__all__ = ["DIALECTS", "MADE_UP", "MANY_WORLDS", "MOST_WORLDS", "Settings", "read_settings"]
 
-MOST_WORLDS = 1000
+MOST_WORLDS = 100_000
+MANY_WORLDS = 10_000  # that there may be unless told otherwise
 SHIPPED = ShippedDocuments("world config", "nmes.world", "shipped")
 KEYFRAMES = 10.0  # s of a world's time
 MADE_UP = "generated"  # the source of a password that was not given
@@ -64,6 +66,10 @@ class Settings:
         metrics_port: Port of the metrics; None: there are none.
         access_log: The file of who comes and goes; None: there is none.
         keep: Which recordings are removed; None: none.
+        makers: The passwords of those who may create worlds, by their names.
+        templates: The configs of worlds that are created over the wire, by name.
+        max_worlds: How many worlds there may be.
+        max_worlds_each: How many of them one maker may have.
     """
 
     config: dict[str, Any]
@@ -82,6 +88,10 @@ class Settings:
     metrics_port: int | None
     access_log: Path | None
     keep: Retention | None
+    makers: Mapping[str, str]
+    templates: Mapping[str, Mapping[str, Any]]
+    max_worlds: int
+    max_worlds_each: int
 
 
 def read_settings(options: Mapping[str, Any]) -> Settings:
@@ -95,6 +105,10 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
     name = config.get("name", "main")
     names, ports = _layout(options, name)
     worlds = _world_passwords(options["world_passwords"], names or [name])
+    makers = _makers(options["makers"], [password, *worlds.values()])
+    templates = _templates(options["templates"], config)
+    if len(names) > options["max_worlds"]:
+        raise click.UsageError(f"{len(names):,} worlds are more than --max-worlds {options['max_worlds']:,} allows")
     return Settings(
         config=config,
         parent=parent,
@@ -104,7 +118,9 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
         password=password,
         password_source=source,
         world_passwords=worlds,
-        role_passwords=_role_passwords(options["role"], config, [password, *worlds.values()]),
+        role_passwords=_role_passwords(
+            options["role"], list(templates.values()), [password, *worlds.values(), *makers.values()]
+        ),
         record_to=None if options["no_record"] else options["record_to"],
         flush_interval=options["flush_interval"],
         tls_cert=options["tls_cert"],
@@ -112,6 +128,10 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
         metrics_port=options["metrics_port"],
         access_log=options["access_log"],
         keep=_retention(options),
+        makers=makers,
+        templates=templates,
+        max_worlds=options["max_worlds"],
+        max_worlds_each=options["max_worlds_each"],
     )
 
 
@@ -185,12 +205,37 @@ def _world_passwords(folder: Path | None, names: Collection[str]) -> dict[str, s
     return passwords
 
 
+def _makers(folder: Path | None, others: Collection[str]) -> dict[str, str]:
+    """Returns the passwords of makers, by name, each the first line of its file; `others` open something already."""
+    makers: dict[str, str] = {}
+    for file in sorted(folder.iterdir()) if folder is not None else ():
+        password = read_password(file)
+        if password in (*others, *makers.values()):  # it could not be told who comes
+            raise click.UsageError(f"{file} has a password that opens something else already")
+        makers[file.name] = password
+    return makers
+
+
+def _templates(folder: Path | None, config: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """Returns the configs that worlds may be created from, by name: those that ship, those of a folder, and our own."""
+    templates = {name: _read_config(name) for name in SHIPPED.names()}
+    for file in sorted(folder.glob("*.json")) if folder is not None else ():
+        templates[file.stem] = _read_config(str(file))
+        try:
+            complete_config(templates[file.stem])
+        except RejectedMessage as error:
+            raise click.UsageError(f"{file}: {error.message}") from error
+    if folder is not None and DEFAULT in templates:
+        raise click.UsageError(f"{folder / DEFAULT}.json: that template is what --config and the other options say")
+    return {**{name: {"keyframes": KEYFRAMES, **own} for name, own in templates.items()}, DEFAULT: config}
+
+
 def _role_passwords(
-    options: Sequence[tuple[str, Path]], config: Mapping[str, Any], others: Sequence[str]
+    options: Sequence[tuple[str, Path]], configs: Sequence[Mapping[str, Any]], others: Sequence[str]
 ) -> dict[str, str]:
     """Returns the passwords of roles, by name, each the first line of its file; `others` open something already."""
-    roles = config.get("roles")
-    known = (OWNER, *roles) if isinstance(roles, dict) else ()
+    roles = [role for config in configs if isinstance(config.get("roles"), dict) for role in config["roles"]]
+    known = tuple(dict.fromkeys((OWNER, *roles))) if roles else ()
     passwords: dict[str, str] = {}
     for role, file in options:
         if role not in known:
@@ -220,11 +265,15 @@ def _layout(options: Mapping[str, Any], name: str) -> tuple[list[str], list[int]
             raise click.UsageError("--port-step goes with a number of worlds")
         return worlds or [], [port]
     names = [f"{name}-{number}" for number in range(1, worlds + 1)]
+    if step == 0:
+        return names, [port]
     if port == 0:
         return names, [0] * worlds
     ports = [port + number * (step or 1) for number in range(worlds)]
     if ports[-1] > 65535:
-        raise click.UsageError(f"{worlds} worlds from port {port} on reach beyond port 65535")
+        raise click.UsageError(
+            f"{worlds} worlds from port {port} on reach beyond port 65535; --port-step 0 serves all on one"
+        )
     return names, ports
 
 

@@ -21,7 +21,7 @@ from nmes.cli import _logs
 from nmes.cli._options import MOMENT
 from nmes.cli._password import PASSWORD_VARIABLE, password_options
 from nmes.cli._serve_report import Running, ready_lines, ready_object, stopped_lines
-from nmes.cli._serve_settings import DIALECTS, MOST_WORLDS, Settings, read_settings
+from nmes.cli._serve_settings import DIALECTS, MANY_WORLDS, MOST_WORLDS, Settings, read_settings
 from nmes.cli._viewer import viewer
 from nmes.cli.info import open_recording
 from nmes.errors import MachineError, RejectedMessage, WorldError
@@ -48,7 +48,7 @@ class _Worlds(click.ParamType["int | list[str]"]):
         if not value.isdecimal():
             return value.split(",")
         if not 1 <= int(value) <= MOST_WORLDS:
-            self.fail(f"a number of worlds is from 1 to {MOST_WORLDS}", parameter, context)
+            self.fail(f"a number of worlds is from 1 to {MOST_WORLDS:,}", parameter, context)
         return int(value)
 
 
@@ -98,7 +98,9 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
     help="Number of worlds, one port each; or their names, separated by commas, on one port.",
 )
 @click.option(
-    "--port-step", type=click.IntRange(1, 65535), help="From the port of one world to that of the next.  [default: 1]"
+    "--port-step",
+    type=click.IntRange(0, 65535),
+    help="From the port of one world to that of the next; 0 serves all on one.  [default: 1]",
 )
 @click.option(
     "--dialect",
@@ -167,6 +169,32 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
     help="A password for one of the roles that the world's config names: the first line of the file.",
 )
 @click.option(
+    "--makers",
+    metavar="FOLDER",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    help="Folder of files named after people: the first line of each is a password for creating worlds, and for those.",
+)
+@click.option(
+    "--templates",
+    metavar="FOLDER",
+    type=click.Path(path_type=Path, exists=True, file_okay=False),
+    help="Folder of world configs, *.json, from which worlds may be created over the wire, beside those that ship.",
+)
+@click.option(
+    "--max-worlds",
+    type=click.IntRange(1, MOST_WORLDS),
+    default=MANY_WORLDS,
+    show_default=True,
+    help="How many worlds there may be.",
+)
+@click.option(
+    "--max-worlds-each",
+    type=click.IntRange(1, MOST_WORLDS),
+    default=100,
+    show_default=True,
+    help="How many of them one of --makers may have.",
+)
+@click.option(
     "--tls-cert",
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
     help="Speak TLS, with the certificate in this PEM file.",
@@ -211,7 +239,7 @@ def command(log_format: str, view: bool, as_json: bool, **options: Any) -> None:
     sys.setswitchinterval(SWITCH)
     gc.set_threshold(*COLLECTIONS)
     _logs.set_up(log_format)
-    _raise_open_files_limit()
+    _raise_open_files_limit(settings.max_worlds)
     with ExitStack() as after:  # a viewer sees the world's end
 
         def report(running: Running) -> None:
@@ -254,6 +282,10 @@ async def _serve(settings: Settings, report: Callable[[Running], None]) -> tuple
         metrics=None if settings.metrics_port is None else Metrics(),
         access_log=None if settings.access_log is None else AccessLog(settings.access_log),
         retention=settings.keep,
+        makers=settings.makers,
+        templates=settings.templates,
+        max_worlds=settings.max_worlds,
+        max_worlds_each=settings.max_worlds_each,
     )
     async with host:
         running = await _start(host, settings)
@@ -310,8 +342,8 @@ def _add_world(host: Host, settings: Settings) -> World:
     return sample
 
 
-def _raise_open_files_limit() -> None:
-    """Makes room for as many sockets as the system allows: a usual soft limit of 1,024 is too few for 1,024 clients.
+def _raise_open_files_limit(worlds: int) -> None:
+    """Makes room for as many sockets and recordings as the system allows: 1,024 are too few for 1,024 clients.
 
     Raises:
         ClickException: It allows too few to begin with; asyncio would end with tracebacks.
@@ -321,7 +353,7 @@ def _raise_open_files_limit() -> None:
     except ImportError:  # Windows has no such limit
         return
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = 4096 if hard == resource.RLIM_INFINITY else min(4096, hard)
+    wanted = 4096 + worlds if hard == resource.RLIM_INFINITY else min(4096 + worlds, hard)
     if wanted < FILES:
         raise click.ClickException(f"a host needs {FILES} open files, {hard} are allowed: see `ulimit -n`")
     if soft != resource.RLIM_INFINITY and soft < wanted:

@@ -23,6 +23,13 @@ from nmes.protocol import validate_reply
 @click.option("--step", metavar="N", type=click.IntRange(1, 10_000), help="Tick so often, in lockstep or while paused.")
 @click.option("--reset", is_flag=True, help="Empty the world, back to tick 0 and its seed.")
 @click.option("--close", is_flag=True, help="Close the world for good; its recording ends whole.")
+@click.option("--create", metavar="NAME", help="Create this world, and list it.")
+@click.option(
+    "--template", metavar="NAME", help="With --create: the template of the host that its config is taken from."
+)
+@click.option(
+    "--seed", type=click.IntRange(0, 2**63 - 1), help="With --create: its seed.  [default: that of the template]"
+)
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
 def command(
     address: tuple[str, int],
@@ -32,6 +39,9 @@ def command(
     step: int | None,
     reset: bool,
     close: bool,
+    create: str | None,
+    template: str | None,
+    seed: int | None,
     as_json: bool,
     **connection: Any,
 ) -> None:
@@ -39,8 +49,8 @@ def command(
 
     Looking creates none of them: a world that nobody has used yet has no frame. With --pause, --resume, --step or
     --reset, one of them, the world is entered as by any client, which its recording tells, and is listed as it is then.
-    With --close, for which the host's own password is needed, it ends for good, and those that are left are listed.
-    Where there are several, --world says which.
+    With --close it ends for good, and those that are left are listed. Where there are several, --world says which. With
+    --create there is a new one. For both the host's own password is needed, or that of a maker.
 
     For example:
 
@@ -49,8 +59,16 @@ def command(
         nmes worlds 127.0.0.1:14000 --world red --world green --pause
         nmes worlds 127.0.0.1:14000 --world red --step 60
         nmes worlds 127.0.0.1:14000 --world red --close
+        nmes worlds 127.0.0.1:14000 --create blue --template ecosystem --seed 7
     """
     message = _message(pause, resume, step, reset)
+    if create is None and (template is not None or seed is not None):
+        raise click.UsageError("--template and --seed go with --create")
+    if create is not None:
+        if close or message is not None or names:
+            raise click.UsageError("--create goes with none of --world, --close, --pause, --resume, --step and --reset")
+        _print([_create(connector(address, **connection)(), create, template, seed)], as_json)
+        return
     if close and message is not None:
         raise click.UsageError("--close goes with none of --pause, --resume, --step and --reset")
     worlds = _list(connector(address, **connection)(), address, names)
@@ -64,6 +82,10 @@ def command(
         for world in worlds:
             _steer(connector(address, **connection, world=world["world"])(), message)
         worlds = _list(connector(address, **connection)(), address, names)
+    _print(worlds, as_json)
+
+
+def _print(worlds: list[Any], as_json: bool) -> None:
     if as_json:
         click.echo(orjson.dumps(worlds, option=orjson.OPT_INDENT_2))
         return
@@ -128,6 +150,15 @@ def _close(client: Client, name: str) -> None:
     except CommandFailed as error:
         hint = ", or not the host's own" if error.code == "auth_failed" else ""
         raise click.ClickException(f"world {name!r} was not closed: {error.message}{hint}") from error
+
+
+def _create(client: Client, name: str, template: str | None, seed: int | None) -> Any:
+    """Creates a world, however long that takes; returns what is told of it."""
+    client.timeout = None
+    try:
+        return client.create_world(name, template=template, seed=seed)
+    except CommandFailed as error:
+        raise click.ClickException(f"world {name!r} was not created: {error.message}") from error
 
 
 def _row(world: Any) -> tuple[str, str, str, str, str, str]:

@@ -1446,11 +1446,14 @@ type WorldInfoVersions struct {
 	Engine string `json:"engine"`
 }
 
-// WorldList: The worlds of the host, in answer to an auth with list or close. The connection is closed.
+// WorldList: The worlds of the host, in answer to an auth with list, create or close. The connection is closed.
 type WorldList struct {
 	Reply
-	// All worlds, the host's first one first.
+	// The worlds that the password opens, the host's first one first, up to 1,000 of them; after create the new one
+	// alone.
 	Worlds []WorldListWorlds `json:"worlds"`
+	// What an auth with list says under start to be told those behind them; null: there are none.
+	Next *int `json:"next,omitempty"`
 }
 
 // WorldListWorlds: A world.

@@ -68,10 +68,31 @@ class AsyncClient(ClientBase, AsyncCommands):
         """
         return await self._ask_host("list", True)
 
+    async def create_world(self, name: str, *, template: str | None = None, seed: int | None = None) -> WorldSummary:
+        """Creates a world of the server, over another connection, which does not enter it; returns what is told of it.
+
+        The password must be the host's own, or that of a maker, which then opens this world too.
+
+        Args:
+            name: The world's.
+            template: The template that its config is taken from. Default: the config that the host was started with.
+            seed: Seed of all that the world draws. Default: that of the template.
+
+        Raises:
+            CommandFailed: The server refused it: `auth_failed`, `limit_reached`, `template_not_found`, `world_exists`,
+                `world_unavailable`; or it cannot create worlds (`unsupported`).
+            Disconnected: Nothing listens there (`unreachable`), or the server closed the connection.
+            TimeoutError: No reply came in time.
+        """
+        asked = {"world": name, "template": template, "seed": seed}
+        worlds = await self._ask_host("create", {key: value for key, value in asked.items() if value is not None})
+        return worlds[0]
+
     async def close_world(self, name: str) -> list[WorldSummary]:
         """Closes a world of the server for good, over another connection; returns the worlds that are left.
 
-        Its clients are told `world_closed`, and its recording ends whole. The password must be the host's own.
+        Its clients are told `world_closed`, and its recording ends whole. The password must be the host's own, or
+        that of the maker who created it.
 
         Args:
             name: The world's.
@@ -84,11 +105,20 @@ class AsyncClient(ClientBase, AsyncCommands):
         """
         return await self._ask_host("close", name)
 
-    async def _ask_host(self, verb: str, value: bool | str) -> list[WorldSummary]:
+    async def _ask_host(self, verb: str, value: Any) -> list[WorldSummary]:
         """Asks the host for something that is of no single world; returns the worlds that it answers with."""
+        worlds, following = await self._ask_host_once(**{verb: value})
+        start = -1
+        while following is not None and following > start:  # else a server could keep us for ever
+            start = following
+            page, following = await self._ask_host_once(list=True, start=start)
+            worlds += page
+        return worlds
+
+    async def _ask_host_once(self, **options: Any) -> tuple[list[WorldSummary], int | None]:
         other = AsyncClient(self.host, self.port, password=self._password, timeout=self.timeout, tls=self._tls or False)
         try:
-            return world_list(await other._enter(**{verb: value}), verb)
+            return world_list(await other._enter(**options), next(iter(options)))
         finally:
             await other.close()
 

@@ -244,12 +244,14 @@ def _trust(tls: bool | ssl.SSLContext, authority: str | os.PathLike[str] | None)
         raise OSError(error.errno, error.strerror, os.fspath(authority)) from None
 
 
-def world_list(answer: Any, verb: str) -> list[WorldSummary]:
-    """Returns the worlds of a server's answer to an `auth` that asks it to `list` them, or to `close` one.
+def world_list(answer: Any, verb: str) -> tuple[list[WorldSummary], int | None]:
+    """Returns the worlds of a server's answer to an `auth` that asks it to `list` them, or to `create` or `close` one.
+
+    With them comes where the next page starts; None: there is none.
 
     Raises:
         CommandFailed: `unsupported`: the server accepted the `auth`, but did not do what it asks.
     """
     if answer["type"] != "world_list" or "worlds" not in answer:
         raise CommandFailed("unsupported", f"this server does not {verb} its worlds")
-    return cast(list[WorldSummary], answer["worlds"])
+    return cast(list[WorldSummary], answer["worlds"]), answer.get("next")

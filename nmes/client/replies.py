@@ -194,6 +194,7 @@ class WorldSummary(TypedDict):
 class WorldList(TypedDict):
     type: Literal["world_list"]
     worlds: list[WorldSummary]
+    next: NotRequired[int | None]
 
 
 class JointSummary(TypedDict):

@@ -154,6 +154,8 @@ UNTESTED: Final[Mapping[str, str]] = {
     "4.error.slow_consumer": "see 1.4.5",
     "4.error.too_many_connections": "see 1.4.6",
     "4.error.world_faulted": "an engine is not made to fail from outside",
+    "4.error.world_exists": "only a server that creates worlds tells it",
+    "4.error.template_not_found": "only a server that creates worlds tells it",
     "4.error.world_unavailable": "it depends on how the server is set up",
     "4.error.internal": "a server is not made to fail from outside",
 }

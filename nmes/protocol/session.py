@@ -71,6 +71,8 @@ class Auth:
     error: RejectedMessage | None = None
     id: Any = NO_ID
     list: bool = False
+    start: int = 0
+    create: Mapping[str, Any] | None = None
     close: str | None = None
     role: str | None = None
     token: str | None = field(default=None, repr=False)
@@ -220,7 +222,11 @@ class Session:
             error = find_error(AUTH, message)
         if error is not None:
             return Auth("json", error=error, id=self._auth_id)
-        asked = {name: message[name] for name in ("world", "list", "close", "role", "token") if name in message}
+        asked = {
+            name: message[name]
+            for name in ("world", "list", "start", "create", "close", "role", "token")
+            if name in message
+        }
         return Auth("json", message["password"], id=self._auth_id, **asked)
 
     def accept(self, welcome: Mapping[str, Any]) -> bytes:

@@ -162,19 +162,29 @@ class Connection(asyncio.BufferedProtocol):
         self._cancel_timer()
         auth = cast(Auth, messages[0])
         default = self._default_world
-        every, own = self._host.keys.accepts(auth.password), self._host.keys.opened_by(auth.password)
+        keys = self._host.keys
+        every, own, maker = keys.accepts(auth.password), keys.opened_by(auth.password), keys.maker(auth.password)
         if not every and own and default is None:
-            default = own[0]
-        right = every or (auth.close is None and (bool(own) if auth.list else (auth.world or default) in own))
+            default = next(iter(own))
+        if auth.close is not None or auth.create is not None:
+            right = every or maker is not None
+        elif auth.list:
+            right = every or maker is not None or bool(own)
+        else:
+            right = every or (auth.world or default) in own
         error = auth.error or self._wrong_password(right)
         if error is not None:
             self._refuse(error)
         elif auth.close is not None:
             logger.info("%s closes world %r", self._peer, auth.close)
             self._transport.pause_reading()
-            self._host.close_world(auth.close, self)
+            self._host.close_world(auth.close, None if every else maker, self)
+        elif auth.create is not None:
+            logger.info("%s creates world %r", self._peer, auth.create["world"])
+            self._transport.pause_reading()
+            self._host.create_world(auth.create, None if every else maker, self)
         elif auth.list:
-            self.show_worlds(None if every else own)
+            self.show_worlds(None if every else own, auth.start)
         elif not self._host.let_in(self):
             most = self._limits.connections
             self.hang_up(RejectedMessage("too_many_connections", f"this host serves {most} connections at once"))
@@ -189,10 +199,10 @@ class Connection(asyncio.BufferedProtocol):
             self._transport.pause_reading()
             self._join()
 
-    def show_worlds(self, only: Collection[str] | None = None) -> None:
-        """Answers with the worlds, all if not some, and hangs up."""
+    def show_worlds(self, only: Collection[str] | None = None, start: int = 0) -> None:
+        """Answers with a page of the worlds, of all if not of some, and hangs up."""
         port = int(self._transport.get_extra_info("sockname")[1])
-        self._output.put(self._session.accept(self._host.list_worlds(port, only)))
+        self._output.put(self._session.accept(self._host.list_worlds(port, only, start)))
         self._visit.ends("listed")
         self.hang_up()
 

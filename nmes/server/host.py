@@ -19,10 +19,11 @@ from time import monotonic, time
 from types import TracebackType
 from typing import Any, Self
 
-from nmes.errors import NmesError, WorldError
-from nmes.protocol import Limits, Request, Session, complete_config
+from nmes.errors import NmesError, RejectedMessage, WorldError
+from nmes.protocol import Limits, Request, Session
 from nmes.recording import Recording
 from nmes.server.access_log import AccessLog
+from nmes.server.catalog import DEFAULT, Catalog
 from nmes.server.connection import LINGER, READ, Connection
 from nmes.server.door import Door, cannot_listen
 from nmes.server.hosted_world import HostedWorld
@@ -55,6 +56,10 @@ class Host:
         password: str,
         *,
         role_passwords: Mapping[str, str] | None = None,
+        makers: Mapping[str, str] | None = None,
+        templates: Mapping[str, Mapping[str, Any]] | None = None,
+        max_worlds: int = 10_000,
+        max_worlds_each: int = 100,
         limits: Limits | None = None,
         auth_delay: float = 1.0,
         record_to: Path | None = None,
@@ -69,6 +74,11 @@ class Host:
         Args:
             password: What opens all worlds, in any role.
             role_passwords: What opens, in one role alone, all worlds whose configs name it, by the role's name.
+            makers: Passwords of those who may create worlds, and close them, by their names.
+            templates: Configs of worlds that are created over the wire, by name; `default` is that of those for which
+                none is named, and empty if it is not there.
+            max_worlds: How many worlds there may be.
+            max_worlds_each: How many of them one maker may have.
             limits: The protocol's limits of a connection.
             auth_delay: How long a client that failed to authenticate waits for the answer, s.
             record_to: Directory for the recordings of all worlds; None: nothing is recorded.
@@ -85,11 +95,11 @@ class Host:
         self._flush_interval = flush_interval
         self._pool = WorkerPool()
         self.worlds: dict[str, HostedWorld] = {}  # those that were created
-        self.closed: list[HostedWorld] = []  # those that were closed while the host goes on
-        self._offered: dict[str, dict[str, Any]] = {}  # the configs of all, by name
+        self.closed: list[HostedWorld] = []  # those that ended badly while the host goes on
+        self._catalog = Catalog(templates or {}, max_worlds, max_worlds_each)
         self._ports: dict[str, int] = {}  # the port whose clients get a world without naming it
         self.buffer = memoryview(bytearray(READ))
-        self.keys = Keys(password, role_passwords or {})
+        self.keys = Keys(password, role_passwords or {}, makers or {})
         self.record_to = record_to
         self._metrics = metrics
         if metrics is not None:
@@ -128,7 +138,7 @@ class Host:
             RejectedMessage: The config is not valid.
             BackendNotFound: No such engine.
             RecordingError: Its recording cannot be written.
-            WorldError: There is a world of that name (`world_exists`).
+            WorldError: As `offer`.
         """
         return self._add(config, None, password)
 
@@ -144,7 +154,7 @@ class Host:
             RecordingError: There is no such frame, a tick on the way to it does not come out as recorded, or the new
                 recording cannot be written.
             BackendNotFound: No such engine.
-            WorldError: There is a world of that name (`world_exists`).
+            WorldError: As `offer`.
         """
         origin = Origin(recording, recording.last_frame if frame is None else frame)
         return self._add(recording.config, origin, password)
@@ -154,8 +164,7 @@ class Host:
         try:
             return self._create(name, origin)
         except NmesError:
-            del self._offered[name]
-            self.keys.remove(name)
+            self._forget(name)
             raise
 
     def offer(self, config: Mapping[str, Any], password: str | None = None) -> str:
@@ -167,15 +176,16 @@ class Host:
 
         Raises:
             RejectedMessage: The config is not valid. Whether its engine can do it is seen when the world is created.
-            WorldError: There is a world of that name (`world_exists`).
+            WorldError: There is a world of that name (`world_exists`), or as many as there may be (`limit_reached`).
         """
-        complete = complete_config(config)
-        name: str = complete["name"]
-        if name in self._offered:
-            raise WorldError("world_exists", f"two worlds are called {name!r}", "name")
-        self._offered[name] = complete
-        self.keys.add(name, complete.get("roles", {}), password)
-        return name
+        offer = self._catalog.add(config)
+        self.keys.add(offer.name, offer.config.get("roles", {}), password)
+        return offer.name
+
+    def _forget(self, name: str) -> None:
+        self._catalog.remove(name)
+        self.keys.remove(name)
+        self._ports.pop(name, None)
 
     def _create(self, name: str, origin: Origin | None = None) -> HostedWorld:
         hosted = self.worlds[name] = self._make(name, origin)
@@ -184,7 +194,7 @@ class Host:
         return hosted
 
     def _make(self, name: str, origin: Origin | None = None) -> HostedWorld:
-        config = self._offered[name]
+        config = self._catalog[name].config
         return HostedWorld(config, self._pool, self.record_to, self._flush_interval, self._metrics, origin)
 
     def world_name(self, name: str | None) -> str:
@@ -194,8 +204,8 @@ class Host:
             WorldError: `world_not_found`.
         """
         if name is None:
-            name = next(iter(self._offered), None)
-        if name is None or name not in self._offered:
+            name = self._catalog.first
+        if name is None or name not in self._catalog:
             raise WorldError("world_not_found", f"this host has no world {name!r}", "world")
         return name
 
@@ -217,6 +227,9 @@ class Host:
         failure: NmesError | None = None
         try:
             hosted = await asyncio.to_thread(self._make, name)
+        except RejectedMessage as error:  # the config is to blame, in which there are no secrets
+            logger.error("world %r could not be created: %s", name, error.message)
+            failure = WorldError("world_unavailable", f"world {name!r} could not be created: {error.message}")
         except NmesError as error:
             logger.error("world %r could not be created: %s", name, error.message)
             failure = WorldError("world_unavailable", f"world {name!r} could not be created; see the server's log")
@@ -232,39 +245,68 @@ class Host:
             else:
                 connection.hang_up(failure)
 
-    def close_world(self, name: str, connection: Connection) -> None:
+    def create_world(self, asked: Mapping[str, Any], maker: str | None, connection: Connection) -> None:
+        """Creates a world and hosts it.
+
+        Args:
+            asked: What `create` of an `auth` says.
+            maker: Whose world it is; None: whoever has the host's password.
+            connection: Who asked for it; it is shown that world then, or told why there is none.
+        """
+        name: str = asked["world"]
+        try:
+            config = self._catalog.config(name, asked.get("template", DEFAULT), asked.get("seed"))
+            self.keys.add(name, self._catalog.add(config, maker).config.get("roles", {}), maker=maker)
+        except (RejectedMessage, WorldError) as error:
+            connection.hang_up(error)
+            return
+
+        self._creating[name] = {connection: None}
+
+        async def create() -> None:
+            await self._create_in_thread(name)
+            if name in self.worlds:
+                connection.show_worlds({name: None})
+            else:
+                self._forget(name)
+
+        _spawn(create(), self._makers)
+
+    def close_world(self, name: str, maker: str | None, connection: Connection) -> None:
         """Closes a world for good: it stops, its clients are told and hung up on, its recording is completed.
 
         Args:
             name: The world's.
+            maker: Who may close only what he created; None: whoever has the host's password.
             connection: Who asked for it; it is shown the others then, or told that there is no such world.
         """
 
         async def close() -> None:
             while name in self._creating:
                 await asyncio.sleep(0.01)
-            try:
-                self.world_name(name)
-            except WorldError as error:
-                connection.hang_up(error)
+            if name not in self._catalog or (maker is not None and self._catalog[name].maker != maker):
+                whose = "" if maker is None else " that you have created"
+                connection.hang_up(WorldError("world_not_found", f"this host has no world {name!r}{whose}", "close"))
                 return
-            del self._offered[name]
-            self.keys.remove(name)
+            self._forget(name)
             hosted = self.worlds.pop(name, None)
             if hosted is not None:
-                self.closed.append(hosted)
                 await hosted.close()
+                if hosted.abandoned or hosted.lost is not None:
+                    self.closed.append(hosted)
                 hosted.hang_up()
-            connection.show_worlds()
+            connection.show_worlds(None if maker is None else self.keys.made_by(maker))
 
         _spawn(close(), self._makers)
 
-    def list_worlds(self, port: int, only: Collection[str] | None = None) -> dict[str, Any]:
-        """Returns the `world_list` message for a client of a port, of all worlds if not of some. Creates none."""
+    def list_worlds(self, port: int, only: Collection[str] | None = None, start: int = 0) -> dict[str, Any]:
+        """Returns the `world_list` message for a client of a port, of all worlds if not of some. Creates none.
+
+        It is the page that begins with the world of number `start`, or the first one behind that.
+        """
         listed = []
-        for name, config in self._offered.items():
-            if only is not None and name not in only:
-                continue
+        page, following = self._catalog.page(start, only)
+        for name, config, *_ in page:
             hosted = self.worlds.get(name)
             status = hosted.status if hosted is not None else None
             listed.append(
@@ -279,7 +321,7 @@ class Host:
                     "ratio": round(status.lag.ratio, 3) if status is not None and status.lag is not None else None,
                 }
             )
-        return {"type": "world_list", "worlds": listed}
+        return {"type": "world_list", "worlds": listed, "next": following}
 
     def _figures(self) -> Figures:
         worlds = [hosted.figures for hosted in self.worlds.values()]
@@ -336,7 +378,7 @@ class Host:
             self._tasks = [loop.create_task(work()) for work in (self._inspect, self._flush, self._sweep)]
             for hosted in self.worlds.values():
                 hosted.start()
-        default = world or next(iter(self._offered), None)
+        default = world or self._catalog.first
         if default is not None:
             self._ports.setdefault(default, port)
         return address, port

@@ -1,10 +1,12 @@
 """What opens which world of a host, and in which role: passwords, and the tokens by which players come back.
 
-Hides how secrets are kept and compared. A token is the player's number and a code for it, made with a key that is drawn
-for each world when it is offered, and that nobody sees: so no token need be kept, and none outlives the host.
+Hides how secrets are kept and compared, and who may create and close worlds: whoever has the host's password, and its
+*makers*, each of whom has a password that opens, in any role, the worlds that he created, and no others. A token is the
+player's number and a code for it, made with a key that is drawn for each world when it is offered, and that nobody
+sees: so no token need be kept, and none outlives the host.
 
-Invariants: passwords are kept only as digests; secrets are compared in a time that does not depend on how much of one
-is right.
+Invariants: passwords are kept only as digests, made with a key that nobody knows; secrets are compared in a time that
+does not depend on how much of one is right; nor does any of it on how many worlds there are.
 """
 
 from __future__ import annotations
@@ -12,6 +14,7 @@ from __future__ import annotations
 import hmac
 import re
 import secrets
+from collections import defaultdict
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from hashlib import blake2b
@@ -40,7 +43,10 @@ class Seat(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class _World:
-    """What opens one world: its roles by name, none where it has none; the digest of its own password; its key."""
+    """What opens one world: its roles by name, none where it has none; the digest of its own password; its key.
+
+    The own password of a world that a maker created is his.
+    """
 
     roles: tuple[str, ...]
     password: bytes | None
@@ -57,41 +63,63 @@ class Keys:
     Args:
         password: The host's, which opens all worlds, in any role.
         roles: Passwords of roles, by their names: each opens all worlds that have such a role, in that role alone.
+        makers: Passwords of those who may create worlds, by their names.
     """
 
-    def __init__(self, password: str, roles: Mapping[str, str]) -> None:
-        self._password = _digest(password)
-        self._roles = {role: _digest(word) for role, word in roles.items()}
+    def __init__(self, password: str, roles: Mapping[str, str], makers: Mapping[str, str]) -> None:
+        self._key = secrets.token_bytes(32)
+        self._password = self._digest(password)
+        self._roles = {role: self._digest(word) for role, word in roles.items()}
+        self._makers = {maker: self._digest(word) for maker, word in makers.items()}
         self._worlds: dict[str, _World] = {}
+        self._by_password: defaultdict[bytes, dict[str, None]] = defaultdict(dict)  # worlds by their own
+        self._by_role: defaultdict[str, dict[str, None]] = defaultdict(dict)  # and by each of their roles
 
-    def add(self, world: str, roles: Collection[str], password: str | None) -> None:
+    def add(self, world: str, roles: Collection[str], password: str | None = None, maker: str | None = None) -> None:
         """Adds a world.
 
         Args:
             world: Its name.
             roles: Those that its config names; none where it is open.
-            password: Its own, which opens it alone, in any role; None: it has none.
+            password: Its own, which opens it alone, in any role; None: it has none, or its maker's.
+            maker: Who created it; None: the host.
         """
         names = tuple(dict.fromkeys((OWNER, *roles))) if roles else ()
-        self._worlds[world] = _World(names, None if password is None else _digest(password), secrets.token_bytes(32))
+        own = self._makers.get(maker) if maker is not None else None if password is None else self._digest(password)
+        self._worlds[world] = _World(names, own, secrets.token_bytes(32))
+        if own is not None:
+            self._by_password[own][world] = None
+        for role in names:
+            self._by_role[role][world] = None
 
     def remove(self, world: str) -> None:
         """Forgets a world; what its tokens said is true no more."""
-        del self._worlds[world]
+        about = self._worlds.pop(world)
+        if about.password is not None:
+            del self._by_password[about.password][world]
+        for role in about.roles:
+            del self._by_role[role][world]
 
     def accepts(self, password: str) -> bool:
         """Tells whether a password is the host's."""
-        return hmac.compare_digest(self._password, _digest(password))
+        return hmac.compare_digest(self._password, self._digest(password))
 
-    def opened_by(self, password: str) -> list[str]:
-        """Returns the worlds that a password opens which is not the host's."""
-        digest = _digest(password)
-        right = self._roles_of(digest)
-        return [
-            name
-            for name, world in self._worlds.items()
-            if world.is_own(digest) or not right.isdisjoint(world.roles)  # a host may have a thousand worlds
-        ]
+    def maker(self, password: str) -> str | None:
+        """Returns whose password it is of those who may create worlds; None: nobody's of them."""
+        digest = self._digest(password)
+        own = [maker for maker, word in self._makers.items() if hmac.compare_digest(word, digest)]
+        return own[0] if own else None
+
+    def opened_by(self, password: str) -> Mapping[str, None]:
+        """Returns the worlds, in order, that a password opens which is not the host's."""
+        digest = self._digest(password)
+        sources = [self._by_password.get(digest, {}), *(self._by_role[role] for role in self._roles_of(digest))]
+        opened = [source for source in sources if source]
+        return opened[0] if len(opened) == 1 else {world: None for source in opened for world in source}
+
+    def made_by(self, maker: str) -> Mapping[str, None]:
+        """Returns the worlds, in order, that a maker created, and those that have the same password."""
+        return self._by_password.get(self._makers[maker], {})
 
     def seat(self, world: str, auth: Auth) -> Seat:
         """Returns as what somebody joins a world that the password of his `auth` opens.
@@ -122,15 +150,18 @@ class Keys:
 
     def _opened(self, world: _World, password: str) -> tuple[str, ...]:
         """Returns the roles of a world that a password opens, the one first that it is for."""
-        digest = _digest(password)
+        digest = self._digest(password)
         if self.accepts(password) or world.is_own(digest):
             return world.roles
         right = self._roles_of(digest)
         return tuple(role for role in world.roles if role in right)
 
-    def _roles_of(self, digest: bytes) -> set[str]:
+    def _roles_of(self, digest: bytes) -> list[str]:
         """Returns the roles whose password it is, of whatever world."""
-        return {role for role, own in self._roles.items() if hmac.compare_digest(own, digest)}
+        return [role for role, own in self._roles.items() if hmac.compare_digest(own, digest)]
+
+    def _digest(self, password: str) -> bytes:
+        return blake2b(password.encode("utf-8", "surrogatepass"), key=self._key).digest()
 
 
 def _player(key: bytes, role: str, token: str) -> int | None:
@@ -144,7 +175,3 @@ def _player(key: bytes, role: str, token: str) -> int | None:
 
 def _code(key: bytes, role: str, player: int) -> str:
     return blake2b(f"{player} {role}".encode(), key=key, digest_size=32).hexdigest()
-
-
-def _digest(password: str) -> bytes:
-    return blake2b(password.encode("utf-8", "surrogatepass")).digest()

@@ -103,5 +103,7 @@ class WorldRecorder:
 
 def _new_path(directory: Path, world: str) -> Path:
     """Returns a path that names the world and the time, so exactly that servers which start together differ."""
-    name = re.sub(r"[^\w.-]", "_", world)
+    name = (
+        re.sub(r"[^\w.-]", "_", world).encode()[:200].decode(errors="ignore")
+    )  # of the 255 bytes that a name may have
     return directory / f"{name}-{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}.mcap"

@@ -160,7 +160,7 @@ def test_every_error_code_is_documented_and_only_documented_codes_are_sent() -> 
         and isinstance(call.args[0], ast.Constant)
     }
     # These never go over the wire: what a host is told of its own, and what an environment finds of a server's world.
-    unsent = {"world_exists", "bad_snapshot", "wrong_world", "too_few_worlds", "disturbed"}
+    unsent = {"bad_snapshot", "wrong_world", "too_few_worlds", "disturbed"}
     assert {"bad_json", "cube_not_found"} <= raised <= set(protocol.ERROR_CODES) | unsent
 
 

@@ -177,7 +177,7 @@ async def test_an_awaiting_client_lists_worlds(server: Served) -> None:
 async def test_a_server_that_cannot_list_worlds_is_an_error(server: Served, monkeypatch: pytest.MonkeyPatch) -> None:
     entered = World({"backend": "ballistic"})
     welcome = entered.welcome(entered.join())
-    monkeypatch.setattr(Host, "list_worlds", lambda self, port, only: welcome)
+    monkeypatch.setattr(Host, "list_worlds", lambda self, port, only, start: welcome)
     with pytest.raises(CommandFailed) as failed:
         server.client().worlds()
     assert failed.value.code == "unsupported"
@@ -328,7 +328,7 @@ def test_ports_of_worlds_are_port_step_apart(monkeypatch: pytest.MonkeyPatch) ->
     ("options", "says"),
     [
         (["--worlds", "0"], "from 1 to"),
-        (["--worlds", "100000"], "from 1 to"),
+        (["--worlds", "100001"], "from 1 to"),
         (["--worlds", "a,,b"], "name: "),
         (["--worlds", "a,b,a"], "two worlds are called 'a'"),
         (["--worlds", "3", "--port", "65530", "--port-step", "3"], "beyond port 65535"),

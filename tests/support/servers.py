@@ -147,10 +147,12 @@ def served(
     access_log: Path | None = None,
     passwords: Mapping[str, str] | None = None,
     role_passwords: Mapping[str, str] | None = None,
+    **options: Any,
 ) -> Iterator[Served]:
     """Runs a host with a world for each config; by default worlds are in lockstep on the `ballistic` engine.
 
-    If `lazy`, worlds are created when first used. `passwords` are those of single worlds, by name.
+    If `lazy`, worlds are created when first used. `passwords` are those of single worlds, by name. Further options are
+    the host's.
     """
     loop = asyncio.new_event_loop()
     thread = threading.Thread(target=loop.run_forever, daemon=True)
@@ -167,6 +169,7 @@ def served(
             tls=tls,
             metrics=metrics,
             access_log=None if access_log is None else AccessLog(access_log),
+            **options,
         )
         for config in configs or [{}]:
             own = (passwords or {}).get(config.get("name", "main"))
