@@ -91,7 +91,8 @@ def _take_up(
         wrench.update((number, [*_numbers(values, 6)]) for number, values in fields[name])
         _require(wrench.keys() <= bodies.keys(), "forces on bodies alone")  # one may be frozen after it was pushed
     parting, gliding = set(fields["parting"]), set(fields["gliding"])
-    _require(gliding <= parting <= movable, "only movable bodies are let apart")
+    # One may be frozen before the step in which it would have been let apart, and be watched until then.
+    _require(gliding <= parting & movable and parting <= bodies.keys(), "only bodies are let apart")
     running.depenetration.bodies, running.depenetration.crowds.gliding = parting, gliding
     forest, roots = spanning_forest(bodies, joints.values()), fields["roots"]
     used = [root for root in roots if root != SPARE]

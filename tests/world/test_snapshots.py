@@ -261,3 +261,18 @@ def test_invalid_keyframe_intervals_are_refused(seconds: Any) -> None:
     with pytest.raises(RejectedMessage) as caught:
         World({"backend": "ballistic", "keyframes": seconds})
     assert caught.value.path == "keyframes"
+
+
+def test_a_cube_that_was_frozen_after_the_world_was_saved_can_be_saved_again() -> None:
+    world = World({"mode": "lockstep"})
+    client = world.join()
+    world.execute(client, {"type": "spawn_cube", "cube_name": "a", "position": [0, 3, 0]})
+    world.snapshot()  # the engine has taken it up, and not ticked yet
+    world.execute(client, {"type": "freeze_cube", "cube_name": "a", "freeze": True})
+    restored = World({"mode": "lockstep"})
+    restored.restore(world.snapshot())
+    for each in (world, restored):
+        each.execute(client, {"type": "spawn_cube", "cube_name": "b", "position": [0, 3.5, 0]})
+        each.execute(client, {"type": "freeze_cube", "cube_name": "a", "freeze": False})
+        each.execute(client, {"type": "step", "ticks": 30})
+    assert world.digest() == restored.digest()
