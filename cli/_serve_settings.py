@@ -70,6 +70,7 @@ class Settings:
         templates: The configs of worlds that are created over the wire, by name.
         max_worlds: How many worlds there may be.
         max_worlds_each: How many of them one maker may have.
+        hibernate_after: How long (s) a world is idle before it hibernates; None: none ever does.
     """
 
     config: dict[str, Any]
@@ -92,6 +93,7 @@ class Settings:
     templates: Mapping[str, Mapping[str, Any]]
     max_worlds: int
     max_worlds_each: int
+    hibernate_after: float | None
 
 
 def read_settings(options: Mapping[str, Any]) -> Settings:
@@ -132,6 +134,7 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
         templates=templates,
         max_worlds=options["max_worlds"],
         max_worlds_each=options["max_worlds_each"],
+        hibernate_after=options["hibernate_after"] or None,
     )
 
 

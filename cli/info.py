@@ -114,6 +114,7 @@ def _about(recording: Recording) -> dict[str, Any]:
         "parent": recording.metadata.get("nmes.parent"),
         "ticks": summary.ticks,
         "keyframes": summary.keyframes,
+        "hibernations": summary.hibernations,
         "faults": summary.faults,
         "life": dict(summary.life.most_common()),
         "census": summary.census,
@@ -149,6 +150,7 @@ def _rows(about: dict[str, Any]) -> list[tuple[str, str]]:
     parent = about["parent"]
     begins = f", from frame {about['first_frame']:,} on" if about["first_frame"] else ""
     saved = f", {about['keyframes']:,} keyframes" if about["keyframes"] else ""
+    saved += f", asleep {about['hibernations']:,} times" if about["hibernations"] else ""
     rows = [
         ("world", f"{about['world']}, seed {about['seed']}"),
         ("engine", ", ".join(part for part in engine if part)),

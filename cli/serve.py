@@ -195,6 +195,14 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
     help="How many of them one of --makers may have.",
 )
 @click.option(
+    "--hibernate-after",
+    type=click.FloatRange(0, 86_400),
+    default=60.0,
+    show_default=True,
+    help="Seconds after which a world in which nobody is and nothing moves is saved and let go, until somebody comes; "
+    "0 for never.",
+)
+@click.option(
     "--tls-cert",
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
     help="Speak TLS, with the certificate in this PEM file.",
@@ -286,6 +294,7 @@ async def _serve(settings: Settings, report: Callable[[Running], None]) -> tuple
         templates=settings.templates,
         max_worlds=settings.max_worlds,
         max_worlds_each=settings.max_worlds_each,
+        hibernate_after=settings.hibernate_after,
     )
     async with host:
         running = await _start(host, settings)

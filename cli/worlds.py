@@ -166,7 +166,9 @@ def _row(world: Any) -> tuple[str, str, str, str, str, str]:
         frame = "not used yet"
     else:
         frame = str(world["frame"]) + (f", {world['fault']}" if world["fault"] else "")
-    mode, ratio = world["mode"], world.get("ratio")  # older servers do not tell
+    mode, ratio = world["mode"], world.get("ratio")  # older servers do not tell, nor of sleep
+    if world.get("asleep"):
+        mode += ", asleep"
     if ratio is not None:
         mode += f", lags: {ratio:.2f} of its pace"
     return (world["world"], str(world["port"]), world["backend"], mode, frame, str(world["clients"]))

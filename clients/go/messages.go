@@ -1474,6 +1474,8 @@ type WorldListWorlds struct {
 	Clients int `json:"clients"`
 	// Code of the fault that stopped it, or null.
 	Fault *string `json:"fault"`
+	// Whether it hibernates: nobody was in it, and it was saved, to go on from there when somebody enters it.
+	Asleep *bool `json:"asleep,omitempty"`
 	// How fast it runs while it falls behind the clock, as a part of its pace; null: it keeps up.
 	Ratio *float64 `json:"ratio,omitempty"`
 }

@@ -188,6 +188,7 @@ class WorldSummary(TypedDict):
     frame: int | None
     clients: int
     fault: str | None
+    asleep: NotRequired[bool]
     ratio: NotRequired[float | None]
 
 

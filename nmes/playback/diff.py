@@ -24,7 +24,7 @@ from nmes.recording import Kind, Recording
 
 __all__ = ["Comparison", "InputsPart", "StatesPart", "compare", "excerpts"]
 
-_INPUTS = {Kind.JOINED, Kind.LEFT, Kind.COMMAND, Kind.REFUSED}
+_INPUTS = {Kind.JOINED, Kind.LEFT, Kind.COMMAND, Kind.REFUSED, Kind.HIBERNATED}
 _SAMPLES = 10  # Hz: how often the distance of cubes is noted
 _SHOWN, _HEAD, _BEFORE = 300, 60, 60  # characters of an input: in all, its first, and those before a difference
 
@@ -167,6 +167,8 @@ def _described(item: _Input | None) -> str:
     kind, client, data = item
     if kind == "tick":
         return "a tick"
+    if kind == Kind.HIBERNATED:
+        return "that the world was put to sleep"
     text = data.decode(errors="replace")
     return f"client {client} {kind}" + (f" {text}" if kind in ("command", "refused") else "")
 

@@ -130,7 +130,7 @@ class _DriftMeasurement(Journal):
 
     def _apply(self, recorded: RecordedInput) -> None:
         match recorded.record.kind:
-            case Kind.JOINED | Kind.LEFT:
+            case Kind.JOINED | Kind.LEFT | Kind.HIBERNATED:
                 apply_input(self.world, recorded.record)
             case Kind.COMMAND:
                 apply_input(self.world, recorded.record)

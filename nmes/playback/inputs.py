@@ -127,7 +127,7 @@ def recorded_inputs(records: Iterable[Record]) -> Iterator[RecordedInput]:
 
 
 def apply_input(world: World, record: Record, reply: Record | None = None) -> None:
-    """Repeats one recorded input in a world: a client that comes or goes, a frame, one tick of the clock.
+    """Repeats one recorded input in a world: a client that comes or goes, a frame, one tick of the clock, hibernation.
 
     A fault that stands by itself came from such a tick. Records that are no inputs are passed over.
 
@@ -140,6 +140,10 @@ def apply_input(world: World, record: Record, reply: Record | None = None) -> No
     match record.kind:
         case Kind.TICKS | Kind.FAULT:
             world.tick()
+        case Kind.HIBERNATED if "snapshot" in world.backend.capabilities and not world.clients() and not world.fault:
+            world.hibernate()
+            if world.asleep:
+                world.wake()
         case Kind.JOINED:
             _join(world, record)
         case Kind.LEFT if record.client in world.clients():

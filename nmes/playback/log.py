@@ -31,6 +31,7 @@ _SHAPES: dict[Any, jsonschema_rs.Draft202012Validator] = {
     Kind.JOINED: jsonschema_rs.Draft202012Validator(load("recording/clients.json")),
     Kind.TICKS: jsonschema_rs.Draft202012Validator(load("recording/ticks.json")),
     Kind.FAULT: jsonschema_rs.Draft202012Validator(load("recording/faults.json")),
+    Kind.HIBERNATED: jsonschema_rs.Draft202012Validator(load("recording/hibernation.json")),
     Kind.REPLY: jsonschema_rs.Draft202012Validator({"type": "object"}),
     Kind.KEYFRAME: jsonschema_rs.Draft202012Validator(
         {"type": "object", "required": ["snapshot"], "properties": {"snapshot": {"type": "string"}}}

@@ -131,6 +131,8 @@ class _LogReplay(Journal):
                     self._join(line)
                 case Kind.KEYFRAME:
                     self._restore(line)
+                case Kind.HIBERNATED:
+                    self._hibernate()
                 case Kind.LEFT if line.client in self.world.clients():
                     self.world.leave(line.client)
                 case Kind.LEFT:
@@ -152,6 +154,14 @@ class _LogReplay(Journal):
             return self._diverge("client", f"client {line.client} joined; now it cannot: {error.message}")
         if client != line.client:
             self._diverge("client", f"client {line.client} joined; now it has another number")
+
+    def _hibernate(self) -> None:
+        """Saves the world, and goes on from that."""
+        if self.world.clients() or self.world.fault is not None or "snapshot" not in self.world.backend.capabilities:
+            return self._diverge("order", "the world was put to sleep; now it cannot be")
+        self.world.hibernate()
+        if self.world.asleep:
+            self.world.wake()
 
     def _pass_over(self, what: str) -> None:
         if what != "the beginning":

@@ -291,6 +291,12 @@ class _RecordingReplay(Journal):
                 "keyframe", record, f"the world that was saved at frame {frame} does not come out as recorded"
             )
 
+    def hibernated(self, frame: int) -> None:
+        """The world is saved next, to sleep."""
+        record = self._expect(Kind.HIBERNATED)
+        if record is not None and record.about != {"frame": frame}:
+            self._diverge("order", record, f"the recording has {_describe(record)}; now it is at frame {frame}")
+
     def faulted(self, frame: int, code: str, message: str) -> None:
         """The world stopped."""
         record = self._expect(Kind.FAULT)
@@ -369,6 +375,8 @@ def _describe(record: Record) -> str:
             return f"a fault at frame {about['frame']} ({about['code']}: {about['message']})"
         case Kind.COMMAND | Kind.REFUSED | Kind.REPLY:
             return f"client {record.client}'s {record.kind} (record {record.sequence})"
+        case Kind.HIBERNATED:
+            return f"that the world was put to sleep at frame {about['frame']}"
         case Kind.KEYFRAME:
             return f"a keyframe (record {record.sequence})"
     return f"a picture of the scene (record {record.sequence})"

@@ -34,7 +34,7 @@ _CLIENT_TOPIC = re.compile(r"client/(\d{1,9})/(commands|replies|refused)")  # un
 _CLIENT_KINDS = {"commands": Kind.COMMAND, "replies": Kind.REPLY, "refused": Kind.REFUSED}
 _KINDS = {"clients": Kind.JOINED, "ticks": Kind.TICKS, "faults": Kind.FAULT, "/tf": Kind.POSES, "/scene": Kind.SCENE}
 _SAID = (Kind.COMMAND, Kind.REPLY)
-_KINDS |= {KEYFRAMES: Kind.KEYFRAME, "life": Kind.LIFE}
+_KINDS |= {KEYFRAMES: Kind.KEYFRAME, "life": Kind.LIFE, "hibernation": Kind.HIBERNATED}
 _SHAPES = {
     kind: jsonschema_rs.Draft202012Validator(load(f"recording/{topic}.json"))
     for topic, kind in _KINDS.items()

@@ -16,6 +16,7 @@ __all__ = [
     "CLIENTS",
     "COMMAND",
     "FAULTS",
+    "HIBERNATION",
     "KEYFRAME",
     "LIFE",
     "POSES",
@@ -29,9 +30,9 @@ __all__ = [
 # The keys of channels: the name of a cube for that of its box, and these. All clients share the first three, however
 # many come: a file has no more than 65,535 channels.
 COMMAND, REPLY, REFUSED = 0, 1, 2
-TICKS, CLIENTS, FAULTS, POSES, SCENE, CHAIN, CHECKSUMS, KEYFRAME, LIFE = -1, -2, -3, -4, -5, -6, -7, -8, -9
+TICKS, CLIENTS, FAULTS, POSES, SCENE, CHAIN, CHECKSUMS, KEYFRAME, LIFE, HIBERNATION = range(-1, -11, -1)
 _VIEWS = {POSES: scene.POSES_SCHEMA, SCENE: scene.SCENE_SCHEMA}
-_OWN = {TICKS: "ticks", CLIENTS: "clients", FAULTS: "faults", CHAIN: "chain", LIFE: "life"}
+_OWN = {TICKS: "ticks", CLIENTS: "clients", FAULTS: "faults", CHAIN: "chain", LIFE: "life", HIBERNATION: "hibernation"}
 _TOPICS = {**_OWN, POSES: "/tf", SCENE: "/scene"}
 _OCTETS = {CHECKSUMS: "checksums", KEYFRAME: KEYFRAMES, REFUSED: "refused"}
 _SAID = {COMMAND: ("commands", "command"), REPLY: ("replies", "reply")}

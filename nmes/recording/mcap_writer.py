@@ -14,7 +14,7 @@ import os
 import sys
 from array import array
 from collections.abc import Mapping
-from errno import ENOENT
+from errno import EIO, ENOENT
 from pathlib import Path
 from zlib import crc32
 
@@ -40,6 +40,17 @@ __all__ = ["MAX_CHANNELS", "Writer"]
 MAX_CHANNELS = 0xFFFF
 _pack = MESSAGE.pack
 _LEVEL = 1  # of zstd: digests do not compress, and what does is already small at the fastest level
+_compressors: list[zstandard.ZstdCompressor] = []  # not in use: all writers share them, for each has half a megabyte
+
+
+def _compress(data: bytearray) -> bytes:
+    try:
+        compressor = _compressors.pop()
+    except IndexError:  # others, in other threads, have them all
+        compressor = zstandard.ZstdCompressor(level=_LEVEL)
+    packed = bytes(compressor.compress(data))
+    _compressors.append(compressor)
+    return packed
 
 
 class Writer:
@@ -61,7 +72,7 @@ class Writer:
             raise RecordingError("recording_failed", f"{self.path} exists already") from None
         except OSError as error:
             raise RecordingError("recording_failed", f"cannot create {self.path}: {error.strerror}") from error
-        self._compressor = zstandard.ZstdCompressor(level=_LEVEL)
+        self._size_at_rest: int | None = None  # of the file, while it is closed until there is more to write
         self._contents = Contents()
         self._schemas = 0
         self._channels: list[bytes] = []
@@ -138,7 +149,7 @@ class Writer:
             raise RecordingError("recording_failed", reason)
         first = min(min(entries[::2]) for entries in self._index.values())
         last = max(max(entries[::2]) for entries in self._index.values())
-        compression, data = "zstd", self._compressor.compress(self.open_chunk)
+        compression, data = "zstd", _compress(self.open_chunk)
         if len(self.open_chunk) > MAX_PACKED * len(data):
             compression, data = "", bytes(self.open_chunk)
         chunk = encode_records(
@@ -211,6 +222,28 @@ class Writer:
         except ValueError as error:  # another thread could not write, and has closed it
             raise RecordingError("recording_failed", f"cannot write {self.path}: it is closed") from error
 
+    @property
+    def rests(self) -> bool:
+        """Whether the file was closed by `rest`, and nothing was written since."""
+        return self._size_at_rest is not None
+
+    def rest(self) -> None:
+        """Closes the file, all of which is flushed, until there is more to write: so many a writer needs no file."""
+        try:
+            self._size_at_rest = os.fstat(self._file.fileno()).st_size
+            self._file.close()
+        except OSError as error:
+            raise self._failure(error) from error
+
+    def _open_again(self) -> None:
+        try:
+            self._file = open(self.path, "r+b", buffering=0)
+            if self._file.seek(0, os.SEEK_END) != self._size_at_rest:
+                raise OSError(EIO, "it was changed while it was not open")
+        except OSError as error:
+            raise self._failure(error) from error
+        self._size_at_rest = None
+
     def close(self) -> None:
         """Closes the file as it is: without `seal` it stays without an end."""
         self._file.close()
@@ -228,6 +261,8 @@ class Writer:
         self._crc = crc32(data, self._crc)
 
     def _unseal(self) -> None:
+        if self.rests:
+            self._open_again()
         if self._sealed:
             try:
                 self._file.seek(self._end)

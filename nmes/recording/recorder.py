@@ -36,6 +36,7 @@ from nmes.recording.channels import (
     CLIENTS,
     COMMAND,
     FAULTS,
+    HIBERNATION,
     KEYFRAME,
     LIFE,
     POSES,
@@ -74,7 +75,7 @@ class Recorder:
     Each call of the world is noted, and a few hundred notes at a time are made into records: code that has just run
     runs twice as fast. `flush` writes the records out. It happens when a second has gone by or 256 KiB are waiting; a
     host calls it too, for worlds in which nothing happens, and `commit` before it tells anybody anything. While the
-    world is faulted, and after `close`, the file has its end and every MCAP reader can read it.
+    world is faulted, and after `close` or `rest`, the file has its end and every MCAP reader can read it.
 
     Args:
         path: A file that does not exist yet.
@@ -178,6 +179,10 @@ class Recorder:
             self._notes.append((KEYFRAME, self._world.frame, time_ns(), snapshot))
             self._pack()
 
+    def hibernated(self, frame: int) -> None:
+        """Records that the world is saved, and its engine let go, until somebody comes."""
+        self._notes.append((HIBERNATION, frame, time_ns(), b'{"frame":%d}' % frame))
+
     def faulted(self, frame: int, code: str, message: str) -> None:
         """Records that the world stopped, and gives the file its end."""
         fault = orjson.dumps({"frame": frame, "code": code, "message": message})
@@ -276,6 +281,20 @@ class Recorder:
             with self._lock:
                 self._fail(error)
 
+    def rest(self) -> None:
+        """Flushes, gives the file its end, and closes it until there is more to record: its world sleeps."""
+        with self._lock:
+            if self._error is not None:
+                raise self._error
+            try:
+                self._write_chunk()
+                self._seal()
+                if self._durable:
+                    self._writer.sync()
+                self._writer.rest()
+            except RecordingError as error:
+                self._fail(error)
+
     def close(self) -> None:
         """Flushes and gives the file its end. A second time it does nothing.
 
@@ -285,10 +304,11 @@ class Recorder:
         with self._lock:
             if self._error is None:
                 try:
-                    self._write_chunk()
-                    self._seal()
-                    if self._durable:
-                        self._writer.sync()
+                    if not self._writer.rests:
+                        self._write_chunk()
+                        self._seal()
+                        if self._durable:
+                            self._writer.sync()
                 except RecordingError as error:
                     self._fail(error)
                 self._error = RecordingError("recording_closed", f"the recording {self.path} is closed")

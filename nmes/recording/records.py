@@ -54,6 +54,7 @@ class Kind(StrEnum):
     BOX = "box"
     KEYFRAME = "keyframe"
     LIFE = "life"
+    HIBERNATED = "hibernated"
 
 
 class Record(NamedTuple):
@@ -66,8 +67,8 @@ class Record(NamedTuple):
         wall: The recorder's clock, ns since 1970.
         client: The number of the client that it is about, if it is about one.
         data: Its bytes: verbatim for a command, a refused frame and a reply; of a keyframe a snapshot of the world.
-        about: The JSON of the recorder's own records (clients, ticks, faults, life), as its schema says. Of a box, the
-            name of its `cube`. Else None.
+        about: The JSON of the recorder's own records (clients, ticks, faults, life, hibernation), as its schema says.
+            Of a box, the name of its `cube`. Else None.
     """
 
     kind: Kind

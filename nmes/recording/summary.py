@@ -31,6 +31,7 @@ class Summary:
         without_effect: How often a joint was given a note, by command and name: the original's parameters are kept so.
         ticks: How many there were, over all resets.
         keyframes: How often the world was saved.
+        hibernations: How often of these it was, to sleep while nobody was in it.
         faults: How often the world stopped.
         life: What happened in its ecosystem: how often, by the type of the event.
         census: The last census of its ecosystem, if there is one.
@@ -46,6 +47,7 @@ class Summary:
     without_effect: Counter[str] = field(default_factory=Counter)
     ticks: int = 0
     keyframes: int = 0
+    hibernations: int = 0
     faults: int = 0
     life: Counter[str] = field(default_factory=Counter)
     census: dict[str, Any] | None = None
@@ -70,6 +72,8 @@ def summarize(records: Iterable[Record]) -> Summary:
                 summary.ticks += len(record.digests)
             case Kind.KEYFRAME:
                 summary.keyframes += 1
+            case Kind.HIBERNATED:
+                summary.hibernations += 1
             case Kind.FAULT:
                 summary.faults += 1
             case Kind.LIFE if record.about is not None:

@@ -60,6 +60,7 @@ class Host:
         templates: Mapping[str, Mapping[str, Any]] | None = None,
         max_worlds: int = 10_000,
         max_worlds_each: int = 100,
+        hibernate_after: float | None = None,
         limits: Limits | None = None,
         auth_delay: float = 1.0,
         record_to: Path | None = None,
@@ -79,6 +80,7 @@ class Host:
                 none is named, and empty if it is not there.
             max_worlds: How many worlds there may be.
             max_worlds_each: How many of them one maker may have.
+            hibernate_after: How long (s) a world is idle before it hibernates; None: none ever does.
             limits: The protocol's limits of a connection.
             auth_delay: How long a client that failed to authenticate waits for the answer, s.
             record_to: Directory for the recordings of all worlds; None: nothing is recorded.
@@ -93,6 +95,7 @@ class Host:
         self.limits = limits or Limits()
         self.auth_delay = auth_delay
         self._flush_interval = flush_interval
+        self._hibernate_after = hibernate_after
         self._pool = WorkerPool()
         self.worlds: dict[str, HostedWorld] = {}  # those that were created
         self.closed: list[HostedWorld] = []  # those that ended badly while the host goes on
@@ -109,6 +112,7 @@ class Host:
         self._door = Door(self.limits.unauthenticated, tls, self.limits.auth_timeout, LINGER)
         self.guesses = self._door.guesses
         self._reader = ThreadPoolExecutor(1, "nmes-reader")  # one: a frame is read without a pause for others
+        self._awake: set[HostedWorld] = set()  # those of the worlds that may have something to do
         self._creating: dict[str, dict[Connection, None]] = {}  # worlds made in a thread now, and who waits for them
         self._makers: set[asyncio.Task[None]] = set()  # that create and close them
         self._open = False  # whether it listens
@@ -189,6 +193,7 @@ class Host:
 
     def _create(self, name: str, origin: Origin | None = None) -> HostedWorld:
         hosted = self.worlds[name] = self._make(name, origin)
+        self._awake.add(hosted)
         if self._open:
             hosted.start()
         return hosted
@@ -215,6 +220,7 @@ class Host:
         The connection's `resume` is called when it is there; where it cannot be created, its `hang_up`.
         """
         if name in self.worlds:
+            self._awake.add(self.worlds[name])
             return self.worlds[name]
         if name not in self._creating:
             self._creating[name] = {}
@@ -238,6 +244,7 @@ class Host:
             failure = NmesError("internal", "the server failed; see its log")
         else:
             self.worlds[name] = hosted
+            self._awake.add(hosted)
             hosted.start()
         for connection in self._creating.pop(name):
             if failure is None:
@@ -291,10 +298,13 @@ class Host:
             self._forget(name)
             hosted = self.worlds.pop(name, None)
             if hosted is not None:
+                self._awake.discard(hosted)
                 await hosted.close()
                 if hosted.abandoned or hosted.lost is not None:
                     self.closed.append(hosted)
                 hosted.hang_up()
+                if self._metrics is not None:
+                    self._metrics.forget(name)
             connection.show_worlds(None if maker is None else self.keys.made_by(maker))
 
         _spawn(close(), self._makers)
@@ -318,6 +328,7 @@ class Host:
                     "frame": status.frame if status is not None else None,
                     "clients": hosted.clients if hosted is not None else 0,
                     "fault": status.fault.code if status is not None and status.fault is not None else None,
+                    "asleep": hosted is not None and hosted.asleep,
                     "ratio": round(status.lag.ratio, 3) if status is not None and status.lag is not None else None,
                 }
             )
@@ -375,7 +386,9 @@ class Host:
         if not self._open:
             self._open = True
             loop = asyncio.get_running_loop()
-            self._tasks = [loop.create_task(work()) for work in (self._inspect, self._flush, self._sweep)]
+            self._tasks = [
+                loop.create_task(work()) for work in (self._inspect, self._flush, self._hibernate, self._sweep)
+            ]
             for hosted in self.worlds.values():
                 hosted.start()
         default = world or self._catalog.first
@@ -423,8 +436,18 @@ class Host:
         interval = (self._flush_interval or 1.0) / 2
         while True:
             await asyncio.sleep(interval)
-            for hosted in list(self.worlds.values()):
+            for hosted in list(self._awake):
                 await hosted.flush()
+
+    async def _hibernate(self) -> None:
+        """Has worlds hibernate that nobody uses, one after the other."""
+        idle = self._hibernate_after
+        while idle is not None:
+            await asyncio.sleep(min(max(idle / 4, 0.01), 5.0))
+            for hosted in list(self._awake):
+                await hosted.hibernate(idle)
+                if hosted.resting:
+                    self._awake.discard(hosted)
 
     async def _sweep(self) -> None:
         while self._retention is not None:

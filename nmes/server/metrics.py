@@ -37,6 +37,7 @@ class WorldFigures(NamedTuple):
         unwritten: How old (s) the oldest record may be that is not written yet; None: it is not recorded.
         ratio: How fast it runs, as a part of the pace that was asked for; 1 where it keeps up.
         lost: The wall's time (s) that it has let go, since it could not keep up.
+        asleep: Whether it hibernates.
     """
 
     name: str
@@ -45,6 +46,7 @@ class WorldFigures(NamedTuple):
     unwritten: float | None
     ratio: float
     lost: float
+    asleep: bool
 
 
 class Figures(NamedTuple):
@@ -75,6 +77,11 @@ class Metrics:
         measured.ticked = self._ticks.labels(name).observe
         measured.answered = lambda kind, outcome: self._commands.labels(name, kind, outcome).inc()
         return measured
+
+    def forget(self, name: str) -> None:
+        """Takes a world that is closed off the page."""
+        self._ticks.remove_by_labels({"world": name})
+        self._commands.remove_by_labels({"world": name})
 
     def watch(self, figures: Callable[[], Figures]) -> None:
         """Adds the state of a host to the page; `figures` is called whenever the page is made."""
@@ -119,6 +126,8 @@ class _Reading(Collector):
     def collect(self) -> Iterator[Metric]:
         figures = self._figures()
         yield GaugeMetricFamily("nmes_worlds", "Worlds that have been created", value=len(figures.worlds))
+        asleep = len([world for world in figures.worlds if world.asleep])
+        yield GaugeMetricFamily("nmes_worlds_asleep", "Those of them that hibernate", value=asleep)
         yield GaugeMetricFamily(
             "nmes_connections", "Connections, those in no world included", value=figures.connections
         )

@@ -160,7 +160,7 @@ class Worker:
         self._until = 0.0  # when the slice ends that runs in the thread
         self._idle = 0.0  # s: for how long the work in the thread had to wait for others
         self._stopping = False
-        self._returned = asyncio.Event()
+        self._returned = asyncio.Event()  # set when the world came back last
 
     # -- how long it takes -----------------------------------------------------------------------------------------
 
@@ -271,6 +271,10 @@ class Worker:
         self.away, self._world.between = False, None
         self._returned.set()
         self._owner.take_back(partial(then, result))
+
+    async def wait(self) -> None:
+        """Returns when the world is back in the event loop."""
+        await self._returned.wait()
 
     async def stop(self, patience: float) -> bool:
         """Ends what is done in a thread, after the tick it is at; returns whether the world came back in time (s)."""

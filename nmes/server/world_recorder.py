@@ -91,6 +91,14 @@ class WorldRecorder:
         """
         self._recorder.commit()
 
+    def rest(self) -> None:
+        """Completes the recording, and closes its file until there is more to record; may be called in any thread.
+
+        Raises:
+            RecordingError: It cannot be written.
+        """
+        self._recorder.rest()
+
     def close(self) -> None:
         """Completes the recording; what the world does after that is not recorded.
 

@@ -234,6 +234,8 @@ def _lines(recording: Recording, rate: int) -> Iterator[_Line]:
                 yield _Line(ticks, text, "WARN")
             case Kind.JOINED | Kind.LEFT:
                 yield _Line(ticks, f"client {record.client} {record.kind}", "INFO")
+            case Kind.HIBERNATED:
+                yield _Line(ticks, "nobody was there, and the world slept until somebody came", "INFO")
         for other in (record, *effects):
             if other.kind is Kind.TICKS and other.about is not None:
                 ticks += len(other.about["digests"])

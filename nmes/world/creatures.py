@@ -88,6 +88,12 @@ class Creatures:
         self._lessened = [creature for creature in self._creatures.values() if creature.layout > 1]
         self._version = self._entities.version
 
+    @property
+    def busy(self) -> bool:
+        """Whether any of them does something by itself: its brain is run by the world, its body errs or develops."""
+        self._present()
+        return bool(self._minds or self._flawed or self._developing)
+
     def act(self) -> None:
         """Begins a tick: those whose brains the world runs sense and drive, then flaws do; in order of creation."""
         if not self._minds and not self._flawed:

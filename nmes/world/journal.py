@@ -51,6 +51,10 @@ class Journal(Protocol):
         """The world was saved, as its config says that it is now and then."""
         return
 
+    def hibernated(self, frame: int) -> None:
+        """The world is saved next, which `keyframe` tells, and sleeps until somebody comes."""
+        return
+
     def faulted(self, frame: int, code: str, message: str) -> None:
         """The world stopped at `frame`."""
         return

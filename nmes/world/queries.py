@@ -68,6 +68,7 @@ class WorldQueries:
     _clients: Clients
     _tick_rate: int
     _past: int  # ticks before the last reset
+    _hibernated: bytes | None
     _built: int  # the entities' edits that the engine has taken up
 
     @property
@@ -87,8 +88,29 @@ class WorldQueries:
 
     @property
     def running(self) -> bool:
-        """Whether the world ticks by itself now: not in lockstep, not paused, not faulted."""
-        return self.mode != "lockstep" and not self.paused and self.fault is None
+        """Whether the world ticks by itself now: not in lockstep, not paused, not faulted, not asleep."""
+        return self.mode != "lockstep" and not self.paused and self.fault is None and not self.asleep
+
+    @property
+    def asleep(self) -> bool:
+        """Whether the world hibernates: it was saved, and its engine let go."""
+        return self._hibernated is not None
+
+    @property
+    def idle(self) -> bool:
+        """Whether nothing is lost where the world hibernates now: nobody is in it, and nothing moves.
+
+        Nothing moves where time stands still, or where all cubes are frozen or sleep, no creature is run by the world
+        or develops, and there is no ecosystem. A faulted world is not idle, nor one whose engine has no snapshots.
+        """
+        if self.asleep or self._clients or self.fault is not None or "snapshot" not in self.backend.capabilities:
+            return False
+        if not self.running:
+            return True
+        if self.life is not None or self.all_creatures.busy:
+            return False
+        sleeping = self.simulation.sleeping
+        return all(cube.frozen or sleeping(cube.body) for cube in self.entities.cubes.values())
 
     @property
     def structure_version(self) -> int:

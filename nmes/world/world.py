@@ -17,6 +17,7 @@ Invariants:
 from __future__ import annotations
 
 import logging
+import zlib
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -88,6 +89,7 @@ class World(WorldQueries):
         self._substeps: int = self.config["substeps"]
         self._past = 0
         self._stepping = False  # within the ticks of a command
+        self._hibernated: bytes | None = None  # the packed snapshot of a world that sleeps
         self._keyframes = KeyframeSchedule(self.config, self.backend)
         try:
             self.roles = read_roles(self.config.get("roles"))
@@ -343,7 +345,8 @@ class World(WorldQueries):
     def close(self) -> None:
         """Tells subscribers that the world is closed and releases the engine."""
         self.announce({"type": "world_closed"})
-        self.simulation.close()
+        if not self.asleep:
+            self.simulation.close()
 
     # -- snapshots -----------------------------------------------------------------------------------------------
 
@@ -389,6 +392,12 @@ class World(WorldQueries):
         Raises:
             WorldError: `bad_snapshot`: it is none, or of a world of another config. This world is as it was.
         """
+        simulation = self.simulation
+        self._restore(snapshot)
+        simulation.close()
+
+    def _restore(self, snapshot: bytes) -> None:
+        """Takes up a snapshot; whatever engine was here is still to be closed."""
         state, engine = unpack(snapshot, self.config)
         entities = Entities(self.backend, self.config, state["seed"], version=0)
         try:
@@ -405,7 +414,6 @@ class World(WorldQueries):
         except Exception as error:  # an engine's bytes may be anything, and so may what its library thinks of them
             entities.simulation.close()
             raise WorldError("bad_snapshot", f"the snapshot does not fit together: {error}") from error
-        self.simulation.close()
         self.entities, self.all_creatures, self._clients = entities, creatures, clients
         self.channels, self.life = channels, life
         self._built = entities.edits
@@ -415,27 +423,69 @@ class World(WorldQueries):
         self.barrier = None if state["barrier"] is None else Barrier(**state["barrier"])
         self._keyframes.advance(self._past, self.frame)
 
-    def _keep_keyframe(self) -> None:
-        """Saves the world, between two inputs: a tick of the clock or a command has just ended."""
+    def _keep_keyframe(self) -> bytes | None:
+        """Saves the world, between two inputs: a tick of the clock or a command has just ended.
+
+        Returns:
+            The snapshot; None where the world is faulted, now or before.
+        """
         if self.fault is not None:
-            return
+            return None
         try:
             snapshot = self.snapshot()
         except Exception as error:
             self._engine_failed(error)
-            return
+            return None
         self._keyframes.advance(self._past, self.frame)
-        self._record(lambda journal: journal.keyframe(snapshot))
+        return snapshot if self._record(lambda journal: journal.keyframe(snapshot)) else None
+
+    def hibernate(self) -> None:
+        """Saves this world and lets its engine go, until `wake`: for a host, while nobody is in the world.
+
+        It is an input like a tick, which the journal is told first, and after it the world is as a restored one, bit
+        for bit. Until then only `wake`, `close` and its attributes may be used, of which `running` is False. Where it
+        cannot be saved, or that not be recorded, the world faults, and stays as it is; it also stays where what was
+        saved cannot be taken up.
+
+        Raises:
+            WorldError: The engine has no snapshots (`unsupported`); the world is faulted, or somebody is in it.
+        """
+        self.entities.require("snapshot", "snapshots")
+        if self.fault is not None or self._clients:
+            raise WorldError("world_faulted" if self.fault is not None else "wrong_mode", "this world cannot hibernate")
+        told = self._record(lambda journal: journal.hibernated(self.frame))
+        snapshot = self._keep_keyframe() if told else None
+        if snapshot is None:
+            return
+        simulation = self.simulation
+        try:
+            self._restore(snapshot)  # else a mistake in what was saved would be found when all else is gone
+        except WorldError as error:
+            logger.error("world %r stays awake: %s", self.config["name"], error.message)
+            return
+        simulation.close()
+        self.simulation.close()
+        self._hibernated = zlib.compress(snapshot, 1)
+        del self.entities, self.all_creatures, self.channels, self.life
+
+    def wake(self) -> None:
+        """Takes this world up again where `hibernate` left it; a fault that came meanwhile stays."""
+        assert self._hibernated is not None
+        fault = self.fault
+        self._restore(zlib.decompress(self._hibernated))
+        self.fault, self._hibernated = fault, None
 
     # -- the journal and faults ----------------------------------------------------------------------------------
 
-    def _record(self, call: Callable[[Journal], None]) -> None:
-        """Tells the journal of an event, if there is one."""
+    def _record(self, call: Callable[[Journal], None]) -> bool:
+        """Tells the journal of an event, if there is one; returns False where it cannot keep that."""
         if self.journal is not None:
             try:
                 call(self.journal)
             except RecordingError as error:
                 self.stop_recording(error)
+                return False
+        return True
 
     def stop_recording(self, error: RecordingError) -> None:
         """Faults the world because its history can no longer be kept, be it the journal's or the host's finding."""

@@ -132,6 +132,7 @@ def test_listing_worlds_creates_and_joins_none(server: Served, tmp_path: Path) -
         "frame": None,
         "clients": 0,
         "fault": None,
+        "asleep": False,
         "ratio": None,
     }
     asker = server.client()

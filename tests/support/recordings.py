@@ -54,6 +54,9 @@ class Script(Journal):
     def keyframe(self, snapshot: bytes) -> None:
         self.entries.append(("keyframe", snapshot))
 
+    def hibernated(self, frame: int) -> None:
+        self.entries.append(("hibernated", frame))
+
     def faulted(self, frame: int, code: str, message: str) -> None:
         self.entries.append(("fault", frame, code, message))
 
@@ -181,6 +184,8 @@ def told_by(recording: Recording) -> list[tuple[Any, ...]]:
                 entries.append(("fault", about["frame"], about["code"], about["message"]))
             case Kind.JOINED | Kind.LEFT:
                 entries.append((str(item.kind), item.client))
+            case Kind.HIBERNATED:
+                entries.append(("hibernated", about["frame"]))
             case Kind.COMMAND | Kind.REFUSED | Kind.REPLY:
                 entries.append((str(item.kind), item.client, item.data))
     return entries

@@ -507,7 +507,7 @@ class Full:
         if self.room < 0:
             raise RecordingError("recording_failed", "no space left")
 
-    joined = left = received = replied = ticked = lived = keyframe = faulted = _keep
+    joined = left = received = replied = ticked = lived = keyframe = hibernated = faulted = _keep
 
 
 @pytest.mark.parametrize("room", range(8))
