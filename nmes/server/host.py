@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import ctypes
 import logging
 import ssl
+import sys
 from collections.abc import Collection, Coroutine, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
@@ -444,10 +446,13 @@ class Host:
         idle = self._hibernate_after
         while idle is not None:
             await asyncio.sleep(min(max(idle / 4, 0.01), 5.0))
+            before = len(self._awake)
             for hosted in list(self._awake):
                 await hosted.hibernate(idle)
                 if hosted.resting:
                     self._awake.discard(hosted)
+            if len(self._awake) < before:
+                await asyncio.to_thread(_give_back_memory)
 
     async def _sweep(self) -> None:
         while self._retention is not None:
@@ -501,6 +506,12 @@ class Host:
         self._open = False
         self._reader.shutdown()
         self._pool.close(wait=not self.abandoned)
+
+
+def _give_back_memory() -> None:
+    """Has the C library give the system what it keeps of freed memory, where it can: glibc keeps most of an engine."""
+    if sys.platform == "linux" and (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)) is not None:
+        trim(0)
 
 
 def _spawn(work: Coroutine[Any, Any, None], among: set[asyncio.Task[None]]) -> None:

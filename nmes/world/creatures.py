@@ -7,6 +7,7 @@ Invariants: `spawn` makes all of a body or changes nothing; creatures are in ord
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from weakref import ref
 
 import orjson
 
@@ -49,7 +50,13 @@ class Creatures:
         self._changed: dict[str, list[JsonObject]] = {}
         self._count = 0
         self._version = entities.version
-        self._nearby = Nearby(entities, lambda: [creature.root for creature in self._present().values()])
+        weak = ref(self)  # else the two would keep each other, and the engine, when their world has let go of them
+
+        def roots() -> list[int]:
+            creatures = weak()
+            return [] if creatures is None else [creature.root for creature in creatures._present().values()]
+
+        self._nearby = Nearby(entities, roots)
 
     def _present(self) -> dict[str, Creature]:
         if self._version != self._entities.version:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import os
 import random
 import signal
 import time
+import weakref
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -17,13 +19,14 @@ from hypothesis import strategies as st
 
 from nmes import Client
 from nmes.backends import ballistic
-from nmes.errors import CommandFailed, WorldError
+from nmes.errors import CommandFailed, RecordingError, WorldError
 from nmes.playback import replay
 from nmes.playback.drift import measure_drift
 from nmes.playback.export import messages, write_jsonl
 from nmes.playback.log import Log
 from nmes.playback.log_replay import replay_log
 from nmes.recording import Kind, Recorder, Recording
+from nmes.recording.summary import summarize
 from nmes.server.metrics import Metrics
 from nmes.world import World
 from processes import process, ready
@@ -324,6 +327,20 @@ def test_only_an_empty_world_that_can_be_saved_hibernates() -> None:
     world.close()
 
 
+def test_the_engine_of_a_sleeping_world_is_gone_without_a_collection_of_garbage() -> None:
+    world = World({"backend": "mujoco", "mode": "lockstep"})
+    act(world, random.Random(1))
+    left = [weakref.ref(thing) for thing in (world.entities, world.all_creatures)]
+    gc.collect()
+    gc.disable()
+    try:
+        world.hibernate()
+        assert [thing() for thing in left] == [None, None]
+    finally:
+        gc.enable()
+    world.close()
+
+
 def test_a_world_whose_engine_has_no_snapshots_stays_awake() -> None:
     world = World({"backend": "pymunk", "mode": "lockstep"})
     assert not world.idle
@@ -333,6 +350,15 @@ def test_a_world_whose_engine_has_no_snapshots_stays_awake() -> None:
     with served({"backend": "pymunk"}, hibernate_after=SOON) as server:
         time.sleep(4 * SOON)
         assert not asleep(server)
+
+
+def test_a_fault_that_comes_in_its_sleep_is_there_when_a_world_wakes() -> None:
+    world = World({"backend": "ballistic", "mode": "lockstep"})
+    world.hibernate()
+    world.stop_recording(RecordingError("recording_failed", "the disk is full"))
+    world.wake()
+    assert world.fault is not None and world.fault.code == "recording_failed"
+    world.close()
 
 
 def test_where_the_recording_cannot_be_kept_the_world_faults_and_stays(tmp_path: Path) -> None:
@@ -371,9 +397,9 @@ def test_a_world_whose_snapshot_is_not_sound_stays_awake_and_loses_nothing(
 
 @pytest.fixture
 def slept(tmp_path: Path) -> Iterator[Path]:
-    config = {"backend": "ballistic"}
-    with served(config, record_to=tmp_path, hibernate_after=SOON) as server:
-        for commands in SESSIONS[:3]:
+    looks = [{"type": "get_cube_info", "cube_name": name} for name in ("c0", "c1", "c2")]  # contacts: only of a state
+    with served({"backend": "mujoco"}, record_to=tmp_path, hibernate_after=SOON) as server:
+        for commands in (*SESSIONS[:3], looks):
             session(server, commands)
             sleeps(server)
     (path,) = tmp_path.glob("*.mcap")
@@ -390,3 +416,4 @@ def test_every_way_to_run_a_recording_again_knows_of_sleep(slept: Path, tmp_path
     assert replay_log(Log(log)).verdict == "reproduced"
     assert measure_drift(recording, "ballistic").ended is None
     assert measure_drift(recording, "mujoco").ended is None
+    assert summarize(recording).hibernations == 4
