@@ -28,6 +28,7 @@ from nmes.errors import MachineError, RejectedMessage, WorldError
 from nmes.recording import Recording
 from nmes.server import Host
 from nmes.server.access_log import AccessLog
+from nmes.server.catalog import Catalog
 from nmes.server.metrics import Metrics
 from nmes.world import World
 
@@ -291,9 +292,7 @@ async def _serve(settings: Settings, report: Callable[[Running], None]) -> tuple
         access_log=None if settings.access_log is None else AccessLog(settings.access_log),
         retention=settings.keep,
         makers=settings.makers,
-        templates=settings.templates,
-        max_worlds=settings.max_worlds,
-        max_worlds_each=settings.max_worlds_each,
+        catalog=Catalog(settings.templates, settings.max_worlds, settings.max_worlds_each),
         hibernate_after=settings.hibernate_after,
     )
     async with host:

@@ -45,13 +45,16 @@ class Catalog:
     """The worlds of a host by name, in the order in which they were added.
 
     Args:
-        templates: Configs of worlds that are created over the wire, by name.
+        templates: Configs of worlds that are created over the wire, by name; `default` is that of those for which none
+            is named, and empty if it is not there.
         most: How many worlds there may be.
         most_each: How many of them one maker may have.
     """
 
-    def __init__(self, templates: Mapping[str, Mapping[str, Any]], most: int, most_each: int) -> None:
-        self._templates = {DEFAULT: {}, **templates}
+    def __init__(
+        self, templates: Mapping[str, Mapping[str, Any]] | None = None, most: int = 10_000, most_each: int = 100
+    ) -> None:
+        self._templates = {DEFAULT: {}, **(templates or {})}
         self._most, self._most_each = most, most_each
         self._offers: dict[str, Offer] = {}
         self._made: Counter[str] = Counter()

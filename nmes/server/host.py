@@ -59,9 +59,7 @@ class Host:
         *,
         role_passwords: Mapping[str, str] | None = None,
         makers: Mapping[str, str] | None = None,
-        templates: Mapping[str, Mapping[str, Any]] | None = None,
-        max_worlds: int = 10_000,
-        max_worlds_each: int = 100,
+        catalog: Catalog | None = None,
         hibernate_after: float | None = None,
         limits: Limits | None = None,
         auth_delay: float = 1.0,
@@ -78,10 +76,7 @@ class Host:
             password: What opens all worlds, in any role.
             role_passwords: What opens, in one role alone, all worlds whose configs name it, by the role's name.
             makers: Passwords of those who may create worlds, and close them, by their names.
-            templates: Configs of worlds that are created over the wire, by name; `default` is that of those for which
-                none is named, and empty if it is not there.
-            max_worlds: How many worlds there may be.
-            max_worlds_each: How many of them one maker may have.
+            catalog: Holds the templates of worlds, and how many there may be; no world yet.
             hibernate_after: How long (s) a world is idle before it hibernates; None: none ever does.
             limits: The protocol's limits of a connection.
             auth_delay: How long a client that failed to authenticate waits for the answer, s.
@@ -101,7 +96,7 @@ class Host:
         self._pool = WorkerPool()
         self.worlds: dict[str, HostedWorld] = {}  # those that were created
         self.closed: list[HostedWorld] = []  # those that ended badly while the host goes on
-        self._catalog = Catalog(templates or {}, max_worlds, max_worlds_each)
+        self._catalog = Catalog() if catalog is None else catalog
         self._ports: dict[str, int] = {}  # the port whose clients get a world without naming it
         self.buffer = memoryview(bytearray(READ))
         self.keys = Keys(password, role_passwords or {}, makers or {})

@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from click.testing import CliRunner, Result
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from nmes import AsyncClient, Client
@@ -23,7 +23,7 @@ from processes import process, ready
 from servers import PASSWORD, PATIENCE, Served, served, types
 
 PLAIN = {"backend": "ballistic", "mode": "lockstep"}
-TEMPLATES = {
+TEMPLATES: dict[str, dict[str, Any]] = {
     "default": PLAIN,
     "moon": {**PLAIN, "gravity": [0, -1.62, 0], "seed": 7},
     "broken": {"backend": "ballistic", "scene": {"type": "heightfield"}},
@@ -33,7 +33,7 @@ MAKERS = {"ann": "the word of ann", "bob": "the word of bob"}
 
 @pytest.fixture
 def server(tmp_path: Path) -> Iterator[Served]:
-    options: dict[str, Any] = {"makers": MAKERS, "templates": TEMPLATES, "max_worlds": 5, "max_worlds_each": 2}
+    options: dict[str, Any] = {"makers": MAKERS, "catalog": Catalog(TEMPLATES, most=5, most_each=2)}
     with served({"name": "first"}, record_to=tmp_path, passwords={"first": "of first"}, **options) as running:
         yield running
 
@@ -183,6 +183,7 @@ def test_a_server_whose_list_does_not_end_keeps_nobody(server: Served, monkeypat
     assert server.client().worlds() == []
 
 
+@settings(max_examples=15)
 @given(st.lists(st.tuples(st.booleans(), st.integers(0, 9)), max_size=60), st.integers(0, 60))
 def test_pages_hold_nothing_twice_and_leave_out_nothing_that_stays(steps: list[tuple[bool, int]], turn: int) -> None:
     catalog = Catalog({}, 10_000, 10_000)
