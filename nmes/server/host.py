@@ -163,10 +163,14 @@ class Host:
     def _add(self, config: Mapping[str, Any], origin: Origin | None, password: str | None) -> HostedWorld:
         name = self.offer(config, password)
         try:
-            return self._create(name, origin)
+            hosted = self.worlds[name] = self._make(name, origin)
         except NmesError:
             self._forget(name)
             raise
+        self._awake.add(hosted)
+        if self._open:
+            hosted.start()
+        return hosted
 
     def offer(self, config: Mapping[str, Any], password: str | None = None) -> str:
         """Hosts a world that is created when a client first joins it; returns its name.
@@ -187,13 +191,6 @@ class Host:
         self._catalog.remove(name)
         self.keys.remove(name)
         self._ports.pop(name, None)
-
-    def _create(self, name: str, origin: Origin | None = None) -> HostedWorld:
-        hosted = self.worlds[name] = self._make(name, origin)
-        self._awake.add(hosted)
-        if self._open:
-            hosted.start()
-        return hosted
 
     def _make(self, name: str, origin: Origin | None = None) -> HostedWorld:
         config = self._catalog[name].config
@@ -325,7 +322,7 @@ class Host:
                     "frame": status.frame if status is not None else None,
                     "clients": hosted.clients if hosted is not None else 0,
                     "fault": status.fault.code if status is not None and status.fault is not None else None,
-                    "asleep": hosted is not None and hosted.asleep,
+                    "asleep": hosted is not None and hosted.world.asleep,
                     "ratio": round(status.lag.ratio, 3) if status is not None and status.lag is not None else None,
                 }
             )
@@ -443,8 +440,8 @@ class Host:
             await asyncio.sleep(min(max(idle / 4, 0.01), 5.0))
             before = len(self._awake)
             for hosted in list(self._awake):
-                await hosted.hibernate(idle)
-                if hosted.resting:
+                await hosted.hibernation.begin(idle)
+                if hosted.hibernation.resting:
                     self._awake.discard(hosted)
             if len(self._awake) < before:
                 await asyncio.to_thread(_give_back_memory)

@@ -4,7 +4,7 @@ A connection submits the requests of its client one by one. Each is answered at 
 the connection is called when it may be submitted again. The world knows no sockets, only `Peer`s.
 
 A world in which nobody is and nothing moves may hibernate: it is saved, its engine and its recording's file are let go,
-and it takes neither time nor much memory until somebody joins, which wakes it. Both are done in a thread.
+and it takes neither time nor much memory until somebody joins, which wakes it (`Hibernation`).
 
 The rest is done by parts: the `Clock` ticks in `realtime` and `fast`, the `StepBarrier` lets agents wait for each
 other, the `Worker` takes long work to a thread, the `WorldRecorder` flushes, and `Peers` send events. After a tick, and
@@ -35,6 +35,7 @@ from nmes.playback import restore_into
 from nmes.protocol import Request
 from nmes.server.barrier import StepBarrier
 from nmes.server.clock import Clock, Lag
+from nmes.server.hibernation import Hibernation
 from nmes.server.metrics import Metrics, WorldFigures
 from nmes.server.outbox import Outbox
 from nmes.server.peers import Peer, Peers
@@ -102,9 +103,12 @@ class HostedWorld:
         self._barrier = StepBarrier(
             self.world, self._worker.advance, self._peers.resume, self._settle_soon, self._pass_over_late
         )
-        self._empty_since = monotonic()
-        self._sleepless = False  # it was to hibernate, and what was saved could not be taken up
-        self._not_woken: BaseException | None = None  # why the world cannot be woken any more
+        self.hibernation = Hibernation(
+            self.world,
+            self._worker,
+            self._recorder,
+            lambda: not self._peers and not self._closing and self._committing is None,
+        )
         # For while the world is in a thread:
         self._status = self.status  # before it went
         self._events: list[tuple[int, bytes]] = []  # of clients
@@ -137,16 +141,17 @@ class HostedWorld:
     @property
     def figures(self) -> WorldFigures:
         """The metrics of this world."""
-        unwritten = None if self._recorder is None else 0.0 if self.asleep else self._recorder.lag
+        unwritten = None if self._recorder is None else 0.0 if self.world.asleep else self._recorder.lag
         ratio = 1.0 if self._clock.lag is None else self._clock.lag.ratio
         return WorldFigures(
-            self.name, self.clients, self.status.fault is not None, unwritten, ratio, self._clock.lost, self.asleep
+            self.name,
+            self.clients,
+            self.status.fault is not None,
+            unwritten,
+            ratio,
+            self._clock.lost,
+            self.world.asleep,
         )
-
-    @property
-    def asleep(self) -> bool:
-        """Whether the world hibernates, or is being woken."""
-        return self.world.asleep
 
     # -- requests --------------------------------------------------------------------------------------------------
 
@@ -159,14 +164,15 @@ class HostedWorld:
             Its client number and its `auth_success`; or None if it has to wait: its `resume` is called when it may try
             again.
         """
-        if self._not_woken is not None:
-            raise self._not_woken
+        if self.hibernation.failure is not None:
+            raise self.hibernation.failure
         if self._worker.away or self._closing:
             self._waiting[connection] = None
             return None
         if self.world.asleep:
             self._waiting[connection] = None
-            self._wake()
+            if not self.hibernation.wake():
+                self._end_waiting()
             return None
         client = self.world.join(role, player)
         self._peers[client] = connection
@@ -184,7 +190,7 @@ class HostedWorld:
         elif not self._closing:
             self.world.leave(client)
             self._settle_soon()
-        self._empty_since = monotonic()
+        self.hibernation.put_off()
 
     def submit(self, client: int, request: Request) -> bytes | None:
         """Executes a client's request.
@@ -298,56 +304,6 @@ class HostedWorld:
         logger.warning("world %r goes on at frame %d without clients %s", self.name, self.world.frame, late)
         self.world.announce({"type": "barrier_timeout", "frame": self.world.frame, "clients": late})
         self._settle()
-
-    # -- hibernation -----------------------------------------------------------------------------------------------
-
-    @property
-    def resting(self) -> bool:
-        """Whether the world sleeps, and nobody wakes it."""
-        return self.world.asleep and not self._worker.away
-
-    async def hibernate(self, after: float) -> None:
-        """Saves the world, and lets its engine and its recording's file go until somebody joins.
-
-        Does nothing unless it was empty for so long (s), and is idle.
-        """
-        if not self._deserted(after):
-            return
-        if self._worker.away:  # as one in `fast` nearly always is
-            await self._worker.wait()
-        if not self._deserted(after) or self._worker.away or not self.world.idle:
-            return
-        if self._worker.run(self._let_go, lambda done: done.result()):
-            await self._worker.wait()
-
-    def _deserted(self, after: float) -> bool:
-        """Whether nobody was in the world for so long (s), and nothing of it waits for the disk."""
-        if self._peers or self._closing or self._sleepless or self._committing is not None:
-            return False
-        return monotonic() >= self._empty_since + after
-
-    def _let_go(self) -> None:
-        """Does so; called in the world's thread."""
-        self.world.hibernate()
-        self._sleepless = not self.world.asleep
-        if self.world.asleep and self._recorder is not None:
-            try:
-                self._recorder.rest()
-            except RecordingError as error:
-                self.world.stop_recording(error)
-
-    def _wake(self) -> None:
-        """Takes the world up again, in a thread unless it is faulted; who waits may join then."""
-        if not self._worker.run(self.world.wake, self._woken):
-            self.world.wake()
-            self._end_waiting()
-
-    def _woken(self, done: Future[None]) -> None:
-        """Goes on with a world that is awake; where that failed, whoever comes from now on is told so."""
-        self._empty_since = monotonic()
-        self._not_woken = done.exception()
-        if self._not_woken is not None:
-            logger.error("world %r cannot be woken; see its recording", self.name, exc_info=self._not_woken)
 
     # -- in a thread -----------------------------------------------------------------------------------------------
 

@@ -43,11 +43,11 @@ def engine(request: pytest.FixtureRequest) -> str:
 
 
 def asleep(server: Served, name: str = "main") -> bool:
-    return server.call(lambda: server.host.worlds[name].asleep)
+    return server.call(lambda: server.host.worlds[name].world.asleep)
 
 
 def sleeps(server: Served, name: str = "main") -> None:
-    until(lambda: asleep(server, name))
+    until(lambda: server.call(lambda: server.host.worlds[name].hibernation.resting))
 
 
 def digests(path: Path) -> list[str]:
