@@ -728,10 +728,13 @@ export interface WorldInfo extends Reply {
   readonly fault: unknown;
 }
 
-/** The worlds of the host, in answer to an auth with list or close. The connection is closed. */
+/** The worlds of the host, in answer to an auth with list, create or close. The connection is closed. */
 export interface WorldList extends Reply {
   readonly type: "world_list";
-  /** All worlds, the host's first one first. */
+  /**
+   * The worlds that the password opens, the host's first one first, up to 1,000 of them; after create the new one
+   * alone.
+   */
   readonly worlds: readonly ({
     /** The world, as auth names it. */
     readonly world: string;
@@ -753,9 +756,13 @@ export interface WorldList extends Reply {
     readonly clients: number;
     /** Code of the fault that stopped it, or null. */
     readonly fault: string | null;
+    /** Whether it hibernates: nobody was in it, and it was saved, to go on from there when somebody enters it. */
+    readonly asleep?: boolean;
     /** How fast it runs while it falls behind the clock, as a part of its pace; null: it keeps up. */
     readonly ratio?: number | null;
   })[];
+  /** What an auth with list says under start to be told those behind them; null: there are none. */
+  readonly next?: number | null;
 }
 
 /** The world is as it was created. */
