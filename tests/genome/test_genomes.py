@@ -56,7 +56,7 @@ def uprightness(states: Any, cube: int) -> Any:
 
 def test_genomes_of_many_kinds_are_shipped() -> None:
     documents = [Genome.load(name).document for name in NAMES]
-    assert len(NAMES) == 18
+    assert len(NAMES) == 24
     assert {document["brain"]["kind"] for document in documents} == {"sine", "cpg", "mlp", "ctrnn", "graph"}
     assert sum("graph" in document["body"] for document in documents) >= 2
     assert [document["name"] for document in documents] == list(NAMES)
