@@ -15,6 +15,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nmes.backend import Array
+from nmes.backend.rotation import total
 from nmes.backend.shapes import Shape
 from nmes.evaluation.balance import Balance, Excess
 from nmes.evaluation.judge import Judge, Observer, Watched
@@ -38,11 +39,13 @@ class _Change:
         came: The energy of what came, and the columns of that.
         went: The same of what went.
         stopped: The columns of the motors that went.
+        sprung: The columns of the joints with springs that came: where lost parts are taken up again, bent ones may.
     """
 
     came: tuple[Balance, Columns]
     went: tuple[Balance, Columns]
     stopped: Columns
+    sprung: Columns
 
 
 class ChangingJudge(Judge):
@@ -83,7 +86,9 @@ class ChangingJudge(Judge):
         if change is not None:
             came = _energy(change.came, states[0])
             went = _energy(change.went, self.trajectory.states[begin - 1])
-            powers[0, :, -1] = (max(came, 0.0) + max(-went, 0.0)) * self.trajectory.bodies.tick_rate
+            bent = self.balance.stiffnesses[change.sprung] * positions[0, change.sprung] * positions[0, change.sprung]
+            came = max(came, 0.0) + total(bent.tolist()) / 2.0
+            powers[0, :, -1] = (came + max(-went, 0.0)) * self.trajectory.bodies.tick_rate
             # What a motor gave in the tick at whose end it went is not known: about what it gave before.
             powers[0][:, change.stopped] = self._powers[begin - 1][:, change.stopped]
             self._change = None
@@ -113,7 +118,7 @@ class ChangingObserver(Observer):
         self._balance = start = Balance.of(self._bodies(columns), world.config, self._stiffnesses)
         self.judge = ChangingJudge(task, seed, start, trajectory)
         self._numbers: dict[int, int] = {}  # in the engine, of what is there, by the columns
-        self._driven: Columns = np.zeros(0, np.intp)
+        self._driven = self._moved = np.zeros(0, np.intp)
         self.note = self._note
         self._follow()
 
@@ -165,6 +170,7 @@ class ChangingObserver(Observer):
                 (Balance.of(self._bodies(came), world.config, ()), np.array(came, np.intp)),
                 (Balance.of(gone, world.config, ()), np.array(went, np.intp)),
                 np.setdiff1d(self._driven, motors),
+                np.setdiff1d(springs, self._moved),
             )
         self.judge.change(balance, np.array(columns, np.intp), change)
         self._numbers, self._balance, self._layout = numbers, balance, creature.layout

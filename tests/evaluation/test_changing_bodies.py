@@ -128,6 +128,26 @@ def test_without_that_payment_it_is_energy_of_nothing(monkeypatch: MonkeyPatch) 
     assert result.fault is not None and result.fault.startswith("energy: ")
 
 
+def test_springs_that_are_taken_up_bent_are_paid_too() -> None:
+    rules = [
+        {"when": "age > 1", "stage": 1, "shed": ["c2"], "enter": 2},
+        {"when": "age > 2", "stage": 2, "adopt": ["c2"], "enter": 3},
+    ]
+    bent = {"kind": "sine", "oscillators": [{"motor": "*", "amplitude": 0, "offset": 1}]}
+    genome = growing(*rules, brain=bent)
+    for joint in genome["body"]["joints"]:
+        joint |= {"stiffness": 60.0, "damping": 1.0}
+        joint["motor"]["max_effort"] = 300
+    ran = run(genome, task(world=FREE))
+    assert ran.result().fault is None
+    assert ran._observer is not None
+    brought = ran._observer.judge.trajectory.work[:, -1]
+    (taken_up,) = np.flatnonzero(np.diff(series(ran, "cubes")) > 0) + 1
+    assert brought[taken_up - 1] == 0.0
+    # In motion there is 0.099 J; the rest is in the spring beyond the part, which its motor bends by 0.059 rad.
+    assert brought[taken_up] == pytest.approx(0.099 + 60 * 0.059**2 / 2, rel=0.02)
+
+
 def ratchet() -> Json:
     """Returns a creature that stays where it is: its arm swings a heavy load forwards, and a light one back."""
     load = [{"part": "load", "scale": scale} for scale in (0.25, 1)]
