@@ -17,6 +17,8 @@ HONEST = [
     ("juggler", "pole"),
     ("inchworm", "planar-walk"),
     ("seeker", "reach"),
+    ("galloper", "injury"),
+    ("gecko", "injury"),
 ]
 
 

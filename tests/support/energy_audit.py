@@ -62,29 +62,42 @@ class _Books:
     """What the auditor writes down of a world, from its start on."""
 
     def __init__(self, world: World) -> None:
-        self._world, self._simulation = world, world.simulation
-        entities = world.entities
+        self._world = world
+        self.put_in: list[float] = []  # since the start, at each tick, J
+        self.moved: list[float] = []  # the same of the sizes
+        self.energies: list[float] = []  # of motion, of weight and in springs, at each tick, J
+        self.fastest: list[float] = []  # the speed of the fastest cube, at each tick, m/s
+        self._put_in = self._moved = 0.0
+        self._list()
+        self.note()
+
+    def _list(self) -> None:
+        """Lists what there is: cubes of the body, those that it lost, and props."""
+        entities = self._world.entities
         joints = [joint for joint in entities.joints.values() if joint.kind in ("hinge", "slide")]
+        self._version = entities.version
         self._numbers = tuple(joint.number for joint in joints)
         self._springs = np.array([joint.params["stiffness"] for joint in joints])
         cubes = list(entities.cubes.values())
         self._bodies = [cube.body for cube in cubes]
         self.masses = np.array([cube.mass for cube in cubes])
         self._sizes = np.array([cube.size for cube in cubes])
-        self.put_in: list[float] = []  # since the start, at each tick, J
-        self.moved: list[float] = []  # the same of the sizes
-        self.stored: list[float] = []  # in springs, at each tick, J
-        self.states: list[Array] = []
-        self._put_in = self._moved = 0.0
-        self.note()
 
     def note(self) -> None:
-        """Notes how it is at the end of a tick."""
+        """Notes how it is at the end of a tick. What parts bring along that grew in it was put in."""
+        simulation = self._world.simulation
+        if self._version != self._world.entities.version:
+            before = set(self._bodies)
+            self._list()
+            came = np.array([body not in before for body in self._bodies])
+            self._put_in += max(0.0, float(self._mechanical(simulation.states(self._bodies))[came].sum()))
+        states = simulation.states(self._bodies)
+        positions = simulation.joint_readings(self._numbers)[:, 0]
+        stored = float((self._springs * positions**2).sum() / 2.0)
         self.put_in.append(self._put_in)
         self.moved.append(self._moved)
-        positions = self._simulation.joint_readings(self._numbers)[:, 0]
-        self.stored.append(float((self._springs * positions**2).sum() / 2.0))
-        self.states.append(self._simulation.states(self._bodies))
+        self.energies.append(float(self._mechanical(states).sum()) + stored)
+        self.fastest.append(float(np.sqrt((states[:, 7:10] ** 2).sum(axis=1)).max()))
 
     def _work(self, efforts: Array, before: Array, after: Array, seconds: float) -> None:
         works = efforts * (before + after) * (seconds / 2.0)
@@ -110,9 +123,9 @@ class _Books:
 
         def chipmunk_step(space: pymunk.Space, seconds: float) -> None:
             """Takes a step. Chipmunk tells the impulse of the whole of it."""
-            before = self._simulation.joint_readings(self._numbers)
+            before = self._world.simulation.joint_readings(self._numbers)
             space_step(space, seconds)
-            after = self._simulation.joint_readings(self._numbers)
+            after = self._world.simulation.joint_readings(self._numbers)
             self._work(after[:, 2], before[:, 1], after[:, 1], seconds)
 
         with (
@@ -124,29 +137,27 @@ class _Books:
     def close(self, result: Result) -> Audit:
         """Adds up what was noted, of the ticks that were scored."""
         rows = result.ticks + 1
-        states = np.array(self.states[:rows])
-        unexplained = self._mechanical(states) + np.array(self.stored[:rows]) - np.array(self.put_in[:rows])
+        unexplained = np.array(self.energies[:rows]) - np.array(self.put_in[:rows])
         moment = round(MOMENT * self._world.config["tick_rate"])
         before = np.array([unexplained[max(0, row - moment) : row + 1].max() for row in range(rows)])
         grown = unexplained - np.minimum.accumulate(before)
         allowed = TOLERANCE * np.array(self.moved[:rows]) + HELD * float(self.masses.sum())
-        fastest = float(np.sqrt((states[:, :, 7:10] ** 2).sum(axis=2)).max())
-        return Audit(result, self.moved[rows - 1], float(grown.max()), fastest, bool((grown <= allowed).all()))
+        balanced = bool((grown <= allowed).all())
+        return Audit(result, self.moved[rows - 1], float(grown.max()), max(self.fastest[:rows]), balanced)
 
     def _mechanical(self, states: Array) -> Array:
-        """Returns kinetic and potential energy, array (rows,), J."""
-        x, y, z, w = np.moveaxis(states[:, :, 3:7], 2, 0)
-        turn = np.empty((*x.shape, 3, 3))  # the rows are the cubes' own axes
-        turn[..., 0, :] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=-1)
-        turn[..., 1, :] = np.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)], axis=-1)
-        turn[..., 2, :] = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
-        spin = (turn @ states[:, :, 10:13, None])[..., 0]
+        """Returns kinetic and potential energy of each cube, array (n,), J."""
+        x, y, z, w = states[:, 3:7].T
+        turn = np.empty((len(x), 3, 3))  # the rows are the cubes' own axes
+        turn[:, 0] = np.stack([1 - 2 * (y * y + z * z), 2 * (x * y + w * z), 2 * (x * z - w * y)], axis=-1)
+        turn[:, 1] = np.stack([2 * (x * y - w * z), 1 - 2 * (x * x + z * z), 2 * (y * z + w * x)], axis=-1)
+        turn[:, 2] = np.stack([2 * (x * z + w * y), 2 * (y * z - w * x), 1 - 2 * (x * x + y * y)], axis=-1)
+        spin = (turn @ states[:, 10:13, None])[..., 0]
         squares = self._sizes**2
         inertia = self.masses[:, None] / 12.0 * (squares.sum(axis=1, keepdims=True) - squares)
-        kinetic = (self.masses * (states[:, :, 7:10] ** 2).sum(axis=2) + (inertia * spin**2).sum(axis=2)) / 2.0
+        kinetic = (self.masses * (states[:, 7:10] ** 2).sum(axis=1) + (inertia * spin**2).sum(axis=1)) / 2.0
         gravity = np.array(self._world.config["gravity"])
-        potential = -self.masses * (states[:, :, 0:3] @ gravity)
-        total: Array = (kinetic + potential).sum(axis=1)
+        total: Array = kinetic - self.masses * (states[:, 0:3] @ gravity)
         return total
 
 
