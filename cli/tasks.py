@@ -21,7 +21,8 @@ def command(name: str | None, as_json: bool) -> None:
     """List the tasks that creatures can be put to.
 
     With NAME (of one that comes with the package, or a file) it shows that one: what is asked, its objective, what ends
-    it, its limits, and what its seeds decide. As JSON it is a beginning for one of your own, with a name of its own.
+    it, its limits, what may happen to bodies, and what its seeds decide. As JSON it is a beginning for one of your own,
+    with a name of its own.
 
     For example:
 
@@ -70,6 +71,17 @@ def _show(task: Task | MatchTask) -> None:
         table.add_row(f"ends: {title}", visible(condition.text, keep="\n"))
     table.add_row("lasts", f"{task.duration:g} s, after {document['settle']:g} s to settle")
     table.add_row("limits", ", ".join(f"{limit} {value:,}" for limit, value in document["limits"].items()) or "none")
+    if "newborn" in document:
+        at_birth = ", ".join(f"{limit} {value:,}" for limit, value in document["newborn"].items())
+        table.add_row("at birth", at_birth)
+    if "injury" in document:
+        low, high = document["injury"]["time"]
+        table.add_row("injury", f"a limb is cut off {low:g} to {high:g} s after the start")
+    if document.get("development"):
+        table.add_row("bodies", "may develop: later parts and rules of development are allowed")
+    for field, words in (("senses", "sensors of use"), ("shapes", "shapes of use")):
+        if field in document:
+            table.add_row(words, ", ".join(document[field]))
     table.add_row("seeds", ", ".join(map(str, task.seeds)))
     drawn = {**document["vary"], **{f"target {k}": v for k, v in document.get("target", {}).items() if k != "height"}}
     ranges = (f"{what} {low:g} to {high:g}" for what, (low, high) in drawn.items() if low != high)

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pytest import MonkeyPatch
 
+from command_line import run as run_nmes
 from creatures import SINE, mlp, snake
 from nmes import World
 from nmes.backend.shapes import Shape
@@ -357,3 +358,10 @@ def test_learners_keep_to_bodies_that_keep_their_parts() -> None:
         Environments(Genome(growing(GROW)), task(), 1)
     with pytest.raises(WorldError, match="the task cuts off a limb, and where others drive"):
         Environments(Genome(snake()), Task.load("injury"), 1)
+
+
+def test_a_task_tells_what_may_happen_to_bodies() -> None:
+    assert "a limb is cut off 3 to 4 s after the start" in run_nmes("tasks", "injury").stdout
+    shown = run_nmes("tasks", "growth").stdout
+    assert "cubes 2, size 0.5" in shown and "may develop" in shown
+    assert "sensors of use" in run_nmes("tasks", "dark").stdout
