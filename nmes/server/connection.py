@@ -18,11 +18,11 @@ import asyncio
 import contextlib
 import logging
 from collections import deque
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from concurrent.futures import Future
 from math import ceil
 from time import monotonic
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING, Any, cast
 
 from nmes.errors import NmesError, RejectedMessage, WorldError, visible
 from nmes.protocol import Auth, Request, Session
@@ -34,7 +34,7 @@ from nmes.server.outbox import Outbox
 from nmes.server.threads import SLICE
 
 if TYPE_CHECKING:
-    from nmes.server.host import Host
+    from nmes.server.reception import Reception
 
 __all__ = ["LINGER", "READ", "Connection"]
 
@@ -47,12 +47,16 @@ CHUNK = 256 << 10  # bytes of replies that are handed to the socket before the r
 
 
 class Connection(asyncio.BufferedProtocol):
-    """One socket: its authentication, its requests, its output, and when it has to go."""
+    """One socket: its authentication, its requests, its output, and when it has to go.
+
+    Attributes:
+        destination: The world that it waits to join; None: none.
+    """
 
     _transport: asyncio.Transport
     _output: Outbox
 
-    def __init__(self, host: Host, default_world: str | None) -> None:
+    def __init__(self, host: Reception, default_world: str | None) -> None:
         """Serves `default_world` to a client that names none."""
         self._host = host
         self._limits = host.limits
@@ -61,7 +65,7 @@ class Connection(asyncio.BufferedProtocol):
         self._address = ""
         self._peer = "a client"
         self._visit = Visit(host.access_log, self._peer)
-        self._destination: str | None = None  # the world to join
+        self.destination: str | None = None
         self._seat = Seat(None, None)  # as what
         self._world: HostedWorld | None = None  # the world joined
         self._client = 0
@@ -184,9 +188,9 @@ class Connection(asyncio.BufferedProtocol):
             self._transport.pause_reading()
             self._host.create_world(auth.create, None if every else maker, self)
         elif auth.list:
-            self.show_worlds(None if every else own, auth.start)
+            self.list_worlds(None if every else own, auth.start)
         elif not self._host.let_in(self):
-            most = self._limits.connections
+            most = self._host.most_connections
             self.hang_up(RejectedMessage("too_many_connections", f"this host serves {most} connections at once"))
         else:
             try:
@@ -195,16 +199,20 @@ class Connection(asyncio.BufferedProtocol):
             except (WorldError, RejectedMessage) as error:
                 self.hang_up(error)
                 return
-            self._destination = name
+            self.destination = name
             self._transport.pause_reading()
             self._join()
 
-    def show_worlds(self, only: Collection[str] | None = None, start: int = 0) -> None:
-        """Answers with a page of the worlds, of all if not of some, and hangs up."""
-        port = int(self._transport.get_extra_info("sockname")[1])
-        self._output.put(self._session.accept(self._host.list_worlds(port, only, start)))
-        self._visit.ends("listed")
-        self.hang_up()
+    def list_worlds(self, only: Collection[str] | None = None, start: int = 0) -> None:
+        """Has the host answer with a page of the worlds, of all if not of some."""
+        self._host.show_worlds(self, int(self._transport.get_extra_info("sockname")[1]), only, start)
+
+    def answer(self, message: Mapping[str, Any]) -> None:
+        """Answers the authentication, and hangs up."""
+        if not self._closing:
+            self._output.put(self._session.accept(message))
+            self._visit.ends("listed")
+            self.hang_up()
 
     def _wrong_password(self, right: bool) -> RejectedMessage | None:
         """Returns why a password does not let anybody in: it is wrong, or there were too many guesses of late."""
@@ -221,11 +229,11 @@ class Connection(asyncio.BufferedProtocol):
 
     def _join(self) -> None:
         """Joins the world as soon as it can be joined, and executes what came behind the password."""
-        if self._destination is None:
+        if self.destination is None:
             return
-        world = self._host.find(self._destination, self)
+        world = self._host.find(self.destination, self)
         if world is not None and (joined := world.join(self, *self._seat)) is not None:
-            self._destination, self._world, self._output.world = None, world, world
+            self.destination, self._world, self._output.world = None, world, world
             self._client, welcome = joined
             if "player" in welcome:
                 welcome["token"] = self._host.keys.token(world.name, welcome["role"], welcome["player"])
@@ -398,7 +406,7 @@ class Connection(asyncio.BufferedProtocol):
         self._closing = True
         self._visit.ends("closed" if error is None else error.code)
         self._overflowed = False
-        self._destination = None
+        self.destination = None
         self._backlog.clear()
         self._cancel_timer()
         if error is not None:

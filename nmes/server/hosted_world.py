@@ -30,7 +30,7 @@ from pathlib import Path
 from time import monotonic
 from typing import Any, NamedTuple
 
-from nmes.errors import RecordingError
+from nmes.errors import NmesError, RecordingError
 from nmes.playback import restore_into
 from nmes.protocol import Request
 from nmes.server.barrier import StepBarrier
@@ -137,6 +137,19 @@ class HostedWorld:
         if self._worker.away:
             return self._status
         return Status(self.world.mode, self.world.frame, self.world.fault, self._clock.lag)
+
+    @property
+    def state(self) -> dict[str, Any]:
+        """What a list of worlds tells of it."""
+        status = self.status
+        return {
+            "mode": status.mode,
+            "frame": status.frame,
+            "clients": self.clients,
+            "fault": None if status.fault is None else status.fault.code,
+            "asleep": self.world.asleep,
+            "ratio": None if status.lag is None else round(status.lag.ratio, 3),
+        }
 
     @property
     def figures(self) -> WorldFigures:
@@ -439,6 +452,34 @@ class HostedWorld:
             self.world.announce({"type": "world_closed"})
         else:
             self.world.close()
+        await self._complete()
+
+    async def give_away(self, farewell: NmesError) -> None:
+        """Saves the world as if it were to hibernate, for another process that goes on from its recording.
+
+        Its clients are told, and hung up on; a command that is being executed may be over then, but is not answered.
+        Work in a thread that takes longer than `PATIENCE` is left where it is: the recording ends in the middle of it.
+        """
+        self._closing = True
+        self._clock.stop()
+        self._barrier.stop()
+        if self._worker.away:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(PATIENCE):
+                    await self._worker.wait()
+        self.abandoned = not await self._worker.stop(0.0)
+        self._peers.hang_up(farewell)
+        if not self.abandoned and not self.world.asleep:
+            for client in self.world.clients():
+                self.world.leave(client)
+            if self.world.fault is None and "snapshot" in self.world.backend.capabilities:
+                await asyncio.to_thread(self.world.hibernate)
+            if not self.world.asleep:
+                self.world.close()
+        await self._complete()
+
+    async def _complete(self) -> None:
+        """Completes the recording of a world that is at its end."""
         if self._committing is not None:
             await self._committing
         if self.world.fault is not None and self.world.fault.code == "recording_failed":

@@ -18,7 +18,7 @@ from collections import defaultdict
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from hashlib import blake2b
-from typing import NamedTuple
+from typing import Any, NamedTuple, Self
 
 from nmes.errors import RejectedMessage
 from nmes.protocol import Auth
@@ -75,6 +75,35 @@ class Keys:
         self._by_password: defaultdict[bytes, dict[str, None]] = defaultdict(dict)  # worlds by their own
         self._by_role: defaultdict[str, dict[str, None]] = defaultdict(dict)  # and by each of their roles
 
+    def shared(self) -> dict[str, Any]:
+        """Returns what another process of the host needs to know the same passwords; of no world."""
+        return {
+            "key": self._key.hex(),
+            "password": self._password.hex(),
+            "roles": {role: digest.hex() for role, digest in self._roles.items()},
+            "makers": {maker: digest.hex() for maker, digest in self._makers.items()},
+        }
+
+    @classmethod
+    def of(cls, shared: Mapping[str, Any]) -> Self:
+        """Returns the keys that another process of the host has `shared`."""
+        keys = cls("", {}, {})
+        keys._key, keys._password = bytes.fromhex(shared["key"]), bytes.fromhex(shared["password"])
+        keys._roles = {role: bytes.fromhex(digest) for role, digest in shared["roles"].items()}
+        keys._makers = {maker: bytes.fromhex(digest) for maker, digest in shared["makers"].items()}
+        return keys
+
+    def share_world(self, world: str) -> dict[str, Any]:
+        """Returns what opens a world, and the key of its tokens, for another process of the host."""
+        about = self._worlds[world]
+        own = None if about.password is None else about.password.hex()
+        return {"roles": about.roles, "password": own, "key": about.key.hex()}
+
+    def take_world(self, world: str, shared: Mapping[str, Any]) -> None:
+        """Adds a world as another process of the host has shared it."""
+        own = None if shared["password"] is None else bytes.fromhex(shared["password"])
+        self._put(world, _World(tuple(shared["roles"]), own, bytes.fromhex(shared["key"])))
+
     def add(self, world: str, roles: Collection[str], password: str | None = None, maker: str | None = None) -> None:
         """Adds a world.
 
@@ -86,10 +115,13 @@ class Keys:
         """
         names = tuple(dict.fromkeys((OWNER, *roles))) if roles else ()
         own = self._makers.get(maker) if maker is not None else None if password is None else self._digest(password)
-        self._worlds[world] = _World(names, own, secrets.token_bytes(32))
-        if own is not None:
-            self._by_password[own][world] = None
-        for role in names:
+        self._put(world, _World(names, own, secrets.token_bytes(32)))
+
+    def _put(self, world: str, about: _World) -> None:
+        self._worlds[world] = about
+        if about.password is not None:
+            self._by_password[about.password][world] = None
+        for role in about.roles:
             self._by_role[role][world] = None
 
     def remove(self, world: str) -> None:

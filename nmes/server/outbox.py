@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 from weakref import WeakMethod
 
 if TYPE_CHECKING:
-    from nmes.server.host import Host
     from nmes.server.hosted_world import HostedWorld
+    from nmes.server.reception import Reception
 
 __all__ = ["Outbox"]
 
@@ -30,7 +30,7 @@ class Outbox:
         waits: Whether something waits for the disk. Only then is there more to come without `flush`.
     """
 
-    def __init__(self, host: Host, transport: asyncio.Transport, resume: Callable[[], None]) -> None:
+    def __init__(self, host: Reception, transport: asyncio.Transport, resume: Callable[[], None]) -> None:
         """Begins empty; `resume` is called when what waited for the disk was handed over, or dropped."""
         self.world: HostedWorld | None = None
         self.size = self.written = 0

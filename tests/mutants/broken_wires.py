@@ -252,7 +252,8 @@ def heard_behind_a_wrong_password(patch: MonkeyPatch) -> None:
     refuse = Connection._refuse
 
     def listen(connection: Connection, error: NmesError) -> None:
-        world = connection._host.worlds[connection._host.world_name(None)].world
+        host = cast(Host, connection._host)
+        world = host.worlds[host.world_name(None)].world
         client = world.join()
         for frame in connection._session._splitter.feed(b""):
             world.handle(client, protocol.parse(frame))
