@@ -5,7 +5,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 from nmes.cli._serve_settings import MADE_UP, Settings
+from nmes.fleet.supervisor import Supervisor
 from nmes.server import Host
+from nmes.server.hosted_world import HostedWorld
 from nmes.world import World
 
 __all__ = ["Running", "ready_lines", "ready_object", "stopped_lines"]
@@ -25,7 +27,7 @@ class Running(NamedTuple):
     """
 
     settings: Settings
-    host: Host
+    host: Host | Supervisor
     sample: World
     start: int
     address: str
@@ -48,6 +50,9 @@ def ready_object(running: Running) -> dict[str, Any]:
         "password_source": settings.password_source,
         **(_many_worlds(running) if settings.names else _one_world(running)),
     }
+    if isinstance(running.host, Supervisor):
+        workers = running.host.workers.running
+        ready["workers"] = [{"worker": each.number, "pid": each.process.pid, "port": each.port} for each in workers]
     if running.sample.roles:
         ready["roles"] = list(running.sample.roles)
     if running.metrics_port is not None:
@@ -69,12 +74,17 @@ def _many_worlds(running: Running) -> dict[str, Any]:
 
 
 def _one_world(running: Running) -> dict[str, Any]:
-    (hosted,) = running.host.worlds.values()
+    (hosted,) = _hosted(running)
     recording = None if hosted.recording is None else str(hosted.recording)
     world = {"world": hosted.name, **_engine(running.sample), "recording": recording}
     if running.settings.parent is not None:
         world["resumed"] = {"file": str(running.settings.parent[0].path), "frame": running.start}
     return world
+
+
+def _hosted(running: Running) -> list[HostedWorld]:
+    assert isinstance(running.host, Host)
+    return list(running.host.worlds.values())
 
 
 def _engine(world: World) -> dict[str, Any]:
@@ -93,6 +103,9 @@ def ready_lines(running: Running) -> list[str]:
         lines.append(f"Password: {settings.password}  (made up for this run)")
     else:
         lines.append(f"Password: given by {settings.password_source}")
+    if isinstance(running.host, Supervisor):
+        ports = ", ".join(str(worker.port) for worker in running.host.workers.running)
+        lines.append(f"{settings.workers} worker processes, with ports of their own: {ports}")
     lines.append(_roles_line(running))
     if running.metrics_port is not None:
         lines.append(f"Metrics on http://127.0.0.1:{running.metrics_port}/metrics")
@@ -126,16 +139,19 @@ def _recording_line(running: Running) -> str:
         return "Not recording"
     if settings.names:
         return f"Recording to {settings.record_to}, a file for each world"
-    (hosted,) = running.host.worlds.values()
+    (hosted,) = _hosted(running)
     return f"Recording to {hosted.recording}"
 
 
 def stopped_lines(running: Running) -> list[str]:
     """Returns a line for each world of a closed host, with its last frame; one for all, where they are many."""
     lines: list[str] = []
-    if len(running.host.worlds) > FEW:
-        return [f"{len(running.host.worlds):,} worlds stopped"]
-    for hosted in running.host.worlds.values():
+    if isinstance(running.host, Supervisor):
+        return ["Stopped"]
+    hosts = _hosted(running)
+    if len(hosts) > FEW:
+        return [f"{len(hosts):,} worlds stopped"]
+    for hosted in hosts:
         name = f"World {hosted.name!r} stopped" if running.settings.names else "Stopped"
         lines.append(f"{name} at frame {hosted.world.frame}")
     return lines

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import ipaddress
 import secrets
+import socket
 import ssl
 import string
 from collections.abc import Collection, Mapping, Sequence
@@ -23,9 +24,10 @@ from nmes.server.catalog import DEFAULT
 from nmes.server.retention import Retention
 from nmes.world.roles import OWNER
 
-__all__ = ["DIALECTS", "MADE_UP", "MANY_WORLDS", "MOST_WORLDS", "Settings", "read_settings"]
+__all__ = ["DIALECTS", "MADE_UP", "MANY_WORLDS", "MOST_WORKERS", "MOST_WORLDS", "Settings", "read_settings"]
 
 MOST_WORLDS = 100_000
+MOST_WORKERS = 256
 MANY_WORLDS = 10_000  # that there may be unless told otherwise
 SHIPPED = ShippedDocuments("world config", "nmes.world", "shipped")
 KEYFRAMES = 10.0  # s of a world's time
@@ -62,6 +64,7 @@ class Settings:
         record_to: Directory for the recordings; None: nothing is recorded.
         flush_interval: How much (s) of a recording a crash may lose.
         tls_cert: The file of the host's certificate; None: no TLS.
+        tls_key: The file of its key.
         tls: The certificate and its key.
         metrics_port: Port of the metrics; None: there are none.
         access_log: The file of who comes and goes; None: there is none.
@@ -71,6 +74,7 @@ class Settings:
         max_worlds: How many worlds there may be.
         max_worlds_each: How many of them one maker may have.
         hibernate_after: How long (s) a world is idle before it hibernates; None: none ever does.
+        workers: How many processes host the worlds, which have all names then; None: this one alone.
     """
 
     config: dict[str, Any]
@@ -85,6 +89,7 @@ class Settings:
     record_to: Path | None
     flush_interval: float
     tls_cert: Path | None
+    tls_key: Path | None
     tls: ssl.SSLContext | None
     metrics_port: int | None
     access_log: Path | None
@@ -94,6 +99,12 @@ class Settings:
     max_worlds: int
     max_worlds_each: int
     hibernate_after: float | None
+    workers: int | None
+
+    @property
+    def tls_files(self) -> tuple[Path, Path] | None:
+        """The files of the certificate and of its key; None: no TLS."""
+        return None if self.tls_cert is None or self.tls_key is None else (self.tls_cert, self.tls_key)
 
 
 def read_settings(options: Mapping[str, Any]) -> Settings:
@@ -106,6 +117,9 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
     password, source = _password(options)
     name = config.get("name", "main")
     names, ports = _layout(options, name)
+    if options["workers"] is not None:
+        names = names or [name]
+        _check_workers(options)
     worlds = _world_passwords(options["world_passwords"], names or [name])
     makers = _makers(options["makers"], [password, *worlds.values()])
     templates = _templates(options["templates"], config)
@@ -126,6 +140,7 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
         record_to=None if options["no_record"] else options["record_to"],
         flush_interval=options["flush_interval"],
         tls_cert=options["tls_cert"],
+        tls_key=options["tls_key"],
         tls=_load_tls(options["tls_cert"], options["tls_key"]),
         metrics_port=options["metrics_port"],
         access_log=options["access_log"],
@@ -135,6 +150,7 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
         max_worlds=options["max_worlds"],
         max_worlds_each=options["max_worlds_each"],
         hibernate_after=options["hibernate_after"] or None,
+        workers=options["workers"],
     )
 
 
@@ -278,6 +294,16 @@ def _layout(options: Mapping[str, Any], name: str) -> tuple[list[str], list[int]
             f"{worlds} worlds from port {port} on reach beyond port 65535; --port-step 0 serves all on one"
         )
     return names, ports
+
+
+def _check_workers(options: Mapping[str, Any]) -> None:
+    """Refuses what does not go with several processes."""
+    if options["resume"] is not None:
+        raise click.UsageError("--workers does not go with --resume: a recording is of one world, so of one process")
+    if options["no_record"]:
+        raise click.UsageError("--workers does not go with --no-record: worlds come back from their recordings")
+    if not hasattr(socket, "send_fds"):
+        raise click.UsageError("--workers needs a system whose processes can hand sockets to each other")
 
 
 def _retention(options: Mapping[str, Any]) -> Retention | None:

@@ -20,22 +20,21 @@ import click
 from nmes.cli import _logs
 from nmes.cli._options import MOMENT
 from nmes.cli._password import PASSWORD_VARIABLE, password_options
+from nmes.cli._serve_process import COLLECTIONS, SWITCH, raise_open_files_limit
 from nmes.cli._serve_report import Running, ready_lines, ready_object, stopped_lines
-from nmes.cli._serve_settings import DIALECTS, MANY_WORLDS, MOST_WORLDS, Settings, read_settings
+from nmes.cli._serve_settings import DIALECTS, MANY_WORLDS, MOST_WORKERS, MOST_WORLDS, Settings, read_settings
+from nmes.cli._serve_worker import command_of_worker
 from nmes.cli._viewer import viewer
 from nmes.cli.info import open_recording
 from nmes.errors import MachineError, RejectedMessage, WorldError
+from nmes.fleet.supervisor import Supervisor
 from nmes.recording import Recording
 from nmes.server import Host
 from nmes.server.access_log import AccessLog
 from nmes.server.catalog import Catalog
+from nmes.server.keys import Keys
 from nmes.server.metrics import Metrics
 from nmes.world import World
-
-SWITCH = 0.0005  # s: for how long a world's thread keeps Python's lock from the event loop; 0.005 would be usual
-# A full collection of garbage holds that lock for some 15 us a cube of a world: it is done less often than usual.
-COLLECTIONS = (10_000, 20, 20)
-FILES = 32  # that a host has open with a client or two: sockets, a recording, what asyncio and the engine need
 
 
 class _Worlds(click.ParamType["int | list[str]"]):
@@ -204,6 +203,13 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
     "0 for never.",
 )
 @click.option(
+    "--workers",
+    metavar="N",
+    type=click.IntRange(1, MOST_WORKERS),
+    help="Host the worlds in so many processes behind this one address, best one a core; where one dies, its worlds go "
+    "on in the others, from their recordings.",
+)
+@click.option(
     "--tls-cert",
     type=click.Path(path_type=Path, exists=True, dir_okay=False),
     help="Speak TLS, with the certificate in this PEM file.",
@@ -242,13 +248,14 @@ def command(log_format: str, view: bool, as_json: bool, **options: Any) -> None:
         nmes serve --mode lockstep --seed 7 --password-file secret
         nmes serve --dialect original --password-file secret
         nmes serve --worlds 20 --port 14000 --port-step 3
+        nmes serve --workers 8 --password-file secret
         nmes serve --resume recordings/main-20260101-120000.mcap --at 3600
     """
     settings = read_settings(options)
     sys.setswitchinterval(SWITCH)
     gc.set_threshold(*COLLECTIONS)
     _logs.set_up(log_format)
-    _raise_open_files_limit(settings.max_worlds)
+    raise_open_files_limit(settings.max_worlds)
     with ExitStack() as after:  # a viewer sees the world's end
 
         def report(running: Running) -> None:
@@ -257,22 +264,31 @@ def command(log_format: str, view: bool, as_json: bool, **options: Any) -> None:
                 address, port = running.address, running.ports[0]
                 after.enter_context(viewer(address, port, settings.password, settings.tls_cert, quiet=as_json))
 
-        running, reason = asyncio.run(_serve(settings, report))
+        running, reason = asyncio.run(_serve(settings, log_format, report))
         if not as_json and reason != signal.SIGHUP:  # else the terminal is gone, and writing to it fails
             for line in stopped_lines(running):
                 click.echo(line)
-    lost = [hosted for hosted in (*running.host.worlds.values(), *running.host.closed) if hosted.lost is not None]
-    for hosted in lost:
-        click.echo(f"Error: the recording of world {hosted.name!r} is not whole: {hosted.lost}", err=True)
-    if running.host.abandoned:  # else Python waits at its end for the thread, until the engine is done
-        sys.stdout.flush()
+    lost = _lost(running.host)
+    for name, why in lost:
+        click.echo(f"Error: the recording of world {name!r} is not whole: {why}", err=True)
+    if isinstance(running.host, Host) and running.host.abandoned:
+        sys.stdout.flush()  # else Python waits at its end for the thread, until the engine is done
         sys.stderr.flush()
         os._exit(1 if lost else 0)
     if lost:
         click.get_current_context().exit(1)
 
 
-async def _serve(settings: Settings, report: Callable[[Running], None]) -> tuple[Running, signal.Signals]:
+def _lost(host: Host | Supervisor) -> list[tuple[str, str]]:
+    """Returns the worlds of a closed host whose recordings are not whole, and why."""
+    if isinstance(host, Supervisor):
+        return host.lost
+    return [(each.name, each.lost) for each in (*host.worlds.values(), *host.closed) if each.lost is not None]
+
+
+async def _serve(
+    settings: Settings, log_format: str, report: Callable[[Running], None]
+) -> tuple[Running, signal.Signals]:
     """Hosts until a signal comes; `report` is called when clients may connect.
 
     Returns:
@@ -282,7 +298,32 @@ async def _serve(settings: Settings, report: Callable[[Running], None]) -> tuple
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # as nohup leaves it
             asyncio.get_running_loop().add_signal_handler(number, signals.put_nowait, number)
-    host = Host(
+    async with _make_host(settings, log_format) as host:
+        running = await _start(host, settings)
+        report(running)
+        reason = await signals.get()
+    return running, reason
+
+
+def _make_host(settings: Settings, log_format: str) -> Host | Supervisor:
+    catalog = Catalog(settings.templates, settings.max_worlds, settings.max_worlds_each)
+    if settings.workers is not None:
+        assert settings.record_to is not None
+        return Supervisor(
+            Keys(settings.password, settings.role_passwords, settings.makers),
+            command_of_worker(log_format, settings.max_worlds),
+            record_to=settings.record_to,
+            address=settings.address,
+            catalog=catalog,
+            hibernate_after=settings.hibernate_after,
+            flush_interval=settings.flush_interval,
+            tls=settings.tls,
+            tls_files=settings.tls_files,
+            metrics=settings.metrics_port is not None,
+            access_log=settings.access_log,
+            retention=settings.keep,
+        )
+    return Host(
         settings.password,
         role_passwords=settings.role_passwords,
         record_to=settings.record_to,
@@ -292,20 +333,16 @@ async def _serve(settings: Settings, report: Callable[[Running], None]) -> tuple
         access_log=None if settings.access_log is None else AccessLog(settings.access_log),
         retention=settings.keep,
         makers=settings.makers,
-        catalog=Catalog(settings.templates, settings.max_worlds, settings.max_worlds_each),
+        catalog=catalog,
         hibernate_after=settings.hibernate_after,
     )
-    async with host:
-        running = await _start(host, settings)
-        report(running)
-        reason = await signals.get()
-    return running, reason
 
 
-async def _start(host: Host, settings: Settings) -> Running:
+async def _start(host: Host | Supervisor, settings: Settings) -> Running:
     """Listens on the ports and adds the worlds: no recording is begun where a port is taken.
 
-    Nobody is let in meanwhile: between the last port and its one world the event loop has no turn.
+    Nobody is let in meanwhile: between the last port and its one world the event loop has no turn. Of workers nobody
+    is asked before all have started, and the one world is in one of them; who comes earlier waits.
     """
     names, metrics_port, address, ports = settings.names, settings.metrics_port, settings.address, []
     try:
@@ -319,7 +356,7 @@ async def _start(host: Host, settings: Settings) -> Running:
                 default = names[index] if len(settings.ports) > 1 else None
                 address, port = await host.listen(settings.address, port, default)
                 ports.append(port)
-        sample = _add_world(host, settings)
+        sample = await _open_in_workers(host, settings) if isinstance(host, Supervisor) else _add_world(host, settings)
     except RejectedMessage as error:
         raise click.UsageError(f"world config: {error.message}") from error
     except WorldError as error:
@@ -338,6 +375,16 @@ def _free_port_hint(option: str) -> Iterator[None]:
         raise
 
 
+async def _open_in_workers(host: Supervisor, settings: Settings) -> World:
+    """Starts the workers and brings up the one world; returns a world like it, or like each of many."""
+    assert settings.workers is not None
+    sample = _sample(settings)
+    await host.start(settings.workers)
+    if len(settings.names) == 1 and (failure := await host.open(settings.names[0])) is not None:
+        raise click.ClickException(failure.message)
+    return sample
+
+
 def _add_world(host: Host, settings: Settings) -> World:
     """Adds the one world and returns it; of many, which are created when first used, returns one like them."""
     if not settings.names:
@@ -345,24 +392,11 @@ def _add_world(host: Host, settings: Settings) -> World:
         if settings.parent is None:
             return host.add(settings.config, own).world
         return host.resume(*settings.parent, own).world
-    sample = World({**settings.config, "name": settings.names[0]})  # an error in all of them is shown now
+    return _sample(settings)
+
+
+def _sample(settings: Settings) -> World:
+    """Returns a closed world like each of those that are created later: an error in all of them is shown now."""
+    sample = World({**settings.config, "name": settings.names[0]})
     sample.close()
     return sample
-
-
-def _raise_open_files_limit(worlds: int) -> None:
-    """Makes room for as many sockets and recordings as the system allows: 1,024 are too few for 1,024 clients.
-
-    Raises:
-        ClickException: It allows too few to begin with; asyncio would end with tracebacks.
-    """
-    try:
-        import resource
-    except ImportError:  # Windows has no such limit
-        return
-    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
-    wanted = 4096 + worlds if hard == resource.RLIM_INFINITY else min(4096 + worlds, hard)
-    if wanted < FILES:
-        raise click.ClickException(f"a host needs {FILES} open files, {hard} are allowed: see `ulimit -n`")
-    if soft != resource.RLIM_INFINITY and soft < wanted:
-        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))

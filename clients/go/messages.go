@@ -1476,6 +1476,9 @@ type WorldListWorlds struct {
 	Fault *string `json:"fault"`
 	// Whether it hibernates: nobody was in it, and it was saved, to go on from there when somebody enters it.
 	Asleep *bool `json:"asleep,omitempty"`
+	// Port of the worker process that has the world, where the host has workers: there, too, it may be entered by
+	// its name, until it moves.
+	WorkerPort *int `json:"worker_port,omitempty"`
 	// How fast it runs while it falls behind the clock, as a part of its pace; null: it keeps up.
 	Ratio *float64 `json:"ratio,omitempty"`
 }

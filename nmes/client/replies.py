@@ -189,6 +189,7 @@ class WorldSummary(TypedDict):
     clients: int
     fault: str | None
     asleep: NotRequired[bool]
+    worker_port: NotRequired[int]
     ratio: NotRequired[float | None]
 
 

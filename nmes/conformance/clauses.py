@@ -157,6 +157,7 @@ UNTESTED: Final[Mapping[str, str]] = {
     "4.error.world_exists": "only a server that creates worlds tells it",
     "4.error.template_not_found": "only a server that creates worlds tells it",
     "4.error.world_unavailable": "it depends on how the server is set up",
+    "4.error.world_moved": "only a server of several processes tells it",
     "4.error.internal": "a server is not made to fail from outside",
 }
 """Sentences without a case of their own, and why."""

@@ -56,11 +56,12 @@ class Connection(asyncio.BufferedProtocol):
     _transport: asyncio.Transport
     _output: Outbox
 
-    def __init__(self, host: Reception, default_world: str | None) -> None:
-        """Serves `default_world` to a client that names none."""
+    def __init__(self, host: Reception, default_world: str | None, peername: tuple[str, int] | None = None) -> None:
+        """Serves `default_world` to a client that names none; `peername` is his address, if it is not the socket's."""
         self._host = host
         self._limits = host.limits
         self._default_world = default_world
+        self._peername = peername
         self._session = Session(host.limits)
         self._address = ""
         self._peer = "a client"
@@ -90,7 +91,7 @@ class Connection(asyncio.BufferedProtocol):
         self._output = Outbox(self._host, self._transport, self.resume)
         self._transport.set_write_buffer_limits(high=self._limits.pending // 2)
         self._active_at = self._progress_at = monotonic()
-        if peer := self._transport.get_extra_info("peername"):
+        if peer := self._peername or self._transport.get_extra_info("peername"):
             self._peer = f"{peer[0]}:{peer[1]}"
         self._address, self._visit = address_of(peer), Visit(self._host.access_log, self._peer)
         loop = asyncio.get_running_loop()
@@ -205,6 +206,7 @@ class Connection(asyncio.BufferedProtocol):
 
     def list_worlds(self, only: Collection[str] | None = None, start: int = 0) -> None:
         """Has the host answer with a page of the worlds, of all if not of some."""
+        self._transport.pause_reading()
         self._host.show_worlds(self, int(self._transport.get_extra_info("sockname")[1]), only, start)
 
     def answer(self, message: Mapping[str, Any]) -> None:

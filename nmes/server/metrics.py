@@ -8,17 +8,18 @@ host is read when it is asked for, not kept up.
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Counter, Histogram, generate_latest
 from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamily, Metric
+from prometheus_client.parser import text_string_to_metric_families
 from prometheus_client.registry import Collector
 
 from nmes.protocol import COMMANDS, Request, decode
 from nmes.world import World
 
-__all__ = ["CONTENT_TYPE", "Figures", "Metrics", "WorldFigures"]
+__all__ = ["CONTENT_TYPE", "Figures", "Metrics", "WorldFigures", "merged_pages"]
 
 CONTENT_TYPE = CONTENT_TYPE_LATEST
 
@@ -90,6 +91,35 @@ class Metrics:
     def page(self) -> bytes:
         """Returns the page in Prometheus' format, whose media type is `CONTENT_TYPE`."""
         return generate_latest(self.registry)
+
+
+def merged_pages(pages: Mapping[str, bytes], own: Mapping[str, tuple[str, float]]) -> bytes:
+    """Returns one page of those of several processes, whose figures get the label `worker`, and of figures of its own.
+
+    Args:
+        pages: The pages, by what is to be the label.
+        own: The other figures by name, each with what it is.
+    """
+    families: dict[str, Metric] = {}
+    for name, (about, value) in own.items():
+        kind = CounterMetricFamily if name.endswith("_total") else GaugeMetricFamily
+        families[name] = kind(name, about, value=value)
+    for worker, page in pages.items():
+        for family in text_string_to_metric_families(page.decode()):
+            into = families.setdefault(family.name, Metric(family.name, family.documentation, family.type))
+            for sample in family.samples:
+                into.samples.append(sample._replace(labels={"worker": worker, **sample.labels}))
+    registry = CollectorRegistry()
+    registry.register(_Families(list(families.values())))
+    return generate_latest(registry)
+
+
+class _Families(Collector):
+    def __init__(self, families: list[Metric]) -> None:
+        self._families = families
+
+    def collect(self) -> Iterator[Metric]:
+        yield from self._families
 
 
 class _MeasuredWorld(World):

@@ -758,6 +758,11 @@ export interface WorldList extends Reply {
     readonly fault: string | null;
     /** Whether it hibernates: nobody was in it, and it was saved, to go on from there when somebody enters it. */
     readonly asleep?: boolean;
+    /**
+     * Port of the worker process that has the world, where the host has workers: there, too, it may be entered by
+     * its name, until it moves.
+     */
+    readonly worker_port?: number;
     /** How fast it runs while it falls behind the clock, as a part of its pace; null: it keeps up. */
     readonly ratio?: number | null;
   })[];
