@@ -135,9 +135,6 @@ class _Worker:
         loop.add_signal_handler(signal.SIGTERM, self._drain)
         self._spawn(self._report())
         await self._over.wait()
-        for task in self._tasks:
-            task.cancel()
-        await asyncio.gather(*self._tasks, return_exceptions=True)
         if hasattr(self, "_host"):
             await self._end()
             if self._host.abandoned:  # else Python waits at its end for the thread, until the engine is done
@@ -145,7 +142,9 @@ class _Worker:
                 os._exit(0)
 
     def _hear(self, message: Message) -> None:
-        if message.body["order"] == "take":
+        if self._ending is not None and message.body["order"] != "close":
+            message.discard()
+        elif message.body["order"] == "take":
             self._spawn(self._take(message))
         else:
             self._spawn(self._obey(message))
@@ -212,8 +211,10 @@ class _Worker:
         self._line.answer(message, data=await self._host.metrics_page())
 
     async def _end(self) -> None:
-        """Closes the host, once."""
+        """Closes the host, once; what is asked meanwhile is not done any more, or no world would be its last."""
         if self._ending is None:
+            for task in self._tasks - {asyncio.current_task()}:
+                task.cancel()
             self._ending = asyncio.get_running_loop().create_task(self._host.close())
         await asyncio.shield(self._ending)
 

@@ -107,12 +107,10 @@ class WorkerProcesses:
         Raises:
             MachineError: One does not start (`worker_failed`).
         """
-        starting = [asyncio.ensure_future(self._start(number)) for number in range(1, count + 1)]
-        try:
-            await asyncio.gather(*starting)
-        except BaseException:
-            await asyncio.gather(*starting, return_exceptions=True)
-            raise
+        starting = (self._start(number) for number in range(1, count + 1))
+        for outcome in await asyncio.gather(*starting, return_exceptions=True):
+            if outcome is not None:
+                raise outcome
 
     async def _start(self, number: int) -> None:
         ours, theirs = socket.socketpair()
