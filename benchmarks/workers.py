@@ -16,6 +16,7 @@ import sys
 import tempfile
 import threading
 import time
+import urllib.request
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -39,9 +40,10 @@ CUBES: list[dict[str, Any]] = [
 class Host:
     """A host in processes of its own."""
 
-    def __init__(self, process: subprocess.Popen[str], port: int) -> None:
+    def __init__(self, process: subprocess.Popen[str], about: dict[str, Any]) -> None:
         self.process = process
-        self.port = port
+        self.port: int = about["port"]
+        self._about = about
 
     def client(self, world: str | None = None, port: int | None = None) -> Client:
         """Returns a client, of a world or, to ask the host, of none."""
@@ -67,6 +69,13 @@ class Host:
             total += int(fields[11]) + int(fields[12])
         return total / os.sysconf("SC_CLK_TCK")
 
+    def metrics(self) -> bytes:
+        """Returns the page of metrics."""
+        url = f"http://127.0.0.1:{self._about['metrics_port']}/metrics"
+        with urllib.request.urlopen(url, timeout=60.0) as page:
+            found: bytes = page.read()
+        return found
+
     def ticks(self) -> int:
         """Returns how often all worlds have ticked."""
         return sum(world["frame"] or 0 for world in self.client().worlds())
@@ -84,7 +93,7 @@ def hosting(*options: str) -> Iterator[Host]:
         ) as process:
             try:
                 assert process.stdout is not None
-                yield Host(process, json.loads(process.stdout.readline())["port"])
+                yield Host(process, json.loads(process.stdout.readline()))
             finally:
                 process.send_signal(signal.SIGTERM)
                 process.wait(120)
@@ -190,19 +199,21 @@ class Driver(threading.Thread):
 
 
 def killing() -> dict[str, Any]:
-    """Returns how long worlds pause when workers are killed, one after the other, at random moments."""
+    """Returns how long worlds pause when workers are killed, one after the other, each when both are there."""
     draw = random.Random(1)
     names = [f"w{number}" for number in range(DRIVEN)]
     options = ("--mode", "lockstep", "--flush-interval", "0", "--worlds", ",".join(names))
-    with hosting("--workers", "2", *options) as host:
+    with hosting("--workers", "2", "--metrics-port", "0", *options) as host:
         drivers = [Driver(host, name) for name in names]
         for driver in drivers:
             driver.start()
-        for _ in range(KILLS):
-            while len(host.workers()) < 2:
-                time.sleep(0.01)
-            time.sleep(draw.uniform(0.0, 2.0))
+        for number in range(1, KILLS + 1):
+            while b"nmes_workers 2.0" not in host.metrics():
+                time.sleep(0.05)
+            time.sleep(draw.uniform(0.0, 1.0))
             os.kill(draw.choice(host.workers()), signal.SIGKILL)
+            if number % 10 == 0:
+                print(number, *sorted(round(p, 2) for each in drivers for p in each.pauses)[-5:], file=sys.stderr)
         time.sleep(5.0)
         for driver in drivers:
             driver.over = True
