@@ -69,12 +69,12 @@ class Host:
             total += int(fields[11]) + int(fields[12])
         return total / os.sysconf("SC_CLK_TCK")
 
-    def metrics(self) -> bytes:
-        """Returns the page of metrics."""
+    def whole(self, kills: int) -> bool:
+        """Tells whether two workers run after so many kills."""
         url = f"http://127.0.0.1:{self._about['metrics_port']}/metrics"
         with urllib.request.urlopen(url, timeout=60.0) as page:
-            found: bytes = page.read()
-        return found
+            lines: list[bytes] = page.read().split(b"\n")
+        return b"nmes_workers 2.0" in lines and f"nmes_worker_restarts_total {kills}.0".encode() in lines
 
     def ticks(self) -> int:
         """Returns how often all worlds have ticked."""
@@ -208,7 +208,7 @@ def killing() -> dict[str, Any]:
         for driver in drivers:
             driver.start()
         for number in range(1, KILLS + 1):
-            while b"nmes_workers 2.0" not in host.metrics():
+            while not host.whole(number - 1):
                 time.sleep(0.05)
             time.sleep(draw.uniform(0.0, 1.0))
             os.kill(draw.choice(host.workers()), signal.SIGKILL)

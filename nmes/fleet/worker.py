@@ -133,8 +133,9 @@ class _Worker:
         for number in (signal.SIGINT, signal.SIGHUP):  # of the terminal: they are meant for the supervisor
             loop.add_signal_handler(number, lambda: None)
         loop.add_signal_handler(signal.SIGTERM, self._drain)
-        self._spawn(self._report())
+        reporting = loop.create_task(self._report())
         await self._over.wait()
+        reporting.cancel()
         if hasattr(self, "_host"):
             await self._end()
             if self._host.abandoned:  # else Python waits at its end for the thread, until the engine is done
@@ -211,11 +212,14 @@ class _Worker:
         self._line.answer(message, data=await self._host.metrics_page())
 
     async def _end(self) -> None:
-        """Closes the host, once; what is asked meanwhile is not done any more, or no world would be its last."""
+        """Closes the host, once, when what was asked before is done; what is asked from now on is not."""
+
+        async def end(orders: set[asyncio.Task[None]]) -> None:
+            await asyncio.gather(*orders, return_exceptions=True)
+            await self._host.close()
+
         if self._ending is None:
-            for task in self._tasks - {asyncio.current_task()}:
-                task.cancel()
-            self._ending = asyncio.get_running_loop().create_task(self._host.close())
+            self._ending = asyncio.get_running_loop().create_task(end(self._tasks - {asyncio.current_task()}))
         await asyncio.shield(self._ending)
 
     async def _close(self, message: Message) -> None:

@@ -217,7 +217,7 @@ class Host(Reception):
         self._forget(name)
         self._turn_away(name, farewell)
         if (hosted := self._take_out(name)) is not None:
-            await hosted.give_away(farewell)
+            await hosted.close(farewell)
             self._note_end(hosted)
 
     def show_worlds(self, connection: Connection, port: int, only: Collection[str] | None, start: int) -> None:
@@ -231,7 +231,7 @@ class Host(Reception):
 
     def states(self, names: Iterable[str]) -> dict[str, dict[str, Any]]:
         """Returns what a list tells of those of the worlds that are live, by name."""
-        return {name: self.worlds[name].state for name in names if name in self.worlds}
+        return {name: _state(self.worlds[name]) for name in names if name in self.worlds}
 
     def _figures(self) -> Figures:
         worlds = [hosted.figures for hosted in self.worlds.values()]
@@ -315,6 +315,18 @@ class Host(Reception):
         await self._hang_up_on_all()
         self._running = False
         self._pool.close(wait=not self.abandoned)
+
+
+def _state(hosted: HostedWorld) -> dict[str, Any]:
+    status = hosted.status
+    return {
+        "mode": status.mode,
+        "frame": status.frame,
+        "clients": hosted.clients,
+        "fault": None if status.fault is None else status.fault.code,
+        "asleep": hosted.world.asleep,
+        "ratio": None if status.lag is None else round(status.lag.ratio, 3),
+    }
 
 
 def _give_back_memory() -> None:

@@ -139,19 +139,6 @@ class HostedWorld:
         return Status(self.world.mode, self.world.frame, self.world.fault, self._clock.lag)
 
     @property
-    def state(self) -> dict[str, Any]:
-        """What a list of worlds tells of it."""
-        status = self.status
-        return {
-            "mode": status.mode,
-            "frame": status.frame,
-            "clients": self.clients,
-            "fault": None if status.fault is None else status.fault.code,
-            "asleep": self.world.asleep,
-            "ratio": None if status.lag is None else round(status.lag.ratio, 3),
-        }
-
-    @property
     def figures(self) -> WorldFigures:
         """The metrics of this world."""
         unwritten = None if self._recorder is None else 0.0 if self.world.asleep else self._recorder.lag
@@ -434,52 +421,35 @@ class HostedWorld:
 
     # -- the end ---------------------------------------------------------------------------------------------------
 
-    async def close(self) -> None:
+    async def close(self, farewell: NmesError | None = None) -> None:
         """Stops the world where it is, tells subscribers that it is closed, and completes the recording.
 
         A world whose tick takes longer than `PATIENCE` is left where it is: its recording ends before that tick.
+
+        Args:
+            farewell: What all clients are told, and hung up on, where the world goes on from its recording in another
+                process: it is saved then as if it were to hibernate. A command that is being executed may be over,
+                but is not answered.
         """
         if self._closing:
             return
         self._closing = True
+        if farewell is not None and self._worker.away:
+            with contextlib.suppress(TimeoutError):
+                async with asyncio.timeout(PATIENCE):
+                    await self._worker.wait()
         self.abandoned = not await self._worker.stop(PATIENCE)
         self._clock.stop()
         self._barrier.stop()
         self._log_fault()
+        if farewell is not None:
+            self._peers.hang_up(farewell)
         if self.abandoned:
             logger.warning("world %r is left in the middle of a tick, before which its recording ends", self.name)
             self.world.emit = self._peers.send
             self.world.announce({"type": "world_closed"})
-        else:
+        elif farewell is None or not await asyncio.to_thread(_save, self.world):
             self.world.close()
-        await self._complete()
-
-    async def give_away(self, farewell: NmesError) -> None:
-        """Saves the world as if it were to hibernate, for another process that goes on from its recording.
-
-        Its clients are told, and hung up on; a command that is being executed may be over then, but is not answered.
-        Work in a thread that takes longer than `PATIENCE` is left where it is: the recording ends in the middle of it.
-        """
-        self._closing = True
-        self._clock.stop()
-        self._barrier.stop()
-        if self._worker.away:
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(PATIENCE):
-                    await self._worker.wait()
-        self.abandoned = not await self._worker.stop(0.0)
-        self._peers.hang_up(farewell)
-        if not self.abandoned and not self.world.asleep:
-            for client in self.world.clients():
-                self.world.leave(client)
-            if self.world.fault is None and "snapshot" in self.world.backend.capabilities:
-                await asyncio.to_thread(self.world.hibernate)
-            if not self.world.asleep:
-                self.world.close()
-        await self._complete()
-
-    async def _complete(self) -> None:
-        """Completes the recording of a world that is at its end."""
         if self._committing is not None:
             await self._committing
         if self.world.fault is not None and self.world.fault.code == "recording_failed":
@@ -498,6 +468,16 @@ class HostedWorld:
     def hang_up(self) -> None:
         """Hangs up on all clients, once the world is closed."""
         self._peers.hang_up()
+
+
+def _save(world: World) -> bool:
+    """Saves a world that goes on elsewhere as if it were to hibernate; returns whether its engine is let go."""
+    if not world.asleep:
+        for client in world.clients():
+            world.leave(client)
+        if world.fault is None and "snapshot" in world.backend.capabilities:
+            world.hibernate()
+    return world.asleep
 
 
 def _begin(world: World, record_to: Path | None, flush_interval: float, origin: Origin | None) -> WorldRecorder | None:
