@@ -226,13 +226,13 @@ class Supervisor(Reception):
             with contextlib.suppress(LineEnded):
                 await place.worker.line.ask("close_world", world=name)
 
-    def show_worlds(self, connection: Connection, port: int, only: Collection[str] | None, start: int) -> None:
-        """Answers a client of a port with a page of the worlds, of all if not of some. Creates none."""
+    def show_worlds(self, connection: Connection, only: Collection[str] | None, start: int = 0) -> None:
+        """Answers a client with a page of the worlds, of all if not of some. Creates none."""
 
         async def show() -> None:
             page, following = self._catalog.page(start, only)
             states = await self._states([offer.name for offer in page])
-            connection.answer(self._world_list(port, page, following, states))
+            connection.answer(self._world_list(connection.port, page, following, states))
 
         spawn(show(), self._makers)
 

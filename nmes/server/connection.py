@@ -18,7 +18,7 @@ import asyncio
 import contextlib
 import logging
 from collections import deque
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
 from math import ceil
 from time import monotonic
@@ -51,6 +51,7 @@ class Connection(asyncio.BufferedProtocol):
 
     Attributes:
         destination: The world that it waits to join; None: none.
+        port: The port that it came to; 0 where it came to none of this process.
     """
 
     _transport: asyncio.Transport
@@ -67,6 +68,7 @@ class Connection(asyncio.BufferedProtocol):
         self._peer = "a client"
         self._visit = Visit(host.access_log, self._peer)
         self.destination: str | None = None
+        self.port = 0
         self._seat = Seat(None, None)  # as what
         self._world: HostedWorld | None = None  # the world joined
         self._client = 0
@@ -91,6 +93,8 @@ class Connection(asyncio.BufferedProtocol):
         self._output = Outbox(self._host, self._transport, self.resume)
         self._transport.set_write_buffer_limits(high=self._limits.pending // 2)
         self._active_at = self._progress_at = monotonic()
+        own = self._transport.get_extra_info("sockname")
+        self.port = int(own[1]) if isinstance(own, tuple) else 0
         if peer := self._peername or self._transport.get_extra_info("peername"):
             self._peer = f"{peer[0]}:{peer[1]}"
         self._address, self._visit = address_of(peer), Visit(self._host.access_log, self._peer)
@@ -189,7 +193,8 @@ class Connection(asyncio.BufferedProtocol):
             self._transport.pause_reading()
             self._host.create_world(auth.create, None if every else maker, self)
         elif auth.list:
-            self.list_worlds(None if every else own, auth.start)
+            self._transport.pause_reading()
+            self._host.show_worlds(self, None if every else own, auth.start)
         elif not self._host.let_in(self):
             most = self._host.most_connections
             self.hang_up(RejectedMessage("too_many_connections", f"this host serves {most} connections at once"))
@@ -203,11 +208,6 @@ class Connection(asyncio.BufferedProtocol):
             self.destination = name
             self._transport.pause_reading()
             self._join()
-
-    def list_worlds(self, only: Collection[str] | None = None, start: int = 0) -> None:
-        """Has the host answer with a page of the worlds, of all if not of some."""
-        self._transport.pause_reading()
-        self._host.show_worlds(self, int(self._transport.get_extra_info("sockname")[1]), only, start)
 
     def answer(self, message: Mapping[str, Any]) -> None:
         """Answers the authentication, and hangs up."""

@@ -220,9 +220,9 @@ class Host(Reception):
             await hosted.close(farewell)
             self._note_end(hosted)
 
-    def show_worlds(self, connection: Connection, port: int, only: Collection[str] | None, start: int) -> None:
-        """Answers a client of a port with a page of the worlds, of all if not of some. Creates none."""
-        connection.answer(self.list_worlds(port, only, start))
+    def show_worlds(self, connection: Connection, only: Collection[str] | None, start: int = 0) -> None:
+        """Answers a client with a page of the worlds, of all if not of some. Creates none."""
+        connection.answer(self.list_worlds(connection.port, only, start))
 
     def list_worlds(self, port: int, only: Collection[str] | None = None, start: int = 0) -> dict[str, Any]:
         """Returns the `world_list` message for a client of a port, of all worlds if not of some."""

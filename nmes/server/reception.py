@@ -159,7 +159,7 @@ class Reception(ABC):
         async def create() -> None:
             failure = await opening
             if failure is None:
-                connection.list_worlds({name: None})
+                self.show_worlds(connection, {name: None})
             else:
                 self._forget(name)
                 connection.hang_up(failure)
@@ -185,7 +185,7 @@ class Reception(ABC):
             self._forget(name)
             self._turn_away(name, WorldError("world_not_found", f"the world {name!r} is closed", "world"))
             await self._close(name)
-            connection.list_worlds(None if maker is None else self.keys.made_by(maker))
+            self.show_worlds(connection, None if maker is None else self.keys.made_by(maker))
 
         spawn(close(), self._makers)
 
@@ -195,8 +195,8 @@ class Reception(ABC):
             connection.hang_up(error)
 
     @abstractmethod
-    def show_worlds(self, connection: Connection, port: int, only: Collection[str] | None, start: int) -> None:
-        """Answers a client of a port with a page of the worlds, of all if not of some. Creates none.
+    def show_worlds(self, connection: Connection, only: Collection[str] | None, start: int = 0) -> None:
+        """Answers a client with a page of the worlds, of all if not of some. Creates none.
 
         It is the page that begins with the world of number `start`, or the first one behind that.
         """
