@@ -36,6 +36,7 @@ __all__ = [
     "DamagedFile",
     "Message",
     "Skim",
+    "encode_definition",
     "encode_records",
     "message_checksums",
     "parse_record",
@@ -94,6 +95,23 @@ def encode_records(*records: McapRecord) -> bytes:
         record.write(builder)
     data: bytes = builder.end()  # type: ignore[no-untyped-call]
     return data
+
+
+def encode_definition(record: Schema | Channel) -> bytes:
+    """Returns the bytes of a schema or a channel; most of those of one file are in others, too, and are kept."""
+    if isinstance(record, Schema):
+        return _encode_once(Schema, record.id, record.name, record.encoding, record.data)
+    about = record.id, record.topic, record.message_encoding, tuple(record.metadata.items()), record.schema_id
+    return _encode_once(Channel, *about)
+
+
+@lru_cache(maxsize=1024)
+def _encode_once(kind: Any, *fields: Any) -> bytes:
+    if kind is Channel:
+        number, topic, encoding, metadata, schema = fields
+        return encode_records(Channel(number, topic, encoding, dict(metadata), schema))
+    number, name, encoding, data = fields
+    return encode_records(Schema(id=number, name=name, encoding=encoding, data=data))
 
 
 def parse_record(kind: type[_Record], body: bytes, offset: int) -> _Record:

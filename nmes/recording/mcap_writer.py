@@ -31,6 +31,7 @@ from nmes.recording.mcap_format import (
     MESSAGE,
     MESSAGE_FIELDS,
     OPCODE_MESSAGE,
+    encode_definition,
     encode_records,
 )
 from nmes.recording.mcap_summary import MESSAGE_INDEX, Contents
@@ -250,7 +251,7 @@ class Writer:
 
     def _define(self, record: Schema | Channel) -> bytes:
         self._defined.append(record)
-        definition = encode_records(record)
+        definition = encode_definition(record)
         self.open_chunk += definition
         return definition
 

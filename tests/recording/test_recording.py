@@ -24,7 +24,7 @@ from nmes import protocol
 from nmes.backend.fingerprint import DECISIVE, differences
 from nmes.errors import RecordingError
 from nmes.recording import REFUSED_LIMIT, Kind, Recorder, Recording
-from nmes.recording.mcap_format import split_chunk
+from nmes.recording.mcap_format import encode_records, split_chunk
 from nmes.recording.mcap_reader import Reader
 from nmes.recording.mcap_writer import Writer
 from nmes.recording.viewer_messages import ROOT, decode_poses
@@ -147,6 +147,9 @@ def test_the_mcap_library_reads_a_recording(busy_file: Path) -> None:
             *Recording(busy_file).metadata,
             "nmes.end",
         }
+        data = busy_file.read_bytes()  # the package writes the summary's records as they stand here
+        for record in (*summary.schemas.values(), *summary.channels.values(), *summary.chunk_indexes):
+            assert encode_records(record) in data
         for chunk in summary.chunk_indexes:
             for channel_id, offset in chunk.message_index_offsets.items():
                 file.seek(offset + 9)
