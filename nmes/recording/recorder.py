@@ -252,6 +252,11 @@ class Recorder:
 
     # -- the file --------------------------------------------------------------------------------------------------
 
+    @property
+    def settled(self) -> bool:
+        """Whether the system has all that was recorded: a `flush` has nothing to write, nor an error to tell."""
+        return not (self._notes or self._run or self._writer.open_chunk or self._error)
+
     def flush(self) -> None:
         """Hands everything recorded so far to the operating system; may be called in any thread."""
         with self._lock:

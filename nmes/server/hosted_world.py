@@ -141,7 +141,7 @@ class HostedWorld:
     @property
     def figures(self) -> WorldFigures:
         """The metrics of this world."""
-        unwritten = None if self._recorder is None else 0.0 if self.world.asleep else self._recorder.lag
+        unwritten = None if self._recorder is None else self._recorder.lag
         ratio = 1.0 if self._clock.lag is None else self._clock.lag.ratio
         return WorldFigures(
             self.name,
@@ -364,7 +364,7 @@ class HostedWorld:
 
         It is done in a thread, and the world need not wait for it, nor it for the world, however long a tick takes.
         """
-        if self._recorder is not None and not self.world.asleep:
+        if self._recorder is not None and not self._recorder.settled:
             try:
                 await asyncio.to_thread(self._recorder.flush)
             except RecordingError as error:

@@ -63,7 +63,12 @@ class WorldRecorder:
     @property
     def lag(self) -> float:
         """How old (s) the oldest record may be that is not written yet."""
-        return monotonic() - self._flushed
+        return 0.0 if self.settled else monotonic() - self._flushed
+
+    @property
+    def settled(self) -> bool:
+        """Whether there is nothing to flush."""
+        return self._recorder.settled
 
     def flush(self) -> None:
         """Hands the recording to the system, as far as the world has gone.

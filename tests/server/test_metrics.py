@@ -97,6 +97,19 @@ def test_an_unrecorded_world_has_no_lag_and_realtime_ticks_are_counted() -> None
         scrape(port)
 
 
+def test_nothing_waits_to_be_written_where_nothing_happens(tmp_path: Path) -> None:
+    metrics = Metrics()
+    with served(metrics=metrics, record_to=tmp_path, flush_interval=0.02) as server:
+        port = server.run(server.host.serve_metrics("127.0.0.1", 0))
+        with server.client() as client:
+            client.ping()
+            until(lambda: value(scrape(port), "nmes_recording_lag_seconds", world="main") == 0.0)
+            written = server.hosted.recording
+            assert written is not None
+            kinds = [record.kind.value for record in Recording(written)]
+            assert kinds == ["joined", "command", "reply"]
+
+
 @pytest.mark.parametrize("backend", ["ballistic", "pymunk"])
 def test_ticks_replayed_on_resume_are_not_counted(tmp_path: Path, backend: str) -> None:
     path = record(tmp_path / "parent.mcap", busy, {"backend": backend})
