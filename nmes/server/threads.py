@@ -1,7 +1,7 @@
 """The worker of a world: short work is done in the event loop, long work in a thread of the host's pool.
 
-It hides how long work will take, which is guessed: of ticks from what they took before, of all else from what the
-world says. So the clock decides where work is done, and never what comes of it.
+It hides how long work will take, which is guessed: of ticks from the processor's time that they took before, of all
+else from what the world says. So the clock decides where work is done, and never what comes of it.
 
 Invariants:
 
@@ -20,7 +20,7 @@ from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
-from time import monotonic
+from time import monotonic, thread_time
 from typing import Any, Protocol, TypeVar
 
 from nmes.protocol import Request
@@ -30,6 +30,9 @@ __all__ = ["LONG_COMMANDS", "SLICE", "Worker", "WorkerPool"]
 
 SLICE = 0.005  # s: how long one connection's commands or one world's ticks may keep the others waiting
 BRIEF = 0.0005  # s: what is not worth the way to another thread and back
+# s: of a tick that takes less, nearly all is Python. In threads such worlds only wait for its lock, and to pass that on
+# takes longer than their ticks: they would fall ever further behind.
+LIGHT = 1.5e-4
 THREADS = 1000  # worlds that can be in a thread; no more of them run at once than there are cores
 
 _TICK = 1e-4  # s: what a tick is taken to cost before one was measured
@@ -158,7 +161,6 @@ class Worker:
         self._owner = owner
         self._cost = _TICK  # s: what a tick has cost of late
         self._until = 0.0  # when the slice ends that runs in the thread
-        self._idle = 0.0  # s: for how long the work in the thread had to wait for others
         self._stopping = False
         self._returned = asyncio.Event()  # set when the world came back last
 
@@ -205,9 +207,9 @@ class Worker:
         """Executes a request and measures its ticks, in the thread in which the world is; returns the reply."""
         if request.type != "step":
             return self._world.handle(client, request)
-        start, frame, self._idle = monotonic(), self._world.frame, 0.0
+        start, frame = thread_time(), self._world.frame
         reply = self._world.handle(client, request)
-        self._measure(self._world.frame - frame, monotonic() - start - self._idle)
+        self._measure(self._world.frame - frame, thread_time() - start)
         return reply
 
     def advance(self, most: float, then: Callable[[int], None]) -> None:
@@ -219,19 +221,21 @@ class Worker:
         """
         if most < 1 or self._is_short(self._ticks_cost(most)):
             then(self._tick(most))
+        elif most < math.inf and self._cost < LIGHT and self._is_short(self._ticks_cost(1)):
+            then(self._tick(min(most, BRIEF // max(self._cost, 1e-6))))  # it is behind
         else:
             self.run(partial(self._tick, most), lambda ticks: then(ticks.result()))
 
     def _tick(self, most: float) -> int:
         """Ticks for one slice, in the thread in which the world is; returns the number of ticks."""
-        world, start, ticks, duration = self._world, monotonic(), 0, 0.0
+        world, until, start, ticks = self._world, monotonic() + SLICE, thread_time(), 0
         while ticks < most and world.fault is None:
             world.tick()
             ticks += 1
-            if (duration := monotonic() - start) >= SLICE:
+            if monotonic() >= until:
                 break
         if ticks:
-            self._measure(ticks, duration)
+            self._measure(ticks, thread_time() - start)
         return ticks
 
     # -- in a thread -----------------------------------------------------------------------------------------------
@@ -261,11 +265,8 @@ class Worker:
         if monotonic() < self._until:
             return
         self._owner.end_slice()
-        pause = monotonic()
         self._pool.give_way()
-        now = monotonic()
-        self._idle += now - pause
-        self._until = now + SLICE
+        self._until = monotonic() + SLICE
 
     def _return(self, then: Callable[[Future[T]], None], result: Future[T]) -> None:
         self.away, self._world.between = False, None

@@ -253,6 +253,45 @@ def test_as_many_worlds_run_at_once_as_cores_and_all_have_their_turn(monkeypatch
     assert len(turns) > 20 and set(turns) == set(names)
 
 
+@pytest.mark.parametrize("light", [True, False])
+def test_worlds_of_light_ticks_that_are_behind_catch_up_in_the_loop(
+    monkeypatch: pytest.MonkeyPatch, light: bool
+) -> None:
+    monkeypatch.setattr(nmes.server.threads, "LIGHT", 1.0 if light else 0.0)  # s: whatever a tick takes here
+    names = ("red", "green")
+    with served(*({"name": name, "mode": "realtime", "rate": 20} for name in names)) as server:
+        threads: dict[str, set[threading.Thread]] = {name: set() for name in names}
+        for name, hosted in server.host.worlds.items():
+            simulation: Any = hosted.world.simulation
+
+            def tick(substeps: int, name: str = name, step: Callable[[int], None] = simulation.step) -> None:
+                threads[name].add(threading.current_thread())
+                step(substeps)
+
+            simulation.step = tick
+        frames = [hosted.status.frame for hosted in server.host.worlds.values()]
+        server.call(lambda: threading.Event().wait(0.2))  # 240 ticks become due
+        for hosted, frame in zip(server.host.worlds.values(), frames, strict=True):
+            until(lambda hosted=hosted, frame=frame: server.call(lambda: hosted.status.frame) > frame + 240)  # type: ignore[misc]
+        loop = server.call(threading.current_thread)
+        assert all((used == {loop}) is light for used in threads.values())
+
+
+def test_how_long_a_tick_takes_does_not_count_what_others_do_meanwhile() -> None:
+    with served({"mode": "realtime"}) as server:
+        simulation: Any = server.hosted.world.simulation
+        step = simulation.step
+
+        def waits(substeps: int) -> None:
+            threading.Event().wait(0.01)  # as for Python's lock, or for a core
+            step(substeps)
+
+        simulation.step = waits
+        frame = server.call(lambda: server.hosted.status.frame)
+        until(lambda: server.call(lambda: server.hosted.status.frame) > frame + 20)
+        assert server.call(lambda: server.hosted._worker._cost) < 0.005
+
+
 def test_worlds_in_parallel_have_the_same_digests_as_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cores(monkeypatch, 2)
     names = ("red", "green", "blue")
