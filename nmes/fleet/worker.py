@@ -253,13 +253,7 @@ class _Worker:
         while True:
             await asyncio.sleep(REPORT)
             if hasattr(self, "_host"):
-                worlds = self._host.worlds.items()
-                awake = {
-                    name: hosted.clients
-                    for name, hosted in worlds
-                    if not hosted.hibernation.resting and hosted.status.fault is None
-                }
-                self._line.tell("awake", worlds=awake)
+                self._line.tell("awake", worlds=self._host.awake)
 
     def _drain(self) -> None:
         """Has the supervisor give its worlds to other workers: it was told to end."""

@@ -11,7 +11,7 @@ import ctypes
 import logging
 import ssl
 import sys
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from time import time
 from types import TracebackType
@@ -35,6 +35,7 @@ __all__ = ["Host"]
 
 logger = logging.getLogger(__name__)
 
+SLEEPERS = 4  # worlds that are put to sleep at once: they share the cores with whatever else there is to do
 SWEEP = 60.0  # s: how often it is looked for recordings that are to be removed
 
 
@@ -233,6 +234,12 @@ class Host(Reception):
         """Returns what a list tells of those of the worlds that are live, by name."""
         return {name: _state(self.worlds[name]) for name in names if name in self.worlds}
 
+    @property
+    def awake(self) -> dict[str, int]:
+        """The worlds that take time, with the numbers of their clients."""
+        worlds = [hosted for hosted in self._awake if not hosted.hibernation.resting and hosted.status.fault is None]
+        return {hosted.name: hosted.clients for hosted in sorted(worlds, key=lambda hosted: hosted.name)}
+
     def _figures(self) -> Figures:
         worlds = [hosted.figures for hosted in self.worlds.values()]
         return Figures(len(self._connections), self.received, self.sent, worlds)
@@ -278,15 +285,20 @@ class Host(Reception):
                 await hosted.flush()
 
     async def _hibernate(self) -> None:
-        """Has worlds hibernate that nobody uses, one after the other."""
+        """Has worlds hibernate that nobody uses, a few at once: else they could be made faster than they sleep."""
         idle = self._hibernate_after
         while idle is not None:
             await asyncio.sleep(min(max(idle / 4, 0.01), 5.0))
             before = len(self._awake)
-            for hosted in list(self._awake):
-                await hosted.hibernation.begin(idle)
-                if hosted.hibernation.resting:
-                    self._awake.discard(hosted)
+            worlds = iter(list(self._awake))
+
+            async def put_to_sleep(worlds: Iterator[HostedWorld] = worlds, idle: float = idle) -> None:
+                for hosted in worlds:
+                    await hosted.hibernation.begin(idle)
+                    if hosted.hibernation.resting:
+                        self._awake.discard(hosted)
+
+            await asyncio.gather(*(put_to_sleep() for _ in range(SLEEPERS)))
             if len(self._awake) < before:
                 await asyncio.to_thread(_give_back_memory)
 
