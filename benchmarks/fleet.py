@@ -16,7 +16,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
@@ -45,20 +45,35 @@ class Host:
         return Client(port=self.port, password=PASSWORD, world=world, timeout=120.0)
 
     @property
+    def processes(self) -> list[int]:
+        """The numbers of the process and of its workers."""
+        own = self._process.pid
+        workers = Path(f"/proc/{own}/task/{own}/children").read_text().split()
+        return [own, *map(int, workers)]
+
+    @property
     def memory(self) -> float:
-        """The memory of the process, MB."""
-        pages = int(Path(f"/proc/{self._process.pid}/statm").read_text().split()[1])
+        """The memory of the processes, MB."""
+        pages = sum(int(Path(f"/proc/{each}/statm").read_text().split()[1]) for each in self.processes)
         return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
 
     def load(self) -> float:
-        """Returns the part of a core that the process takes while nobody asks it for anything."""
-        before = self._time()
+        """Returns the part of a core that the processes take while nobody asks them for anything."""
+        before = self.used
         time.sleep(WATCH)
-        return (self._time() - before) / WATCH
+        return (self.used - before) / WATCH
 
-    def _time(self) -> float:
-        fields = Path(f"/proc/{self._process.pid}/stat").read_text().rpartition(")")[2].split()
-        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+    @property
+    def used(self) -> float:
+        """The processor's time that the processes have taken, s."""
+        fields = [Path(f"/proc/{each}/stat").read_text().rpartition(")")[2].split() for each in self.processes]
+        return sum(int(field) for each in fields for field in each[11:13]) / os.sysconf("SC_CLK_TCK")
+
+    def kill(self) -> None:
+        """Kills all processes at once, such that none of them can do anything about it."""
+        for each in self.processes:
+            with suppress(ProcessLookupError):
+                os.kill(each, signal.SIGKILL)
 
     def wait_for_sleep(self) -> None:
         """Returns when all worlds are asleep."""
