@@ -22,9 +22,10 @@ from nmes.evaluation.portions import kind_of, portion_size
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
 
-__all__ = ["EvaluationQueue"]
+__all__ = ["CRASHES", "EvaluationQueue"]
 
-_CRASHES: Final = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL")  # what a process does to itself
+CRASHES: Final = ("SIGSEGV", "SIGABRT", "SIGBUS", "SIGFPE", "SIGILL")
+"""What a process does to itself."""
 _TRIES: Final = 2
 _ENOUGH: Final = 8  # genomes a process that wait, with which one that is free may begin
 
@@ -117,7 +118,7 @@ class EvaluationQueue:
             ((number, job),) = jobs.items()
             self._lost[number] = self._lost.get(number, 0) + 1
             if self._lost[number] == _TRIES:
-                if not any(crash in results.reason for crash in _CRASHES):
+                if not any(crash in results.reason for crash in CRASHES):
                     # It may be the machine's doing, as where memory is short: then it says nothing of the creature.
                     what = f"over {job.name!r} {results.reason}, {_TRIES} times"
                     raise MachineError("worker_killed", f"{what}: is there memory enough, with fewer jobs?")

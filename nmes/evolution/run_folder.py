@@ -78,7 +78,9 @@ def open_run(folder: str | os.PathLike[str], run_format: str, read: Callable[[Pa
 
 
 def _hint(run_format: str) -> str:
-    command = {"nmes-run": "evolve", "nmes-learning": "learn"}.get(run_format.partition("/")[0])
+    command = {"nmes-run": "evolve", "nmes-learning": "learn", "nmes-survey": "survey"}.get(
+        run_format.partition("/")[0]
+    )
     return "go on with it in the version of NMES that began it" + (f", by `nmes {command}`" if command else "")
 
 
