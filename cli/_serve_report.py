@@ -24,6 +24,7 @@ class Running(NamedTuple):
         address: Where it listens.
         ports: The ports that were found.
         metrics_port: The port that was found for metrics; None: there are none.
+        http_port: The port that was found for WebSockets; None: there are none.
     """
 
     settings: Settings
@@ -33,6 +34,7 @@ class Running(NamedTuple):
     address: str
     ports: list[int]
     metrics_port: int | None
+    http_port: int | None
 
     @property
     def worlds(self) -> dict[str, int]:
@@ -57,6 +59,8 @@ def ready_object(running: Running) -> dict[str, Any]:
         ready["roles"] = list(running.sample.roles)
     if running.metrics_port is not None:
         ready["metrics_port"] = running.metrics_port
+    if running.http_port is not None:
+        ready["http_port"] = running.http_port
     if settings.password_source == MADE_UP:
         ready["password"] = settings.password
     return ready
@@ -109,6 +113,9 @@ def ready_lines(running: Running) -> list[str]:
     lines.append(_roles_line(running))
     if running.metrics_port is not None:
         lines.append(f"Metrics on http://127.0.0.1:{running.metrics_port}/metrics")
+    if running.http_port is not None:
+        scheme = "ws" if settings.tls is None else "wss"
+        lines.append(f"WebSockets on {scheme}://{running.address}:{running.http_port}/ws")
     if settings.parent is not None:
         lines.append(f"Going on from frame {running.start:,} of {settings.parent[0].path}")
     return [*lines, _recording_line(running), "Ctrl-C stops"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import ipaddress
+import re
 import secrets
 import socket
 import ssl
@@ -67,6 +68,8 @@ class Settings:
         tls_key: The file of its key.
         tls: The certificate and its key.
         metrics_port: Port of the metrics; None: there are none.
+        http_port: Port of the WebSockets; None: there are none.
+        http_origins: Whose pages may come there.
         access_log: The file of who comes and goes; None: there is none.
         keep: Which recordings are removed; None: none.
         makers: The passwords of those who may create worlds, by their names.
@@ -92,6 +95,8 @@ class Settings:
     tls_key: Path | None
     tls: ssl.SSLContext | None
     metrics_port: int | None
+    http_port: int | None
+    http_origins: Sequence[str]
     access_log: Path | None
     keep: Retention | None
     makers: Mapping[str, str]
@@ -143,6 +148,8 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
         tls_key=options["tls_key"],
         tls=_load_tls(options["tls_cert"], options["tls_key"]),
         metrics_port=options["metrics_port"],
+        http_port=options["http_port"],
+        http_origins=_origins(options),
         access_log=options["access_log"],
         keep=_retention(options),
         makers=makers,
@@ -296,12 +303,25 @@ def _layout(options: Mapping[str, Any], name: str) -> tuple[list[str], list[int]
     return names, ports
 
 
+def _origins(options: Mapping[str, Any]) -> Sequence[str]:
+    """Returns whose pages may come, each as browsers write an origin."""
+    origins: Sequence[str] = options["http_origins"]
+    if origins and options["http_port"] is None:
+        raise click.UsageError("--http-origin goes with --http")
+    for origin in origins:
+        if not re.fullmatch(r"https?://[a-z0-9.-]+(:[0-9]{1,5})?|https?://\[[0-9a-f:]+\](:[0-9]{1,5})?", origin):
+            raise click.UsageError(f"{origin}: an origin is a scheme and a name, such as https://lab.example.org")
+    return origins
+
+
 def _check_workers(options: Mapping[str, Any]) -> None:
     """Refuses what does not go with several processes."""
     if options["resume"] is not None:
         raise click.UsageError("--workers does not go with --resume: a recording is of one world, so of one process")
     if options["no_record"]:
         raise click.UsageError("--workers does not go with --no-record: worlds come back from their recordings")
+    if options["http_port"] is not None:
+        raise click.UsageError("--workers does not go with --http: only sockets of TCP are handed on")
     if not hasattr(socket, "send_fds"):
         raise click.UsageError("--workers needs a system whose processes can hand sockets to each other")
 

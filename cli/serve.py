@@ -228,6 +228,19 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
     help="Port on this machine that tells Prometheus what the host does; 0 finds a free one.",
 )
 @click.option(
+    "--http",
+    "http_port",
+    type=click.IntRange(0, 65535),
+    help="Port for WebSockets too, at /ws, by which browsers come; 0 finds a free one.",
+)
+@click.option(
+    "--http-origin",
+    "http_origins",
+    multiple=True,
+    metavar="ORIGIN",
+    help="Whose pages may come there, such as https://lab.example.org, beside those of the address itself.",
+)
+@click.option(
     "--access-log",
     type=click.Path(path_type=Path, dir_okay=False),
     help="Append to this file who comes, from where, to which world, and how it ends: a JSON object a line.",
@@ -345,12 +358,19 @@ async def _start(host: Host | Supervisor, settings: Settings) -> Running:
     is asked before all have started, and the one world is in one of them; who comes earlier waits.
     """
     names, metrics_port, address, ports = settings.names, settings.metrics_port, settings.address, []
+    http_port = settings.http_port
     try:
         for name in names:
             host.offer({**settings.config, "name": name}, settings.world_passwords.get(name))
         with _free_port_hint("--metrics-port"):
             if metrics_port is not None:
                 metrics_port = await host.serve_metrics("127.0.0.1", metrics_port)
+        with _free_port_hint("--http"):
+            if http_port is not None and isinstance(host, Host):  # with workers there is none
+                from nmes.server.websocket import worlds_application  # which takes a while to load
+
+                application = worlds_application(host, [settings.address], settings.http_origins)
+                _, http_port = await host.serve_http(settings.address, http_port, application)
         with _free_port_hint("--port"):
             for index, port in enumerate(settings.ports):
                 default = names[index] if len(settings.ports) > 1 else None
@@ -361,7 +381,7 @@ async def _start(host: Host | Supervisor, settings: Settings) -> Running:
         raise click.UsageError(f"world config: {error.message}") from error
     except WorldError as error:
         raise click.UsageError(error.message) from error
-    return Running(settings, host, sample, sample.ticks, address, ports, metrics_port)
+    return Running(settings, host, sample, sample.ticks, address, ports, metrics_port, http_port)
 
 
 @contextmanager

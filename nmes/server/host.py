@@ -15,9 +15,9 @@ from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from time import time
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
-from nmes.errors import NmesError, RejectedMessage, WorldError
+from nmes.errors import NmesError, RecordingError, RejectedMessage, WorldError
 from nmes.protocol import Limits
 from nmes.recording import Recording
 from nmes.server.access_log import AccessLog
@@ -30,6 +30,11 @@ from nmes.server.reception import Reception
 from nmes.server.retention import Retention
 from nmes.server.threads import WorkerPool
 from nmes.server.world_recorder import Origin
+
+if TYPE_CHECKING:
+    from starlette.types import ASGIApp
+
+    from nmes.server.http import HttpServer
 
 __all__ = ["Host"]
 
@@ -100,6 +105,7 @@ class Host(Reception):
         self._awake: set[HostedWorld] = set()  # those of the worlds that may have something to do
         self._running = False  # whether it listens
         self._tasks: list[asyncio.Task[None]] = []
+        self._http_servers: list[HttpServer] = []
 
     async def __aenter__(self) -> Self:
         return self
@@ -211,6 +217,24 @@ class Host(Reception):
             return error
         return await self.open(name)
 
+    async def fork(self, recording: Recording, frame: int | None, name: str) -> HostedWorld:
+        """Hosts a world that goes on from a frame of a recording, as `resume`, under another name; made in a thread.
+
+        Raises:
+            RecordingError: There is no such frame.
+            RejectedMessage, WorldError: As `offer`; or it cannot be created (`world_unavailable`).
+        """
+        last = await asyncio.to_thread(lambda: recording.last_frame)
+        if frame is not None and frame > last:
+            raise RecordingError("no_such_frame", f"{recording.path} ends at frame {last}; it has no frame {frame}")
+        self.offer({**recording.config, "name": name})
+        self._origins[name] = Origin(recording, last if frame is None else frame)
+        failure = await self.open(name)
+        if failure is not None:
+            self._forget(name)
+            raise failure
+        return self.worlds[name]
+
     async def release(self, name: str, farewell: NmesError) -> None:
         """Gives a world away to another process, which goes on from its recording: here it is forgotten."""
         while name in self._opening:
@@ -271,6 +295,21 @@ class Host(Reception):
                 hosted.start()
         return found
 
+    async def serve_http(self, host: str, port: int, application: ASGIApp) -> tuple[str, int]:
+        """Serves an application over HTTP and WebSockets, such as `worlds_application`, to those at the door.
+
+        Returns:
+            The address and the port that it listens on.
+
+        Raises:
+            MachineError: `cannot_listen`, as `listen`.
+        """
+        from nmes.server.http import HttpServer  # which takes a while to load
+
+        server = HttpServer(application, self._door, self.limits)
+        self._http_servers.append(server)
+        return await server.listen(host, port)
+
     async def metrics_page(self) -> bytes:
         """Makes the page of metrics."""
         assert self._metrics is not None
@@ -325,6 +364,8 @@ class Host(Reception):
         self._tasks.clear()
         await asyncio.gather(*(hosted.close() for hosted in self.worlds.values()))
         await self._hang_up_on_all()
+        for server in self._http_servers:
+            await server.close()
         self._running = False
         self._pool.close(wait=not self.abandoned)
 

@@ -117,6 +117,7 @@ class HostedWorld:
         self._results: dict[int, Future[bytes]] = {}  # replies to requests that were executed there
         self._loss: RecordingError | None = None  # why its recording ended
         self._turn_due = False  # also while output is brought to disk
+        self.onlookers: dict[Callable[[], None], None] = {}  # called when the world is back from a thread
 
     def __repr__(self) -> str:
         return f"HostedWorld({self.name!r}, frame {self.status.frame}, {len(self._peers)} clients)"
@@ -125,6 +126,11 @@ class HostedWorld:
     def recording(self) -> Path | None:
         """The world's recording; None: it is not recorded."""
         return None if self._recorder is None else self._recorder.path
+
+    @property
+    def readable(self) -> bool:
+        """Whether the world may be looked at now: it is not in a thread, and there is an engine."""
+        return not (self._worker.away or self._closing or self.world.asleep)
 
     @property
     def clients(self) -> int:
@@ -334,6 +340,8 @@ class HostedWorld:
             return
         self._end_waiting()
         self._peers.deliver(events)
+        for look in list(self.onlookers):
+            look()
         if self._loss is not None:
             self.world.stop_recording(self._loss)
         self._take_turn()
