@@ -49,8 +49,15 @@ SOME = 3  # cases that the summary names of those that failed of the same
 _FILE = click.Path(path_type=Path, dir_okay=False, writable=True)
 
 
+def _split(context: click.Context, parameter: click.Parameter, value: str | None) -> tuple[str, str, int] | None:
+    """Returns scheme, host and port of HOST:PORT or ws://HOST:PORT; None for None."""
+    scheme = "ws" if value is not None and value.startswith("ws://") else "tcp"
+    address = split_address(context, parameter, value if value is None else value.removeprefix("ws://"))
+    return None if address is None else (scheme, *address)
+
+
 @click.command("conform", short_help="Judge a server by the protocol.")
-@click.argument("address", metavar="[HOST:PORT]", required=False, callback=split_address)
+@click.argument("address", metavar="[HOST:PORT|ws://HOST:PORT]", required=False, callback=_split)
 @password_options(f"The server's password; better in the variable {PASSWORD_VARIABLE}.")
 @click.option(
     "--timeout",
@@ -81,7 +88,7 @@ _FILE = click.Path(path_type=Path, dir_okay=False, writable=True)
 @click.option("--junit", type=_FILE, help="Write the report as JUnit XML.")
 @click.option("--report", "page", type=_FILE, help="Write the report as one HTML page.")
 def command(
-    address: tuple[str, int] | None,
+    address: tuple[str, str, int] | None,
     password: str | None,
     password_file: Path | None,
     timeout: float,
@@ -111,6 +118,7 @@ def command(
     \b
         nmes conform 127.0.0.1:14000 --password-file secret --report out.html
         nmes conform --list --category physics
+        nmes conform ws://127.0.0.1:14080 --password-file secret
         nmes conform 127.0.0.1:14000 --only '1.*' --only 4.3:null
         nmes conform 127.0.0.1:14000 --fail-fast --time-limit 60
         nmes conform 127.0.0.1:14000 --replay conform-17.1-0-0.json
@@ -144,7 +152,7 @@ def command(
 
 
 def _target(
-    address: tuple[str, int] | None, password: str | None, password_file: Path | None, timeout: float
+    address: tuple[str, str, int] | None, password: str | None, password_file: Path | None, timeout: float
 ) -> Target:
     """Returns the server to judge; raises UsageError where its address or password is missing."""
     if address is None:
@@ -152,7 +160,8 @@ def _target(
     choice = choose_password(password, password_file)
     if choice is None:
         raise click.UsageError(f"give the server's password, in {PASSWORD_VARIABLE} or with --password-file")
-    return Target(*address, choice[0], timeout)
+    scheme, host, port = address
+    return Target(host, port, choice[0], timeout, scheme)
 
 
 def _list(cases: Any, as_json: bool) -> None:
@@ -236,7 +245,7 @@ def _print(report: Report, scripts: dict[str, Path]) -> None:
         if result.verdict in (Verdict.FAILED, Verdict.FAULT, Verdict.NON_STRICT):
             _print_result(console, result)
             if result.case.number in scripts:
-                where = f"{report.target.host}:{report.target.port}"
+                where = report.target.address
                 console.print(f"  again     nmes conform {where} --replay {scripts[result.case.number]}")
     table = Table("category", *(verdict.value for verdict in Verdict))
     for category in CATEGORIES:
@@ -252,7 +261,7 @@ def _print(report: Report, scripts: dict[str, Path]) -> None:
         console.print(f"{len(results):>5}  {escape(cause)}: {numbers}{more}")
     if report.probe.trouble is not None and all(cause.startswith("a connection ") for cause in report.causes):
         console.print("It hangs up on whoever comes; if it speaks TLS, judge it without: the suite speaks none.")
-    where = f"{report.target.host}:{report.target.port}"
+    where = report.target.address
     words = {0: "[green]conforms[/]", 1: "[bold red]does not conform[/]", 2: "[bold red]could not be judged[/]"}
     console.print(
         f"{where} {words[report.exit_status]}: {len(report.results)} cases in {report.seconds:.1f} s, "

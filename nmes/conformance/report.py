@@ -56,7 +56,7 @@ _TOLD = frozenset({Verdict.FAILED, Verdict.FAULT, Verdict.NON_STRICT})
 def _head(report: Report) -> dict[str, Any]:
     return {
         "suite": {"nmes": version("nmes"), "hash": suite_hash(), "protocol": PROTOCOL_VERSION},
-        "target": f"{report.target.host}:{report.target.port}",
+        "target": report.target.address,
         "banner": dict(report.probe.banner),
         "capabilities": sorted(report.probe.capabilities),
         "trouble": report.probe.trouble,

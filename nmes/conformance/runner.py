@@ -311,9 +311,7 @@ def examine(target: Target) -> Probe:
     try:
         wire = target.connect(log, "probe")
     except Finding as finding:
-        raise Unreachable(
-            "unreachable", f"nothing answers at {target.host}:{target.port}: {finding.received}"
-        ) from finding
+        raise Unreachable("unreachable", f"nothing answers at {target.address}: {finding.received}") from finding
     info: dict[str, Any] = {}
     used: set[str] = set()
     trouble: str | None = None

@@ -37,16 +37,23 @@ class Target:
         port: Its port.
         password: Its password.
         timeout: How long one wait for it may take, s.
+        scheme: `tcp`, or `ws` for WebSockets.
     """
 
     host: str
     port: int
     password: str
     timeout: float = 5.0
+    scheme: str = "tcp"
+
+    @property
+    def address(self) -> str:
+        """Where it is, as the command line has it."""
+        return f"{'' if self.scheme == 'tcp' else f'{self.scheme}://'}{self.host}:{self.port}"
 
     def connect(self, log: Log, name: str) -> Wire:
         """Connects, without authenticating."""
-        return Wire(self.host, self.port, self.timeout, log, name)
+        return Wire(self.host, self.port, self.timeout, log, name, self.scheme)
 
     def enter(self, wire: Wire) -> Message:
         """Authenticates in the json dialect; returns the server's `auth_success`."""

@@ -14,11 +14,14 @@ import time
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any, NoReturn, Self
+from typing import TYPE_CHECKING, Any, NoReturn, Self
 
 from nmes.conformance.case import Finding
 from nmes.errors import NmesError
 from nmes.protocol import DELIMITER, EVENTS, REPLIES, validate_event, validate_reply
+
+if TYPE_CHECKING:
+    from nmes.conformance.websocket import WebSocketSocket
 
 __all__ = ["Entry", "Log", "Message", "Wire", "clip", "frame_of", "is_event", "read_json", "read_message"]
 
@@ -67,24 +70,33 @@ class Message(dict[str, Any]):
 class Wire:
     """A connection. Frames that `hear` finds are kept in order until asked for."""
 
-    def __init__(self, host: str, port: int, timeout: float, log: Log, name: str) -> None:
-        """Connects.
+    def __init__(self, host: str, port: int, timeout: float, log: Log, name: str, scheme: str = "tcp") -> None:
+        """Connects, over TCP or by a WebSocket (`ws`).
 
         Raises:
             Finding: Nobody answers.
         """
         self.timeout = timeout
         self.name = name
+        self.half_closes = scheme == "tcp"  # whether reading can go on where nothing more is sent
         self.ending = "open"
         self._log = log
         self._buffer = bytearray()
         self._said = 0
         try:
-            self._socket = socket.create_connection((host, port), timeout)
+            self._socket = self._connect(host, port, timeout, scheme)
         except OSError as error:
             log.add(name, "note", f"cannot connect: {error}".encode())
             raise Finding("a connection", str(error), "no connection") from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    @staticmethod
+    def _connect(host: str, port: int, timeout: float, scheme: str) -> socket.socket | WebSocketSocket:
+        if scheme == "tcp":
+            return socket.create_connection((host, port), timeout)
+        from nmes.conformance.websocket import WebSocketSocket  # whose library takes a while to load
+
+        return WebSocketSocket(host, port, timeout)
 
     def __enter__(self) -> Self:
         return self
@@ -137,7 +149,7 @@ class Wire:
         return True
 
     def hang_up(self) -> None:
-        """Closes the sending side of the connection; reading goes on."""
+        """Closes the sending side of the connection; reading goes on, where there are two sides (`half_closes`)."""
         self._log.add(self.name, "note", b"nothing more will be sent")
         try:
             self._socket.shutdown(socket.SHUT_WR)

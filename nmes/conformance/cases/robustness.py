@@ -183,7 +183,9 @@ def a_client_that_leaves_its_last_words(t: Trial) -> None:
     cube = {"type": "spawn_cube", "list": False}
     wire.say(*({**cube, "cube_name": name, "position": t.at(y=3 + 2 * n)} for n, name in enumerate(names)))
     wire.hang_up()
-    t.equal(len(wire.rest()), 20, "the replies before the end")
+    replies = wire.rest()
+    if wire.half_closes:
+        t.equal(len(replies), 20, "the replies before the end")
     t.true(set(names) <= set(t.cubes(witness)), "all of the cubes", names)
 
 
