@@ -36,6 +36,7 @@ SUBCOMMANDS = {
     "fork": "Take the world out of a recording as it was at a frame.",
     "genome": "List, check, show and vary genomes.",
     "info": "Show what a recording holds.",
+    "lab": "Work with worlds, creatures and runs in a browser.",
     "leaderboard": "Keep a list of scores that are proved.",
     "learn": "Train a creature's brain, in runs that anyone can repeat.",
     "play": "Run a creature on a task and film it.",

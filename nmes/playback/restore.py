@@ -11,6 +11,7 @@ from nmes.playback.report import departure
 from nmes.recording import Recording, Start
 from nmes.world import World
 from nmes.world.journal import Journal
+from nmes.world.snapshot import renamed
 
 __all__ = ["make_world", "restore_into", "world_at"]
 
@@ -39,8 +40,11 @@ def make_world(recording: Recording, start: Start, journal: Journal | None = Non
 
 def _restore(world: World, recording: Recording, start: Start) -> None:
     if start.snapshot is not None:
+        name, snapshot = world.config["name"], start.snapshot
         try:
-            world.restore(start.snapshot)
+            if name != recording.config["name"]:
+                snapshot = renamed(snapshot, recording.config, name)
+            world.restore(snapshot)
         except WorldError as error:
             message = f"the keyframe at frame {start.frame} cannot be used: {error.message}"
             elsewhere = departure(recording, message)
@@ -77,7 +81,7 @@ def restore_into(world: World, recording: Recording, frame: int) -> None:
     """Brings a new world of a recording's config to a frame of it. No events are emitted on the way.
 
     Args:
-        world: The world, in which nothing has happened.
+        world: The world, in which nothing has happened; it may have another name.
         recording: The recording.
         frame: The frame, counted on through resets.
 

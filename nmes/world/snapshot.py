@@ -22,7 +22,7 @@ from nmes.backend import Array
 from nmes.errors import WorldError
 from nmes.schemas import load
 
-__all__ = ["pack", "pack_array", "unpack", "unpack_array"]
+__all__ = ["pack", "pack_array", "renamed", "unpack", "unpack_array"]
 
 _VERSION: Final = 1
 _SHAPE = jsonschema_rs.Draft202012Validator(load("recording/keyframes.json"))
@@ -44,6 +44,18 @@ def unpack(snapshot: bytes, config: Mapping[str, Any]) -> tuple[dict[str, Any], 
     if state["config"] != _hash(config):
         raise WorldError("bad_snapshot", "this is a snapshot of a world of another config")
     return state, engine
+
+
+def renamed(snapshot: bytes, config: Mapping[str, Any], name: str) -> bytes:
+    """Returns a snapshot of a world of this config as one of a world that is called otherwise.
+
+    Raises:
+        WorldError: As `unpack`.
+    """
+    state, engine = unpack(snapshot, config)
+    return pack(
+        {**config, "name": name}, {key: state[key] for key in state if key not in ("version", "config")}, engine
+    )
 
 
 def _state(line: bytes) -> dict[str, Any]:

@@ -1,0 +1,228 @@
+"""Recordings: what happened when, and the poses of any moment that a page asks for.
+
+Hides that a recording holds inputs alone: it is run again from its last keyframe before the moment, or on from where
+the last answer left it, in a thread. Invariant: what a page asks for costs no more than `PATIENCE` at once.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Generator, Iterator
+from contextlib import closing
+from pathlib import Path
+from time import monotonic
+from typing import Any, Final, NamedTuple, cast
+
+from starlette.websockets import WebSocket, WebSocketDisconnect
+
+from nmes.errors import NmesError, RejectedMessage
+from nmes.lab.folder import LabError
+from nmes.lab.lab import Lab
+from nmes.lab.scene import frame_bytes, scene_text
+from nmes.playback.restore import world_at
+from nmes.playback.watch import watch
+from nmes.protocol import parse
+from nmes.recording import Kind, Recording
+from nmes.schemas.documents import JsonObject, parse_json, write_json
+from nmes.world import World
+
+__all__ = ["about_recording", "show_recording"]
+
+PATIENCE: Final = 5.0  # s that a moment, or a list of marks, may take
+MOST: Final = 2000  # marks of a recording
+_BIRTHS: Final = frozenset({"birth", "death"})  # of an ecosystem
+_NOT_FOUND: Final = 4404  # the code with which a WebSocket is closed
+_FURTHEST: Final = 1 << 53
+_EVERYDAY: Final = ("get_", "ping", "step", "subscribe", "unsubscribe", "compute_reward", "apply_")
+"""How commands begin of which there are too many to be marks."""
+
+
+def about_recording(path: Path) -> JsonObject:
+    """Returns what a recording is of, its frames, its keyframes, and marks of what happened in it.
+
+    Raises:
+        RecordingError: It is none.
+    """
+    recording = Recording(path)
+    start = recording.start()
+    marks: list[JsonObject] = []
+    keyframes: list[int] = []
+    frame, until, whole = start.frame, monotonic() + PATIENCE, True
+    for record in recording:
+        frame += len(record.digests)
+        if record.kind is Kind.KEYFRAME:
+            keyframes.append(frame)
+        elif record.kind is not Kind.TICKS:
+            for mark in _marks(record.kind, record):
+                last = marks[-1] if marks else None
+                if last is not None and {**last, "count": 1} == {**mark, "frame": frame, "count": 1}:
+                    last["count"] += 1
+                elif len(marks) < MOST:
+                    marks.append({**mark, "frame": frame, "count": 1})
+                else:
+                    whole = False
+        if monotonic() > until:
+            whole = False
+            break
+    config = recording.config
+    return {
+        "size": recording.size,
+        "world": config["name"],
+        **{field: config[field] for field in ("backend", "seed", "mode", "tick_rate")},
+        "first": start.frame,
+        "last": frame if whole else recording.last_frame,
+        "keyframes": keyframes,
+        "marks": marks,
+        "marks_whole": whole,
+        "complete": recording.stopped is None,
+        "fingerprint": dict(recording.fingerprint),
+        "parent": recording.metadata.get("nmes.parent"),
+        "evaluation": recording.metadata.get("nmes.evaluation"),
+    }
+
+
+def _marks(kind: Kind, record: Any) -> Iterator[JsonObject]:
+    """Yields what a record tells of what happened."""
+    match kind:
+        case Kind.JOINED | Kind.LEFT:
+            yield {"kind": str(kind), "what": f"client {record.client}"}
+        case Kind.COMMAND:
+            what = parse(record.data).type or "invalid"
+            if not what.startswith(_EVERYDAY):
+                yield {"kind": "command", "what": what, "client": record.client}
+        case Kind.FAULT:
+            yield {"kind": "fault", "what": (record.about or {}).get("code", "fault")}
+        case Kind.LIFE:
+            for event in (record.about or {}).get("events", ()):
+                if event.get("type") in _BIRTHS:
+                    yield {"kind": event["type"], "what": str(event.get("creature", ""))}
+
+
+class _Sight(NamedTuple):
+    """A moment of a recording: its frame, its scene by number, and where the cubes are."""
+
+    frame: int
+    scene: int
+    poses: bytes
+
+
+class _Player:
+    """A recording that is run again for one page; it is used by one thread at a time."""
+
+    def __init__(self, path: Path) -> None:
+        self._recording = Recording(path)
+        self._first = self._recording.start().frame
+        self._last = self._recording.last_frame
+        self._sights: Generator[_Sight, None, None] | None = None
+        self._at = -1  # the frame to which it was run
+        self._number, self._version = 0, -1
+        self.scene = ""  # the newest one
+
+    def header(self) -> str:
+        """Returns what a page is told first."""
+        config = self._recording.config
+        about = {"type": "recording", "first": self._first, "last": self._last, "tick_rate": config["tick_rate"]}
+        return write_json({**about, "world": config["name"]}).decode()
+
+    def seek(self, frame: int) -> _Sight | None:
+        """Returns the moment of a frame; None where that takes too long: who asks again goes on from there.
+
+        Raises:
+            RecordingError: A tick on the way does not come out as recorded.
+        """
+        frame = min(max(frame, self._first), self._last)
+        if frame == self._first:
+            with closing(world_at(self._recording, frame)) as world:
+                return self._look(world)
+        start = self._recording.start(frame - 1)
+        if self._sights is None or not max(start.frame, 0) <= self._at < frame:
+            self.close()
+            self._sights = cast(Generator[_Sight, None, None], watch(self._recording, self._look, start=start))
+            self._at = start.frame
+        until = monotonic() + PATIENCE
+        for sight in self._sights:
+            self._at = sight.frame
+            if sight.frame >= frame:
+                return sight
+            if monotonic() > until:
+                break
+        return None
+
+    def _look(self, world: World) -> _Sight:
+        """Looks at the world after a tick."""
+        if world.structure_version != self._version:  # of one history: equal numbers, equal cubes
+            self._version, self._number = world.structure_version, self._number + 1
+            self.scene = scene_text(world, self._number)
+        return _Sight(world.ticks, self._number, frame_bytes(world, self._number, world.ticks))
+
+    def close(self) -> None:
+        """Ends what is run."""
+        if self._sights is not None:
+            self._sights.close()
+        self._sights = None
+
+
+async def show_recording(lab: Lab, websocket: WebSocket) -> None:
+    """Answers `{"frame": N}` with the poses of that frame, the last of those that wait, until the page hangs up."""
+    await websocket.accept()
+    try:
+        player = await lab.do(_Player, lab.folder.find("recordings", websocket.query_params.get("name", "")))
+    except (NmesError, OSError) as error:
+        await websocket.send_text(_failure(error))
+        await websocket.close(_NOT_FOUND)
+        return
+    wanted: asyncio.Queue[int | None] = asyncio.Queue()
+    listener = asyncio.create_task(_listen(websocket, wanted))
+    try:
+        await websocket.send_text(player.header())
+        await _play(lab, websocket, player, wanted)
+    except WebSocketDisconnect:
+        pass
+    finally:
+        listener.cancel()
+        await asyncio.gather(listener, return_exceptions=True)
+        await lab.do(player.close)
+
+
+async def _listen(websocket: WebSocket, wanted: asyncio.Queue[int | None]) -> None:
+    """Puts the frames that a page asks for into a queue, and None when it has hung up."""
+    while (message := await websocket.receive())["type"] != "websocket.disconnect":
+        try:
+            asked = parse_json((message.get("text") or "").encode())
+        except RejectedMessage:
+            asked = None
+        frame = asked.get("frame") if isinstance(asked, dict) else None
+        if isinstance(frame, int) and not isinstance(frame, bool):
+            wanted.put_nowait(max(0, min(frame, _FURTHEST)))
+        else:
+            await websocket.send_text(_failure(LabError("invalid", 'say {"frame": N}', "frame")))
+    wanted.put_nowait(None)
+
+
+async def _play(lab: Lab, websocket: WebSocket, player: _Player, wanted: asyncio.Queue[int | None]) -> None:
+    """Answers the last of the frames that wait, again and again."""
+    told = 0
+    while (frame := await wanted.get()) is not None:
+        if not wanted.empty():
+            continue
+        try:
+            sight = await lab.do(player.seek, frame)
+        except NmesError as error:
+            await websocket.send_text(_failure(error))
+            continue
+        if sight is None:
+            reason = f"frame {frame} is far behind the last keyframe: ask again to go on"
+            await websocket.send_text(_failure(LabError("not_yet", reason, "frame")))
+            continue
+        if sight.scene != told:
+            told = sight.scene
+            await websocket.send_text(player.scene)
+        await websocket.send_bytes(sight.poses)
+
+
+def _failure(error: Exception) -> str:
+    """Returns what a page is told where something fails."""
+    code, message = "recording_unreadable", str(error)
+    if isinstance(error, NmesError):
+        code, message = error.code, error.message
+    return write_json({"type": "error", "code": code, "message": message}).decode()

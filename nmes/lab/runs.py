@@ -1,0 +1,205 @@
+"""Runs of evolution and learning, as a page shows them, and the command lines that begin them and go on with them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from nmes.evaluation.match_task import MatchTask
+from nmes.evaluation.task import Task
+from nmes.evolution.history import History, Origin
+from nmes.evolution.run import Run
+from nmes.evolution.run_folder import SETTINGS, read_settings, text_of
+from nmes.evolution.run_settings import FORMAT, RunSettings
+from nmes.genome import Genome
+from nmes.lab.folder import Folder, LabError
+from nmes.learning.run import LearningRun
+from nmes.learning.settings import LearningSettings
+from nmes.schemas.documents import JsonObject, parse_document, write_json
+from nmes.view.learning_page import to_json as learning_json
+from nmes.view.run_summary import RunSummary
+
+__all__ = ["about_run", "begin_command", "candidate", "genome_source", "resume_command", "task_source"]
+
+_LEARNING: Final = "nmes-learning/1"
+_LINEAGE: Final = 500  # ancestors that are told
+_ELITES: Final = 2500  # a grid of 50 x 50
+
+
+def genome_source(folder: Folder, name: Any) -> str:
+    """Returns what means a genome on the command line: its file in the lab's folder, or a name that ships.
+
+    Raises:
+        LabError: There is none of that name.
+    """
+    return _source(folder, "genomes", name, Genome.names())
+
+
+def task_source(folder: Folder, name: Any) -> str:
+    """Returns what means a task on the command line, as `genome_source`."""
+    return _source(folder, "tasks", name, (*Task.names(), *MatchTask.names()))
+
+
+def _source(folder: Folder, kind: Any, name: Any, shipped: Sequence[str]) -> str:
+    if not isinstance(name, str):
+        raise LabError("invalid", f"name one of the {kind}", kind)
+    if name in folder.scan(kind):
+        return str(folder.find(kind, name))
+    if name not in shipped:
+        raise LabError("unknown_name", f"there is nothing called {name!r} among the {kind}", kind)
+    return name
+
+
+def begin_command(folder: Folder, kind: Any, name: Any, settings: Any) -> list[str]:
+    """Returns the command that begins a run, once its settings are judged.
+
+    Args:
+        folder: The lab's.
+        kind: `evolve` or `learn`.
+        name: The run's.
+        settings: Of evolution a document as `schemas/run.json` has it, its task and genomes by name or whole; of
+            learning `genome`, `task`, `algorithm`, `options`, `steps`, `seed`, `reward` and `every`.
+
+    Raises:
+        LabError: There is such a run, or a name that means nothing.
+        DocumentError: The settings are none, with all that is wrong.
+    """
+    if kind not in ("evolve", "learn") or not isinstance(settings, dict) or not isinstance(name, str):
+        raise LabError("invalid", 'a run has a kind, "evolve" or "learn", a name, and settings', "kind")
+    target = folder.place("runs", name)
+    if target.exists():
+        raise LabError("run_exists", f"there is a run called {name!r}: resume it, or choose another name", "name")
+    if kind == "learn":
+        return [*_learn(folder, settings), "-o", str(target), "--json"]
+    document = {**settings, "format": settings.get("format", FORMAT)}
+    if isinstance(document.get("task"), str):
+        document["task"] = _document(task_source(folder, document["task"]))
+    if isinstance(document.get("starts"), list):
+        document["starts"] = _starts(folder, document["starts"])
+    if isinstance(document.get("populations"), list):
+        document["populations"] = [
+            {**each, "starts": _starts(folder, each.get("starts", []))} if isinstance(each, dict) else each
+            for each in document["populations"]
+        ]
+    RunSettings.read(document)
+    file = folder.write("settings", name, text_of(document))
+    return ["evolve", "--settings", str(file), "-o", str(target), "--json"]
+
+
+def _starts(folder: Folder, starts: Any) -> Any:
+    """Returns genomes to begin with, by what means them: a name that ships stays one, all else is a document."""
+    if not isinstance(starts, list):
+        return starts
+    return [_document(genome_source(folder, one)) if isinstance(one, str) else one for one in starts]
+
+
+def _document(source: str) -> Any:
+    """Returns the document in a file; a name that ships as it is."""
+    path = Path(source)
+    return parse_document(path.read_bytes()) if path.suffix == ".json" else source
+
+
+def _learn(folder: Folder, settings: Mapping[str, Any]) -> list[str]:
+    """Returns the command that begins a run of learning."""
+    genome, task = genome_source(folder, settings.get("genome")), task_source(folder, settings.get("task", "walk"))
+    known = {"algorithm", "steps", "seed", "every", "reward"}
+    if unknown := settings.keys() - known - {"genome", "task", "options"}:
+        raise LabError("invalid", f"there is no setting {sorted(unknown)[0]!r}", "settings")
+    options = settings.get("options", {})
+    document = {"format": _LEARNING, "genome": genome, "task": task, "options": options}
+    document |= {"algorithm": "ppo", "steps": 1_000_000, "seed": 0, "every": 5}
+    LearningSettings.read(document | {name: settings[name] for name in known if name in settings})
+    command = ["learn", genome, "--task", task]
+    for name in sorted(known & settings.keys()):
+        command += [f"--{name}", str(settings[name])]
+    for name, value in options.items():
+        command += ["--set", f"{name}={write_json(value).decode()}"]
+    return command
+
+
+def resume_command(folder: Folder, name: str) -> list[str]:
+    """Returns the command that goes on with a run.
+
+    Raises:
+        LabError: There is none.
+    """
+    path = folder.find("runs", name)
+    return ["learn" if _is_learning(path) else "evolve", "resume", str(path), "--json"]
+
+
+def _is_learning(path: Path) -> bool:
+    try:
+        settings = read_settings(path / SETTINGS)
+    except OSError as error:
+        raise LabError("not_found", f"there is no run in {path}", "name") from error
+    return isinstance(settings, dict) and settings.get("format") == _LEARNING
+
+
+def about_run(folder: Folder, name: str) -> JsonObject:
+    """Returns what a run has come to.
+
+    Raises:
+        LabError: There is none of that name.
+        RunError: It is damaged.
+    """
+    path = folder.find("runs", name)
+    if _is_learning(path):
+        return {"kind": "learn", **learning_json(LearningRun.open(path))}
+    run = Run.open(path)
+    summary = RunSummary(run)
+    best = summary.best
+    records = run.records
+    return {
+        "kind": "evolve",
+        **summary.to_json(),
+        "finished": run.finished,
+        "curve": _curve(summary.history) if records else [],
+        "archive": [_row(records[index]) for index in run.elites()[:_ELITES]],
+        "lineage": [] if best is None else [_row(row) for row in summary.history.lineage(best.index)[-_LINEAGE:]],
+    }
+
+
+def _curve(history: History) -> list[JsonObject]:
+    """Returns the scores by window of candidates, and the best so far."""
+    champions = history.champions()
+    points, best, place = [], None, 0
+    for window in history.windows():
+        while place < len(champions) and champions[place].index < window.end:
+            best, place = champions[place].score, place + 1
+        points.append({"begin": window.begin, "end": window.end, "quartiles": window.quartiles, "best": best})
+    return points
+
+
+def _row(row: Origin) -> JsonObject:
+    return {
+        "index": row.index,
+        "score": row.score,
+        "operator": row.operator,
+        "parents": list(row.parents),
+        "generation": row.generation,
+        "group": row.group,
+        "objectives": list(row.objectives),
+        "measures": list(row.measures),
+    }
+
+
+def candidate(folder: Folder, name: str, number: str) -> JsonObject:
+    """Returns the genome of a candidate of a run, by its index or as the `best`; of learning there is the best alone.
+
+    Raises:
+        LabError: There is none.
+        RunError: It is damaged.
+    """
+    path = folder.find("runs", name)
+    if _is_learning(path):
+        file = path / "genome.json"
+        if number != "best" or not file.is_file():
+            raise LabError("not_found", "a run of learning has its best alone, once there is one", "candidate")
+        return dict(Genome.load(file).document)
+    run = Run.open(path)
+    best = run.best
+    index = best.index if number == "best" and best is not None else int(number) if number.isdecimal() else -1
+    if not 0 <= index < len(run):
+        raise LabError("not_found", f"the run has no candidate {number}", "candidate")
+    return dict(run.genome(index).document)

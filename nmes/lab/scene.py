@@ -1,0 +1,99 @@
+"""What a page draws: a scene, which says who is there, and frames, which say where they are.
+
+Hides how a world is read in one go. Neither changes the world nor is recorded.
+"""
+
+from __future__ import annotations
+
+import struct
+from typing import Any, Final
+
+import numpy as np
+
+from nmes.backend.rotation import conjugate, rotate
+from nmes.schemas.documents import JsonObject, write_json
+from nmes.world import World
+from nmes.world.scenery import scene_spec
+
+__all__ = ["contacts_text", "frame_bytes", "scene_text"]
+
+_HEAD: Final = struct.Struct("<II")
+_FINEST: Final = 129  # heights along each side of a landscape that are told
+
+
+def scene_text(world: World, number: int) -> str:
+    """Returns who is in a world, as the text frame of that number."""
+    names = world.cubes()
+    places = {name: place for place, name in enumerate(names)}
+    owners: dict[str, str] = {}
+    creatures = []
+    for name in world.creatures():
+        creature = world.creature(name)
+        owners |= dict.fromkeys((str(cube) for cube in creature.cubes.values()), name)
+        creatures.append({"name": name, "genome": creature.genome.name, "target": creature.target})
+    cubes = []
+    for name in names:
+        size, color, shape = world.cube_shape(name)
+        cube = world.entities.cube(name)
+        one = {"name": name, "size": size, "color": color, "shape": shape, "creature": owners.get(name)}
+        cubes.append({**one, "frozen": cube.frozen, "mass": cube.mass})
+    scene = {
+        "type": "scene",
+        "scene": number,
+        "world": world.config["name"],
+        "frame": world.frame,
+        "dims": world.backend.dims,
+        "tick_rate": world.config["tick_rate"],
+        "cubes": cubes,
+        "joints": _joints(world, places),
+        "creatures": creatures,
+        "scenery": _scenery(world),
+    }
+    return write_json(scene).decode()
+
+
+def _joints(world: World, places: dict[str, int]) -> list[JsonObject]:
+    """Returns the joints, each with where it is on its first cube; none of a world that has stopped by a fault."""
+    states, joints = world.poses()[1], []
+    for info in world.joint_infos() if world.fault is None else ():
+        a, b = places[info["cube1"]], places[info["cube2"]]
+        position, turn = states[a, :3].tolist(), conjugate(tuple(states[a, 3:7].tolist()))
+        x, y, z = (one - other for one, other in zip(info["anchor"], position, strict=True))
+        joint = {"name": info["joint_name"], "kind": info["joint_type"], "a": a, "b": b}
+        joints.append({**joint, "anchor": rotate(turn, (x, y, z)), "axis": rotate(turn, tuple(info["axis"]))})
+    return joints
+
+
+def _scenery(world: World) -> JsonObject:
+    """Returns what never moves."""
+    spec = scene_spec(world.config, world.seed)
+    boxes = [
+        {"size": box.size, "position": box.position, "quaternion": box.quaternion, "shape": box.shape}
+        for box in spec.boxes
+    ]
+    scenery: dict[str, Any] = {"ground": spec.ground, "boxes": boxes, "landscape": None}
+    scenery["planets"] = [{"position": planet.position, "radius": planet.radius} for planet in spec.planets]
+    scenery["food"] = world.entities.food.tolist()
+    if spec.heightfield is not None:
+        heights = spec.heightfield.heights
+        rows, columns = (np.linspace(0, count - 1, min(count, _FINEST)).round().astype(int) for count in heights.shape)
+        scenery["landscape"] = {"size": spec.heightfield.size, "heights": heights[np.ix_(rows, columns)].tolist()}
+    return scenery
+
+
+def frame_bytes(world: World, number: int, frame: int) -> bytes:
+    """Returns where the cubes of a world are: its binary frame, as of that scene and that frame of the world."""
+    return _HEAD.pack(number, frame & 0xFFFFFFFF) + world.entities.states()[:, :7].astype("<f4").tobytes()
+
+
+def contacts_text(world: World, number: int) -> str:
+    """Returns where cubes touch, and with what force (N), as a text frame."""
+    bodies = {body: place for place, body in enumerate(world.entities.body_names)}
+    simulation = world.simulation
+    contacts = [
+        [bodies[body], -1 if contact.other is None else bodies.get(contact.other, -1)]
+        + [round(value, 4) for value in (*contact.position, *contact.normal, contact.force)]
+        for body in bodies
+        for contact in simulation.contacts(body)
+    ]
+    return write_json({"type": "contacts", "scene": number, "frame": world.frame, "contacts": contacts}).decode()
