@@ -1,0 +1,171 @@
+"""Poses over WebSockets: of live worlds, and of any moment of a recording, as the protocol tells them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from browsers import Socket
+from labs import Frame, RunningLab, running_lab
+from nmes.genome import Genome
+from servers import until
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningLab]:
+    with running_lab(tmp_path_factory.mktemp("lab")) as running:
+        yield running
+
+
+def told(world: Socket) -> dict[str, list[float]]:
+    """Returns where cubes are, as the protocol tells it."""
+    cubes = world.ask({"type": "get_world_state"})["cubes"]
+    return {cube["cube_name"]: [*cube["position"], *cube["quaternion"]] for cube in cubes}
+
+
+def same(told: dict[str, list[float]], scene: Any, frame: Frame) -> bool:
+    names = [cube["name"] for cube in scene["cubes"]]
+    return frame.scene == scene["scene"] and bool(
+        np.array_equal(frame.poses, np.array([told[name] for name in names], "<f4").reshape(-1, 7))
+    )
+
+
+def newest(watcher: Socket, frame: int, scene: Any = None) -> tuple[Any, Frame]:
+    """Returns the first frame from that one of the world on, and its scene."""
+    while True:
+        message = watcher.hear()
+        if not isinstance(message, bytes):
+            scene = message if message["type"] == "scene" else scene
+        elif Frame.read(message).frame >= frame:
+            return scene, Frame.read(message)
+
+
+def test_a_lockstep_world_is_shown_as_get_world_state_tells_it(lab: RunningLab) -> None:
+    with lab.socket() as maker:
+        assert maker.ask({"type": "auth", "create": {"world": "still"}})["type"] == "world_list"
+    with lab.world(world="still") as world:
+        world.ask({"type": "set_mode", "mode": "lockstep"})
+        world.ask(
+            {"type": "spawn_creature", "genome": Genome.load("walker").document, "name": "w", "position": [0, 0, 0]}
+        )
+        markup = {
+            "type": "spawn_cube",
+            "cube_name": "<img/src=x>",
+            "color": [1, 0, 0],
+            "size": [1, 2, 3],
+            "list": False,
+        }
+        world.ask({**markup, "position": [5, 3, 0], "linear_velocity": [1, 0, 0], "angular_velocity": [0, 3, 1]})
+        with lab.socket("/ws/poses?world=still&contacts=1") as watcher:
+            scene, frame = newest(watcher, 0)
+            cubes = {cube["name"]: cube for cube in scene["cubes"]}
+            assert same(told(world), scene, frame)
+            assert cubes["<img/src=x>"]["size"] == [1, 2, 3] and cubes["<img/src=x>"]["creature"] is None
+            assert [each["name"] for each in scene["creatures"]] == ["w"]
+            assert {cube["creature"] for cube in scene["cubes"]} == {"w", None}
+            for ticks in (1, 7, 40):
+                now = world.ask({"type": "step", "ticks": ticks})["frame"]
+                scene, frame = newest(watcher, now, scene)
+                assert frame.frame == now and same(told(world), scene, frame)
+            for joint in scene["joints"]:
+                info = world.ask({"type": "get_joint_info", "joint_name": joint["name"]})
+                place, turn = frame.poses[joint["a"], :3], frame.poses[joint["a"], 3:]
+                x, y, z, w = turn
+                axis, anchor = np.array([x, y, z]), np.array(joint["anchor"])
+                world_anchor = place + anchor + 2 * np.cross(axis, np.cross(axis, anchor) + w * anchor)
+                assert world_anchor == pytest.approx(np.array(info["anchor"]), abs=1e-2)
+            world.ask({"type": "despawn_cube", "cube_name": "<img/src=x>"})
+            scene, frame = newest(watcher, 0)
+            assert "<img/src=x>" not in {cube["name"] for cube in scene["cubes"]} and same(told(world), scene, frame)
+
+
+def test_a_running_world_is_shown_at_the_pace_of_its_ticks_and_not_where_nothing_moves(lab: RunningLab) -> None:
+    with lab.world() as world, lab.socket("/ws/poses") as watcher:
+        world.ask({"type": "spawn_cube", "cube_name": "high", "position": [0, 50, 0], "list": False})
+        scene, first = newest(watcher, 1)
+        frames = [first] + [newest(watcher, 0, scene)[1] for _ in range(30)]
+        numbers = [frame.frame for frame in frames]
+        assert numbers == sorted(set(numbers)) and numbers[-1] - numbers[0] < 120
+        heights = [frame.poses[0, 1] for frame in frames]
+        assert heights == sorted(heights, reverse=True) and heights[0] > heights[-1]
+        world.ask({"type": "freeze_cube", "cube_name": "high", "freeze": True})
+        with pytest.raises(TimeoutError):
+            while True:
+                watcher.connection.recv(0.7)
+
+
+def test_there_is_nothing_to_see_of_no_world_and_the_end_of_a_world_ends_it(lab: RunningLab) -> None:
+    with lab.socket("/ws/poses?world=none") as watcher:
+        assert watcher.rest() == ([], 4404)
+    with lab.socket() as maker:
+        maker.ask({"type": "auth", "create": {"world": "brief"}})
+    with lab.socket("/ws/poses?world=brief") as watcher:
+        newest(watcher, 0)
+        with lab.socket() as maker:
+            maker.ask({"type": "auth", "close": "brief"})
+        assert watcher.rest()[1] == 4404
+
+
+def test_who_watches_says_what_he_likes(lab: RunningLab) -> None:
+    with lab.world() as world, lab.socket("/ws/poses?world=main&contacts=%00&x=<b>") as watcher:
+        watcher.say("nonsense", b"\xff", '{"frame":1}', "x" * 100_000)
+        world.ask({"type": "spawn_cube", "list": False})
+        assert newest(watcher, 0)[0]["type"] == "scene"
+
+
+def test_a_recording_is_shown_at_any_moment_and_a_world_goes_on_from_there(lab: RunningLab) -> None:
+    with lab.socket() as maker:
+        maker.ask({"type": "auth", "create": {"world": "past"}})
+    states: dict[int, dict[str, list[float]]] = {}
+    with lab.world(world="past") as world:
+        world.ask({"type": "set_mode", "mode": "lockstep"})
+        for number in range(3):
+            world.ask({"type": "spawn_cube", "cube_name": f"c{number}", "position": [number, 3, 0], "list": False})
+            frame = world.ask({"type": "step", "ticks": 300})["frame"]
+            states[frame] = told(world)
+        world.ask({"type": "nonsense"})
+    (name,) = (each["name"] for each in lab.good("/api/recordings?name=past")["items"])
+    until(lambda: lab.good(f"/api/recordings/{name}")["last"] == 900)
+    about = lab.good(f"/api/recordings/{name}")
+    assert (about["first"], about["tick_rate"], about["world"]) == (0, 60, "past")
+    assert about["keyframes"] == [600]
+    commands = [(mark["frame"], mark["what"]) for mark in about["marks"] if mark["kind"] == "command"]
+    assert commands == [(0, "set_mode"), (0, "spawn_cube"), (300, "spawn_cube"), (600, "spawn_cube")]
+    with lab.socket(f"/ws/recording?name={name}") as player:
+        assert player.hear() == {"type": "recording", "first": 0, "last": 900, "tick_rate": 60, "world": "past"}
+        scene: Any = None
+        for number in (300, 301, 900, 600, 299, 300, 5000, 0):
+            player.say({"frame": number})
+            message = player.hear()
+            if not isinstance(message, bytes):
+                scene, message = message, player.hear()
+            frame = Frame.read(message)
+            assert (frame.frame, frame.scene) == (min(number, 900), scene["scene"])
+            if frame.frame in states:
+                assert same(states[frame.frame], scene, frame)
+        for nonsense in ("{", '{"frame":"x"}', '{"frame":true}', "[]", b"\xff", '{"frame":1e999}'):
+            player.say(nonsense)
+            assert player.hear()["type"] == "error"
+        player.say({"frame": -1})
+        assert Frame.read(player.hear()).frame == 0
+    forked = lab.good(f"/api/recordings/{name}/fork", {"world": "again", "frame": 600})
+    assert forked["frame"] == 600 and forked["command"].endswith("--at 600")
+    with lab.world(world="again") as world:
+        assert told(world).items() > states[600].items()  # what was sent at that frame has acted: there is a third cube
+        world.ask({"type": "step", "ticks": 300})
+        assert told(world) == states[900]
+    for asked, code in (
+        ({"world": "again"}, "world_exists"),
+        ({"world": "x", "frame": 901}, "no_such_frame"),
+        ({"world": "a b"}, "invalid"),
+        ({"world": "x", "frame": 1.5}, "invalid"),
+        ({}, "invalid"),
+    ):
+        status, answer = lab.ask(f"/api/recordings/{name}/fork", asked)
+        assert (status in (409, 422), answer["error"]["code"]) == (True, code)
+    assert lab.ask(f"/api/recordings/{name}/file")[1][:8] == b"\x89MCAP0\r\n"
+    verdict = lab.ended(lab.good(f"/api/recordings/{name}/replay", {})["id"])
+    assert verdict["result"]["verdict"] == "reproduced" and verdict["command"].startswith("nmes replay ")

@@ -1,0 +1,215 @@
+"""Genomes, tasks, runs, scores and leaderboards of a lab: the same as from the command line."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from click.testing import CliRunner
+
+from labs import RunningLab, running_lab
+from nmes.cli import main
+from nmes.evaluation.leaderboard import Leaderboard
+from nmes.evolution.run import Run
+from nmes.genome import Genome
+from processes import NMES
+from servers import PATIENCE, until
+
+WALKER: Any = Genome.load("walker").document
+SETTINGS = {"task": "walk", "algorithm": "ga", "budget": 24, "seed": 3, "seeds": [1], "starts": ["mine"]}
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningLab]:
+    with running_lab(tmp_path_factory.mktemp("lab")) as running:
+        yield running
+
+
+def test_a_genome_that_is_saved_is_the_file_that_the_command_line_reads(lab: RunningLab) -> None:
+    text = json.dumps({**WALKER, "name": "<script>alert(1)</script>"}, indent=1).encode()
+    saved = lab.good("/api/genomes/mine", text, "PUT")
+    file = lab.folder / "genomes" / "mine.json"
+    assert file.read_bytes() == text and saved["hash"] == Genome.load(file).hash
+    assert saved["command"] == f"nmes genome check {file}"
+    assert lab.good("/api/genomes/mine")["name"] == "<script>alert(1)</script>"
+    listed = {each["name"]: each["ships"] for each in lab.good("/api/genomes")["items"]}
+    assert listed["mine"] is False and listed["walker"] is True
+    status, answer = lab.ask("/api/genomes/bad", b'{"format": "nmes-genome/1"}', "PUT")
+    assert status == 422 and answer["error"]["problems"] and lab.ask("/api/genomes/bad")[0] == 404
+    assert lab.ask("/api/genomes/walker", text, "PUT")[1]["error"]["code"] == "name_taken"
+    assert lab.good("/api/genomes/walker") == WALKER
+    lab.good("/api/genomes/gone", text, "PUT")
+    assert lab.ask("/api/genomes/gone", method="DELETE")[0] == 200 and lab.ask("/api/genomes/gone")[0] == 404
+
+
+def test_a_genome_is_checked_as_the_command_line_checks_it(lab: RunningLab, tmp_path: Path) -> None:
+    broken = json.loads(json.dumps(WALKER))
+    broken["body"]["cubes"][1]["size"] = [0, 1]
+    broken["body"]["joints"][0]["cube2"] = "<b>nobody</b>"
+    for document in (WALKER, broken, {"format": "nmes-genome/1", "name": "x", "body": {}}):
+        file = tmp_path / "x.json"
+        file.write_text(json.dumps(document))
+        (row,) = json.loads(CliRunner().invoke(main, ["genome", "check", "--json", str(file)]).output)
+        answer = lab.good("/api/genomes/check", document)
+        assert (answer["problems"], answer["hash"]) == (row["problems"], row["hash"])
+    body = lab.good("/api/genomes/check", WALKER)["body"]
+    assert [cube["id"] for cube in body["cubes"]] == [cube.id for cube in Genome.load("walker").body.cubes]
+    assert lab.good("/api/genomes/check", {"format": "x"})["body"] is None
+
+
+def test_every_genome_that_ships_can_be_drawn(lab: RunningLab) -> None:
+    for name in Genome.names():
+        answer = lab.good("/api/genomes/check", Genome.load(name).document)
+        assert not answer["problems"] and len(answer["body"]["cubes"]) == len(Genome.load(name).body.cubes)
+
+
+def test_a_mutant_is_that_of_the_command_line(lab: RunningLab) -> None:
+    for asked, options in (
+        ({}, []),
+        ({"kind": "add-part", "task": "walk", "seed": 7}, ["--kind", "add-part", "--task", "walk"]),
+    ):
+        answer = lab.good("/api/genomes/mutate", {"genome": WALKER, **asked})
+        seed = str(asked.get("seed", 0))
+        printed = CliRunner().invoke(main, ["genome", "mutate", "walker", *options, "--seed", seed]).output
+        assert answer["genome"] == json.loads(printed)
+        assert answer["command"] == " ".join(["nmes genome mutate walker.json", *options, "--seed", seed])
+    for asked, code in (
+        ({"kind": "<b>"}, "unknown_mutation"),
+        ({"seed": -1}, "invalid"),
+        ({"task": "../x"}, "unknown_name"),
+    ):
+        assert lab.ask("/api/genomes/mutate", {"genome": WALKER, **asked})[1]["error"]["code"] == code
+
+
+def test_a_run_that_was_paused_and_resumed_is_that_of_the_command_line(lab: RunningLab, tmp_path: Path) -> None:
+    lab.good("/api/genomes/mine", json.dumps(WALKER).encode(), "PUT")
+    genome, folder = str(lab.folder / "genomes" / "mine.json"), str(tmp_path / "run")
+    options = ["--task", "walk", "--budget", "24", "--seed", "3", "--seeds", "1", "--jobs", "1", "-o", folder, "--json"]
+    expected = subprocess.run([NMES, "evolve", genome, *options], capture_output=True, check=True, timeout=4 * PATIENCE)
+    job = lab.good("/api/runs", {"kind": "evolve", "name": "first", "settings": SETTINGS})
+    assert job["command"] == (
+        f"nmes evolve --settings {lab.folder}/settings/first.json -o {lab.folder}/runs/first --json"
+    )
+    until(lambda: (lab.folder / "runs/first/log.jsonl").is_file() and lab.good("/api/runs/first")["told"] > 0, 6000)
+    assert lab.ask("/api/runs/first/resume", {})[1]["error"]["code"] == "busy"
+    lab.good("/api/runs/first/pause", {})
+    ended = lab.ended(job["id"])
+    about = lab.good("/api/runs/first")
+    if ended["status"] == 1:  # else it was done before
+        assert about["state"] == "paused" and about["told"] < 24
+    assert lab.ask("/api/runs/first/pause", {})[1]["error"]["code"] == "not_running"
+    resumed = lab.ended(lab.good("/api/runs/first/resume", {})["id"])
+    assert resumed["status"] == 0, resumed
+    about = lab.good("/api/runs/first")
+    assert (about["state"], about["told"]) == ("finished", 24)
+    assert about["digest"] == resumed["result"]["digest"] == json.loads(expected.stdout)["digest"]
+    run = Run.open(tmp_path / "run")
+    assert run.best is not None and about["best"] == {"index": run.best.index, "score": run.best.score}
+    assert about["curve"][-1]["best"] == run.best.score and about["lineage"][-1]["index"] == run.best.index
+    for number in (str(run.best.index), "best"):
+        assert lab.good(f"/api/runs/first/candidates/{number}/genome") == run.genome(run.best.index).document
+    for number in ("24", "-1", "x", "%2e%2e"):
+        assert lab.ask(f"/api/runs/first/candidates/{number}/genome")[0] == 404
+    until(lambda: lab.good("/api/runs")["items"][0]["details"] is not None)
+    (item,) = lab.good("/api/runs")["items"]
+    assert (item["name"], item["details"]["kind"], item["details"]["told"]) == ("first", "evolve", 24)
+
+
+def test_settings_that_are_none_start_nothing(lab: RunningLab) -> None:
+    for settings in (
+        {**SETTINGS, "budget": 0},
+        {**SETTINGS, "algorithm": "<b>"},
+        {**SETTINGS, "options": {"x": 1}},
+        {},
+    ):
+        status, answer = lab.ask("/api/runs", {"kind": "evolve", "name": "none", "settings": settings})
+        assert status == 422 and answer["error"]["problems"]
+    for learn in (
+        {"genome": "walker", "options": {"x": 1}},
+        {"genome": "walker", "steps": 0},
+        {"genome": "x"},
+        {"a": 1},
+    ):
+        assert lab.ask("/api/runs", {"kind": "learn", "name": "none", "settings": learn})[0] == 422
+    for asked in ({"kind": "rm", "name": "x", "settings": {}}, {"kind": "evolve", "name": 1, "settings": {}}, {}):
+        assert lab.ask("/api/runs", asked)[0] == 422
+    assert lab.ask("/api/runs", {"kind": "evolve", "name": "../x", "settings": SETTINGS})[0] == 400
+    assert not (lab.folder / "runs" / "none").exists()
+    assert lab.ask("/api/runs/none")[0] == 404 and lab.ask("/api/runs/none/resume", {})[0] == 404
+
+
+@pytest.mark.long
+def test_a_run_of_learning_is_begun_by_the_command_that_is_shown(lab: RunningLab) -> None:
+    settings = {"genome": "walker", "task": "walk", "algorithm": "ppo", "steps": 64, "seed": 2, "every": 1}
+    options = {"rows": 2, "ticks": 16, "rate": 0.001}
+    begun = {"kind": "learn", "name": "learned", "settings": {**settings, "options": options, "reward": "-velocity.x"}}
+    job = lab.good("/api/runs", begun)
+    assert job["command"].startswith("nmes learn walker --task walk --algorithm ppo --every 1 --reward -velocity.x")
+    ended = lab.ended(job["id"])
+    assert ended["status"] == 0, ended
+    about = lab.good("/api/runs/learned")
+    assert (about["kind"], about["state"]) == ("learn", "finished")
+    assert about["digest"] == ended["result"]["digest"] and about["legs"]
+
+
+def test_no_more_commands_run_at_once_than_may(lab: RunningLab) -> None:
+    asked = {"genome": "walker", "task": "walk"}
+    started = [lab.ask("/api/scores", asked) for _ in range(6)]
+    assert 429 in {status for status, _ in started}
+    jobs = [job["id"] for status, job in started if status == 200]
+    for job in jobs[1:]:
+        lab.good(f"/api/jobs/{job}/stop", {})
+    scored = lab.ended(jobs[0])
+    assert scored["status"] == 0 and json.dumps(scored["result"]).count("score") > 0
+    assert all(lab.ended(job)["status"] != 0 for job in jobs[1:])
+    assert {job["id"] for job in lab.good("/api/jobs")["items"]} >= set(jobs)
+
+
+def test_a_leaderboard_is_listed_and_verified(lab: RunningLab) -> None:
+    Leaderboard(lab.folder / "leaderboards" / "board.sqlite", create=True).close()
+    (lab.folder / "leaderboards" / "torn.sqlite").write_bytes(b"no leaderboard")
+    assert [each["name"] for each in lab.good("/api/leaderboards")["items"]] == ["board", "torn"]
+    board = lab.good("/api/leaderboards/board")
+    assert board["items"] == [] and "walk" in {task["name"] for task in board["tasks"]}
+    assert lab.ask("/api/leaderboards/torn")[1]["error"]["code"] == "no_leaderboard"
+    assert lab.ended(lab.good("/api/leaderboards/board/verify", {})["id"])["result"] == []
+
+
+def test_runs_that_go_on_when_the_lab_ends_can_be_gone_on_with(tmp_path: Path) -> None:
+    with running_lab(tmp_path / "lab") as lab:
+        settings = {**SETTINGS, "budget": 100_000, "starts": ["walker"]}
+        lab.good("/api/runs", {"kind": "evolve", "name": "long", "settings": settings})
+        until(lambda: lab.ask("/api/runs/long")[0] == 200 and lab.good("/api/runs/long")["told"] > 0, 6000)
+    told = len(Run.open(tmp_path / "lab/runs/long"))
+    with running_lab(tmp_path / "lab") as lab:
+        assert lab.good("/api/runs/long")["state"] == "paused" and lab.good("/api/runs/long")["told"] == told
+
+
+def test_a_long_list_comes_in_pages_the_newest_first(tmp_path: Path) -> None:
+    folder = tmp_path / "lab" / "recordings"
+    folder.mkdir(parents=True)
+    for number in range(250):
+        (folder / f"r{number:03}.mcap").write_bytes(b"no recording")
+    with running_lab(tmp_path / "lab") as lab:
+        seen, after, pages = [], "", 0
+        while True:
+            page = lab.good(f"/api/recordings?after={after}" if after else "/api/recordings")
+            seen += [item["name"] for item in page["items"]]
+            pages += 1
+            if page["next"] is None:
+                break
+            after = page["next"]
+        assert (pages, page["count"], len(seen), len(set(seen))) == (3, 250, 250, 250)
+        until(lambda: lab.good("/api/recordings?name=r00")["items"][0]["details"] is not None)
+        found = lab.good("/api/recordings?name=r00")["items"]
+        assert {item["name"] for item in found} == {f"r00{digit}" for digit in range(10)}
+        assert "error" in found[0]["details"]
+        assert lab.good("/api/recordings?name=%25")["items"] == []
+        assert lab.good("/api/recordings?after=<b>")["items"] == []
+        for number in range(249):
+            (folder / f"r{number:03}.mcap").unlink()
+        assert [item["name"] for item in lab.good("/api/recordings")["items"]] == ["r249"]
