@@ -111,7 +111,7 @@ async def _body(request: Request) -> bytes:
     async for part in request.stream():
         data += part
         if len(data) > _BODY:
-            raise LabError("too_large", f"a request has at most {_BODY:,} bytes")
+            raise LabError("request_too_large", f"a request has at most {_BODY:,} bytes")
     return bytes(data)
 
 

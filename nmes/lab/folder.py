@@ -20,13 +20,13 @@ Kind = Literal["recordings", "runs", "genomes", "tasks", "leaderboards", "settin
 
 _NAME: Final = re.compile(r"\w[\w.-]{0,199}")
 _STATUSES: Final = {
-    "bad_name": 400,
+    "not_a_name": 400,
     "not_found": 404,
     "name_taken": 409,
     "run_exists": 409,
     "busy": 409,
     "not_running": 409,
-    "too_large": 413,
+    "request_too_large": 413,
     "invalid": 422,
     "unknown_name": 422,
     "too_many_jobs": 429,
@@ -77,7 +77,7 @@ class Folder:
             reason = (
                 "a name has letters, digits, _ . and -, begins with neither of the last two, and is no longer than 200"
             )
-            raise LabError("bad_name", reason, "name")
+            raise LabError("not_a_name", reason, "name")
         return self.path / kind / f"{name}{_SUFFIXES[kind]}"
 
     def find(self, kind: Kind, name: str) -> Path:

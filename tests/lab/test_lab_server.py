@@ -181,7 +181,7 @@ def test_no_link_is_followed(lab: RunningLab) -> None:
 
 def test_what_is_too_long_or_no_json_is_refused(lab: RunningLab) -> None:
     status, answer = lab.ask("/api/genomes/check", b" " * (9 << 20))
-    assert (status, answer["error"]["code"]) == (413, "too_large")
+    assert (status, answer["error"]["code"]) == (413, "request_too_large")
     for text in (b"{", b"\xff", b'{"a":1,"a":2}', b"[" * 300 + b"]" * 300):
         status, answer = lab.ask("/api/runs", text)
         assert status == 422 and answer["error"]["problems"]

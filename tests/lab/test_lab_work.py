@@ -68,6 +68,8 @@ def test_every_genome_that_ships_can_be_drawn(lab: RunningLab) -> None:
 
 
 def test_a_mutant_is_that_of_the_command_line(lab: RunningLab) -> None:
+    asked: dict[str, Any]
+    options: list[str]
     for asked, options in (
         ({}, []),
         ({"kind": "add-part", "task": "walk", "seed": 7}, ["--kind", "add-part", "--task", "walk"]),
@@ -179,6 +181,7 @@ def test_a_leaderboard_is_listed_and_verified(lab: RunningLab) -> None:
     assert lab.ended(lab.good("/api/leaderboards/board/verify", {})["id"])["result"] == []
 
 
+@pytest.mark.long
 def test_runs_that_go_on_when_the_lab_ends_can_be_gone_on_with(tmp_path: Path) -> None:
     with running_lab(tmp_path / "lab") as lab:
         settings = {**SETTINGS, "budget": 100_000, "starts": ["walker"]}

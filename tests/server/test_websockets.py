@@ -7,6 +7,7 @@ import socket
 import ssl
 import threading
 from pathlib import Path
+from typing import Any
 
 import pytest
 import trustme
@@ -33,7 +34,7 @@ PROGRAM = [
 
 
 def test_messages_are_answered_recorded_and_replayed_as_over_tcp(tmp_path: Path) -> None:
-    answers = []
+    answers: list[list[Any]] = []
     for way in ("tcp", "ws"):
         with served(record_to=tmp_path / way) as server:
             texts = [json.dumps(one).replace("<", "\\u003c") for one in PROGRAM]

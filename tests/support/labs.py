@@ -47,7 +47,7 @@ class RunningLab:
         headers = {} if token is None else {"Authorization": f"Bearer {token or self.token}"}
         data = None if body is None else body if isinstance(body, bytes) else json.dumps(body).encode()
         method = method or ("GET" if body is None else "POST")
-        status, answered, text = get(self.port, path, method, data, **headers)
+        status, answered, text = get(self.port, path, method, data, None, **headers)
         return status, json.loads(text) if answered.get("content-type") == "application/json" else text
 
     def good(self, path: str, body: Any = None, method: str | None = None) -> Any:
