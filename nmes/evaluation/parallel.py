@@ -8,6 +8,7 @@ Invariants:
 - Where an item is worked on, and beside which others, is nothing the function can see: every worker is an interpreter
   of its own, given one item at a time, with one thread for linear algebra, and without a screen.
 - A worker that dies takes only its own item with it: that one's result is a `Lost`, and a new worker goes on.
+- A machine of a cluster that is lost takes nothing with it: what was worked on there is done again elsewhere.
 - Workers never see Ctrl-C. Whoever stops taking results ends them.
 - A function that raises is a mistake: its error comes out here, with the worker's traceback. What may go wrong with
   an item is for the function to return.
@@ -21,6 +22,7 @@ import os
 import signal
 import traceback
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -41,7 +43,7 @@ Result = TypeVar("Result")
 # MuJoCo would load for that starts a process of its own, which complains aloud when its worker is ended meanwhile.
 _LEAN = {f"{library}_NUM_THREADS": "1" for library in ("OMP", "OPENBLAS", "MKL", "VECLIB_MAXIMUM", "NUMEXPR")}
 _LEAN["MUJOCO_GL"] = "disable"
-_AHEAD = 4  # items a core that wait in a Ray cluster
+_DEATHS = 3  # actors of a cluster that one item may take along
 
 
 @dataclass(frozen=True, slots=True)
@@ -332,10 +334,52 @@ def _quiet() -> Iterator[None]:
                 os.environ[name] = value
 
 
-class Cluster(Pool):
-    """The machines of a Ray cluster, an item a core; leaving the context parts from it.
+class Hand:
+    """What an actor of a cluster is: a process of its own beside it, which works on one item after the other.
 
-    Functions are those of modules that are installed on every machine.
+    So what an item does to the process is known, as on one machine; and where the actor goes, it was no item.
+    """
+
+    def __init__(self) -> None:
+        self._worker = _Worker()
+
+    def work(self, function: Callable[[Any], Any], item: object) -> tuple[str, Any]:
+        """Returns the traceback of the error that a function raised over an item, if it did, and its result."""
+        if not self._worker.alive:
+            self._worker.end()
+            self._worker = _Worker()
+        self._worker.give(0, function, item)
+        _, error, result = self._worker.take()
+        return error, result
+
+    def ready(self) -> None:
+        """Returns once the actor is there."""
+
+
+@dataclass(slots=True)
+class _Given:
+    """An item that a cluster was given.
+
+    Attributes:
+        number: Of the item.
+        function: What is called with it.
+        item: The item.
+        actor: Who works on it; None where nobody does yet.
+        deaths: How many actors were lost over it.
+    """
+
+    number: int
+    function: Callable[[Any], Any]
+    item: object
+    actor: Any = None
+    deaths: int = 0
+
+
+class Cluster(Pool):
+    """The machines of a Ray cluster, an actor a core, which stay; leaving the context parts from it.
+
+    An actor that is lost, with its machine or alone, is replaced once the cluster has a core for another, and what it
+    was working on is done again. Functions are those of modules that are installed on every machine.
 
     Args:
         address: The cluster's: `HOST:PORT`, `auto`, or `local` for one that is started here.
@@ -362,39 +406,104 @@ class Cluster(Pool):
             raise MachineError("no_cluster", f"no Ray cluster at {address!r}: {error}") from error
         self._ray = ray
         self.jobs = max(1, int(ray.cluster_resources().get("CPU", 1)))  # type: ignore[no-untyped-call]
-        self._running: dict[Any, int] = {}
+        self._actor: Any = ray.remote(num_cpus=1, max_restarts=0, max_task_retries=0)(Hand)
+        self._starting: dict[Any, tuple[Any, bool]] = {}  # actors, and whether they are new; by what tells of them
+        self._idle: list[Any] = []
+        self._busy: dict[Any, _Given] = {}  # by what their results come with
+        self._waiting: deque[_Given] = deque()
+        self._failed = 0  # actors in a row that were lost before they were there
 
     def __exit__(self, *_: object) -> None:
+        for kept in (self._starting, self._idle, self._busy, self._waiting):
+            kept.clear()
         self._ray.shutdown()
 
     @property
     def free(self) -> int:
-        """As `Pool.free`; some items a core wait in the cluster."""
-        return _AHEAD * self.jobs - len(self._running)
+        """As `Pool.free`."""
+        return self.jobs - len(self._busy) - len(self._waiting)
 
     @property
     def busy(self) -> bool:
         """As `Pool.busy`."""
-        return bool(self._running)
+        return bool(self._busy or self._waiting)
 
     def give(self, number: int, function: Callable[[Any], Any], item: object) -> None:
         """As `Pool.give`."""
-        remote = self._ray.remote(num_cpus=1, max_retries=0)(function)
-        self._running[remote.remote(item)] = number
+        self._waiting.append(_Given(number, function, item))
+        self._feed()
 
     def take(self) -> list[tuple[int, Any]]:
-        """As `Pool.take`."""
-        return [self._taken(done) for done in self._ray.wait(list(self._running))[0]]
+        """As `Pool.take`.
 
-    def _taken(self, done: Any) -> tuple[int, Any]:
+        Raises:
+            MachineError: Actors do not start (`no_cluster`).
+        """
+        taken: list[tuple[int, Any]] = []
+        while not taken:
+            for done in self._ray.wait([*self._busy, *self._starting])[0]:
+                if done in self._starting:
+                    self._started(done)
+                else:
+                    taken += self._taken(done)
+            self._feed()
+        return taken
+
+    def _feed(self) -> None:
+        """Hands what waits to actors that are idle, and starts others where there are too few."""
+        while self._waiting and self._idle:
+            given = self._waiting.popleft()
+            given.actor = self._idle.pop()
+            self._busy[given.actor.work.remote(given.function, given.item)] = given
+        room = self.jobs - len(self._busy) - len(self._starting)
+        for _ in range(min(len(self._waiting) - len(self._starting), room)):
+            actor = self._actor.remote()
+            self._starting[actor.ready.remote()] = actor, True
+
+    def _started(self, done: Any) -> None:
+        actor, new = self._starting.pop(done)
         try:
-            result = self._ray.get(done)
-        except self._ray.exceptions.WorkerCrashedError as error:
-            result = Lost(str(error).split(". ")[0])
-        return self._running.pop(done), result
+            self._ray.get(done)
+        except self._ray.exceptions.RayError as error:
+            self._failed += new
+            if new and self._failed == _DEATHS:
+                message = f"no process starts in the Ray cluster, which needs NMES on every machine: {_first(error)}"
+                raise MachineError("no_cluster", message) from error
+        else:
+            self._failed = 0
+            self._idle.append(actor)
+
+    def _taken(self, done: Any) -> list[tuple[int, Any]]:
+        """Returns what came of an item with its number; nothing where it is to be done again."""
+        given = self._busy.pop(done)
+        try:
+            error, result = self._ray.get(done)
+        except self._ray.exceptions.RayTaskError:  # a mistake of ours
+            raise
+        except self._ray.exceptions.RayError as failure:  # the actor is lost, or what it said, with its machine
+            self._ray.kill(given.actor)  # in case it is only out of reach
+            for actor in self._idle:  # they may be gone with the same machine, over which no item is to blame
+                self._starting[actor.ready.remote()] = actor, False
+            self._idle.clear()
+            given.deaths += 1
+            if given.deaths == _DEATHS:
+                why = f"{_DEATHS} processes of the cluster were lost over it: {_first(failure)}"
+                return [(given.number, Lost(why))]
+            self._waiting.appendleft(given)
+            return []
+        self._idle.append(given.actor)
+        if error:
+            raise RuntimeError(f"a worker failed:\n{error}")
+        return [(given.number, result)]
 
     def stop(self) -> None:
         """As `Pool.stop`."""
-        for reference in self._running:
-            self._ray.cancel(reference, force=True)
-        self._running.clear()
+        for given in self._busy.values():
+            self._ray.kill(given.actor)
+        self._busy.clear()
+        self._waiting.clear()
+
+
+def _first(error: Exception) -> str:
+    """Returns the first sentence of what Ray says, which may go on for pages."""
+    return str(error).partition("\n")[0].split(". ")[0]
