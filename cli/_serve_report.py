@@ -112,7 +112,7 @@ def ready_lines(running: Running) -> list[str]:
         lines.append(f"{settings.workers} worker processes, with ports of their own: {ports}")
     lines.append(_roles_line(running))
     if running.metrics_port is not None:
-        lines.append(f"Metrics on http://127.0.0.1:{running.metrics_port}/metrics")
+        lines.append(f"Metrics on http://{settings.metrics_host}:{running.metrics_port}/metrics")
     if running.http_port is not None:
         scheme = "ws" if settings.tls is None else "wss"
         lines.append(f"WebSockets on {scheme}://{running.address}:{running.http_port}/ws")

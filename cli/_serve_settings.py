@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import ipaddress
+import os
 import re
 import secrets
 import socket
@@ -18,6 +19,7 @@ import click
 
 from nmes.cli._password import PASSWORD_VARIABLE, choose_password, read_password
 from nmes.errors import DocumentError, RejectedMessage
+from nmes.fleet.agones import PORT, VARIABLE
 from nmes.protocol import complete_config, parse_json
 from nmes.recording import Recording
 from nmes.schemas.documents import ShippedDocuments
@@ -67,7 +69,10 @@ class Settings:
         tls_cert: The file of the host's certificate; None: no TLS.
         tls_key: The file of its key.
         tls: The certificate and its key.
-        metrics_port: Port of the metrics; None: there are none.
+        metrics_host: The address of probes and metrics.
+        metrics_port: Their port; None: there are none.
+        drain: How long (s) clients have to leave after SIGTERM.
+        agones: The port of the sidecar of Agones; None: there is none.
         http_port: Port of the WebSockets; None: there are none.
         http_origins: Whose pages may come there.
         access_log: The file of who comes and goes; None: there is none.
@@ -94,7 +99,10 @@ class Settings:
     tls_cert: Path | None
     tls_key: Path | None
     tls: ssl.SSLContext | None
+    metrics_host: str
     metrics_port: int | None
+    drain: float
+    agones: int | None
     http_port: int | None
     http_origins: Sequence[str]
     access_log: Path | None
@@ -147,7 +155,10 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
         tls_cert=options["tls_cert"],
         tls_key=options["tls_key"],
         tls=_load_tls(options["tls_cert"], options["tls_key"]),
+        metrics_host=options["metrics_host"],
         metrics_port=options["metrics_port"],
+        drain=options["drain"],
+        agones=_sidecar_port() if options["agones"] else None,
         http_port=options["http_port"],
         http_origins=_origins(options),
         access_log=options["access_log"],
@@ -339,6 +350,14 @@ def _retention(options: Mapping[str, Any]) -> Retention | None:
         raise click.UsageError("--keep does not go with --no-record")
     size = limits.get("bytes")
     return Retention(options["record_to"], limits.get("days"), None if size is None else int(size))
+
+
+def _sidecar_port() -> int:
+    """Returns the port of the sidecar of Agones on this machine."""
+    value = os.environ.get(VARIABLE) or str(PORT)
+    if not (value.isdecimal() and 0 < int(value) <= 65535):
+        raise click.UsageError(f"{VARIABLE}: expected a port, got {value!r}")
+    return int(value)
 
 
 def _load_tls(cert: Path | None, key: Path | None) -> ssl.SSLContext | None:

@@ -6,12 +6,13 @@ import asyncio
 import errno
 import gc
 import json
+import logging
 import os
 import re
 import signal
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import AsyncExitStack, ExitStack, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from nmes.cli._serve_worker import command_of_worker
 from nmes.cli._viewer import viewer
 from nmes.cli.info import open_recording
 from nmes.errors import MachineError, RejectedMessage, WorldError
+from nmes.fleet.agones import Sidecar
 from nmes.fleet.supervisor import Supervisor
 from nmes.recording import Recording
 from nmes.server import Host
@@ -35,6 +37,8 @@ from nmes.server.catalog import Catalog
 from nmes.server.keys import Keys
 from nmes.server.metrics import Metrics
 from nmes.world import World
+
+logger = logging.getLogger(__name__)
 
 
 class _Worlds(click.ParamType["int | list[str]"]):
@@ -225,7 +229,10 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
 @click.option(
     "--metrics-port",
     type=click.IntRange(0, 65535),
-    help="Port on this machine that tells Prometheus what the host does; 0 finds a free one.",
+    help="Port on which probes and Prometheus learn how the host is; 0 finds a free one.",
+)
+@click.option(
+    "--metrics-host", default="127.0.0.1", show_default=True, help="Address of that port, which asks for no password."
 )
 @click.option(
     "--http",
@@ -241,6 +248,15 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
     help="Whose pages may come there, such as https://lab.example.org, beside those of the address itself.",
 )
 @click.option(
+    "--drain",
+    type=click.FloatRange(0.0, 86_400.0),
+    metavar="SECONDS",
+    default=0.0,
+    show_default=True,
+    help="After SIGTERM, wait so long for clients to leave; nobody new is let in.",
+)
+@click.option("--agones", is_flag=True, help="Tell the sidecar of Agones how the host is.")
+@click.option(
     "--access-log",
     type=click.Path(path_type=Path, dir_okay=False),
     help="Append to this file who comes, from where, to which world, and how it ends: a JSON object a line.",
@@ -252,8 +268,8 @@ def command(log_format: str, view: bool, as_json: bool, **options: Any) -> None:
 
     Each world is recorded to a new file. With --resume it goes on from where a recording ends, or from any frame of it;
     those who were in it then have left. Ctrl-C, SIGTERM or SIGHUP closes the recording and ends with status 0, or with
-    1 where a recording could not be written to its end. Without a password one is made up and printed, which is allowed
-    only on an address of this machine alone.
+    1 where a recording could not be written to its end; with --drain, SIGTERM lets clients end first. Without a
+    password one is made up and printed, which is allowed only on an address of this machine alone.
 
     For example:
 
@@ -311,11 +327,27 @@ async def _serve(
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # as nohup leaves it
             asyncio.get_running_loop().add_signal_handler(number, signals.put_nowait, number)
-    async with _make_host(settings, log_format) as host:
-        running = await _start(host, settings)
-        report(running)
-        reason = await signals.get()
+    async with AsyncExitStack() as beside:  # the sidecar is told that all is over when it is
+        async with _make_host(settings, log_format) as host:
+            running = await _start(host, settings)
+            if settings.agones is not None:
+                rooms, occupied = (lambda: host.world_count), (lambda: host.occupied)
+                await beside.enter_async_context(Sidecar(settings.agones, rooms, settings.max_worlds, occupied))
+            report(running)
+            reason = await signals.get()
+            if reason == signal.SIGTERM and settings.drain:
+                await _drain(host, settings.drain, signals)
     return running, reason
+
+
+async def _drain(host: Host | Supervisor, seconds: float, signals: asyncio.Queue[signal.Signals]) -> None:
+    """Waits until all clients have left, for so long or until another signal comes."""
+    logger.info("the host drains for %g s at the most; another signal ends it now", seconds)
+    waits = [asyncio.create_task(host.drain(seconds)), asyncio.create_task(signals.get())]
+    await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
+    for task in waits:
+        task.cancel()
+    await asyncio.gather(*waits, return_exceptions=True)
 
 
 def _make_host(settings: Settings, log_format: str) -> Host | Supervisor:
@@ -364,7 +396,7 @@ async def _start(host: Host | Supervisor, settings: Settings) -> Running:
             host.offer({**settings.config, "name": name}, settings.world_passwords.get(name))
         with _free_port_hint("--metrics-port"):
             if metrics_port is not None:
-                metrics_port = await host.serve_metrics("127.0.0.1", metrics_port)
+                metrics_port = await host.serve_metrics(settings.metrics_host, metrics_port)
         with _free_port_hint("--http"):
             if http_port is not None and isinstance(host, Host):  # with workers there is none
                 from nmes.server.websocket import worlds_application  # which takes a while to load

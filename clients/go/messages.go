@@ -697,6 +697,13 @@ type HeardVoices struct {
 	Distance float64 `json:"distance"`
 }
 
+// HostDrainingEvent: The host is about to end and lets nobody in any more. It ends when all have left, or when
+// the time is over; worlds that are open then are closed.
+type HostDrainingEvent struct {
+	// How long there is to leave, in s.
+	Seconds float64 `json:"seconds"`
+}
+
 // JointCreated: The joint is there.
 type JointCreated struct {
 	Reply
@@ -1942,6 +1949,8 @@ func newEvent(kind string) Event {
 		return new(CreatureDiedEvent)
 	case "food_eaten":
 		return new(FoodEatenEvent)
+	case "host_draining":
+		return new(HostDrainingEvent)
 	case "lagging":
 		return new(LaggingEvent)
 	case "state":
@@ -1961,6 +1970,7 @@ func (*CreatureBornEvent) event() string    { return "creature_born" }
 func (*CreatureChangedEvent) event() string { return "creature_changed" }
 func (*CreatureDiedEvent) event() string    { return "creature_died" }
 func (*FoodEatenEvent) event() string       { return "food_eaten" }
+func (*HostDrainingEvent) event() string    { return "host_draining" }
 func (*LaggingEvent) event() string         { return "lagging" }
 func (*StateEvent) event() string           { return "state" }
 func (*TickEvent) event() string            { return "tick" }

@@ -61,7 +61,7 @@ class Client(ClientBase, BlockingCommands):
 
         Raises:
             CommandFailed: The server refused it: `auth_failed`, `invalid`, `role_not_found`, `too_many_connections`,
-                `world_not_found` or `world_unavailable`.
+                `host_draining`, `world_not_found` or `world_unavailable`.
             Disconnected: Nothing listens there (`unreachable`), or the server closed the connection.
             RuntimeError: The client is connected already.
             TimeoutError: No reply came in time.
@@ -92,7 +92,7 @@ class Client(ClientBase, BlockingCommands):
 
         Raises:
             CommandFailed: The server refused it: `auth_failed`, `limit_reached`, `template_not_found`, `world_exists`,
-                `world_unavailable`; or it cannot create worlds (`unsupported`).
+                `world_unavailable`, `host_draining`; or it cannot create worlds (`unsupported`).
             Disconnected: Nothing listens there (`unreachable`), or the server closed the connection.
             TimeoutError: No reply came in time.
         """

@@ -451,6 +451,11 @@ class Lagging(TypedDict):
     over: bool
 
 
+class HostDraining(TypedDict):
+    type: Literal["host_draining"]
+    seconds: float
+
+
 class CreatureBorn(TypedDict):
     type: Literal["creature_born"]
     frame: int
@@ -527,6 +532,6 @@ class WorldClosed(TypedDict):
 
 
 LifeEvent = CreatureBorn | CreatureDied | FoodEaten | Census
-Event = Tick | State | LifeEvent | CreatureChanged | WorldFault | BarrierTimeout | Lagging | WorldClosed
+Event = Tick | State | LifeEvent | CreatureChanged | WorldFault | BarrierTimeout | Lagging | HostDraining | WorldClosed
 JointType = Literal["fixed", "hinge", "slide", "slider", "pin", "conetwist"]
 Mode = Literal["realtime", "lockstep", "fast"]

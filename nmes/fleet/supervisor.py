@@ -129,6 +129,7 @@ class Supervisor(Reception):
         """
         self.most_connections = workers * self.limits.connections
         await self.workers.start(workers)
+        self._running = True
         loop = asyncio.get_running_loop()
         self._tasks = [loop.create_task(work()) for work in (self._inspect, self._balance, self._sweep)]
 
@@ -255,6 +256,21 @@ class Supervisor(Reception):
         await asyncio.gather(*(ask(worker, worlds) for worker, worlds in by_worker.items()))
         return states
 
+    @property
+    def occupied(self) -> bool:
+        """Whether somebody is in, also by a worker's own port."""
+        awake = (worker.awake for worker in self.workers.running)
+        return super().occupied or any(clients for worlds in awake for clients in worlds.values())
+
+    async def announce(self, event: Mapping[str, Any]) -> None:
+        """Sends subscribers in all worlds an event, and has the workers' own ports let nobody in that may not here."""
+
+        async def tell(worker: WorkerProcess) -> None:
+            with contextlib.suppress(LineEnded):
+                await worker.line.ask("announce", event=event, draining=self.draining)
+
+        await asyncio.gather(*(tell(worker) for worker in self.workers.running))
+
     # -- workers ---------------------------------------------------------------------------------------------------
 
     def _greet(self, world: str | None) -> Connection:
@@ -268,7 +284,7 @@ class Supervisor(Reception):
                     visitor.leave()
             case "awake":
                 worker.awake = message.body["worlds"]
-            case "drain" if not self._closing and not worker.draining:
+            case "drain" if not self._closing and not self.draining and not worker.draining:
                 spawn(self._drain(worker), self._makers)
 
     def _lose(self, worker: WorkerProcess) -> None:

@@ -122,6 +122,7 @@ class _Worker:
             "close_world": self._close_world,
             "states": self._states,
             "metrics": self._metrics,
+            "announce": self._announce,
             "close": self._close,
         }
         self._tasks: set[asyncio.Task[None]] = set()
@@ -210,6 +211,11 @@ class _Worker:
 
     async def _metrics(self, message: Message) -> None:
         self._line.answer(message, data=await self._host.metrics_page())
+
+    async def _announce(self, message: Message) -> None:
+        self._host.draining = message.body["draining"]
+        await self._host.announce(message.body["event"])
+        self._line.answer(message)
 
     async def _end(self) -> None:
         """Closes the host, once, when what was asked before is done; what is asked from now on is not."""

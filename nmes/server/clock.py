@@ -32,19 +32,27 @@ class Clock:
         lost: The wall's time (s) that it has let go in all.
     """
 
-    def __init__(self, world: World, turn: Callable[[], None], tell: Callable[[Lag, bool], None]) -> None:
+    def __init__(
+        self,
+        world: World,
+        turn: Callable[[], None],
+        tell: Callable[[Lag, bool], None],
+        lose: Callable[[float], None] | None = None,
+    ) -> None:
         """Makes a clock that stands still until `adjust` is called.
 
         Args:
             world: The world that ticks.
             turn: Called in the event loop whenever ticks may be due. It has `due` ticks done, and calls `ticked`.
             tell: Called with `lag` after each period in which the world fell behind, and whether that is over.
+            lose: Called with the wall's time (s) that it lets go, whenever it does; None: nothing is.
         """
         self.lag: Lag | None = None
         self.lost = 0.0
         self._world = world
         self._turn = turn
         self._tell = tell
+        self._lose = lose
         self._handle: asyncio.Handle | None = None  # of the next turn, or of the one that is taken now
         self._pace: tuple[str, float] | None = None  # mode and rate that it was set for; None: not ticking
         self._frame = 0  # where it left the world
@@ -53,6 +61,7 @@ class Clock:
         self._since = 0.0  # the wall's time at which the period began; the frame, and what was lost by then
         self._since_frame = 0
         self._since_lost = 0.0
+        self._put_off = False  # whether a turn is to be taken as soon as it can be
         self._kept_up = 0.0  # what was lost when the world last kept up
 
     @property
@@ -82,6 +91,8 @@ class Clock:
         late = max(now - self._start - done / self._speed - CATCH_UP, 0.0)
         self._start += late
         self.lost += late
+        if late > 0.0 and self._lose is not None:
+            self._lose(late)
         if now >= self._since + PERIOD:
             self._look_back(now)
         return math.floor((now - self._start) * self._speed) - done
@@ -117,6 +128,16 @@ class Clock:
     def turn_soon(self) -> None:
         """Sets the next turn as soon as others have had theirs."""
         self._handle = asyncio.get_running_loop().call_soon(self._turn)
+
+    def put_off(self) -> None:
+        """Notes that a turn came while the world, or its disk, was busy."""
+        self._put_off = True
+
+    def take_put_off(self) -> None:
+        """Sets the turn that was put off, if one was."""
+        if self._put_off:
+            self._put_off = False
+            self.turn_soon()
 
     def stop(self) -> None:
         """Takes no further turn."""

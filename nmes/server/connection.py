@@ -188,18 +188,16 @@ class Connection(asyncio.BufferedProtocol):
             logger.info("%s closes world %r", self._peer, auth.close)
             self._transport.pause_reading()
             self._host.close_world(auth.close, None if every else maker, self)
-        elif auth.create is not None:
+        elif auth.create is not None and not self._host.draining:
             logger.info("%s creates world %r", self._peer, auth.create["world"])
             self._transport.pause_reading()
             self._host.create_world(auth.create, None if every else maker, self)
         elif auth.list:
             self._transport.pause_reading()
             self._host.show_worlds(self, None if every else own, auth.start)
-        elif not self._host.let_in(self):
-            most = self._host.most_connections
-            self.hang_up(RejectedMessage("too_many_connections", f"this host serves {most} connections at once"))
         else:
             try:
+                self._host.let_in(self)
                 name = self._host.world_name(auth.world or default)
                 self._seat = self._host.keys.seat(name, auth)
             except (WorldError, RejectedMessage) as error:

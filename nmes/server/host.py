@@ -103,7 +103,6 @@ class Host(Reception):
         if metrics is not None:
             metrics.watch(self._figures)
         self._awake: set[HostedWorld] = set()  # those of the worlds that may have something to do
-        self._running = False  # whether it listens
         self._tasks: list[asyncio.Task[None]] = []
         self._http_servers: list[HttpServer] = []
 
@@ -205,8 +204,6 @@ class Host(Reception):
     def _note_end(self, hosted: HostedWorld) -> None:
         if hosted.abandoned or hosted.lost is not None:
             self.closed.append(hosted)
-        if self._metrics is not None:
-            self._metrics.forget(hosted.name)
 
     async def bring(self, name: str, path: Path) -> NmesError | None:
         """Brings up a world that goes on from where its recording ends; returns why it cannot be, or None."""
@@ -265,8 +262,13 @@ class Host(Reception):
         return {hosted.name: hosted.clients for hosted in sorted(worlds, key=lambda hosted: hosted.name)}
 
     def _figures(self) -> Figures:
-        worlds = [hosted.figures for hosted in self.worlds.values()]
-        return Figures(len(self._connections), self.received, self.sent, worlds)
+        awake = [hosted.figures for hosted in self.worlds.values() if not hosted.world.asleep]
+        ready = self.unready is None
+        return Figures(len(self._connections), self.received, self.sent, ready, len(self.worlds), awake)
+
+    async def announce(self, event: Mapping[str, Any]) -> None:
+        """Sends subscribers in all worlds an event of the host."""
+        await asyncio.gather(*(hosted.announce(event) for hosted in self._awake))
 
     # -- the host at work ----------------------------------------------------------------------------------------------
 

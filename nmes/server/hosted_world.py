@@ -36,7 +36,7 @@ from nmes.protocol import Request
 from nmes.server.barrier import StepBarrier
 from nmes.server.clock import Clock, Lag
 from nmes.server.hibernation import Hibernation
-from nmes.server.metrics import Metrics, WorldFigures
+from nmes.server.metrics import Metrics, Spent, WorldFigures
 from nmes.server.outbox import Outbox
 from nmes.server.peers import Peer, Peers
 from nmes.server.threads import LONG_COMMANDS, Worker, WorkerPool
@@ -84,7 +84,8 @@ class HostedWorld:
 
         The world is a new one, or goes on from its origin, a frame of a recording, whose config is `config` then.
         """
-        self.world = World(config) if metrics is None else metrics.world(config)
+        self._spent = Spent()
+        self.world = World(config) if metrics is None else metrics.world(config, self._spent)
         self.name: str = self.world.config["name"]
         self._recorder = _begin(self.world, record_to, flush_interval, origin)
         self.durable = self._recorder is not None and flush_interval == 0  # whether output waits for the disk
@@ -98,7 +99,7 @@ class HostedWorld:
         self.lost: str | None = None  # why its recording is not whole, once it is closed
         self._fault: Fault | None = None  # the one that was logged
         self._lag_logged = -LAG_LOGGED  # when the log last told that the world lags
-        self._clock = Clock(self.world, self._turn, self._tell_lag)
+        self._clock = Clock(self.world, self._turn, self._tell_lag, None if metrics is None else metrics.lose)
         self._worker = Worker(self.world, pool, self)
         self._barrier = StepBarrier(
             self.world, self._worker.advance, self._peers.resume, self._settle_soon, self._pass_over_late
@@ -116,7 +117,6 @@ class HostedWorld:
         self._leavers: list[int] = []  # clients that are to leave then
         self._results: dict[int, Future[bytes]] = {}  # replies to requests that were executed there
         self._loss: RecordingError | None = None  # why its recording ended
-        self._turn_due = False  # also while output is brought to disk
         self.onlookers: dict[Callable[[], None], None] = {}  # called when the world is back from a thread
 
     def __repr__(self) -> str:
@@ -146,17 +146,17 @@ class HostedWorld:
 
     @property
     def figures(self) -> WorldFigures:
-        """The metrics of this world."""
-        unwritten = None if self._recorder is None else self._recorder.lag
+        """The metrics of this world, while it is awake."""
         ratio = 1.0 if self._clock.lag is None else self._clock.lag.ratio
         return WorldFigures(
             self.name,
             self.clients,
             self.status.fault is not None,
-            unwritten,
+            None if self._recorder is None else self._recorder.lag,
             ratio,
             self._clock.lost,
-            self.world.asleep,
+            self._spent.ticks,
+            self._spent.seconds,
         )
 
     # -- requests --------------------------------------------------------------------------------------------------
@@ -282,7 +282,7 @@ class HostedWorld:
         if self._closing:
             return
         if self._worker.away or self._committing is not None:
-            self._turn_due = True
+            self._clock.put_off()
             return
         if self.world.asleep:
             return
@@ -301,6 +301,14 @@ class HostedWorld:
             logger.warning(
                 "world %r falls behind: it runs at %.2f of its pace, and is %.1f s behind", self.name, ratio, behind
             )
+
+    async def announce(self, event: Mapping[str, Any]) -> None:
+        """Sends subscribers an event of the host, once the world is in no thread."""
+        while self._worker.away:
+            await self._worker.wait()
+        if not self._closing and not self.world.asleep:
+            self.world.announce(event)
+            self._settle_soon()
 
     def _pass_over_late(self) -> None:
         """Ticks without those who are late at the barrier."""
@@ -344,17 +352,11 @@ class HostedWorld:
             look()
         if self._loss is not None:
             self.world.stop_recording(self._loss)
-        self._take_turn()
+        self._clock.take_put_off()
         try:
             finish()
         finally:
             self._settle()
-
-    def _take_turn(self) -> None:
-        """Takes the turn that came while the world, or its disk, was busy."""
-        if self._turn_due:
-            self._turn_due = False
-            self._clock.turn_soon()
 
     def _end_waiting(self) -> None:
         """Resumes the connections that waited, and lets those clients go that left meanwhile."""
@@ -403,7 +405,7 @@ class HostedWorld:
                 output.committed()
         self._committing = None
         if not self._worker.away and not self._closing:
-            self._take_turn()
+            self._clock.take_put_off()
 
     async def _sync(self) -> None:
         """Returns when all that was recorded so far is on disk."""

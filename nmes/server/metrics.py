@@ -3,12 +3,16 @@
 It hides the library that counts and writes the page. Nothing is counted unless a host is given
 `Metrics`: its worlds are then of a kind that measures, and all others know nothing of it. What can be read off the
 host is read when it is asked for, not kept up.
+
+Invariant: the page is bounded, however many worlds there are. What all of them did is told without their names, and of
+those that are awake the first `LISTED` have lines of their own.
 """
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from prometheus_client import CONTENT_TYPE_LATEST, CollectorRegistry, Counter, Histogram, generate_latest
@@ -19,17 +23,29 @@ from prometheus_client.registry import Collector
 from nmes.protocol import COMMANDS, Request, decode
 from nmes.world import World
 
-__all__ = ["CONTENT_TYPE", "Figures", "Metrics", "WorldFigures", "merged_pages"]
+__all__ = ["CONTENT_TYPE", "LISTED", "Figures", "Metrics", "Spent", "WorldFigures", "merged_pages"]
 
 CONTENT_TYPE = CONTENT_TYPE_LATEST
+LISTED = 200
+"""Worlds that have lines of their own on a page."""
 
 # s; a tick of 60 Hz has 0.0167.
 _BUCKETS = (1e-5, 2e-5, 5e-5, 1e-4, 2e-4, 5e-4, 1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 0.1, 0.5, 1.0)
+_WORLD = ["world"]
 _ERROR = b'{"type":"error"'  # how the world's encoder begins an error
 
 
+class Spent:
+    """The ticks of one world and the time (s) that they took, so far."""
+
+    __slots__ = ("seconds", "ticks")
+
+    def __init__(self) -> None:
+        self.ticks, self.seconds = 0, 0.0
+
+
 class WorldFigures(NamedTuple):
-    """The state of a world.
+    """The state of a world that is awake.
 
     Attributes:
         name: Its name.
@@ -38,7 +54,8 @@ class WorldFigures(NamedTuple):
         unwritten: How old (s) the oldest record may be that is not written yet; None: it is not recorded.
         ratio: How fast it runs, as a part of the pace that was asked for; 1 where it keeps up.
         lost: The wall's time (s) that it has let go, since it could not keep up.
-        asleep: Whether it hibernates.
+        ticks: How often it ticked.
+        seconds: The time (s) that its ticks took.
     """
 
     name: str
@@ -47,16 +64,28 @@ class WorldFigures(NamedTuple):
     unwritten: float | None
     ratio: float
     lost: float
-    asleep: bool
+    ticks: int
+    seconds: float
 
 
 class Figures(NamedTuple):
-    """The state of a host; bytes are those of the protocol, before any TLS."""
+    """The state of a host; bytes are those of the protocol, before any TLS.
+
+    Attributes:
+        connections: The number of connections.
+        received: Bytes.
+        sent: Bytes.
+        ready: Whether somebody new is let in.
+        worlds: The number of worlds that have been created.
+        awake: Those of them that do not hibernate, in the order in which they were created.
+    """
 
     connections: int
     received: int
     sent: int
-    worlds: list[WorldFigures]
+    ready: bool
+    worlds: int
+    awake: list[WorldFigures]
 
 
 class Metrics:
@@ -64,25 +93,32 @@ class Metrics:
 
     def __init__(self) -> None:
         self.registry = CollectorRegistry()
-        self._ticks = Histogram(
-            "nmes_tick_seconds", "Time of a tick", ["world"], buckets=_BUCKETS, registry=self.registry
-        )
+        self._ticks = Histogram("nmes_tick_seconds", "Time of a tick", buckets=_BUCKETS, registry=self.registry)
         self._commands = Counter(
-            "nmes_commands", "Commands by type and outcome", ["world", "type", "outcome"], registry=self.registry
+            "nmes_commands", "Commands by type and outcome", ["type", "outcome"], registry=self.registry
+        )
+        self._lost = Counter(
+            "nmes_lost_seconds",
+            "Time of the clock that all worlds let go",
+            registry=self.registry,
         )
 
-    def world(self, config: Any) -> World:
-        """Makes a world that is measured from when its `emit` is set."""
+    def world(self, config: Any, spent: Spent) -> World:
+        """Makes a world that is measured from when its `emit` is set; its own ticks are added to `spent`."""
         measured = _MeasuredWorld(config)
-        name = measured.config["name"]
-        measured.ticked = self._ticks.labels(name).observe
-        measured.answered = lambda kind, outcome: self._commands.labels(name, kind, outcome).inc()
+
+        def ticked(seconds: float) -> None:
+            spent.ticks += 1
+            spent.seconds += seconds
+            self._ticks.observe(seconds)
+
+        measured.ticked = ticked
+        measured.answered = lambda kind, outcome: self._commands.labels(kind, outcome).inc()
         return measured
 
-    def forget(self, name: str) -> None:
-        """Takes a world that is closed off the page."""
-        self._ticks.remove_by_labels({"world": name})
-        self._commands.remove_by_labels({"world": name})
+    def lose(self, seconds: float) -> None:
+        """Counts time that a world has let go."""
+        self._lost.inc(seconds)
 
     def watch(self, figures: Callable[[], Figures]) -> None:
         """Adds the state of a host to the page; `figures` is called whenever the page is made."""
@@ -155,30 +191,47 @@ class _Reading(Collector):
 
     def collect(self) -> Iterator[Metric]:
         figures = self._figures()
-        yield GaugeMetricFamily("nmes_worlds", "Worlds that have been created", value=len(figures.worlds))
-        asleep = len([world for world in figures.worlds if world.asleep])
-        yield GaugeMetricFamily("nmes_worlds_asleep", "Those of them that hibernate", value=asleep)
-        yield GaugeMetricFamily(
-            "nmes_connections", "Connections, those in no world included", value=figures.connections
-        )
+        awake = figures.awake
+        listed = awake[:LISTED]
+        gauges = {
+            "nmes_ready": ("1 where somebody new is let in", float(figures.ready)),
+            "nmes_worlds": ("Worlds that have been created", figures.worlds),
+            "nmes_worlds_asleep": ("Those of them that hibernate", figures.worlds - len(awake)),
+            "nmes_worlds_faulted": ("Those that a fault has stopped", len([each for each in awake if each.faulted])),
+            "nmes_worlds_lagging": ("Those that fall behind", len([each for each in awake if each.ratio < 1.0])),
+            "nmes_worlds_listed": ("Those that have lines of their own", len(listed)),
+            "nmes_connections": ("Connections, those in no world included", figures.connections),
+            "nmes_clients": ("Clients in worlds", math.fsum(each.clients for each in awake)),
+            "nmes_recording_lag_seconds": (
+                "Age of the oldest record of any world that may not be written yet",
+                max((each.unwritten for each in awake if each.unwritten is not None), default=0.0),
+            ),
+        }
+        for name, (help_, number) in gauges.items():
+            yield GaugeMetricFamily(name, help_, value=number)
         yield CounterMetricFamily("nmes_received_bytes", "Bytes received", value=figures.received)
         yield CounterMetricFamily("nmes_sent_bytes", "Bytes sent", value=figures.sent)
-        clients = GaugeMetricFamily("nmes_clients", "Clients in a world", labels=["world"])
-        faulted = GaugeMetricFamily("nmes_faulted", "1 where a fault has stopped the world", labels=["world"])
-        lag = GaugeMetricFamily(
-            "nmes_recording_lag_seconds", "Age of the oldest record that may not be written yet", labels=["world"]
-        )
-        ratio = GaugeMetricFamily(
-            "nmes_pace_ratio", "How fast a world runs of the pace asked for; 1: it keeps up", labels=["world"]
-        )
-        lost = CounterMetricFamily(
-            "nmes_lost_seconds", "Time of the clock that a world let go, since it could not keep up", labels=["world"]
-        )
-        for world in figures.worlds:
-            ratio.add_metric([world.name], world.ratio)
-            lost.add_metric([world.name], world.lost)
-            clients.add_metric([world.name], world.clients)
-            faulted.add_metric([world.name], float(world.faulted))
-            if world.unwritten is not None:
-                lag.add_metric([world.name], world.unwritten)
-        yield from (clients, faulted, lag, ratio, lost)
+        yield from _of_worlds(listed)
+
+
+def _of_worlds(worlds: Sequence[WorldFigures]) -> Iterator[Metric]:
+    """Yields what is told of single worlds."""
+    gauge, counter = GaugeMetricFamily, CounterMetricFamily
+    families: list[tuple[GaugeMetricFamily | CounterMetricFamily, Callable[[WorldFigures], float | None]]] = [
+        (gauge("nmes_world_clients", "Clients in a world", labels=_WORLD), lambda each: each.clients),
+        (gauge("nmes_world_faulted", "1 where a fault has stopped it", labels=_WORLD), lambda each: each.faulted),
+        (gauge("nmes_world_pace_ratio", "Its pace of that asked for", labels=_WORLD), lambda each: each.ratio),
+        (
+            gauge("nmes_world_recording_lag_seconds", "Age of its oldest record to be written", labels=_WORLD),
+            lambda each: each.unwritten,
+        ),
+        (counter("nmes_world_lost_seconds", "Time of the clock that it let go", labels=_WORLD), lambda each: each.lost),
+        (counter("nmes_world_ticks", "Its ticks", labels=_WORLD), lambda each: each.ticks),
+        (counter("nmes_world_tick_seconds", "The time of its ticks", labels=_WORLD), lambda each: each.seconds),
+    ]
+    for family, read in families:
+        for world in worlds:
+            number = read(world)
+            if number is not None:
+                family.add_metric([world.name], float(number))
+        yield family

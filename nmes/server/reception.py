@@ -8,6 +8,7 @@ Invariant: nothing is served to who has not said a password, of which `Keys` kno
 from __future__ import annotations
 
 import asyncio
+import logging
 import ssl
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Coroutine, Iterable, Mapping
@@ -23,9 +24,11 @@ from nmes.server.connection import LINGER, READ, Connection
 from nmes.server.door import Door
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.keys import Keys
-from nmes.server.metrics_page import MetricsPage
+from nmes.server.probes import Probes
 
 __all__ = ["Reception", "spawn"]
+
+logger = logging.getLogger(__name__)
 
 
 class Reception(ABC):
@@ -58,7 +61,9 @@ class Reception(ABC):
         self._opening: dict[str, asyncio.Task[NmesError | None]] = {}  # worlds that are brought up now
         self._waiting: dict[str, dict[Connection, None]] = {}  # and who waits for them
         self._makers: set[asyncio.Task[None]] = set()  # that create and close worlds
-        self._page = MetricsPage(self.metrics_page, self.limits.auth_timeout)
+        self._probes = Probes(self.metrics_page, lambda: self.unready)
+        self._running = False  # whether it has started
+        self.draining = False  # whether it is about to end, and lets nobody in any more
         self._connections: set[Connection] = set()
         self._inside: set[Connection] = set()  # those that authenticated
 
@@ -229,6 +234,11 @@ class Reception(ABC):
     # -- connections -----------------------------------------------------------------------------------------------
 
     @property
+    def world_count(self) -> int:
+        """The number of worlds, those included that nobody has used yet."""
+        return len(self._catalog)
+
+    @property
     def connections(self) -> int:
         """The number of connections, those that are ending included."""
         return len(self._connections)
@@ -238,13 +248,33 @@ class Reception(ABC):
         self._connections.add(connection)
         self._door.wait(connection, address)
 
-    def let_in(self, connection: Connection) -> bool:
-        """Counts a connection among those that have authenticated; returns False where the host is full."""
+    @property
+    def occupied(self) -> bool:
+        """Whether somebody is in."""
+        return bool(self._inside)
+
+    @property
+    def unready(self) -> str | None:
+        """Why nobody new is let in, in a word: the host is `starting`, `draining` or `full`; None: somebody is."""
+        if self.draining:
+            return "draining"
+        if not self._running:
+            return "starting"
+        return "full" if len(self._inside) >= self.most_connections else None
+
+    def let_in(self, connection: Connection) -> None:
+        """Counts a connection among those that have authenticated.
+
+        Raises:
+            RejectedMessage: The host is draining (`host_draining`) or full (`too_many_connections`).
+        """
+        if self.draining:
+            raise RejectedMessage("host_draining", "this host is about to end and lets nobody in: come again later")
         if len(self._inside) >= self.most_connections:
-            return False
+            most = self.most_connections
+            raise RejectedMessage("too_many_connections", f"this host serves {most} connections at once")
         self._door.forget(connection)
         self._inside.add(connection)
-        return True
 
     def forget(self, connection: Connection) -> None:
         """Counts a connection out."""
@@ -281,20 +311,37 @@ class Reception(ABC):
         return Connection(self, world)
 
     async def serve_metrics(self, host: str, port: int) -> int:
-        """Serves the page of metrics over HTTP, without a password; returns the port.
+        """Serves probes and the page of metrics over HTTP, without a password; returns the port.
 
         Raises:
             MachineError: `cannot_listen`, as `listen`.
         """
-        return await self._page.listen(host, port)
+        return await self._probes.listen(host, port)
 
     @abstractmethod
     async def metrics_page(self) -> bytes:
         """Makes the page of metrics."""
 
+    @abstractmethod
+    async def announce(self, event: Mapping[str, Any]) -> None:
+        """Sends subscribers in all worlds an event of the host."""
+
+    async def drain(self, seconds: float) -> None:
+        """Lets nobody new in and tells subscribers; returns when all have left, or the seconds are over."""
+        self.draining = True
+        telling = asyncio.ensure_future(self.announce({"type": "host_draining", "seconds": seconds}))
+        try:
+            async with asyncio.timeout(seconds):
+                while self.occupied:
+                    await asyncio.sleep(0.02)
+        except TimeoutError:
+            logger.info("clients are still there after %g s", seconds)
+        finally:
+            telling.cancel()
+
     async def _stop_listening(self) -> None:
         """Closes the listening sockets; clients that were accepted before become connections."""
-        await self._page.close()
+        await self._probes.close()
         await self._door.close()
 
     async def _inspect(self) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import urllib.request
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -18,7 +17,7 @@ from nmes import World, protocol
 from nmes.cli import main
 from nmes.playback import replay
 from nmes.server.metrics import Metrics
-from servers import PASSWORD, PATIENCE, Peer, Served, served
+from servers import PASSWORD, Peer, Served, served
 
 TICK = 1 / 60
 
@@ -62,8 +61,12 @@ def time(monkeypatch: pytest.MonkeyPatch) -> HeldTime:
 
 
 @pytest.fixture
-def server(time: HeldTime, tmp_path: Path) -> Iterator[Served]:
-    metrics = Metrics()
+def metrics() -> Metrics:
+    return Metrics()
+
+
+@pytest.fixture
+def server(time: HeldTime, tmp_path: Path, metrics: Metrics) -> Iterator[Served]:
     world = {"mode": "realtime", "backend": "ballistic"}
     with served(world, record_to=tmp_path, metrics=metrics) as running:
         yield running
@@ -85,10 +88,8 @@ def subscribed(server: Served) -> Peer:
     return peer
 
 
-def gauges(server: Served) -> dict[str, float]:
-    port = server.run(server.host.serve_metrics("127.0.0.1", 0))
-    with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=PATIENCE) as page:
-        families = list(text_string_to_metric_families(page.read().decode()))
+def gauges(server: Served, metrics: Metrics) -> dict[str, float]:
+    families = list(text_string_to_metric_families(server.call(metrics.page).decode()))
     return {sample.name: sample.value for family in families for sample in family.samples}
 
 
@@ -160,22 +161,22 @@ def test_a_pause_ends_it(server: Served, time: HeldTime) -> None:
         assert lagging(watcher, lambda event: event["over"])["ratio"] <= 1.0
 
 
-def test_lists_and_metrics_show_it(server: Served, time: HeldTime) -> None:
+def test_lists_and_metrics_show_it(server: Served, time: HeldTime, metrics: Metrics) -> None:
     assert '"ratio": null' in listed(server, "--json")
-    assert gauges(server)["nmes_pace_ratio"] == 1.0
+    assert gauges(server, metrics)["nmes_world_pace_ratio"] == 1.0
     with subscribed(server) as watcher:
         time.tick = 2 * TICK
         behind = lagging(watcher, lambda event: event["behind"] > 1.0)["behind"]
         assert '"ratio": 0.' in listed(server, "--json")
         assert "realtime, lags: 0." in listed(server)
-        found = gauges(server)
-        assert found["nmes_pace_ratio"] < 0.6
+        found = gauges(server, metrics)
+        assert found["nmes_world_pace_ratio"] < 0.6
         assert found["nmes_lost_seconds_total"] >= behind
         time.tick = 0.0
         over = lagging(watcher, lambda event: event["over"])
     assert '"ratio": null' in listed(server, "--json")
-    assert gauges(server)["nmes_pace_ratio"] == 1.0
-    assert gauges(server)["nmes_lost_seconds_total"] >= over["behind"] - 0.001  # which is told in ms
+    assert gauges(server, metrics)["nmes_world_pace_ratio"] == 1.0
+    assert gauges(server, metrics)["nmes_lost_seconds_total"] >= over["behind"] - 0.001  # which is told in ms
 
 
 def test_it_reaches_no_recording(server: Served, time: HeldTime) -> None:

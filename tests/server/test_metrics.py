@@ -18,7 +18,7 @@ from nmes.cli import _logs, main
 from nmes.errors import CommandFailed
 from nmes.recording import Recording
 from nmes.server import Host
-from nmes.server.metrics import Metrics
+from nmes.server.metrics import LISTED, Figures, Metrics, WorldFigures
 from processes import process, ready
 from recordings import busy, record
 from servers import PASSWORD, PATIENCE, served, until
@@ -28,7 +28,10 @@ Series = dict[tuple[str, tuple[tuple[str, str], ...]], float]
 
 def scrape(port: int) -> Series:
     with urllib.request.urlopen(f"http://127.0.0.1:{port}/metrics", timeout=PATIENCE) as page:
-        text = page.read().decode()
+        return parse(page.read().decode())
+
+
+def parse(text: str) -> Series:
     return {
         (sample.name, tuple(sorted(sample.labels.items()))): sample.value
         for family in text_string_to_metric_families(text)
@@ -57,12 +60,13 @@ def test_commands_ticks_bytes_and_clients_are_counted(tmp_path: Path) -> None:
             client.batch([{"type": "step", "ticks": 2}])
             series = scrape(port)
             assert value(series, "nmes_worlds") == 1
-            assert value(series, "nmes_connections") == value(series, "nmes_clients", world="red") == 1
-            assert value(series, "nmes_tick_seconds_count", world="red") == 7
-            assert value(series, "nmes_faulted", world="red") == 0
+            assert value(series, "nmes_connections") == value(series, "nmes_clients") == 1
+            assert value(series, "nmes_world_clients", world="red") == 1
+            assert value(series, "nmes_tick_seconds_count") == value(series, "nmes_world_ticks_total", world="red") == 7
+            assert value(series, "nmes_world_faulted", world="red") == value(series, "nmes_worlds_faulted") == 0
 
             def commands(kind: str, outcome: str) -> float | None:
-                return value(series, "nmes_commands_total", world="red", type=kind, outcome=outcome)
+                return value(series, "nmes_commands_total", type=kind, outcome=outcome)
 
             assert commands("spawn_cube", "ok") == 1
             assert commands("get_cube_info", "cube_not_found") == 2
@@ -73,13 +77,14 @@ def test_commands_ticks_bytes_and_clients_are_counted(tmp_path: Path) -> None:
             more = scrape(port)
             assert received is not None and (value(more, "nmes_received_bytes_total") or 0) > received > 100
             assert (value(more, "nmes_sent_bytes_total") or 0) > 100
-            lag = value(more, "nmes_recording_lag_seconds", world="red")
+            lag = value(more, "nmes_world_recording_lag_seconds", world="red")
             assert lag is not None and 0 <= lag < PATIENCE
             client.spawn_cube("b", mass=1e-6)
             client.apply_force("b", force=[1e15, 0, 0])
             with pytest.raises(CommandFailed):
                 client.step(100)
-            assert value(scrape(port), "nmes_faulted", world="red") == 1
+            series = scrape(port)
+            assert value(series, "nmes_world_faulted", world="red") == value(series, "nmes_worlds_faulted") == 1
         assert "green" not in str(more)
         server.terminate()
         assert server.wait(PATIENCE) == 0
@@ -90,11 +95,29 @@ def test_commands_ticks_bytes_and_clients_are_counted(tmp_path: Path) -> None:
 def test_an_unrecorded_world_has_no_lag_and_realtime_ticks_are_counted() -> None:
     metrics = Metrics()
     with served({"mode": "realtime", "rate": 50}, metrics=metrics) as server:
-        port = server.run(server.host.serve_metrics("127.0.0.1", 0))
-        until(lambda: (value(scrape(port), "nmes_tick_seconds_count", world="main") or 0) > 100)
-        assert value(scrape(port), "nmes_recording_lag_seconds", world="main") is None
-    with pytest.raises(OSError):
-        scrape(port)
+        until(lambda: (value(parse(server.call(metrics.page).decode()), "nmes_tick_seconds_count") or 0) > 100)
+        assert (
+            value(parse(server.call(metrics.page).decode()), "nmes_world_recording_lag_seconds", world="main") is None
+        )
+
+
+def test_the_page_stays_short_for_many_worlds_and_counts_them_all() -> None:
+    def page(worlds: int) -> bytes:
+        awake = [WorldFigures(f"w{n}", 1, n % 3 == 0, 0.5, 1.0, 0.0, n, 0.1) for n in range(worlds)]
+        metrics = Metrics()
+        metrics.watch(lambda: Figures(worlds, 0, 0, True, worlds + 7, awake))
+        return metrics.page()
+
+    many = page(27_000)
+    assert len(many) < 2 * len(page(LISTED)) < 200_000
+    series = parse(many.decode())
+    assert value(series, "nmes_worlds") == 27_007
+    assert value(series, "nmes_worlds_asleep") == 7
+    assert value(series, "nmes_clients") == 27_000
+    assert value(series, "nmes_worlds_faulted") == 9_000
+    assert value(series, "nmes_worlds_listed") == LISTED
+    assert value(series, "nmes_world_ticks_total", world=f"w{LISTED - 1}") == LISTED - 1
+    assert value(series, "nmes_world_ticks_total", world=f"w{LISTED}") is None
 
 
 def test_nothing_waits_to_be_written_where_nothing_happens(tmp_path: Path) -> None:
@@ -119,7 +142,7 @@ def test_ticks_replayed_on_resume_are_not_counted(tmp_path: Path, backend: str) 
         with Client(port=info["port"], password=PASSWORD, timeout=PATIENCE) as client:
             client.step(3)
             series = scrape(info["metrics_port"])
-            assert value(series, "nmes_tick_seconds_count", world="main") == 3
+            assert value(series, "nmes_tick_seconds_count") == 3
             assert sum(series[key] for key in series if key[0] == "nmes_commands_total") == 1
 
 

@@ -961,6 +961,16 @@ export interface FoodEatenEvent {
 }
 
 /**
+ * The host is about to end and lets nobody in any more. It ends when all have left, or when the time is over;
+ * worlds that are open then are closed.
+ */
+export interface HostDrainingEvent {
+  readonly type: "host_draining";
+  /** How long there is to leave, in s. */
+  readonly seconds: number;
+}
+
+/**
  * A realtime world falls behind the wall's clock, told about once a second until it keeps up again, or stops
  * ticking by it. What it is behind it does not catch up.
  */
@@ -1710,6 +1720,7 @@ export type KnownEvent =
   | CreatureChangedEvent
   | CreatureDiedEvent
   | FoodEatenEvent
+  | HostDrainingEvent
   | LaggingEvent
   | StateEvent
   | TickEvent
@@ -1724,6 +1735,7 @@ export const EVENT_TYPES: ReadonlySet<string> = new Set([
   "creature_changed",
   "creature_died",
   "food_eaten",
+  "host_draining",
   "lagging",
   "state",
   "tick",
