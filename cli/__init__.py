@@ -33,6 +33,7 @@ SUBCOMMANDS = {
     "eval": "Score creatures on a task.",
     "evolve": "Evolve creatures, in runs that anyone can repeat.",
     "export": "Write recordings as data for other programs.",
+    "fleet": "See how many hosts fare.",
     "fork": "Take the world out of a recording as it was at a frame.",
     "genome": "List, check, show and vary genomes.",
     "info": "Show what a recording holds.",

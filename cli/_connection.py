@@ -10,9 +10,9 @@ from typing import Any, TypeVar
 import click
 
 from nmes.cli._password import PASSWORD_VARIABLE, choose_password, password_options
-from nmes.client import Client
+from nmes.client import AsyncClient, Client
 
-__all__ = ["connection_options", "connector"]
+__all__ = ["async_connector", "connection_options", "connector"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -27,6 +27,33 @@ def connection_options(function: F) -> F:
     plain = click.option("--tls", is_flag=True, help="Speak TLS.")
     password = password_options(f"The host's password; better in the variable {PASSWORD_VARIABLE}.")
     return password(plain(authority(function)))
+
+
+def async_connector(
+    password: str | None, password_file: Path | None, tls: bool, tls_ca: Path | None, timeout: float
+) -> Callable[[tuple[str, int]], AsyncClient]:
+    """Returns a function that makes a client of a server, not connected yet; the arguments are those of `connector`."""
+    choice = _choose(password, password_file)
+
+    def make(address: tuple[str, int]) -> AsyncClient:
+        return AsyncClient(*address, password=choice, tls=tls, tls_ca=tls_ca, timeout=timeout)
+
+    _check(lambda: make(("127.0.0.1", 1)))
+    return make
+
+
+def _choose(password: str | None, password_file: Path | None) -> str:
+    choice = choose_password(password, password_file)
+    if choice is None:
+        raise click.UsageError(f"give the host's password, in {PASSWORD_VARIABLE} or with --password-file")
+    return choice[0]
+
+
+def _check(make: Callable[[], object]) -> None:
+    try:
+        make()
+    except (ValueError, OSError) as error:
+        raise click.UsageError(str(error)) from error
 
 
 def connector(
@@ -52,12 +79,7 @@ def connector(
     Raises:
         UsageError: There is no password, or the certificates cannot be read.
     """
-    choice = choose_password(password, password_file)
-    if choice is None:
-        raise click.UsageError(f"give the host's password, in {PASSWORD_VARIABLE} or with --password-file")
-    make = partial(Client, *address, password=choice[0], world=world, tls=tls, tls_ca=tls_ca, timeout=timeout)
-    try:
-        make()
-    except (ValueError, OSError) as error:
-        raise click.UsageError(str(error)) from error
+    choice = _choose(password, password_file)
+    make = partial(Client, *address, password=choice, world=world, tls=tls, tls_ca=tls_ca, timeout=timeout)
+    _check(make)
     return make

@@ -83,7 +83,11 @@ def first_arguments(group: click.Group, words: str) -> Iterator[tuple[str, str]]
 def test_every_first_argument_is_completed_but_addresses() -> None:
     found = list(first_arguments(main, "nmes"))
     assert len(found) > 25
-    assert {placeholder for line, placeholder in found if not complete(f"{line} ''")} <= {"HOST:PORT", "[HOST:PORT]"}
+    assert {placeholder for line, placeholder in found if not complete(f"{line} ''")} <= {
+        "HOST:PORT",
+        "[HOST:PORT]",
+        "[HOST[:PORT]...]",
+    }
 
 
 def test_a_shell_that_does_not_ask_is_not_answered() -> None:

@@ -17,7 +17,7 @@ from processes import process, ready
 from servers import PASSWORD, PATIENCE
 
 COMPOSE = ROOT / "deploy" / "compose"
-FUNCTIONS = {"sum", "rate", "histogram_quantile", "topk", "bottomk", "label_values"}
+FUNCTIONS = {"sum", "min", "max", "rate", "histogram_quantile", "topk", "bottomk", "label_values"}
 WORDS = {"by", "le", "instance", "type", "outcome", "world"}
 
 
