@@ -36,6 +36,7 @@ from nmes.server.access_log import AccessLog
 from nmes.server.catalog import Catalog
 from nmes.server.keys import Keys
 from nmes.server.metrics import Metrics
+from nmes.server.reception import drain
 from nmes.world import World
 
 logger = logging.getLogger(__name__)
@@ -328,11 +329,12 @@ async def _serve(
         if number != signal.SIGHUP or signal.getsignal(number) != signal.SIG_IGN:  # as nohup leaves it
             asyncio.get_running_loop().add_signal_handler(number, signals.put_nowait, number)
     async with AsyncExitStack() as beside:  # the sidecar is told that all is over when it is
-        async with _make_host(settings, log_format) as host:
+        catalog = Catalog(settings.templates, settings.max_worlds, settings.max_worlds_each)
+        async with _make_host(settings, log_format, catalog) as host:
             running = await _start(host, settings)
             if settings.agones is not None:
-                rooms, occupied = (lambda: host.world_count), (lambda: host.occupied)
-                await beside.enter_async_context(Sidecar(settings.agones, rooms, settings.max_worlds, occupied))
+                sidecar = Sidecar(settings.agones, lambda: len(catalog), settings.max_worlds, lambda: host.occupied)
+                await beside.enter_async_context(sidecar)
             report(running)
             reason = await signals.get()
             if reason == signal.SIGTERM and settings.drain:
@@ -343,15 +345,14 @@ async def _serve(
 async def _drain(host: Host | Supervisor, seconds: float, signals: asyncio.Queue[signal.Signals]) -> None:
     """Waits until all clients have left, for so long or until another signal comes."""
     logger.info("the host drains for %g s at the most; another signal ends it now", seconds)
-    waits = [asyncio.create_task(host.drain(seconds)), asyncio.create_task(signals.get())]
+    waits = [asyncio.create_task(drain(host, seconds)), asyncio.create_task(signals.get())]
     await asyncio.wait(waits, return_when=asyncio.FIRST_COMPLETED)
     for task in waits:
         task.cancel()
     await asyncio.gather(*waits, return_exceptions=True)
 
 
-def _make_host(settings: Settings, log_format: str) -> Host | Supervisor:
-    catalog = Catalog(settings.templates, settings.max_worlds, settings.max_worlds_each)
+def _make_host(settings: Settings, log_format: str, catalog: Catalog) -> Host | Supervisor:
     if settings.workers is not None:
         assert settings.record_to is not None
         return Supervisor(
@@ -396,7 +397,7 @@ async def _start(host: Host | Supervisor, settings: Settings) -> Running:
             host.offer({**settings.config, "name": name}, settings.world_passwords.get(name))
         with _free_port_hint("--metrics-port"):
             if metrics_port is not None:
-                metrics_port = await host.serve_metrics(settings.metrics_host, metrics_port)
+                metrics_port = await host.probes.listen(settings.metrics_host, metrics_port)
         with _free_port_hint("--http"):
             if http_port is not None and isinstance(host, Host):  # with workers there is none
                 from nmes.server.websocket import worlds_application  # which takes a while to load

@@ -26,7 +26,7 @@ from nmes.server.hosted_world import HostedWorld
 from nmes.server.keys import Keys
 from nmes.server.probes import Probes
 
-__all__ = ["Reception", "spawn"]
+__all__ = ["Reception", "drain", "spawn"]
 
 logger = logging.getLogger(__name__)
 
@@ -61,7 +61,7 @@ class Reception(ABC):
         self._opening: dict[str, asyncio.Task[NmesError | None]] = {}  # worlds that are brought up now
         self._waiting: dict[str, dict[Connection, None]] = {}  # and who waits for them
         self._makers: set[asyncio.Task[None]] = set()  # that create and close worlds
-        self._probes = Probes(self.metrics_page, lambda: self.unready)
+        self.probes = Probes(self.metrics_page, lambda: self.unready)
         self._running = False  # whether it has started
         self.draining = False  # whether it is about to end, and lets nobody in any more
         self._connections: set[Connection] = set()
@@ -234,11 +234,6 @@ class Reception(ABC):
     # -- connections -----------------------------------------------------------------------------------------------
 
     @property
-    def world_count(self) -> int:
-        """The number of worlds, those included that nobody has used yet."""
-        return len(self._catalog)
-
-    @property
     def connections(self) -> int:
         """The number of connections, those that are ending included."""
         return len(self._connections)
@@ -310,14 +305,6 @@ class Reception(ABC):
         """Makes the connection of a socket that comes in, to which `world` is served if it names none."""
         return Connection(self, world)
 
-    async def serve_metrics(self, host: str, port: int) -> int:
-        """Serves probes and the page of metrics over HTTP, without a password; returns the port.
-
-        Raises:
-            MachineError: `cannot_listen`, as `listen`.
-        """
-        return await self._probes.listen(host, port)
-
     @abstractmethod
     async def metrics_page(self) -> bytes:
         """Makes the page of metrics."""
@@ -326,22 +313,9 @@ class Reception(ABC):
     async def announce(self, event: Mapping[str, Any]) -> None:
         """Sends subscribers in all worlds an event of the host."""
 
-    async def drain(self, seconds: float) -> None:
-        """Lets nobody new in and tells subscribers; returns when all have left, or the seconds are over."""
-        self.draining = True
-        telling = asyncio.ensure_future(self.announce({"type": "host_draining", "seconds": seconds}))
-        try:
-            async with asyncio.timeout(seconds):
-                while self.occupied:
-                    await asyncio.sleep(0.02)
-        except TimeoutError:
-            logger.info("clients are still there after %g s", seconds)
-        finally:
-            telling.cancel()
-
     async def _stop_listening(self) -> None:
         """Closes the listening sockets; clients that were accepted before become connections."""
-        await self._probes.close()
+        await self.probes.close()
         await self._door.close()
 
     async def _inspect(self) -> None:
@@ -367,6 +341,20 @@ class Reception(ABC):
         while self._connections:
             await asyncio.sleep(0)
         self._reader.shutdown()
+
+
+async def drain(host: Reception, seconds: float) -> None:
+    """Has a host let nobody new in, and tells subscribers; returns when all have left, or the seconds are over."""
+    host.draining = True
+    telling = asyncio.ensure_future(host.announce({"type": "host_draining", "seconds": seconds}))
+    try:
+        async with asyncio.timeout(seconds):
+            while host.occupied:
+                await asyncio.sleep(0.02)
+    except TimeoutError:
+        logger.info("clients are still there after %g s", seconds)
+    finally:
+        telling.cancel()
 
 
 def spawn(work: Coroutine[Any, Any, None], among: set[asyncio.Task[None]]) -> None:

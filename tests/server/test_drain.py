@@ -16,6 +16,7 @@ from nmes.errors import CommandFailed
 from nmes.playback import replay
 from nmes.protocol import validate_event
 from nmes.recording import Recording
+from nmes.server.reception import drain
 from processes import process, ready
 from servers import PASSWORD, PATIENCE, Peer, Served, served, types, until
 
@@ -116,7 +117,7 @@ def test_it_is_not_waited_for(drain: float, signals: list[signal.Signals], told:
 def test_an_empty_host_ends_at_once() -> None:
     with served() as server:
         began = time.monotonic()
-        server.run(server.host.drain(LONG))
+        server.run(drain(server.host, LONG))
         assert time.monotonic() - began < LONG / 2
 
 
@@ -134,9 +135,9 @@ def test_who_waits_for_a_long_step_is_told_when_it_is_over() -> None:
     with served({"backend": "mujoco"}) as server:
         with stepping(server) as peer, ThreadPoolExecutor(1) as beside:
             until(lambda: server.hosted.world.frame > 0)
-            drain = beside.submit(server.run, server.host.drain(LONG))
+            waiting = beside.submit(server.run, drain(server.host, LONG))
             heard = [peer.hear(), peer.hear()]  # the world was in a thread until the step was over
             assert {"type": "host_draining", "seconds": LONG} in heard
             assert "stepped" in [each["type"] for each in heard], heard
             peer.socket.close()
-            drain.result(PATIENCE)
+            waiting.result(PATIENCE)

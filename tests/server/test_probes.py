@@ -13,6 +13,7 @@ from nmes.protocol import Limits
 from nmes.server import Host
 from nmes.server import probes as probes_module
 from nmes.server.metrics import Metrics
+from nmes.server.reception import drain
 from servers import PATIENCE, Served, served, until
 
 
@@ -39,7 +40,7 @@ class Watched:
 def watched(limits: Limits | None = None) -> Iterator[Watched]:
     metrics = Metrics()
     with served(metrics=metrics, limits=limits) as server:
-        yield Watched(server, server.run(server.host.serve_metrics("127.0.0.1", 0)))
+        yield Watched(server, server.run(server.host.probes.listen("127.0.0.1", 0)))
 
 
 def test_health_readiness_and_metrics_have_a_page_each() -> None:
@@ -69,7 +70,7 @@ def test_a_host_that_is_full_or_draining_is_alive_but_not_ready() -> None:
             assert host.ask("/health")[0] == 200
             assert b"\nnmes_ready 0.0\n" in host.ask("/metrics")[2]
         until(lambda: host.ask("/ready")[0] == 200)
-        host.server.run(host.server.host.drain(0.0))
+        host.server.run(drain(host.server.host, 0.0))
         assert host.ask("/ready")[::2] == (503, b"draining\n")
         assert host.ask("/health")[0] == 200
 
