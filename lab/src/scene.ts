@@ -38,11 +38,15 @@ interface Piece {
   readonly instance: number;
 }
 
-const SLOW = 34; // ms a frame from which on shadows are left out
+const LIGHT = new THREE.Vector3(0.45, 1, 0.35); // where the sun stands
+/** What lays all flat on the ground, away from the sun. */
+const FLAT = new THREE.Matrix4().set(1, -LIGHT.x / LIGHT.y, 0, 0, 0, 0, 0, 0.002, 0, -LIGHT.z / LIGHT.y, 1, 0, 0, 0, 0, 1);
 const HALF_TURN = Math.PI;
 
 export class Stage {
   readonly element: HTMLElement;
+  /** Whether a cube is pulled by dragging it, also without Shift. */
+  pulling = false;
   /** Whether joints are drawn. */
   joints = true;
   /** Frames that were drawn. */
@@ -63,32 +67,25 @@ export class Stage {
   private readonly outline = new THREE.LineSegments(new THREE.EdgesGeometry(new THREE.BoxGeometry(1.04, 1.04, 1.04)));
   private readonly axes = new THREE.LineSegments(new THREE.BufferGeometry());
   private readonly forces = new THREE.LineSegments(new THREE.BufferGeometry());
-  private readonly pulling = new THREE.Line(new THREE.BufferGeometry());
+  private readonly rope = new THREE.Line(new THREE.BufferGeometry());
   private pieces: Piece[] = [];
   private described: Scene | undefined;
   private poses = new Float32Array(0);
   private followed: readonly number[] = [];
   private chosen = -1;
   private requested = 0;
+  private shaded = true; // whether the ground is level, so that bodies throw shadows on it
   private framed = false; // whether the camera was set once
-  private pace = 16;
-  private last = 0;
   private pulled: { cube: number; local: THREE.Vector3; plane: THREE.Plane } | undefined;
 
   constructor(label: string, private readonly signal: AbortSignal, private readonly events: StageEvents = {}) {
-    this.renderer = new THREE.WebGLRenderer({ antialias: true, powerPreference: "high-performance" });
+    this.renderer = new THREE.WebGLRenderer({ antialias: true, stencil: true, powerPreference: "high-performance" });
     const canvas = this.renderer.domElement;
     canvas.tabIndex = 0;
     canvas.setAttribute("role", "application");
     canvas.setAttribute("aria-label", `${label}. Arrow keys turn the camera, plus and minus bring it nearer and farther.`);
     this.element = h("div", { class: "stage" }, canvas);
-    this.renderer.shadowMap.enabled = true;
-    this.renderer.shadowMap.type = THREE.PCFShadowMap;
-    this.renderer.shadowMap.autoUpdate = false;
-    this.sun.castShadow = true;
-    this.sun.shadow.mapSize.set(1024, 1024);
-    this.sun.shadow.bias = -0.0008;
-    this.sun.shadow.normalBias = 0.01;
+    this.sun.position.copy(LIGHT);
     this.camera.position.set(4, 3, 6);
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.enableDamping = false;
@@ -96,12 +93,12 @@ export class Stage {
     this.controls.minDistance = 0.3;
     this.controls.maxDistance = 800;
     this.controls.addEventListener("change", () => this.request());
-    for (const lines of [this.outline, this.axes, this.forces, this.pulling]) {
+    for (const lines of [this.outline, this.axes, this.forces, this.rope]) {
       lines.frustumCulled = false;
       lines.renderOrder = 2;
       lines.visible = false;
     }
-    this.scene.add(this.sky, this.sun, this.sun.target, this.fixed, this.outline, this.axes, this.forces, this.pulling);
+    this.scene.add(this.sky, this.sun, this.fixed, this.outline, this.axes, this.forces, this.rope);
     this.paint();
     onTheme(() => this.paint(), signal);
     const watcher = new ResizeObserver(() => this.resize());
@@ -130,10 +127,10 @@ export class Stage {
         const material = new THREE.MeshLambertMaterial(kind === "box" ? { map: edged() } : {});
         const mesh = new THREE.InstancedMesh(this.geometries[kind], material, counts[kind]);
         mesh.instanceMatrix.setUsage(THREE.DynamicDrawUsage);
-        mesh.castShadow = mesh.receiveShadow = true;
         mesh.frustumCulled = false;
         this.meshes.set(kind, mesh);
         this.scene.add(mesh);
+        mesh.add(this.shadow(mesh));
       }
     }
     for (const { cube, kind, instance } of this.pieces) {
@@ -172,7 +169,7 @@ export class Stage {
       this.shift(this.centre().sub(before));
     }
     this.mark();
-    this.request(true);
+    this.request();
   }
 
   /** Shows where cubes touch: a line along the normal, the longer the more force. */
@@ -227,38 +224,29 @@ export class Stage {
     this.controls.target.copy(sphere.center);
     this.camera.position.copy(away.normalize().multiplyScalar((radius * 2.7) / narrow).add(sphere.center));
     this.controls.update();
-    this.request(true);
+    this.request();
+  }
+
+  /** Where the camera looks. */
+  target(): Point {
+    return this.controls.target.toArray();
+  }
+
+  /** Draws joints or leaves them out, as `joints` says. */
+  refresh(): void {
+    this.mark();
+    this.request();
   }
 
   /** Draws when the browser next draws. */
-  request(moved = false): void {
-    if (moved) {
-      this.renderer.shadowMap.needsUpdate = true;
-    }
+  private request(): void {
     if (this.requested === 0 && !this.signal.aborted) {
-      this.requested = requestAnimationFrame((now) => this.draw(now));
+      this.requested = requestAnimationFrame(() => this.draw());
     }
   }
 
-  private draw(now: number): void {
+  private draw(): void {
     this.requested = 0;
-    const between = now - this.last;
-    this.last = now;
-    if (between < 200) {
-      this.pace += (between - this.pace) * 0.05;
-      if (this.pace > SLOW && this.sun.castShadow) {
-        this.sun.castShadow = false;
-      }
-    }
-    const reach = Math.max(this.camera.position.distanceTo(this.controls.target) * 1.2, 4);
-    this.sun.target.position.copy(this.controls.target);
-    this.sun.position.copy(this.controls.target).add(new THREE.Vector3(0.45, 1, 0.35).multiplyScalar(reach * 1.5));
-    const { camera } = this.sun.shadow;
-    camera.left = camera.bottom = -reach;
-    camera.right = camera.top = reach;
-    camera.far = reach * 4;
-    camera.updateProjectionMatrix();
-    this.axes.visible = this.joints && this.axes.visible;
     this.renderer.render(this.scene, this.camera);
     this.drawn++;
     this.element.dataset["drawn"] = String(this.drawn);
@@ -279,15 +267,34 @@ export class Stage {
   private paint(): void {
     const background = new THREE.Color(color("stage"));
     this.scene.background = background;
-    this.scene.fog = new THREE.Fog(background, 40, 220);
+    this.scene.fog = new THREE.Fog(background, 25, 160);
     this.outline.material = new THREE.LineBasicMaterial({ color: color("accent"), depthTest: false });
     this.axes.material = new THREE.LineBasicMaterial({ color: color("joint"), depthTest: false });
     this.forces.material = new THREE.LineBasicMaterial({ color: color("contact"), depthTest: false });
-    this.pulling.material = new THREE.LineBasicMaterial({ color: color("accent"), depthTest: false });
+    this.rope.material = new THREE.LineBasicMaterial({ color: color("accent"), depthTest: false });
     if (this.described !== undefined) {
       this.furnish(this.described.scenery ?? { ground: true });
     }
-    this.request(true);
+    this.request();
+  }
+
+  /** The shadows of a mesh's bodies on level ground, each place darkened once. */
+  private shadow(mesh: THREE.InstancedMesh): THREE.Mesh {
+    const material = new THREE.MeshBasicMaterial({ color: 0x000000, transparent: true, opacity: 0.22, depthWrite: false, fog: false });
+    material.stencilWrite = true;
+    material.stencilFunc = THREE.EqualStencilFunc;
+    material.stencilRef = 0;
+    material.stencilZPass = THREE.IncrementStencilOp;
+    material.polygonOffset = true;
+    material.polygonOffsetFactor = material.polygonOffsetUnits = -2;
+    const shadow = new THREE.InstancedMesh(mesh.geometry, material, mesh.count);
+    shadow.instanceMatrix = mesh.instanceMatrix;
+    shadow.frustumCulled = false;
+    shadow.matrixAutoUpdate = false;
+    shadow.matrix.copy(FLAT);
+    shadow.visible = this.shaded;
+    shadow.raycast = () => {};
+    return shadow;
   }
 
   /** Puts up what never moves. */
@@ -299,16 +306,16 @@ export class Stage {
       }
     }
     const material = new THREE.MeshLambertMaterial({ color: color("scenery") });
-    const put = (mesh: THREE.Mesh): void => {
-      mesh.receiveShadow = mesh.castShadow = true;
-      this.fixed.add(mesh);
-    };
+    const put = (mesh: THREE.Mesh): void => void this.fixed.add(mesh);
+    this.shaded = ground && landscape === null && planets.length === 0;
+    for (const mesh of this.meshes.values()) {
+      mesh.children.forEach((child) => (child.visible = this.shaded));
+    }
     if (landscape !== null) {
       put(heightfield(landscape, material));
     } else if (ground) {
       const plane = new THREE.Mesh(new THREE.PlaneGeometry(400, 400), new THREE.MeshLambertMaterial({ map: grid() }));
       plane.rotation.x = -HALF_TURN / 2;
-      plane.receiveShadow = true;
       this.fixed.add(plane);
     }
     for (const { size, position, quaternion, shape } of boxes) {
@@ -366,7 +373,7 @@ export class Stage {
     this.controls.target.add(by);
     this.camera.position.add(by);
     this.controls.update();
-    this.request(true);
+    this.request();
   }
 
   private listen(canvas: HTMLCanvasElement): void {
@@ -374,7 +381,7 @@ export class Stage {
     let pressed: PointerEvent | undefined;
     canvas.addEventListener("pointerdown", (event) => {
       pressed = event;
-      const hit = this.events.pull !== undefined && event.button === 0 && event.shiftKey ? this.hit(event) : undefined;
+      const hit = this.events.pull !== undefined && event.button === 0 && (event.shiftKey || this.pulling) ? this.hit(event) : undefined;
       if (hit !== undefined) {
         this.grip(hit.cube, hit.point);
         event.stopImmediatePropagation();
@@ -410,8 +417,8 @@ export class Stage {
     }
     const turn = new THREE.Quaternion().fromArray(this.poses, pulled.cube * STRIDE + 3);
     const grip = pulled.local.clone().applyQuaternion(turn).add(new THREE.Vector3(...this.position(pulled.cube)));
-    replace(this.pulling, [...grip.toArray(), ...to.toArray()]);
-    this.pulling.visible = true;
+    replace(this.rope, [...grip.toArray(), ...to.toArray()]);
+    this.rope.visible = true;
     this.events.pull?.({ cube: pulled.cube, grip: grip.toArray(), to: to.toArray() });
     this.request();
   }
@@ -420,7 +427,7 @@ export class Stage {
     if (this.pulled !== undefined) {
       this.pulled = undefined;
       this.controls.enabled = true;
-      this.pulling.visible = false;
+      this.rope.visible = false;
       this.events.pull?.(null);
       this.request();
     }
