@@ -85,10 +85,19 @@ export interface State {
 }
 
 let known: Promise<State> | undefined;
+let folder = "lab";
+
+/** The path of something that the lab keeps, for command lines: `kept("recordings", "NAME.mcap")`. */
+export function kept(...parts: readonly string[]): string {
+  return [folder, ...parts].join("/");
+}
 
 /** Returns what the lab is. */
 export function state(): Promise<State> {
-  known ??= get<State>("/state").catch((error: unknown) => {
+  known ??= get<State>("/state").then((told) => {
+    folder = told.folder ?? folder;
+    return told;
+  }).catch((error: unknown) => {
     known = undefined;
     throw error;
   });

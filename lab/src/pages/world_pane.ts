@@ -83,14 +83,15 @@ class Pane {
       this.stage.pulling = !this.stage.pulling;
       push.setAttribute("aria-pressed", String(this.stage.pulling));
     } }, "Push by dragging");
+    this.stage.element.append(h("div", { class: "hud" }, this.badge, this.clock),
+      h("button", { class: "square corner", title: "Show all", "aria-label": "Show all", onclick: () => this.stage.overview() }, icon("follow", 18)));
     return h("section", { class: "pane", "aria-label": this.world },
-      h("div", { class: "bar" }, h("h2", {}, this.world), this.badge, h("span", { class: "grow" }), this.clock,
-        close !== undefined && h("button", { class: "ghost square small", "aria-label": `Close the view of ${this.world}`, onclick: close }, icon("close", 16))),
+      close !== undefined && h("div", { class: "bar" }, h("h2", { class: "breaks" }, this.world), h("span", { class: "grow" }),
+        h("button", { class: "ghost square small", "aria-label": `Close the view of ${this.world}`, onclick: close }, icon("close", 16))),
       this.banner,
       h("div", { class: "watching" },
         h("div", { class: "stack" }, this.stage.element,
-          h("div", { class: "bar controls" }, this.running, step, ticks, this.mode, h("span", { class: "grow" }), this.following,
-            h("button", { class: "square", title: "Show all", "aria-label": "Show all", onclick: () => this.stage.overview() }, icon("follow", 18))),
+          h("div", { class: "bar controls" }, this.running, step, ticks, this.mode, h("span", { class: "grow" }), this.following),
           h("div", { class: "bar options" },
             h("label", { class: "check" }, joints, "Joints"), h("label", { class: "check" }, this.contacts, "Contacts"),
             push, h("span", { class: "hint" }, "Click a cube to inspect it."), h("span", { class: "grow" }), reset)),

@@ -116,15 +116,15 @@ function table(worlds: readonly WorldEntry[], chosen: Set<string>, changed: () =
       h("td", {}, box),
       h("td", { class: "name" }, h("a", { href: address("worlds", world), data: { key: `link ${world}` } }, world)),
       h("td", {}, condition(entry)),
-      h("td", {}, backend),
-      h("td", { class: "number" }, frame === null ? "–" : frame.toLocaleString("en")),
-      h("td", { class: "number" }, clients),
+      h("td", { class: "wide" }, backend),
+      h("td", { class: "number wide" }, frame === null ? "–" : frame.toLocaleString("en")),
+      h("td", { class: "number wide" }, clients),
       h("td", { class: "number" }, closing(world, again)));
   });
   return [
     h("div", { class: "table" }, h("table", {},
-      h("thead", {}, h("tr", {}, h("th", {}, h("span", { class: "unseen" }, "Chosen")), h("th", {}, "World"), h("th", {}, "State"), h("th", {}, "Engine"),
-        h("th", { class: "number" }, "Frame"), h("th", { class: "number" }, "Clients"), h("th", {}, h("span", { class: "unseen" }, "Actions")))),
+      h("thead", {}, h("tr", {}, h("th", {}, h("span", { class: "unseen" }, "Chosen")), h("th", {}, "World"), h("th", {}, "State"), h("th", { class: "wide" }, "Engine"),
+        h("th", { class: "number wide" }, "Frame"), h("th", { class: "number wide" }, "Clients"), h("th", {}, h("span", { class: "unseen" }, "Actions")))),
       h("tbody", {}, ...rows))),
     worlds.length > SHOWN && h("p", { class: "hint" }, `${(worlds.length - SHOWN).toLocaleString("en")} more: type a part of the name.`),
   ];
