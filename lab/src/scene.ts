@@ -204,6 +204,11 @@ export class Stage {
     return [x, y, z];
   }
 
+  /** Brings all into the picture with the next scene that is shown: somebody is about to come. */
+  widen(): void {
+    this.framed = false;
+  }
+
   /** Brings all into the picture. */
   overview(): void {
     this.framed = true;

@@ -47,7 +47,7 @@ with nmes.Client(port=int(sys.argv[1]), password="wheel") as client:
 """
 
 
-JUNK = (".*", "build", "dist", "*.egg-info", "__pycache__", "recordings")
+JUNK = (".*", "build", "dist", "*.egg-info", "__pycache__", "recordings", "node_modules")
 
 
 @pytest.fixture(scope="module")

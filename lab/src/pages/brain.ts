@@ -1,6 +1,6 @@
 /** The brain of a creature in a world: its network with weights, what it senses, and what its units do meanwhile. */
 import { post, socketUrl, words } from "../api.js";
-import { preview } from "../command.js";
+import { done } from "../command.js";
 import { Link } from "../connection.js";
 import { append, fill, h, icon, svg } from "../dom.js";
 import { type Network, network } from "../network.js";
@@ -59,7 +59,7 @@ function show({ root, signal }: View, world: string, creature: string): void {
   void load(body, "the brain", async () => {
     const message = { type: "get_genome", creature } as const;
     const { genome } = await visit.request(message);
-    preview({ world, message });
+    done({ world, message });
     const { body: found } = await post<Checked>("/genomes/check", genome);
     return { genome, found };
   }, ({ genome, found }) => {
@@ -170,7 +170,7 @@ class Picture {
       return column === 0 && columns > 1 ? svg("text", { x: x - 14, y: y + 4, "text-anchor": "end" }, short)
         : column === columns - 1 ? svg("text", { x: x + 14, y: y + 4 }, short) : svg("text", { x, y: y - 13, "text-anchor": "middle" }, short);
     });
-    this.element = svg("svg", { viewBox: `0 0 ${WIDTH} ${height}`, class: "network", role: "img", "aria-label": `A network of ${network.units.length} units and ${network.wires.length} weights` }, ...lines, ...this.dots, ...labels);
+    this.element = svg("svg", { viewBox: `0 0 ${WIDTH} ${height}`, class: "network", role: "img", "aria-label": `A network of ${network.units.length} units and ${network.wires.length} weights` }, ...lines, ...places.map(([cx, cy]) => svg("circle", { cx, cy, r: 8, class: "under" })), ...this.dots, ...labels);
   }
 
   show(sensed: readonly number[]): void {

@@ -90,7 +90,7 @@ function entries({ name, items }: Board, choice: HTMLElement, signal: AbortSigna
   task.addEventListener("change", draw);
   search.addEventListener("input", draw);
   draw();
-  return [h("div", { class: "bar" }, choice, task, h("div", { class: "searching" }, icon("search", 18), search), h("span", { class: "grow" }), verify), told, body];
+  return h("div", { class: "stack" }, h("div", { class: "bar" }, choice, task, h("div", { class: "searching" }, icon("search", 18), search), h("span", { class: "grow" }), verify), told, body);
 }
 
 function ranked(task: string, entries: readonly Entry[], verdicts: ReadonlyMap<number, Verdict>): Child {
@@ -102,7 +102,7 @@ function ranked(task: string, entries: readonly Entry[], verdicts: ReadonlyMap<n
       h("td", { class: "name" }, entry.name),
       h("td", { class: "wide" }, entry.author, " ", entry.key !== "" && h("span", { class: "badge", title: `key ${entry.key}` }, "signed")),
       h("td", { class: "number" }, `${entry.score.toLocaleString("en", { maximumFractionDigits: 3 })}${entry.unit === "" ? "" : ` ${entry.unit}`}`,
-        entry.spread > 0 && h("span", { class: "soft" }, ` ± ${entry.spread.toLocaleString("en", { maximumFractionDigits: 3 })}`)),
+        entry.spread > 0 && h("span", { class: "soft wide" }, ` ± ${entry.spread.toLocaleString("en", { maximumFractionDigits: 3 })}`)),
       h("td", { class: "number wide" }, entry.recordings.length),
       h("td", {}, proof(entry, verdicts.get(entry.id)))))))));
 }

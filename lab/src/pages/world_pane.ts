@@ -125,6 +125,7 @@ class Pane {
           await fetched();
         }
         const { creature } = await this.visit.request(message());
+        this.stage.widen();
         notify(`${creature} is in ${this.world}.`, "good");
       },
     });
@@ -153,7 +154,7 @@ class Pane {
     this.linked = new AbortController();
     const query = { world: this.world, ...(this.contacts.checked ? { contacts: "1" } : {}) };
     this.link = new Link(socketUrl("/ws/poses", query), {
-      open: () => void this.learn(),
+      open: () => void this.enter(),
       message: (message) => this.read(message),
       data: (bytes) => this.show(bytes),
     }, AbortSignal.any([this.signal, this.linked.signal]));
@@ -178,8 +179,7 @@ class Pane {
     this.stage.show(read);
     this.frames++;
     this.element.dataset["frames"] = String(this.frames);
-    const rate = this.scene?.tick_rate ?? 60;
-    this.clock.textContent = `${(read.frame / rate).toFixed(2)} s · ${read.frame.toLocaleString("en")}`;
+    this.tell(read.frame);
   }
 
   /** Draws what a new scene changes beside the picture. */
@@ -206,6 +206,23 @@ class Pane {
     return name === undefined ? -1 : (this.scene?.cubes ?? []).findIndex((cube) => cube.name === name);
   }
 
+  /** Enters, and has the world tell its time also while nothing moves, when no poses come. */
+  private async enter(): Promise<void> {
+    await this.learn();
+    if (this.info !== undefined) {
+      await attempt(() => this.visit.request({ type: "subscribe", events: ["tick"], every: Math.max(Math.round(this.rate() / 4), 1) }));
+    }
+  }
+
+  private rate(): number {
+    const rate = this.info?.config["tick_rate"] ?? this.scene?.tick_rate;
+    return typeof rate === "number" ? rate : 60;
+  }
+
+  private tell(frame: number): void {
+    this.clock.textContent = `${(frame / this.rate()).toFixed(2)} s · ${frame.toLocaleString("en")}`;
+  }
+
   /** Asks how the world is: when it is entered, and after its clock was changed. */
   private async learn(): Promise<void> {
     try {
@@ -215,7 +232,8 @@ class Pane {
       this.badge.textContent = words(error);
       return;
     }
-    const { paused, mode, fault, backend } = this.info;
+    const { paused, mode, fault, backend, frame: now } = this.info;
+    this.tell(now);
     const stopped = fault as { code: string; message: string } | null;
     this.badge.className = `badge ${stopped === null ? (paused ? "warn" : "good") : "bad"}`;
     this.badge.textContent = stopped !== null ? `stopped: ${stopped.message}` : paused ? "paused" : mode === "lockstep" ? "waits for steps" : "runs";
@@ -226,7 +244,9 @@ class Pane {
   }
 
   private told(event: { readonly type: string; readonly [more: string]: unknown }): void {
-    if (event.type === "world_fault") {
+    if (event.type === "tick") {
+      this.tell(Number(event["frame"]));
+    } else if (event.type === "world_fault") {
       void this.learn();
     } else if (event.type === "world_closed") {
       this.badge.className = "badge bad";
@@ -271,7 +291,7 @@ class Pane {
     }
     const { cube } = this;
     const creature = drawn.creature;
-    fill(this.inspector, h("div", { class: "bar" }, h("h2", { class: "breaks" }, drawn.name), h("span", { class: "grow" }),
+    fill(this.inspector, h("div", { class: "bar titled" }, h("h2", { class: "breaks" }, drawn.name),
       h("button", { class: "ghost square small", "aria-label": "Inspect nothing", onclick: () => this.pick(-1) }, icon("close", 16))),
     facts([
       ["Creature", typeof creature === "string" && h("a", { href: address("brain", this.world, creature) }, creature)],
@@ -281,7 +301,7 @@ class Pane {
       ["Speed", cube && `${short(Math.hypot(...cube.linear_velocity))} m/s`],
       ["Friction", cube && short(cube.friction)],
       ["Joints", cube && cube.joints.join(", ")],
-      ["Touches", cube && cube.contacts.map((contact) => `${contact.cube_name ?? "ground"} (${short(contact.force)} N)`).join(", ")],
+      ["Touches", cube && touched(cube)],
       ["State", cube && [cube.frozen && "frozen", cube.sleeping && "at rest"].filter(Boolean).join(", ")],
     ]));
   }
@@ -343,6 +363,15 @@ class Pane {
 function facts(rows: readonly (readonly [string, Child])[]): HTMLElement {
   return h("dl", { class: "facts" }, ...rows.flatMap(([name, value]) =>
     (value === undefined || value === false || value === "" ? [] : [h("dt", {}, name), h("dd", {}, value)])));
+}
+
+/** What a cube touches, each with the force that all contacts with it have together. */
+function touched({ contacts }: CubeInfo): string {
+  const forces = new Map<string, number>();
+  for (const { cube_name: name, force } of contacts) {
+    forces.set(name ?? "ground", (forces.get(name ?? "ground") ?? 0) + force);
+  }
+  return [...forces].map(([name, force]) => `${name} (${short(force)} N)`).join(", ");
 }
 
 function short(value: number): string {

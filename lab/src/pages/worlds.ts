@@ -191,7 +191,12 @@ function creation(signal: AbortSignal): HTMLElement {
       }
     },
   });
-  const form = h("form", { class: "card stack", hidden: true, onsubmit: (event: Event) => { event.preventDefault(); button.click(); } },
+  const form = h("form", { class: "card stack", hidden: true, onsubmit: (event: Event) => event.preventDefault(), onkeydown: (event: KeyboardEvent) => {
+    if (event.key === "Enter" && event.target instanceof HTMLInputElement) {
+      event.preventDefault();
+      button.click();
+    }
+  } },
     h("h2", {}, "A new world"),
     h("div", { class: "form" }, field("Name", name), field("Template", template), field("Seed", seed), button), problem);
   return form;

@@ -1,0 +1,253 @@
+"""The pages of the lab, as a browser shows them: worlds, recordings, brains, leaderboards, and what is around them."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+
+import nmes
+from lab_browser import PASSWORD, PATIENCE, Lab, opened, running_browser, serious, served_lab
+from layout import ROOT
+from nmes.evaluation.leaderboard import Leaderboard
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page, WebSocketRoute
+
+MARKUP = "<b>bold</b>"
+PHONE = {"width": 360, "height": 740}
+PAGES = ("worlds", "worlds/main", "recordings", "recordings/old", "brain", "brain/main/flea", "leaderboard")
+FLEA = {
+    "format": "nmes-genome/1",
+    "name": "<b>flea</b>",
+    "body": {
+        "cubes": [
+            {"id": "body", "size": 0.4, "mass": 1, "position": [0, 0.2, 0]},
+            {"id": "leg", "size": [0.4, 0.1, 0.1], "mass": 0.3, "position": [0.4, 0.3, 0]},
+        ],
+        "joints": [
+            {
+                "id": "hip",
+                "cube1": "body",
+                "cube2": "leg",
+                "type": "hinge",
+                "anchor": [0.2, 0.3, 0],
+                "motor": {"mode": "position", "range": [-0.5, 0.5], "max_effort": 5},
+            }
+        ],
+    },
+    "sensors": [{"type": "position", "joint": "hip"}],
+    "brain": {"kind": "mlp", "layers": [{"weights": [[0.5]], "biases": [1.0]}]},
+}
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with running_browser() as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
+    """A lab whose world has two creatures, one with markup in its name, with a recording and a leaderboard."""
+    folder = tmp_path_factory.mktemp("lab")
+    (folder / "recordings").mkdir()
+    shutil.copy(sorted((ROOT / "replays").glob("*.mcap"))[0], folder / "recordings" / "old.mcap")
+    (folder / "leaderboards").mkdir()
+    Leaderboard(folder / "leaderboards" / "board.sqlite", create=True).close()
+    with served_lab(folder) as running:
+        with nmes.Client(port=running.host_port, password=PASSWORD) as client:
+            client.spawn_creature(FLEA, name="flea", autonomous=True)
+            client.spawn_creature(FLEA, name=MARKUP, position=[2, 0, 0])
+        yield running
+
+
+def frames(page: Page) -> int:
+    panes = page.locator(".pane")
+    return int((panes.first.get_attribute("data-frames") if panes.count() > 0 else None) or 0)
+
+
+def show(page: Page, lab: Lab, path: str) -> None:
+    """Goes to a page of the lab, and waits until it has loaded what it is about."""
+    page.goto(lab.at(path))
+    page.wait_for_selector(f"main .page[data-page={path.split('/')[0]}] h1")
+    page.wait_for_selector(".loading", state="detached")
+
+
+def until(page: Page, happened: Callable[[], bool]) -> None:
+    """Waits for something that no selector tells; the pages let nobody evaluate text, as Playwright would."""
+    end = time.monotonic() + PATIENCE / 1000
+    while not happened():
+        assert time.monotonic() < end, "it did not happen"
+        page.wait_for_timeout(50)
+
+
+def frame(page: Page) -> int:
+    """Returns the frame of the world that is shown."""
+    return int(page.locator(".clock").inner_text().split("·")[1].replace(",", ""))
+
+
+def at_frame(page: Page, expected: int) -> None:
+    page.wait_for_selector(f".pane[data-frame='{expected}']")
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_no_page_keeps_anybody_out(browser: Browser, lab: Lab, scheme: str) -> None:
+    with opened(browser, lab, PAGES[0], color_scheme=scheme) as page:
+        for path in PAGES:
+            show(page, lab, path)
+            assert serious(page) == [], path
+
+
+def test_no_page_is_wider_than_a_telephone(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, PAGES[0], viewport=PHONE) as page:
+        for path in PAGES:
+            show(page, lab, path)
+            assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"], path
+        page.get_by_role("button", name="Menu").click()
+        page.get_by_role("link", name="Recordings", exact=True).click()
+        page.wait_for_selector("[data-page=recordings]")
+        assert not page.get_by_role("navigation").is_visible()
+
+
+def test_a_world_is_watched_as_it_moves(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "worlds/main") as page:
+        until(page, lambda: frames(page) > 20)
+        until(page, lambda: int(page.locator(".stage").get_attribute("data-drawn") or 0) > 5)
+        page.get_by_role("button", name="Pause").click()
+        page.get_by_role("button", name="Resume").wait_for()
+        page.wait_for_timeout(300)
+        stopped, before = frame(page), frames(page)
+        page.wait_for_timeout(500)
+        assert frames(page) == before, "frames come while nothing moves"
+        page.get_by_label("How many ticks").fill("3")
+        page.get_by_role("button", name="Step").click()
+        page.get_by_text(re.compile(f"· {stopped + 3:,}$")).wait_for()
+        assert page.locator("#command").inner_text() == '{"type":"step","ticks":3}'
+        page.get_by_role("button", name="Resume").click()
+        page.get_by_role("button", name="Pause").wait_for()
+
+
+def test_a_cube_is_inspected_and_pushed_with_the_mouse(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "worlds/new") as page:
+        page.goto(lab.at("worlds"))
+        page.get_by_role("button", name="New world").click()
+        page.get_by_label("Name", exact=True).fill("pushed")
+        page.get_by_role("button", name="Create and watch").click()
+        page.get_by_role("button", name="Drop a cube").click()
+        until(page, lambda: frames(page) > 40)
+        page.get_by_role("button", name="Show all").click()
+        page.wait_for_timeout(300)
+        box = page.locator("canvas").bounding_box()
+        assert box is not None
+        x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+        page.mouse.click(x, y)
+        position = page.locator(".facts dt", has_text="Position").locator("+ dd")
+        position.wait_for()
+        before = position.inner_text()
+        page.get_by_role("button", name="Push by dragging").click()
+        page.mouse.move(x, y)
+        page.mouse.down()
+        page.mouse.move(x + 60, y - 40, steps=4)
+        page.wait_for_timeout(600)
+        page.mouse.move(x + 90, y - 40, steps=4)
+        page.mouse.up()
+        position.filter(has_not_text=before).wait_for()
+        assert json.loads(page.locator("#command").inner_text())["type"] == "apply_force"
+
+
+def test_names_with_markup_are_text(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "brain") as page:
+        page.get_by_text("<b>flea</b>").first.wait_for()
+        page.get_by_role("link", name=MARKUP).click()
+        page.get_by_role("heading", name=MARKUP).wait_for()
+        page.goto(lab.at("worlds"))
+        page.get_by_role("button", name="New world").click()
+        page.get_by_label("Name", exact=True).fill(MARKUP)
+        page.get_by_role("button", name="Create and watch").click()
+        page.get_by_role("heading", name=MARKUP).wait_for()
+        page.goto(lab.at("worlds"))
+        page.get_by_role("link", name=MARKUP).wait_for()
+        assert page.locator("main b").count() == 0
+
+
+def test_a_recording_is_scrubbed_judged_and_gone_on_from(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "recordings") as page:
+        page.get_by_label("Find a recording by a part of its name").fill("old")
+        page.get_by_role("link", name="old", exact=True).click()
+        line = page.get_by_label("Frame", exact=True)
+        until(page, lambda: int(line.get_attribute("max") or 0) > 10)
+        middle = int(line.get_attribute("max") or 0) // 2
+        line.fill(str(middle))
+        at_frame(page, middle)
+        page.get_by_role("button", name="One frame back").click()
+        at_frame(page, middle - 1)
+        page.get_by_role("button", name="Replay and compare").click()
+        page.get_by_text(re.compile("^(reproduced|not comparable)$")).wait_for()
+        assert page.locator("#command").inner_text().startswith("nmes replay ")
+        page.get_by_label("Name of the new world").fill("forked")
+        page.get_by_role("button", name="Go on from here").click()
+        page.wait_for_url("**/#/worlds/forked")
+        assert f"--at {middle - 1}" in page.locator("#command").inner_text()
+        until(page, lambda: frames(page) > 0)
+
+
+def test_a_brain_is_drawn_and_does_something(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "brain/main/flea") as page:
+        page.get_by_role("heading", name="A brain of kind mlp").wait_for()
+        until(page, lambda: float(page.locator(".network .unit").last.evaluate("unit => unit.style.fillOpacity")) > 0.5)
+        assert page.locator(".bars li").count() == 1
+        assert page.locator(".wire title").first.text_content() == "0.500"
+
+
+def test_an_empty_leaderboard_says_how_to_fill_it(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "leaderboard") as page:
+        page.get_by_text("Nothing is listed yet").wait_for()
+        assert str(lab.folder / "leaderboards" / "board.sqlite") in page.locator("main code").inner_text()
+
+
+def test_the_keyboard_reaches_everything(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "worlds") as page:
+        page.keyboard.press("Tab")
+        assert page.evaluate("document.activeElement.textContent") == "Skip to the page"
+        page.keyboard.press("Enter")
+        assert page.evaluate("document.activeElement.id") == "main"
+        page.get_by_role("button", name="New world").focus()
+        page.keyboard.press("Enter")
+        assert page.evaluate("document.activeElement.placeholder") == "arena"
+        page.keyboard.type("typed")
+        page.keyboard.press("Enter")
+        page.wait_for_url("**/#/worlds/typed")
+        assert page.locator("#command").inner_text().startswith("nmes worlds 127.0.0.1:")
+
+
+def test_the_theme_is_changed_and_kept(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "worlds", color_scheme="light") as page:
+        page.get_by_role("button", name="Dark theme").click()
+        assert page.evaluate("document.documentElement.dataset.theme") == "dark"
+        page.reload()
+        page.get_by_role("button", name="Light theme").wait_for()
+
+
+def test_a_lost_connection_is_told_and_comes_back(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "worlds/main") as page:
+        sockets: list[WebSocketRoute] = []
+
+        def carried(route: WebSocketRoute) -> None:
+            sockets.append(route)
+            route.connect_to_server()
+
+        page.route_web_socket(re.compile("/ws/poses"), carried)
+        page.reload()
+        until(page, lambda: frames(page) > 5)
+        sockets[0].close(code=1001)
+        page.get_by_text("The connection is lost.", exact=False).first.wait_for()
+        page.wait_for_selector(".banner", state="hidden")
+        assert len(sockets) == 2
+        before = frames(page)
+        until(page, lambda: frames(page) > before + 5)

