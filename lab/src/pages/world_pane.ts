@@ -38,6 +38,7 @@ class Pane {
   private chosen: string | undefined;
   private pulled: { pull: Pull; timer: number } | undefined;
   private frames = 0;
+  private known = 0; // creatures of the scene before
 
   constructor(private readonly world: string, private readonly signal: AbortSignal, close: (() => void) | undefined) {
     this.visit = new Visit(world, signal, (event) => this.told(event));
@@ -185,7 +186,9 @@ class Pane {
   /** Draws what a new scene changes beside the picture. */
   private describe(): void {
     const creatures = this.creatures();
-    const chosen = this.following.value;
+    const alone = this.known === 0 && creatures.length === 1; // who comes alone is followed, so that it is not lost
+    const chosen = alone ? creatures[0] : this.following.value;
+    this.known = creatures.length;
     fill(this.following, h("option", { value: "" }, "Follow nobody"), ...creatures.map((name) => h("option", { value: name, selected: name === chosen }, name)));
     this.follow();
     this.stage.choose(this.place(this.chosen));
