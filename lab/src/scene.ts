@@ -42,6 +42,10 @@ const LIGHT = new THREE.Vector3(0.45, 1, 0.35); // where the sun stands
 /** What lays all flat on the ground, away from the sun. */
 const FLAT = new THREE.Matrix4().set(1, -LIGHT.x / LIGHT.y, 0, 0, 0, 0, 0, 0.002, 0, -LIGHT.z / LIGHT.y, 1, 0, 0, 0, 0, 1);
 const HALF_TURN = Math.PI;
+const SLOW = 30; // ms between two drawings from which on there are fewer pixels
+const FEWEST = 0.5; // pixels of the picture for one of the page, along a side
+
+const SOFTWARE = software();
 
 export class Stage {
   readonly element: HTMLElement;
@@ -75,11 +79,14 @@ export class Stage {
   private chosen = -1;
   private requested = 0;
   private shaded = true; // whether the ground is level, so that bodies throw shadows on it
+  private ratio = Math.min(devicePixelRatio, 2); // pixels of the picture for one of the page, along a side
+  private pace = 16; // ms between two drawings, about
+  private last = 0;
   private framed = false; // whether the camera was set once
   private pulled: { cube: number; local: THREE.Vector3; plane: THREE.Plane } | undefined;
 
   constructor(label: string, private readonly signal: AbortSignal, private readonly events: StageEvents = {}) {
-    this.renderer = new THREE.WebGLRenderer({ antialias: true, stencil: true, powerPreference: "high-performance" });
+    this.renderer = new THREE.WebGLRenderer({ antialias: !SOFTWARE, stencil: true, powerPreference: "high-performance" });
     const canvas = this.renderer.domElement;
     canvas.tabIndex = 0;
     canvas.setAttribute("role", "application");
@@ -246,21 +253,35 @@ export class Stage {
   /** Draws when the browser next draws. */
   private request(): void {
     if (this.requested === 0 && !this.signal.aborted) {
-      this.requested = requestAnimationFrame(() => this.draw());
+      this.requested = requestAnimationFrame((now) => this.draw(now));
     }
   }
 
-  private draw(): void {
+  private draw(now: number): void {
     this.requested = 0;
+    this.measure(now - this.last);
+    this.last = now;
     this.renderer.render(this.scene, this.camera);
     this.drawn++;
     this.element.dataset["drawn"] = String(this.drawn);
   }
 
+  /** Draws fewer pixels where drawing falls behind. */
+  private measure(between: number): void {
+    if (between < 1000) {
+      this.pace += (between - this.pace) * 0.1;
+      if (this.pace > SLOW && this.ratio > FEWEST) {
+        this.ratio = Math.max(this.ratio * 0.8, FEWEST);
+        this.pace = 16;
+        this.resize();
+      }
+    }
+  }
+
   private resize(): void {
     const { clientWidth: width, clientHeight: height } = this.element;
     if (width > 0 && height > 0) {
-      this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+      this.renderer.setPixelRatio(this.ratio);
       this.renderer.setSize(width, height, false);
       this.camera.aspect = width / height;
       this.camera.updateProjectionMatrix();
@@ -319,7 +340,7 @@ export class Stage {
     if (landscape !== null) {
       put(heightfield(landscape, material));
     } else if (ground) {
-      const plane = new THREE.Mesh(new THREE.PlaneGeometry(400, 400), new THREE.MeshLambertMaterial({ map: grid() }));
+      const plane = new THREE.Mesh(new THREE.PlaneGeometry(400, 400), new THREE.MeshBasicMaterial({ map: grid() }));
       plane.rotation.x = -HALF_TURN / 2;
       this.fixed.add(plane);
     }
@@ -560,8 +581,17 @@ function grid(): THREE.Texture {
   });
   drawing.wrapS = drawing.wrapT = THREE.RepeatWrapping;
   drawing.repeat.set(40, 40);
-  drawing.anisotropy = 8;
+  drawing.anisotropy = SOFTWARE ? 1 : 8;
   return drawing;
+}
+
+/** Whether there is no graphics processor: then whatever makes each pixel dearer is left out. */
+function software(): boolean {
+  const context = h("canvas").getContext("webgl2");
+  const about = context?.getExtension("WEBGL_debug_renderer_info");
+  const name = context && about ? String(context.getParameter(about.UNMASKED_RENDERER_WEBGL)) : "";
+  context?.getExtension("WEBGL_lose_context")?.loseContext();
+  return /swiftshader|llvmpipe|software/i.test(name);
 }
 
 function texture(size: number, draw: (context: CanvasRenderingContext2D) => void): THREE.CanvasTexture {
