@@ -140,7 +140,7 @@ def test_a_cube_is_inspected_and_pushed_with_the_mouse(browser: Browser, lab: La
         page.get_by_label("Name", exact=True).fill("pushed")
         page.get_by_role("button", name="Create and watch").click()
         page.get_by_role("button", name="Drop a cube").click()
-        until(page, lambda: frames(page) > 40)
+        until(page, lambda: frames(page) > 3 and frame(page) > 90)  # it has come to rest
         page.get_by_role("button", name="Show all").click()
         page.wait_for_timeout(300)
         box = page.locator("canvas").bounding_box()
