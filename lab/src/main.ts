@@ -3,6 +3,8 @@ import { start } from "./shell.js";
 
 start([
   { name: "worlds", title: "Worlds", icon: "worlds", load: () => import("./pages/worlds.js") },
+  { name: "build", title: "Build", icon: "build", load: () => import("./pages/build.js") },
+  { name: "evolve", title: "Evolve", icon: "evolve", load: () => import("./pages/evolve.js") },
   { name: "recordings", title: "Recordings", icon: "recordings", load: () => import("./pages/recordings.js") },
   { name: "brain", title: "Brain", icon: "brain", load: () => import("./pages/brain.js") },
   { name: "leaderboard", title: "Leaderboard", icon: "leaderboard", load: () => import("./pages/leaderboard.js") },
