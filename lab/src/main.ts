@@ -8,4 +8,5 @@ start([
   { name: "recordings", title: "Recordings", icon: "recordings", load: () => import("./pages/recordings.js") },
   { name: "brain", title: "Brain", icon: "brain", load: () => import("./pages/brain.js") },
   { name: "leaderboard", title: "Leaderboard", icon: "leaderboard", load: () => import("./pages/leaderboard.js") },
+  { name: "lessons", title: "Lessons", icon: "lessons", load: () => import("./pages/lessons.js") },
 ]);

@@ -1,0 +1,204 @@
+"""The pages on which creatures are built, evolved and taught about, as a browser shows them."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+
+from lab_browser import Lab, opened, running_browser, serious, served_lab
+from nmes.evaluation import Workers
+from nmes.evolution.run import Run
+from nmes.evolution.run_settings import RunSettings
+from nmes.genome import Genome
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+MARKUP = "<img src=x onerror=alert(1)>"
+PHONE = {"width": 360, "height": 740}
+PAGES = ("build", "build/walker", "build/galloper", "evolve", "evolve/kinds", "lessons", "lessons/worlds")
+SETTINGS = {
+    "format": "nmes-run/1",
+    "task": "jump-far",
+    "algorithm": "map-elites",
+    "budget": 12,
+    "seeds": [1],
+    "starts": ["lurcher"],
+    "measures": [
+        {"expression": "cubes", "low": 0, "high": 10, "cells": 10},
+        {"expression": "mass", "low": 0, "high": 50, "cells": 10},
+    ],
+}
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with running_browser() as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
+    """A lab with a finished run that has an archive."""
+    folder = tmp_path_factory.mktemp("lab")
+    (folder / "runs").mkdir()
+    with Workers(1) as workers:
+        for _ in Run.create(folder / "runs" / "kinds", RunSettings.read(SETTINGS)).advance(workers):
+            pass
+    with served_lab(folder) as running:
+        yield running
+
+
+def show(page: Page, lab: Lab, path: str) -> None:
+    page.goto(lab.at(path))
+    page.wait_for_selector(f"main .page[data-page={path.split('/')[0]}] h1")
+    page.wait_for_selector(".loading", state="detached")
+
+
+def parts(page: Page, number: int) -> None:
+    page.get_by_text(f"Parts ({number})", exact=True).wait_for()
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_no_page_keeps_anybody_out(browser: Browser, lab: Lab, scheme: str) -> None:
+    with opened(browser, lab, PAGES[0], color_scheme=scheme) as page:
+        for path in PAGES:
+            show(page, lab, path)
+            assert serious(page) == [], path
+
+
+def test_no_page_is_wider_than_a_telephone(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, PAGES[0], viewport=PHONE) as page:
+        for path in PAGES:
+            show(page, lab, path)
+            assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"], path
+
+
+def test_a_creature_is_built_with_the_keyboard_alone(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "build") as page:
+        for name, number in (("trunk", 1), ("right", 3), ("bottom", 5)):
+            parts(page, 1 if name == "trunk" else number - 2)
+            page.get_by_role("button", name=name, exact=True).focus()
+            page.keyboard.press("Enter")
+        parts(page, 5)
+        page.keyboard.press("Control+z")
+        parts(page, 3)
+        page.keyboard.press("Control+Shift+z")
+        parts(page, 5)
+        page.get_by_text("A good genome").wait_for()
+        page.get_by_role("button", name="Save").focus()
+        page.keyboard.press("Enter")
+        page.get_by_text(re.compile("^Saved as mine")).wait_for()
+        assert page.locator("#command").inner_text() == f"nmes genome check {lab.folder / 'genomes' / 'mine.json'}"
+    genome = Genome.load(lab.folder / "genomes" / "mine.json")
+    assert len(genome.body.motors) == 4 and genome.brain() is not None
+
+
+def test_problems_are_told_with_their_place(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "build/walker") as page:
+        page.get_by_text("A good genome").wait_for()
+        page.get_by_role("button", name="rear_left_thigh", exact=True).click()
+        page.get_by_label("Place along x").first.fill("0.24")
+        page.get_by_text(re.compile("problems?$")).wait_for()
+        page.get_by_text("overlap by").first.wait_for()
+        page.get_by_role("button", name=re.compile("^body.cubes")).first.wait_for()
+        page.get_by_role("button", name="Undo").click()
+        page.get_by_text("A good genome").wait_for()
+
+
+def test_a_body_that_grows_is_shown_as_it_grows(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "build/centipede") as page:
+        page.get_by_text("A good genome").wait_for()
+        page.locator(".part", has_text="segment").click()
+        with page.expect_response("**/api/genomes/check") as answer:
+            page.get_by_label("Grown on one way").last.fill("2")
+            page.keyboard.press("Tab")
+        sent = json.loads(answer.value.request.post_data or "")
+        grown = [cube["id"] for cube in answer.value.json()["body"]["cubes"]]
+        assert grown == [cube.id for cube in Genome(sent).body.cubes]
+        assert len(grown) < len(Genome.load("centipede").body.cubes)
+
+
+def test_names_with_markup_are_text(browser: Browser, lab: Lab) -> None:
+    document = {**Genome.load("walker").document, "name": MARKUP}
+    with opened(browser, lab, "build") as page:
+        page.get_by_role("button", name="Open", exact=True).click()
+        page.get_by_label("Or a file").set_input_files(
+            [{"name": "x.json", "mimeType": "application/json", "buffer": json.dumps(document).encode()}]
+        )
+        parts(page, 9)
+        assert page.get_by_label("Name", exact=True).input_value() == MARKUP
+        page.get_by_role("button", name="Save").click()
+        page.get_by_text(re.compile("^Saved as img-src-x")).wait_for()
+        show(page, lab, "evolve")
+        assert page.locator("main img").count() == 0
+
+
+def test_a_creature_is_dropped_into_a_world(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "build/walker") as page:
+        page.get_by_role("button", name="Drop into a world").click()
+        page.wait_for_url("**/#/worlds/try-walker")
+        page.wait_for_function("Number(document.querySelector('.pane')?.dataset.frames) > 10")
+
+
+def test_an_elite_of_an_archive_is_watched_and_kept(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "evolve") as page:
+        page.get_by_role("link", name="kinds").click()
+        page.get_by_text("12 of 12 candidates").wait_for()
+        page.locator(".curve canvas").wait_for()
+        cells = page.locator(".heat button")
+        cells.first.locator("svg").wait_for()
+        label = cells.first.get_attribute("aria-label") or ""
+        cells.first.click()
+        number = int(re.findall(r"\d+", label)[0])
+        page.get_by_role("heading", name=f"Candidate {number}, live").wait_for()
+        page.wait_for_function("Number(document.querySelector('.watched .stage')?.dataset.drawn) > 5")
+        page.locator(".watched ~ .actions").get_by_role("button", name="Save as a genome").click()
+        page.get_by_text(f"Saved as kinds-{number}").wait_for()
+    kept = Genome.load(lab.folder / "genomes" / f"kinds-{number}.json").document
+    run = Run.open(lab.folder / "runs" / "kinds")
+    assert {**kept, "name": ""} == {**run.genome(number).document, "name": ""}
+
+
+def test_a_run_is_begun_paused_and_gone_on_with(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "evolve?genome=walker") as page:
+        page.get_by_label("Budget, in candidates").fill("100000")
+        page.get_by_label("Name of the run").fill("long")
+        command = page.locator(".as-command").inner_text()
+        run = f"-o {lab.folder / 'runs' / 'long'}"
+        assert command == f"nmes evolve walker --task walk --algorithm ga --budget 100000 --seed 1 {run}"
+        page.get_by_role("button", name="Start").click()
+        page.get_by_role("button", name="Pause").click()
+        page.get_by_text("paused", exact=True).wait_for()
+        page.get_by_role("button", name="Resume").click()
+        page.get_by_text("running", exact=True).wait_for()
+        page.get_by_role("button", name="Pause").click()
+        page.get_by_text("paused", exact=True).wait_for()
+
+
+def test_the_first_lesson_does_what_it_says(browser: Browser, lab: Lab) -> None:
+    take(browser, lab, "worlds")
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("lesson", ["bodies", "brains", "evolution", "senses"])
+def test_every_other_lesson_does_what_it_says(browser: Browser, lab: Lab, lesson: str) -> None:
+    take(browser, lab, lesson)
+
+
+def take(browser: Browser, lab: Lab, lesson: str) -> None:
+    """Does all steps of a lesson, each of which must come out as it says."""
+    with opened(browser, lab, f"lessons/{lesson}") as page:
+        steps = page.locator(".steps > li")
+        for i in range(steps.count()):
+            steps.nth(i).get_by_role("button").click()
+            outcome = steps.nth(i).locator(".outcome.good, .outcome.bad")
+            outcome.wait_for(timeout=180_000)
+            assert "good" in (outcome.get_attribute("class") or ""), outcome.inner_text()
+        page.get_by_role("heading", name="Done").wait_for()
+        show(page, lab, "lessons")
+        page.get_by_text("done", exact=True).wait_for()
