@@ -148,6 +148,7 @@ test("what is done is undone and done again, a drawn slider in one", () => {
   history.commit(2);
   history.commit(3, "size");
   history.commit(4, "size");
+  history.commit(4);
   history.undo();
   assert.equal(history.now, 2);
   history.redo();

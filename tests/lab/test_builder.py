@@ -15,7 +15,7 @@ from nmes.cli import main
 from nmes.genome import Genome
 
 BUNDLE = ROOT / "lab" / "node_modules" / ".bin" / "esbuild"
-NODES = (ROOT / ".venv" / "bin" / "node", "node")
+NODES = (str(ROOT / ".venv" / "bin" / "node"), "node")
 OFFENCES = ("overlap by", "reaches")  # what steps of a person may lead to, and the page tells
 
 

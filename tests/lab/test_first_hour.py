@@ -95,7 +95,7 @@ def watch(person: Person, lab: Lab, world: str) -> float:
     stage = page.locator(".watched canvas")
     stage.wait_for()
     with nmes.Client(port=lab.host_port, password=PASSWORD, world=world) as client:
-        page.wait_for_function("Number(document.querySelector('.watched .stage')?.dataset.drawn) > 5")
+        page.wait_for_function("() => Number(document.querySelector('.watched .stage')?.dataset.drawn) > 5")
         first, before = stage.screenshot(), client.get_cube_state("it.trunk")["position"][0]
         page.wait_for_timeout(4000)
         last, after = stage.screenshot(), client.get_cube_state("it.trunk")["position"][0]

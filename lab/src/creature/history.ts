@@ -26,7 +26,10 @@ export class History<T> {
    * @param step Names a step that goes on, such as a slider that is drawn: several with one name are undone as one.
    */
   commit(document: T, step?: string): void {
-    if (document === this.document) return;
+    if (JSON.stringify(document) === JSON.stringify(this.document)) {
+      this.#step = undefined; // a slider that is let go: the next time it is drawn is another step
+      return;
+    }
     if (step === undefined || step !== this.#step) this.#past = [...this.#past.slice(-499), this.document];
     this.#step = step;
     this.#future = [];
