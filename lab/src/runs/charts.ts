@@ -172,7 +172,7 @@ export function lineage(candidates: readonly Relative[], of: number, pick: (inde
 }
 
 function person(each: Relative, x: number, y: number, chosen: boolean, pick: (index: number) => void): SVGElement {
-  const label = `Candidate ${each.index}, ${each.operator}, score ${worded(each.score)}`;
+  const label = `${each.index} · ${worded(each.score)}, by ${each.operator}`; // begins with what is seen
   const group = svg("g", { class: chosen ? "person chosen" : "person", tabindex: 0, role: "button", "aria-label": label, transform: `translate(${x} ${y})` },
     svg("title", {}, label),
     svg("rect", { x: 0, y: -12, width: 96, height: 24, rx: 6 }),
