@@ -123,7 +123,7 @@ def test_the_page_stays_short_for_many_worlds_and_counts_them_all() -> None:
 def test_nothing_waits_to_be_written_where_nothing_happens(tmp_path: Path) -> None:
     metrics = Metrics()
     with served(metrics=metrics, record_to=tmp_path, flush_interval=0.02) as server:
-        port = server.run(server.host.serve_metrics("127.0.0.1", 0))
+        port = server.run(server.host.probes.listen("127.0.0.1", 0))
         with server.client() as client:
             client.ping()
             until(lambda: value(scrape(port), "nmes_recording_lag_seconds", world="main") == 0.0)
