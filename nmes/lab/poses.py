@@ -166,7 +166,9 @@ class _Watched:
             hosted = self._host.worlds.get(self._name)
             if hosted is not self._hosted:
                 self._attach(hosted)
-            if hosted is None and not self._host.offers(self._name):
+            try:
+                self._host.world_name(self._name)
+            except WorldError:  # it is closed
                 for reader in self.readers:
                     reader.end()
                 return

@@ -267,15 +267,8 @@ class HostedWorld:
             self._barrier.update()
         self._peers.flush()
         if not self._worker.away and not self._closing:
-            self._log_fault()
+            self._fault = _log_fault(self.world, self._fault)
             self._clock.adjust()
-
-    def _log_fault(self) -> None:
-        """Logs a new fault for whoever runs the host; the world's clients have an event of it."""
-        fault = self.world.fault
-        if fault is not None and fault is not self._fault:
-            logger.error("world %r stopped at frame %d: %s: %s", self.name, fault.frame, fault.code, fault.message)
-        self._fault = fault
 
     def _turn(self) -> None:
         """Ticks as often as the clock says, for one slice."""
@@ -451,7 +444,7 @@ class HostedWorld:
         self.abandoned = not await self._worker.stop(PATIENCE)
         self._clock.stop()
         self._barrier.stop()
-        self._log_fault()
+        self._fault = _log_fault(self.world, self._fault)
         if farewell is not None:
             self._peers.hang_up(farewell)
         if self.abandoned:
@@ -500,3 +493,11 @@ def _begin(world: World, record_to: Path | None, flush_interval: float, origin: 
     for client in world.clients():  # their connections are gone
         world.leave(client)
     return recorder
+
+
+def _log_fault(world: World, before: Fault | None) -> Fault | None:
+    """Logs a fault that is new for whoever runs the host, and returns it; the world's clients have an event of it."""
+    if world.fault is not None and world.fault is not before:
+        name, fault = world.config["name"], world.fault
+        logger.error("world %r stopped at frame %d: %s: %s", name, fault.frame, fault.code, fault.message)
+    return world.fault

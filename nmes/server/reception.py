@@ -101,10 +101,6 @@ class Reception(ABC):
             raise WorldError("world_not_found", f"this host has no world {name!r}", "world")
         return name
 
-    def offers(self, name: str) -> bool:
-        """Whether there is a world of that name, created or not."""
-        return name in self._catalog
-
     @abstractmethod
     def find(self, name: str, connection: Connection) -> HostedWorld | None:
         """Returns a world, or None where the connection has to wait, or is in other hands now.
