@@ -56,8 +56,7 @@ class Lab:
         return await asyncio.get_running_loop().run_in_executor(self._threads, work, *arguments)
 
     async def close(self) -> None:
-        """Ends all jobs, and all else."""
-        await self.jobs.close()
+        """Ends what works for pages, of which none may be there any more."""
         await self.index.close()
         await asyncio.to_thread(self._threads.shutdown)
 
@@ -75,10 +74,13 @@ async def open_lab(folder: Folder, password: str, most_jobs: int) -> AsyncIterat
     for name in _WORLDS.names():
         templates[name] = {**_KEYFRAMES, **parse_document(_WORLDS.read(name))}
     host = Host(password, catalog=Catalog(templates), record_to=folder.path / "recordings", hibernate_after=60.0)
-    async with host:
-        host.offer({**_KEYFRAMES, "name": "main"})
-        lab = Lab(folder, host, list(templates), most_jobs)
-        try:
-            yield lab
-        finally:
-            await lab.close()
+    lab = Lab(folder, host, list(templates), most_jobs)
+    try:
+        async with host:
+            host.offer({**_KEYFRAMES, "name": "main"})
+            try:
+                yield lab
+            finally:
+                await lab.jobs.close()
+    finally:
+        await lab.close()

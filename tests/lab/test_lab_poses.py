@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -169,3 +171,15 @@ def test_a_recording_is_shown_at_any_moment_and_a_world_goes_on_from_there(lab: 
     assert lab.ask(f"/api/recordings/{name}/file")[1][:8] == b"\x89MCAP0\r\n"
     verdict = lab.ended(lab.good(f"/api/recordings/{name}/replay", {})["id"])
     assert verdict["result"]["verdict"] == "reproduced" and verdict["command"].startswith("nmes replay ")
+
+
+def test_a_lab_ends_well_while_pages_are_open(tmp_path: Path) -> None:
+    with ExitStack() as pages, running_lab(tmp_path / "lab") as lab:
+        with lab.world() as world:
+            world.ask({"type": "spawn_cube", "list": False})
+        until(lambda: len(lab.good("/api/recordings")["items"]) == 1)
+        (name,) = (each["name"] for each in lab.good("/api/recordings")["items"])
+        for path in ("/ws", "/ws/poses?world=main", f"/ws/recording?name={name}"):
+            page = pages.enter_context(lab.socket(path))
+            if path != "/ws":
+                page.hear()
