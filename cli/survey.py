@@ -83,11 +83,11 @@ def begin(
     ray: str | None,
     as_json: bool,
 ) -> None:
-    """Score creatures in thousands of worlds, each a landscape or planet of its own seed.
+    """Score creatures in thousands of worlds.
 
-    WHAT are the creatures, of which each world has one: files, directories, patterns, or names of genomes that ship,
-    which take turns; or `random`, for another random one in each. Without --task the worlds are those of an atlas:
-    hills of five heights under five gravities.
+    Each world is a landscape or planet of its own seed. WHAT are the creatures, of which each has one: files,
+    directories, patterns, or names of genomes that ship, which take turns; or `random`, for another random one in each.
+    Without --task the worlds are those of an atlas: hills of five heights under five gravities.
 
     The survey is kept in a folder: its settings and a log of all worlds. It comes out the same for any number of
     processes, and also if it was interrupted in between: the digest that is printed at the end proves it. Any world can

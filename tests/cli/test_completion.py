@@ -85,7 +85,7 @@ def test_every_first_argument_is_completed_but_addresses() -> None:
     assert len(found) > 25
     assert {placeholder for line, placeholder in found if not complete(f"{line} ''")} <= {
         "HOST:PORT",
-        "[HOST:PORT]",
+        "[HOST:PORT|ws://HOST:PORT]",
         "[HOST[:PORT]...]",
     }
 

@@ -126,7 +126,7 @@ def test_nothing_waits_to_be_written_where_nothing_happens(tmp_path: Path) -> No
         port = server.run(server.host.probes.listen("127.0.0.1", 0))
         with server.client() as client:
             client.ping()
-            until(lambda: value(scrape(port), "nmes_recording_lag_seconds", world="main") == 0.0)
+            until(lambda: value(scrape(port), "nmes_world_recording_lag_seconds", world="main") == 0.0)
             written = server.hosted.recording
             assert written is not None
             kinds = [record.kind.value for record in Recording(written)]
