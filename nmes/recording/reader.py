@@ -218,7 +218,7 @@ class Recording:
     def start(self, frame: int | None = None) -> Start:
         """Finds where to begin reading in order to come to a frame: at the last keyframe before it, or the beginning.
 
-        A whole file says where its keyframes are; of one that was cut, all that comes before is read.
+        A file says where its keyframes are: only what comes from there on is read and checked.
 
         Args:
             frame: The frame, counted on through resets; None: that with which the recording begins.

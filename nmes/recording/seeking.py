@@ -1,7 +1,8 @@
 """The places from which a recording can be read: its beginning and its keyframes, and how the last one is found.
 
-A whole file's summary says where its keyframes are. It is no more than a place to look at: what is found there must be
-a keyframe whose chunk goes on from the chunk before it in the file, and defines the channels that it uses.
+A whole file's summary says where its keyframes are; in a file that was cut, the indexes behind its chunks do. That is
+no more than a place to look at: what is found there must be a keyframe whose chunk goes on from the chunk before it in
+the file, and defines the channels that it uses.
 """
 
 from __future__ import annotations
@@ -63,18 +64,18 @@ def beginning(reader: Reader, head: bytes) -> Start:
 def last_keyframe(reader: Reader, head: bytes, frame: int) -> Start | None:
     """Finds the last keyframe up to a frame, counted on through resets; None where there is none.
 
-    A whole file states where its keyframes are; of one that was cut, or of a version in which their chunks do not
-    define their channels again, all that comes before is read.
+    Of a file of a version in which the chunks of keyframes do not define their channels again, all that comes before is
+    read, as where there is none.
     """
-    return _keyframe_by_summary(reader, head, frame) or _keyframe_by_reading(reader, head, frame)
+    return _keyframe_by_index(reader, head, frame) or _keyframe_by_reading(reader, head, frame)
 
 
-def _keyframe_by_summary(reader: Reader, head: bytes, frame: int) -> Start | None:
-    """Finds the last keyframe by the file's summary; None where that is of no use."""
+def _keyframe_by_index(reader: Reader, head: bytes, frame: int) -> Start | None:
+    """Finds the last keyframe by the file's summary or indexes; None where they are of no use."""
     places = reader.chunks_with(KEYFRAMES)
     try:
-        count = bisect_right(places or [], frame, key=lambda place: _frame_at(reader, head, place[1]))
-        if not places or count == 0:
+        count = bisect_right(places, frame, key=lambda place: _frame_at(reader, head, place[1]))
+        if count == 0:
             return None
         before, offset = places[count - 1]
         chain = Chain(head)
@@ -92,7 +93,7 @@ def _keyframe_by_summary(reader: Reader, head: bytes, frame: int) -> Start | Non
 def _frame_at(reader: Reader, head: bytes, offset: int) -> int:
     snapshot = Chain(head).keyframe(reader.block(offset))
     if snapshot is None:
-        raise DamagedFile(offset, "the summary does not fit the chunks")
+        raise DamagedFile(offset, "the summary or an index does not fit the chunks")
     return ticks_before(snapshot)
 
 
