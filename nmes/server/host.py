@@ -13,7 +13,7 @@ import ssl
 import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
-from time import time
+from time import monotonic, time
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
@@ -40,7 +40,8 @@ __all__ = ["Host"]
 
 logger = logging.getLogger(__name__)
 
-SLEEPERS = 4  # worlds that are put to sleep at once: they share the cores with whatever else there is to do
+SLEEPERS = 4  # worlds that are put to sleep at once where none keeps pace with the wall's clock: else one is
+TRIM = (32, 16, 30.0)  # engines let go, at least, worlds here for each of them, and s, after which memory is given back
 SWEEP = 60.0  # s: how often it is looked for recordings that are to be removed
 
 
@@ -326,22 +327,36 @@ class Host(Reception):
                 await hosted.flush()
 
     async def _hibernate(self) -> None:
-        """Has worlds hibernate that nobody uses, a few at once: else they could be made faster than they sleep."""
-        idle = self._hibernate_after
+        """Has worlds hibernate that nobody uses, a few at once: else they could be made faster than they sleep.
+
+        Beside worlds that keep pace with the wall's clock it is one at a time, with pauses: threads would take Python's
+        lock from the loop, in which those tick. To give memory back takes long where there is much of it.
+        """
+        idle, let_go, trimmed = self._hibernate_after, 0, monotonic()
+
+        async def put_to_sleep(worlds: Iterator[HostedWorld], idle: float, gently: bool) -> int:
+            asleep = 0
+            for hosted in worlds:
+                began = monotonic()
+                await hosted.hibernation.begin(idle)
+                if hosted.hibernation.resting:
+                    self._awake.discard(hosted)
+                    asleep += 1
+                    if gently:
+                        await asyncio.sleep(monotonic() - began)
+            return asleep
+
+        least, share, longest = TRIM
         while idle is not None:
             await asyncio.sleep(min(max(idle / 4, 0.01), 5.0))
-            before = len(self._awake)
+            paced = any(hosted.status.mode == "realtime" and not hosted.hibernation.resting for hosted in self._awake)
             worlds = iter(list(self._awake))
-
-            async def put_to_sleep(worlds: Iterator[HostedWorld] = worlds, idle: float = idle) -> None:
-                for hosted in worlds:
-                    await hosted.hibernation.begin(idle)
-                    if hosted.hibernation.resting:
-                        self._awake.discard(hosted)
-
-            await asyncio.gather(*(put_to_sleep() for _ in range(SLEEPERS)))
-            if len(self._awake) < before:
+            lanes = (put_to_sleep(worlds, idle, paced) for _ in range(1 if paced else SLEEPERS))
+            let_go += sum(await asyncio.gather(*lanes))
+            late = not self._awake or monotonic() > trimmed + longest
+            if let_go and (late or let_go >= max(least, len(self.worlds) // share)):
                 await asyncio.to_thread(_give_back_memory)
+                let_go, trimmed = 0, monotonic()
 
     async def _sweep(self) -> None:
         while self._retention is not None:
