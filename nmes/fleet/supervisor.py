@@ -103,6 +103,7 @@ class Supervisor(Reception):
             "tls": None if tls_files is None else [str(file) for file in tls_files],
             "metrics": metrics,
             "access_log": None if access_log is None else str(access_log),
+            "engines": self._catalog.engines,
         }
         self.workers = WorkerProcesses(command, begin, self._hear, self._lose)
         self.lost: list[tuple[str, str]] = []  # worlds whose recordings are not whole, and why, once it is closed

@@ -8,6 +8,7 @@ recordings and ends.
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import logging
 import os
 import signal
@@ -19,7 +20,9 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from nmes.errors import NmesError, RejectedMessage, WorldError
+from nmes.backend import load_backend
+from nmes.backend.fingerprint import fingerprint
+from nmes.errors import BackendNotFound, NmesError, RejectedMessage, WorldError
 from nmes.fleet.control import Line, Message
 from nmes.server import Host
 from nmes.server.access_log import AccessLog
@@ -105,6 +108,13 @@ class _WorkerHost(Host):
         await self._stop_listening()
 
 
+def _warm(engines: list[str]) -> None:
+    """Loads engines, and what recordings tell of them, before somebody waits for it."""
+    for name in engines:
+        with contextlib.suppress(BackendNotFound):  # it is said when a world is to be made with it
+            fingerprint(load_backend(name))
+
+
 def _elsewhere(verb: str) -> WorldError:
     return WorldError(
         "unsupported", f"this is the port of a worker, which cannot {verb} worlds: ask the host's own", verb
@@ -184,6 +194,7 @@ class _Worker:
             metrics=Metrics() if about["metrics"] else None,
             access_log=None if about["access_log"] is None else AccessLog(Path(about["access_log"])),
         )
+        await asyncio.to_thread(_warm, about["engines"])
         _, port = await self._host.listen(about["address"], 0)
         self._line.answer(message, port=port)
 

@@ -74,6 +74,12 @@ class Catalog:
         """The name of the first world; None: there is none."""
         return next(iter(self._offers), None)
 
+    @property
+    def engines(self) -> list[str]:
+        """The engines of its worlds, and of those that may be created."""
+        made = (complete_config({**template, "name": "any"}) for template in self._templates.values())
+        return sorted({config["backend"] for config in (*made, *(offer.config for offer in self._offers.values()))})
+
     def config(self, name: str, template: str, seed: int | None) -> JsonObject:
         """Returns the config of a world of this name that is to be created from a template.
 
