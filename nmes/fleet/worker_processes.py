@@ -27,6 +27,8 @@ START = 60.0  # s: how long a worker may take to start
 AT_ONCE = 2  # worlds that a worker brings up at the same time
 LAST = 1.0  # s: how long one may take to end whose line has ended
 PATIENCE = 15.0  # s: how long workers may take to close
+WATCH = 1.0  # s: how often it is looked whether workers say anything
+SILENT = 30  # such looks in a row without a word, after which one hangs: it tells of its worlds twice a second
 RETRY = (0.5, 30.0)  # s: after which one is started again that did not start: at first, and at most
 UNEVEN = 4  # awake worlds that one has more than another, half of its own at least, from which on worlds are moved
 
@@ -43,6 +45,7 @@ class WorkerProcess:
         awake: The worlds there that take time, with the numbers of their clients, as it told last.
         hosting: How many worlds are being brought up there.
         visitors: The connections that were handed to it, by number.
+        silent: How often in a row it was looked and it had said nothing.
     """
 
     line: Line
@@ -56,6 +59,7 @@ class WorkerProcess:
         self.awake: dict[str, int] = {}
         self.hosting = 0
         self.visitors: dict[int, Visitor] = {}
+        self.silent = 0
 
     @property
     def load(self) -> int:
@@ -111,6 +115,20 @@ class WorkerProcesses:
         for outcome in await asyncio.gather(*starting, return_exceptions=True):
             if outcome is not None:
                 raise outcome
+        self._spawn(self._watch())
+
+    async def _watch(self) -> None:
+        """Ends workers that hang, so that others have their worlds.
+
+        What one has said while this process itself was held up is heard before the next look: it is looks that count.
+        """
+        while True:
+            await asyncio.sleep(WATCH)
+            for worker in list(self._alive):
+                worker.silent += 1
+                if worker.silent == SILENT and worker.ready and not worker.gone:
+                    logger.error("worker %d says nothing any more, and is ended", worker.number)
+                    worker.process.kill()
 
     async def _start(self, number: int) -> None:
         ours, theirs = socket.socketpair()
@@ -130,7 +148,7 @@ class WorkerProcesses:
             theirs.close()
         worker = self._slots[number] = WorkerProcess(number, process)
         self._alive[worker] = None
-        worker.line = Line(ours, lambda message: self._hear(worker, message), lambda: self._end(worker))
+        worker.line = Line(ours, lambda message: self._listen(worker, message), lambda: self._end(worker))
         try:
             async with asyncio.timeout(START):
                 told = (await worker.line.ask("begin", **self._begin)).body
@@ -144,6 +162,10 @@ class WorkerProcesses:
             raise MachineError("worker_failed", f"worker {number} did not start: {told['error']}")
         worker.port, worker.ready = told["port"], True
         self._dispatch()
+
+    def _listen(self, worker: WorkerProcess, message: Message) -> None:
+        worker.silent = 0
+        self._hear(worker, message)
 
     async def _start_again(self, number: int) -> None:
         delay, most = RETRY

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import os
 import random
@@ -21,7 +22,9 @@ import trustme
 from click.testing import CliRunner
 
 from fleets import PLAIN, Driver, Fleet, fleet, kill, settle
+from nmes import AsyncClient
 from nmes.cli import main
+from nmes.cli._serve_worker import command_of_worker
 from nmes.errors import CommandFailed, Disconnected, MachineError
 from nmes.fleet.supervisor import Supervisor
 from nmes.playback import replay
@@ -405,6 +408,33 @@ async def test_a_worker_that_does_not_start_is_told_of(command: list[str], says:
     async with Supervisor(Keys("x", {}, {}), command, record_to=tmp_path, address="127.0.0.1") as host:
         with pytest.raises(MachineError, match=says):
             await host.start(2)
+
+
+async def test_a_worker_that_hangs_is_ended_and_its_worlds_go_on_elsewhere(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("nmes.fleet.worker_processes.WATCH", 0.5)
+    monkeypatch.setattr("nmes.fleet.worker_processes.SILENT", 8)
+    command = command_of_worker("text", 10)
+    options: dict[str, Any] = {"record_to": tmp_path, "address": "127.0.0.1", "flush_interval": 0.0}
+    async with Supervisor(Keys(PASSWORD, {}, {}), command, **options) as host:
+        host.offer({"name": "red", **BALLISTIC})
+        await host.start(2)
+        _, port = await host.listen("127.0.0.1", 0)
+        async with AsyncClient(port=port, password=PASSWORD, world="red") as client:
+            assert (await client.step(ticks=3))["frame"] == 3
+            (home,) = [worker for worker in host.workers.running if "red" in worker.awake]
+            await asyncio.sleep(6.0)  # one that has nothing to do hangs not
+            assert host.workers.restarts == 0
+            os.kill(home.process.pid, signal.SIGSTOP)
+            async with asyncio.timeout(PATIENCE):
+                with pytest.raises((CommandFailed, Disconnected)):
+                    await client.step()
+                await client.reconnect()
+            assert (await client.step())["frame"] == 4
+        async with asyncio.timeout(PATIENCE):
+            while host.workers.restarts < 1:
+                await asyncio.sleep(0.05)
 
 
 def test_a_port_that_is_taken_leaves_no_worker_behind(tmp_path: Path) -> None:
