@@ -39,8 +39,8 @@ class Running(NamedTuple):
     @property
     def worlds(self) -> dict[str, int]:
         """The ports of the worlds by name; empty where there is just one world."""
-        names = self.settings.names
-        return dict(zip(names, self.ports * (len(names) // len(self.ports)), strict=True))  # one each, or one for all
+        own = dict(zip(self.settings.names, self.ports, strict=False)) if len(self.ports) > 1 else {}
+        return {name: own.get(name, self.ports[0]) for name in self.settings.names}
 
 
 def ready_object(running: Running) -> dict[str, Any]:
@@ -74,6 +74,7 @@ def _many_worlds(running: Running) -> dict[str, Any]:
         "world_count": len(running.worlds),
         **_engine(running.sample),
         "recordings": None if directory is None else str(directory),
+        **({"resumed": len(running.settings.kept)} if running.settings.kept else {}),
     }
 
 
@@ -118,6 +119,8 @@ def ready_lines(running: Running) -> list[str]:
         lines.append(f"WebSockets on {scheme}://{running.address}:{running.http_port}/ws")
     if settings.parent is not None:
         lines.append(f"Going on from frame {running.start:,} of {settings.parent[0].path}")
+    if settings.kept:
+        lines.append(f"Going on with {len(settings.kept):,} worlds from where their recordings end")
     return [*lines, _recording_line(running), "Ctrl-C stops"]
 
 

@@ -24,6 +24,7 @@ from nmes.protocol import complete_config, parse_json
 from nmes.recording import Recording
 from nmes.schemas.documents import ShippedDocuments
 from nmes.server.catalog import DEFAULT
+from nmes.server.kept_worlds import kept_worlds
 from nmes.server.retention import Retention
 from nmes.world.roles import OWNER
 
@@ -57,6 +58,7 @@ class Settings:
     Attributes:
         config: The world's config, or that of all worlds but for their names.
         parent: The recording and its frame (None: the last) that the world goes on from.
+        kept: The recordings from whose ends some of the worlds go on, by their names.
         names: The worlds' names, none where there is just one world.
         address: The address to listen on.
         ports: One port for all worlds, or one for each.
@@ -87,6 +89,7 @@ class Settings:
 
     config: dict[str, Any]
     parent: tuple[Recording, int | None] | None
+    kept: Mapping[str, Recording]
     names: list[str]
     address: str
     ports: list[int]
@@ -131,8 +134,12 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
     name = config.get("name", "main")
     names, ports = _layout(options, name)
     if options["workers"] is not None:
-        names = names or [name]
         _check_workers(options)
+    kept = _kept(options["resume"]) if isinstance(options["resume"], Path) else {}
+    if kept:
+        names = [*names, *(other for other in kept if other not in names)]
+    elif options["workers"] is not None:
+        names = names or [name]
     worlds = _world_passwords(options["world_passwords"], names or [name])
     makers = _makers(options["makers"], [password, *worlds.values()])
     templates = _templates(options["templates"], config)
@@ -141,6 +148,7 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
     return Settings(
         config=config,
         parent=parent,
+        kept=kept,
         names=names,
         address=options["host"],
         ports=ports,
@@ -175,18 +183,26 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
 def _world(options: Mapping[str, Any]) -> tuple[dict[str, Any], tuple[Recording, int | None] | None]:
     """Returns the config, and where its world goes on from."""
     fields = {key: options[key] for key in ("backend", "seed", "mode", "rate", "keyframes") if options[key] is not None}
-    recording: Recording | None = options["resume"]
-    if recording is not None:
+    recording: Recording | Path | None = options["resume"]
+    if isinstance(recording, Recording):
         others = [*fields, *(name for name in ("dialect", "config", "worlds") if options[name] is not None)]
         if others:
             raise click.UsageError(f"--{others[0]} does not go with --resume: the recording says what its world is")
         moment = options["frame"]
         return recording.config, (recording, None if moment is None else moment.frame(recording))
     if options["frame"] is not None:
-        raise click.UsageError("--at needs --resume: it is a frame of that recording")
+        folder = "" if recording is None else f", not of the worlds in {recording}"
+        raise click.UsageError(f"--at needs --resume FILE: it is a frame of that recording{folder}")
     expected = {} if options["dialect"] is None else DIALECTS[options["dialect"]]
     file = {} if options["config"] is None else _read_config(options["config"])
     return {"keyframes": KEYFRAMES, **expected, **file, **fields}, None
+
+
+def _kept(folder: Path) -> dict[str, Recording]:
+    try:
+        return kept_worlds(folder)
+    except OSError as error:
+        raise click.UsageError(f"--resume: {folder} cannot be read: {error.strerror}") from error
 
 
 def _read_config(name: str) -> dict[str, Any]:
@@ -327,8 +343,8 @@ def _origins(options: Mapping[str, Any]) -> Sequence[str]:
 
 def _check_workers(options: Mapping[str, Any]) -> None:
     """Refuses what does not go with several processes."""
-    if options["resume"] is not None:
-        raise click.UsageError("--workers does not go with --resume: a recording is of one world, so of one process")
+    if isinstance(options["resume"], Recording):
+        raise click.UsageError("--workers goes with --resume FOLDER: one recording is of one world, so of one process")
     if options["no_record"]:
         raise click.UsageError("--workers does not go with --no-record: worlds come back from their recordings")
     if options["http_port"] is not None:

@@ -84,8 +84,10 @@ class _Keep(click.ParamType["tuple[float, str]"]):
         return (number, "days") if match[2] == "d" else (number * {"MB": 1e6, "GB": 1e9, "TB": 1e12}[match[2]], "bytes")
 
 
-def _open_parent(context: click.Context, parameter: click.Parameter, value: str | None) -> Recording | None:
-    return None if value is None else open_recording(context, parameter, value)
+def _open_parent(context: click.Context, parameter: click.Parameter, value: str | None) -> Recording | Path | None:
+    if value is None or Path(value).is_dir():
+        return None if value is None else Path(value)
+    return open_recording(context, parameter, value)
 
 
 @click.command("serve", short_help="Host worlds that clients drive over TCP.")
@@ -155,9 +157,10 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
 )
 @click.option(
     "--resume",
-    metavar="FILE",
+    metavar="FILE|FOLDER",
     callback=_open_parent,
-    help="Go on from a recording, in a new one; its world is what its own config says.",
+    help="Go on from a recording, in a new one; its world is what its own config says. Of a folder, host all worlds "
+    "that it keeps, each of which goes on from where it ended when somebody enters it.",
 )
 @click.option("--at", "frame", type=MOMENT, help="With --resume: from this frame or time.  [default: the last]")
 @password_options(f"Password that clients must give; better in the variable {PASSWORD_VARIABLE}.")
@@ -394,7 +397,11 @@ async def _start(host: Host | Supervisor, settings: Settings) -> Running:
     http_port = settings.http_port
     try:
         for name in names:
-            host.offer({**settings.config, "name": name}, settings.world_passwords.get(name))
+            password = settings.world_passwords.get(name)
+            if name in settings.kept:
+                host.offer(settings.kept[name].config, password, settings.kept[name].path)
+            else:
+                host.offer({**settings.config, "name": name}, password)
         with _free_port_hint("--metrics-port"):
             if metrics_port is not None:
                 metrics_port = await host.probes.listen(settings.metrics_host, metrics_port)
@@ -450,6 +457,7 @@ def _add_world(host: Host, settings: Settings) -> World:
 
 def _sample(settings: Settings) -> World:
     """Returns a closed world like each of those that are created later: an error in all of them is shown now."""
-    sample = World({**settings.config, "name": settings.names[0]})
+    name = settings.names[0]
+    sample = World(settings.kept[name].config if name in settings.kept else {**settings.config, "name": name})
     sample.close()
     return sample

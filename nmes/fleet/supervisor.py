@@ -166,7 +166,9 @@ class Supervisor(Reception):
 
     async def _open(self, name: str) -> NmesError | None:
         """Brings a world up in the worker that has the least to do: a new one, or from its recording."""
-        place = self._places.setdefault(name, _Place())
+        if name not in self._places:
+            self._places[name] = _Place(recording=self._kept.pop(name, None))
+        place = self._places[name]
         for _ in range(ATTEMPTS):
             try:
                 worker = await self.workers.reserve(name, urgent=name in self._waiting)
@@ -222,11 +224,12 @@ class Supervisor(Reception):
                 return await self._open(name)
         return None
 
-    async def _close(self, name: str) -> None:
-        place = self._places.pop(name, None)
-        if place is not None and place.worker is not None:
+    async def _close(self, name: str) -> Path | None:
+        place = self._places.pop(name, None) or _Place(recording=self._kept.pop(name, None))
+        if place.worker is not None:
             with contextlib.suppress(LineEnded):
                 await place.worker.line.ask("close_world", world=name)
+        return place.recording
 
     def show_worlds(self, connection: Connection, only: Collection[str] | None, start: int = 0) -> None:
         """Answers a client with a page of the worlds, of all if not of some. Creates none."""
@@ -246,6 +249,8 @@ class Supervisor(Reception):
             place = self._places.get(name)
             if place is not None and place.worker is not None:
                 by_worker.setdefault(place.worker, []).append(name)
+            elif name in self._kept:
+                states[name] = {"asleep": True}
             elif place is not None:
                 states[name] = {"fault": place.failure, "asleep": place.recording is not None and not place.failure}
 
@@ -329,6 +334,7 @@ class Supervisor(Reception):
     async def _sweep(self) -> None:
         while self._retention is not None:
             writing = {place.recording for place in self._places.values() if place.recording is not None}
+            writing |= {*self._kept.values()}
             try:
                 await asyncio.to_thread(self._retention.sweep, time(), writing)
             except OSError as error:

@@ -174,8 +174,11 @@ class Host(Reception):
         return None
 
     async def _open(self, name: str) -> NmesError | None:
+        def make(origin: Origin | None, kept: Path | None) -> HostedWorld:
+            return self._make(name, origin if kept is None else Origin.end(kept))
+
         try:
-            hosted = await asyncio.to_thread(self._make, name, self._origins.pop(name, None))
+            hosted = await asyncio.to_thread(make, self._origins.pop(name, None), self._kept.get(name))
         except RejectedMessage as error:  # the config is to blame, in which there are no secrets
             logger.error("world %r could not be created: %s", name, error.message)
             return WorldError("world_unavailable", f"world {name!r} could not be created: {error.message}")
@@ -185,16 +188,19 @@ class Host(Reception):
         except Exception:
             logger.exception("world %r could not be created", name)
             return NmesError("internal", "the server failed; see its log")
+        self._kept.pop(name, None)
         self.worlds[name] = hosted
         self._awake.add(hosted)
         hosted.start()
         return None
 
-    async def _close(self, name: str) -> None:
-        if (hosted := self._take_out(name)) is not None:
-            await hosted.close()
-            self._note_end(hosted)
-            hosted.hang_up()
+    async def _close(self, name: str) -> Path | None:
+        if (hosted := self._take_out(name)) is None:
+            return self._kept.pop(name, None)
+        await hosted.close()
+        self._note_end(hosted)
+        hosted.hang_up()
+        return hosted.recording
 
     def _take_out(self, name: str) -> HostedWorld | None:
         hosted = self.worlds.pop(name, None)
@@ -209,8 +215,7 @@ class Host(Reception):
     async def bring(self, name: str, path: Path) -> NmesError | None:
         """Brings up a world that goes on from where its recording ends; returns why it cannot be, or None."""
         try:
-            recording = await asyncio.to_thread(Recording, path)
-            self._origins[name] = Origin(recording, await asyncio.to_thread(lambda: recording.last_frame))
+            self._origins[name] = await asyncio.to_thread(Origin.end, path)
         except NmesError as error:
             return error
         return await self.open(name)
@@ -254,7 +259,11 @@ class Host(Reception):
 
     def states(self, names: Iterable[str]) -> dict[str, dict[str, Any]]:
         """Returns what a list tells of those of the worlds that are live, by name."""
-        return {name: _state(self.worlds[name]) for name in names if name in self.worlds}
+        return {
+            name: _state(self.worlds[name]) if name in self.worlds else {"asleep": True}
+            for name in names
+            if name in self.worlds or name in self._kept
+        }
 
     @property
     def awake(self) -> dict[str, int]:
@@ -361,6 +370,7 @@ class Host(Reception):
     async def _sweep(self) -> None:
         while self._retention is not None:
             writing = {hosted.recording for hosted in self.worlds.values() if hosted.recording is not None}
+            writing |= {*self._kept.values()}
             try:
                 await asyncio.to_thread(self._retention.sweep, time(), writing)
             except OSError as error:

@@ -13,6 +13,7 @@ import ssl
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Coroutine, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 from time import monotonic
 from typing import Any
 
@@ -23,6 +24,7 @@ from nmes.server.catalog import DEFAULT, Catalog, Offer
 from nmes.server.connection import LINGER, READ, Connection
 from nmes.server.door import Door
 from nmes.server.hosted_world import HostedWorld
+from nmes.server.kept_worlds import note_closed
 from nmes.server.keys import Keys
 from nmes.server.probes import Probes
 
@@ -54,6 +56,7 @@ class Reception(ABC):
         self.received = 0  # bytes
         self.sent = 0
         self._catalog = Catalog() if catalog is None else catalog
+        self._kept: dict[str, Path] = {}  # the recordings from whose ends worlds go on that are not up yet
         self._ports: dict[str, int] = {}  # the port whose clients get a world without naming it
         self._door = Door(self.limits.unauthenticated, tls, self.limits.auth_timeout, LINGER)
         self.guesses = self._door.guesses
@@ -69,12 +72,13 @@ class Reception(ABC):
 
     # -- worlds ----------------------------------------------------------------------------------------------------
 
-    def offer(self, config: Mapping[str, Any], password: str | None = None) -> str:
+    def offer(self, config: Mapping[str, Any], password: str | None = None, kept: Path | None = None) -> str:
         """Hosts a world that is created when a client first joins it; returns its name.
 
         Args:
             config: Its config.
             password: What opens this world alone; None: only the host's does.
+            kept: The recording of that config from whose end it goes on, without those who were in it; None: it is new.
 
         Raises:
             RejectedMessage: The config is not valid. Whether its engine can do it is seen when the world is created.
@@ -82,6 +86,8 @@ class Reception(ABC):
         """
         offer = self._catalog.add(config)
         self.keys.add(offer.name, offer.config.get("roles", {}), password)
+        if kept is not None:
+            self._kept[offer.name] = kept
         return offer.name
 
     def _forget(self, name: str) -> None:
@@ -141,8 +147,12 @@ class Reception(ABC):
         """Brings a world up that is not; returns why it cannot be, or None."""
 
     @abstractmethod
-    async def _close(self, name: str) -> None:
-        """Closes a world that is forgotten already: its clients are told and hung up on, its recording is completed."""
+    async def _close(self, name: str) -> Path | None:
+        """Closes a world that is forgotten already: its clients are told and hung up on, its recording is completed.
+
+        Returns:
+            The recording; None: there is none.
+        """
 
     def create_world(self, asked: Mapping[str, Any], maker: str | None, connection: Connection) -> None:
         """Creates a world and hosts it.
@@ -189,7 +199,12 @@ class Reception(ABC):
                 return
             self._forget(name)
             self._turn_away(name, WorldError("world_not_found", f"the world {name!r} is closed", "world"))
-            await self._close(name)
+            recording = await self._close(name)
+            if recording is not None:
+                try:
+                    await asyncio.to_thread(note_closed, recording)
+                except OSError as error:
+                    logger.error("a host that resumes %s will have world %r again: %s", recording, name, error)
             self.show_worlds(connection, None if maker is None else self.keys.made_by(maker))
 
         spawn(close(), self._makers)

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import re
-from datetime import UTC, datetime
 from pathlib import Path
 from time import monotonic
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from nmes.errors import RecordingError
 from nmes.playback.fork import fork
 from nmes.recording import Recorder, Recording
+from nmes.server.kept_worlds import new_recording_path
 from nmes.world import World
 
 __all__ = ["Origin", "WorldRecorder"]
@@ -21,6 +20,16 @@ class Origin(NamedTuple):
 
     recording: Recording
     frame: int
+
+    @classmethod
+    def end(cls, path: Path) -> Self:
+        """Returns the place where a recording ends.
+
+        Raises:
+            RecordingError: It cannot be read.
+        """
+        recording = Recording(path)
+        return cls(recording, recording.last_frame)
 
 
 _POSES = 10.0  # Hz: poses that are kept for viewers
@@ -51,7 +60,7 @@ class WorldRecorder:
         except OSError as error:
             raise RecordingError("recording_failed", f"cannot make {directory}: {error.strerror}") from error
         self._world = world
-        self.path = _new_path(directory, world.config["name"])
+        self.path = new_recording_path(directory, world.config["name"])
         if origin is None:
             pose_rate = _POSES if world.life is None else _POSES_OF_LIFE
             self._recorder = Recorder(self.path, world, pose_rate=pose_rate, flush_interval=flush_interval)
@@ -112,11 +121,3 @@ class WorldRecorder:
         """
         self._world.journal = None
         self._recorder.close()
-
-
-def _new_path(directory: Path, world: str) -> Path:
-    """Returns a path that names the world and the time, so exactly that servers which start together differ."""
-    name = (
-        re.sub(r"[^\w.-]", "_", world).encode()[:200].decode(errors="ignore")
-    )  # of the 255 bytes that a name may have
-    return directory / f"{name}-{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}.mcap"

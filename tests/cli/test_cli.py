@@ -125,7 +125,7 @@ FILES: list[tuple[str, ...]] = [
     ("fork", "FILE", "-o", "out.mcap"),
     ("render", "FILE", "-o", "out.png"),
     ("view", "FILE", "--save", "out.rrd"),
-    ("serve", "--resume", "FILE", "--port", "0"),
+    ("serve", "--resume", "FILE", "--at", "0", "--port", "0"),
     ("serve", "--config", "FILE", "--port", "0", "--no-record"),
     ("serve", "--tls-cert", "FILE", "--tls-key", "FILE", "--port", "0", "--no-record"),
     ("genome", "check", "FILE"),

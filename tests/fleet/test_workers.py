@@ -394,7 +394,7 @@ def test_one_recording_is_of_one_process(tmp_path: Path) -> None:
         server.terminate()
         server.wait(PATIENCE)
     outcome = CliRunner().invoke(main, ["serve", "--workers", "2", "--resume", recording])
-    assert outcome.exit_code == 2 and "--workers does not go with --resume" in outcome.output
+    assert outcome.exit_code == 2 and "--workers goes with --resume FOLDER" in outcome.output
 
 
 @pytest.mark.parametrize(

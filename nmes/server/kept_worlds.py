@@ -1,0 +1,79 @@
+"""The worlds that a folder of recordings keeps: which there are, and with which file each goes on.
+
+It hides how the files of a host are called, and how worlds that were closed for good are told from others: their last
+recordings are listed in a file beside them. Nothing of what happened is read, only how each recording begins.
+"""
+
+from __future__ import annotations
+
+import logging
+import re
+from collections import defaultdict
+from datetime import UTC, datetime
+from pathlib import Path
+
+from nmes.errors import NmesError
+from nmes.recording import Recording
+
+__all__ = ["CLOSED", "kept_worlds", "new_recording_path", "note_closed"]
+
+logger = logging.getLogger(__name__)
+
+CLOSED = "closed-worlds.txt"
+"""The file that lists the last recordings of worlds that were closed for good, a name a line."""
+_NAME = re.compile(r"(.+)-[0-9]{8}T[0-9]{6}\.[0-9]{6}Z\.mcap", re.DOTALL)
+_LONGEST = 200  # bytes of a world's name, of the 255 that the name of a file may have
+
+
+def new_recording_path(folder: Path, world: str) -> Path:
+    """Returns a path that names the world and the time, so exactly that servers which start together differ."""
+    return folder / f"{_stem(world)}-{datetime.now(UTC):%Y%m%dT%H%M%S.%fZ}.mcap"
+
+
+def _stem(world: str) -> str:
+    return re.sub(r"[^\w.-]", "_", world).encode()[:_LONGEST].decode(errors="ignore")
+
+
+def kept_worlds(folder: Path) -> dict[str, Recording]:
+    """Finds the worlds of a folder that were not closed, by name, each with the recording from whose end it goes on.
+
+    Files that are called otherwise than a host calls them are not looked at, and of those that are no recordings, as a
+    full disk leaves them, the log tells.
+
+    Raises:
+        OSError: The folder cannot be read.
+    """
+    by_stem = defaultdict[str, list[Path]](list)
+    for path in sorted(folder.iterdir(), reverse=True):  # the newest of a world comes first
+        if match := _NAME.fullmatch(path.name):
+            by_stem[match[1]].append(path)
+    listed = folder / CLOSED
+    closed = set(listed.read_text().split("\n")) if listed.exists() else set()
+    found: dict[str, Recording] = {}
+    ended: set[str] = set()
+    for stem, paths in by_stem.items():
+        alone = "_" not in stem and len(stem.encode()) < _LONGEST - 3  # else several worlds may be called like that
+        for path in paths:
+            try:
+                recording = Recording(path)
+            except NmesError as error:
+                logger.warning("%s is left where it is: %s", path, error.message)
+                continue
+            name = recording.config["name"]
+            if path.name in closed and name not in found:
+                ended.add(name)
+            if name not in ended:
+                found.setdefault(name, recording)
+            if alone:
+                break
+    return dict(sorted(found.items()))
+
+
+def note_closed(recording: Path) -> None:
+    """Lists the last recording of a world that was closed for good.
+
+    Raises:
+        OSError: That cannot be written.
+    """
+    with open(recording.parent / CLOSED, "a") as file:
+        file.write(f"{recording.name}\n")

@@ -1,0 +1,185 @@
+"""Hosts that are started again with the folder of their recordings: all worlds are there, and go on from their ends."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from fleets import PLAIN, Fleet, kill, settle
+from nmes.cli import main
+from nmes.errors import CommandFailed
+from nmes.recording import Recording
+from nmes.server.kept_worlds import CLOSED, kept_worlds
+from nmes.world import World
+from processes import process, ready
+from servers import PASSWORD, PATIENCE
+
+DURABLE = ("--flush-interval", "0")
+ALONE_AND_SHARED = pytest.mark.parametrize("workers", [(), ("--workers", "2")], ids=["one process", "workers"])
+
+
+@contextmanager
+def serving(folder: Path, *options: str) -> Iterator[Fleet]:
+    arguments = ["--json", "--port", "0", "--record", str(folder), *PLAIN, *options]
+    with process("serve", *arguments, NMES_PASSWORD=PASSWORD) as server:
+        yield Fleet(server, folder, ready(server))
+
+
+def end(host: Fleet) -> None:
+    """Ends a host and its workers such that none of them can do anything about it."""
+    for pid in (host.server.pid, *host.workers()):
+        kill(pid)
+    host.server.wait(PATIENCE)
+
+
+class Twin:
+    """A world that gets what a hosted one gets, and is never disturbed."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.digests: list[str] = []
+        self._world = World({"backend": "ballistic", "mode": "lockstep", "keyframes": 10.0, "name": name})
+        self._client = self._world.join()
+
+    def drive(self, host: Fleet, ticks: int) -> None:
+        """Drives both on."""
+        with host.client(self.name) as client:
+            for _ in range(ticks):
+                number = len(self.digests)
+                spawn = {"type": "spawn_cube", "cube_name": f"c{number}", "position": [number, 2, 0]}
+                push = {"type": "apply_physics", "cube_name": f"c{number // 2}", "impulse": [number % 5, 1, 0]}
+                for command in (spawn, push, {"type": "step"}):
+                    assert client.request(command)["type"] != "error"
+                    self._world.execute(self._client, command)
+                self.digests.append(self._world.digest().hex())
+
+
+@ALONE_AND_SHARED
+def test_all_worlds_of_a_host_that_was_killed_go_on_where_they_ended(workers: tuple[str, ...], tmp_path: Path) -> None:
+    red, *_ = twins = [Twin(name) for name in ("red", "green", "blue")]
+    with serving(tmp_path, *workers, *DURABLE, "--worlds", "red,green") as host:
+        host.client().create_world("blue")
+        for ticks, twin in enumerate(twins, 3):
+            twin.drive(host, ticks)
+        end(host)
+    with serving(tmp_path, *workers, *DURABLE, "--resume", str(tmp_path), "--worlds", "green,pink") as host:
+        worlds = host.worlds()
+        assert list(worlds) == ["green", "pink", "blue", "red"]  # first those that are named
+        assert [worlds[name]["asleep"] for name in worlds] == [True, False, True, True]
+        assert host.info["resumed"] == 3 and host.info["world_count"] == 4
+        red.drive(host, 4)
+        with host.client() as client:  # the first world is for those who name none
+            assert client.get_world_info()["frame"] == 4
+        end(host)
+    with serving(tmp_path, *workers, *DURABLE, "--resume", str(tmp_path)) as host:
+        assert list(host.worlds()) == ["blue", "green", "red"]
+        for twin in twins:
+            twin.drive(host, 2)
+        host.stop()
+    for twin in twins:
+        assert host.digests(twin.name) == twin.digests
+    assert len(red.digests) == 9 and len(sorted(tmp_path.glob("red-*.mcap"))) == 3
+
+
+@ALONE_AND_SHARED
+def test_worlds_that_were_closed_for_good_stay_closed(workers: tuple[str, ...], tmp_path: Path) -> None:
+    with serving(tmp_path, *workers, *DURABLE, "--worlds", "red,green,blue") as host:
+        for name in ("red", "green"):
+            Twin(name).drive(host, 2)
+        host.client().close_world("green")
+        host.client().close_world("blue")  # which nobody had entered
+        host.client().create_world("green", seed=5)
+        host.client().create_world("pink")
+        host.client().close_world("pink")
+        host.stop()
+    with serving(tmp_path, *workers, "--resume", str(tmp_path)) as host:
+        assert list(host.worlds()) == ["green", "red"]
+        with host.client("green") as client:
+            assert client.get_world_info()["frame"] == 0  # it is the second of that name
+        host.client().close_world("red")  # that sleeps
+        host.stop()
+    assert list(kept_worlds(tmp_path)) == ["green"]
+
+
+def test_a_world_whose_recording_is_damaged_is_told_of_and_others_go_on(tmp_path: Path) -> None:
+    with serving(tmp_path, *DURABLE, "--worlds", "red,green") as host:
+        for name in ("red", "green"):
+            Twin(name).drive(host, 3)
+        host.stop()
+    (path,) = tmp_path.glob("red-*.mcap")
+    reached = [offset for offset, _ in Recording(path).chunks()]
+    path.write_bytes(path.read_bytes()[: reached[len(reached) // 2]])
+    (tmp_path / "pink-20260101T000000.000000Z.mcap").write_bytes(b"")  # as a full disk leaves one
+    shutil.copy(path, tmp_path / "mine.mcap")
+    (tmp_path / "notes.txt").write_text("x")
+    with serving(tmp_path, "--resume", str(tmp_path)) as host:
+        assert list(host.worlds()) == ["green", "red"]
+        with host.client("red") as client:
+            assert client.get_world_info()["frame"] < 3  # up to where it can be read
+        path = next(iter(tmp_path.glob("green-*.mcap")))
+        path.unlink()
+        with pytest.raises(CommandFailed) as refused:
+            host.client("green").connect()
+        assert refused.value.code == "world_unavailable"
+        host.server.terminate()
+        _, err = host.server.communicate(timeout=PATIENCE)
+    assert "pink-20260101T000000.000000Z.mcap is left where it is" in err and "Traceback" not in err
+
+
+def test_worlds_whose_files_are_called_alike_are_all_kept(tmp_path: Path) -> None:
+    names = ["a+b", "a_b", "a:b", "ab", "x" * 64]
+    with serving(tmp_path, "--worlds", ",".join(names)) as host:
+        for name in names:
+            Twin(name).drive(host, 1)
+        host.stop()
+    assert list(kept_worlds(tmp_path)) == sorted(names)
+    with serving(tmp_path, "--resume", str(tmp_path)) as host:
+        with host.client("a:b") as client:
+            assert client.get_world_info()["frame"] == 1
+        host.client().close_world("a_b")
+        host.stop()
+    assert list(kept_worlds(tmp_path)) == sorted({*names} - {"a_b"})
+    assert len((tmp_path / CLOSED).read_text().split()) == 1
+
+
+def test_an_empty_folder_keeps_no_worlds(tmp_path: Path) -> None:
+    with serving(tmp_path, "--resume", str(tmp_path)) as host:
+        assert list(host.worlds()) == ["main"] and "resumed" not in host.info
+        host.stop()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--at", "3"], "--at needs --resume FILE"),
+        (["--max-worlds", "1"], "2 worlds are more than --max-worlds 1 allows"),
+    ],
+)
+def test_what_does_not_fit_a_folder_is_refused(arguments: list[str], says: str, tmp_path: Path) -> None:
+    with serving(tmp_path, "--worlds", "red,green") as host:
+        for name in ("red", "green"):
+            Twin(name).drive(host, 1)
+        host.stop()
+    outcome = CliRunner().invoke(main, ["serve", "--resume", str(tmp_path), *arguments], env={"NMES_PASSWORD": "x"})
+    assert outcome.exit_code == 2 and says in outcome.output
+
+
+def test_recordings_that_may_be_gone_on_from_are_not_removed(tmp_path: Path) -> None:
+    with serving(tmp_path, "--worlds", "red,green") as host:
+        for name in ("red", "green"):
+            Twin(name).drive(host, 1)
+        host.stop()
+    for options in ((), ("--keep", "0.001MB")):
+        with serving(tmp_path, "--resume", str(tmp_path), *options) as host:
+            with host.client("red") as client:
+                client.step()
+            if options:
+                settle(lambda: len(sorted(tmp_path.glob("red-*.mcap"))) < 3)
+                with host.client("green") as client:
+                    assert client.get_world_info()["frame"] == 1
+            host.stop()
