@@ -100,6 +100,7 @@ format: layout
 # The messages of clients in other languages; it takes Go.
 clients: layout
 	$(BIN)/python tools/go_messages.py
+	$(BIN)/python tools/go_schemas.py
 	$(BIN)/python tools/ts_messages.py
 
 bench: $(READY)

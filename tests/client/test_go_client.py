@@ -4,31 +4,14 @@ from __future__ import annotations
 
 import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
 import go_messages
-from layout import ROOT
-
-GO = shutil.which("go", path=os.pathsep.join([os.environ.get("PATH", os.defpath), "/usr/local/go/bin"]))
-CLIENT = ROOT / "clients" / "go"
-BUILDING = 300.0  # s; the first build compiles the standard library
+from go_programs import CLIENT, GO, go
 
 pytestmark = pytest.mark.skipif(GO is None, reason="Go is not installed: the Go client was not built and not run")
-
-
-def go(*arguments: str) -> subprocess.CompletedProcess[str]:
-    """Runs Go on the client; no network is needed, and nothing of the user's is touched."""
-    assert GO is not None
-    offline = {"GOTOOLCHAIN": "local", "GOFLAGS": "-mod=readonly", "GOPROXY": "off"}
-    program = str(Path(sys.executable).parent / "nmes")
-    environment = {**os.environ, **offline, "NMES_PROGRAM": program}
-    return subprocess.run(
-        [GO, *arguments], cwd=CLIENT, env=environment, timeout=BUILDING, capture_output=True, text=True, check=False
-    )
 
 
 def test_its_messages_are_those_of_the_schemas(monkeypatch: pytest.MonkeyPatch) -> None:
