@@ -12,6 +12,7 @@
 package nmes
 
 import (
+	"cmp"
 	"context"
 	"crypto/tls"
 	"encoding/json"
@@ -47,6 +48,14 @@ type Options struct {
 	TLS *tls.Config
 }
 
+// password returns what the server is told.
+func (o Options) password() (string, error) {
+	if password := cmp.Or(o.Password, os.Getenv(PasswordVariable)); password != "" {
+		return password, nil
+	}
+	return "", fmt.Errorf("nmes: a client needs the server's password: give Options.Password, or set %s", PasswordVariable)
+}
+
 // Client is a connection to a world. It is safe for any number of goroutines.
 type Client struct {
 	address string
@@ -62,11 +71,9 @@ type Client struct {
 // The error is a *CommandError where the server refused it (auth_failed, world_not_found, ...), else a *Disconnected, or
 // that of the context.
 func Dial(ctx context.Context, address string, options Options) (*Client, error) {
-	if options.Password == "" {
-		options.Password = os.Getenv(PasswordVariable)
-	}
-	if options.Password == "" {
-		return nil, fmt.Errorf("nmes: a client needs the server's password: give Options.Password, or set %s", PasswordVariable)
+	var err error
+	if options.Password, err = options.password(); err != nil {
+		return nil, err
 	}
 	client := &Client{address: address, options: options}
 	if err := client.enter(ctx); err != nil {
@@ -83,7 +90,13 @@ func (c *Client) enter(ctx context.Context) error {
 	if err != nil {
 		return err
 	}
-	welcome, err := wait[AuthSuccess](ctx, connection.authenticate(options))
+	entry := struct {
+		Password string `json:"password"`
+		World    string `json:"world,omitempty"`
+		Role     string `json:"role,omitempty"`
+		Token    string `json:"token,omitempty"`
+	}{options.Password, options.World, options.Role, options.Token}
+	welcome, err := wait[AuthSuccess](ctx, connection.authenticate(entry))
 	if err != nil {
 		connection.close()
 		return err

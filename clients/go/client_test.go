@@ -1,14 +1,11 @@
 package nmes_test
 
 import (
-	"bufio"
 	"context"
-	"encoding/json"
 	"errors"
 	"fmt"
 	"math"
 	"os"
-	"os/exec"
 	"path/filepath"
 	"strings"
 	"sync"
@@ -16,19 +13,22 @@ import (
 	"time"
 
 	"nmes"
+	"nmes/internal/served"
 )
 
-const password = "sesame"
+const password = served.Password
 
 var (
 	server sync.Once
+	host   *served.Host
 	ports  chan int
-	stop   = func() {}
 )
 
 func TestMain(m *testing.M) {
 	code := m.Run()
-	stop()
+	if host != nil {
+		host.Stop()
+	}
 	os.Exit(code)
 }
 
@@ -36,64 +36,13 @@ func TestMain(m *testing.M) {
 func world(t testing.TB) string {
 	t.Helper()
 	server.Do(func() {
-		var found []int
-		found, stop = serve(t, "--worlds", "32")
-		ports = make(chan int, len(found))
-		for _, port := range found {
+		host = served.Start(t, "--worlds", "32")
+		ports = make(chan int, len(host.Ports))
+		for _, port := range host.Ports {
 			ports <- port
 		}
 	})
 	return fmt.Sprintf("127.0.0.1:%d", <-ports)
-}
-
-// serve starts a server, and returns the ports of its worlds, and what ends it.
-func serve(t testing.TB, options ...string) ([]int, func()) {
-	t.Helper()
-	program := os.Getenv("NMES_PROGRAM")
-	if program == "" {
-		t.Fatal("set NMES_PROGRAM to the program nmes")
-	}
-	folder, err := os.MkdirTemp("", "nmes")
-	if err != nil {
-		t.Fatal(err)
-	}
-	command := exec.Command(program, append([]string{"serve", "--json", "--port", "0"}, options...)...)
-	command.Env = append(os.Environ(), nmes.PasswordVariable+"="+password)
-	command.Dir = folder
-	out, err := command.StdoutPipe()
-	if err != nil {
-		t.Fatal(err)
-	}
-	if err := command.Start(); err != nil {
-		t.Fatal(err)
-	}
-	end := func() {
-		_ = command.Process.Signal(os.Interrupt)
-		_ = command.Wait()
-		_ = os.RemoveAll(folder)
-	}
-	line, err := bufio.NewReader(out).ReadString('\n')
-	if err != nil {
-		end()
-		t.Fatalf("the server said nothing: %v", err)
-	}
-	var told struct {
-		Port   int `json:"port"`
-		Worlds []struct {
-			Port int `json:"port"`
-		} `json:"worlds"`
-	}
-	if err := json.Unmarshal([]byte(line), &told); err != nil || told.Port == 0 {
-		end()
-		t.Fatalf("the server said %s", line)
-	}
-	ports := []int{told.Port}
-	for _, each := range told.Worlds {
-		if each.Port != told.Port {
-			ports = append(ports, each.Port)
-		}
-	}
-	return ports, end
 }
 
 func within(t testing.TB) context.Context {
@@ -307,9 +256,9 @@ func TestWhoComesBackIsTheSamePlayer(t *testing.T) {
 			t.Fatal(err)
 		}
 	}
-	ports, end := serve(t, "--config", config, "--role", "player="+secret)
-	t.Cleanup(end)
-	address := fmt.Sprintf("127.0.0.1:%d", ports[0])
+	host := served.Start(t, "--config", config, "--role", "player="+secret)
+	t.Cleanup(host.Stop)
+	address := fmt.Sprintf("127.0.0.1:%d", host.Ports[0])
 	ctx := within(t)
 	client, err := nmes.Dial(ctx, address, nmes.Options{Password: "play"})
 	if err != nil {

@@ -124,13 +124,8 @@ func encode(kind string, fields any) ([]byte, error) {
 	return append(message, body[1:]...), nil
 }
 
-func (c *conn) authenticate(options Options) *call {
-	fields := struct {
-		Password string `json:"password"`
-		World    string `json:"world,omitempty"`
-		Role     string `json:"role,omitempty"`
-		Token    string `json:"token,omitempty"`
-	}{options.Password, options.World, options.Role, options.Token}
+// authenticate sends the first message of a connection.
+func (c *conn) authenticate(fields any) *call {
 	pending := newCall("")
 	message, err := encode("auth", fields)
 	if err != nil {

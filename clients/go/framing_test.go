@@ -19,6 +19,7 @@ import (
 	"time"
 
 	"nmes"
+	"nmes/internal/served"
 )
 
 const delimiter = "<???DONE???---"
@@ -139,9 +140,9 @@ func TestItSpeaksTLSWithWhomItTrusts(t *testing.T) {
 			t.Fatal(err)
 		}
 	}
-	ports, end := serve(t, "--tls-cert", filepath.Join(folder, "cert.pem"), "--tls-key", filepath.Join(folder, "key.pem"))
-	t.Cleanup(end)
-	ctx, address := within(t), fmt.Sprintf("127.0.0.1:%d", ports[0])
+	host := served.Start(t, "--tls-cert", filepath.Join(folder, "cert.pem"), "--tls-key", filepath.Join(folder, "key.pem"))
+	t.Cleanup(host.Stop)
+	ctx, address := within(t), fmt.Sprintf("127.0.0.1:%d", host.Ports[0])
 	client, err := nmes.Dial(ctx, address, nmes.Options{Password: password, TLS: &tls.Config{RootCAs: trusted}})
 	if err != nil {
 		t.Fatal(err)

@@ -112,6 +112,9 @@ def _documents() -> Iterator[Any]:
     """Yields documents of which each is wrong in a way of its own."""
     one = [{"motor": "m0"}]
     yield from (None, 3, "sine", [], {}, {"kind": 3}, {"kind": "sinus"}, {"kind": "mlp"})
+    for field, value in (("phase", 100.5), ("phase", -100.5), ("frequency", -0.01), ("amplitude", 10.1)):
+        yield {"kind": "sine", "oscillators": [{"motor": "*", field: value}]}
+    yield from ({"kind": "sine", "oscillators": part} for part in ([], [{"motor": ""}], [{"motor": "*" * 129}]))
     yield {"kind": "sine", "oscillators": [{"motor": f"m{i}"} for i in range(40)]}
     yield {"kind": "sine", "oscillators": [{"motor": "*"}] * 1025}
     yield {"kind": "sine", "oscillators": [{"motor": f"{i}*"} for i in range(257)]}
