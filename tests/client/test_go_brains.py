@@ -7,6 +7,7 @@ import json
 import math
 import re
 import struct
+from base64 import b64encode
 from collections.abc import Iterable, Iterator
 from functools import cache
 from hashlib import sha256
@@ -18,14 +19,18 @@ import pytest
 import go_schemas
 from drawn_brains import Drawn, drawn_brains
 from go_programs import CLIENT, GO, go
+from layout import ROOT
 from nmes.brain import load_brain
 from nmes.errors import DocumentError
 from nmes.schemas.documents import parse_document
+from onnx_models import FLOAT, layer, model, node, value_info
 
 pytestmark = pytest.mark.skipif(GO is None, reason="Go is not installed: the Go client was not built and not run")
 
 _DRAWN, _SPOILED = 1000, 600
 _SINGLES, _DOUBLES = 1e-5, 1e-13  # how far controls of models may be from onnxruntime's
+
+_PAGE = (ROOT / "docs" / "go.md").read_text()
 
 Problems = tuple[bool, list[str]]  # whether a document was refused, and where
 
@@ -172,6 +177,11 @@ def _spoiled() -> Iterator[tuple[Any, list[str], list[str]]]:
         yield document, brain.inputs, brain.outputs
 
 
+def _line(text: bytes, inputs: list[str], outputs: list[str]) -> str:
+    """Returns what the program in Go is told to judge a document."""
+    return json.dumps({"document_text": text.decode("latin-1"), "inputs": inputs, "outputs": outputs})
+
+
 def _refused(text: bytes, inputs: list[str], outputs: list[str]) -> Problems:
     """Returns whether Python refuses a document, and where something is wrong."""
     try:
@@ -184,11 +194,7 @@ def _refused(text: bytes, inputs: list[str], outputs: list[str]) -> Problems:
 def _compare(documents: Iterable[tuple[bytes, list[str], list[str]]]) -> int:
     """Holds Go's judgement of documents to Python's; returns how many were refused."""
     documents = list(documents)
-    lines = [
-        json.dumps({"document_text": text.decode("latin-1"), "inputs": inputs, "outputs": outputs})
-        for text, inputs, outputs in documents
-    ]
-    answers = _of_go(lines)
+    answers = _of_go(_line(*document) for document in documents)
     assert len(answers) == len(documents)
     for (text, inputs, outputs), answer in zip(documents, answers, strict=True):
         refused, places = _refused(text, inputs, outputs)
@@ -208,6 +214,31 @@ def test_what_python_refuses_is_refused_with_the_same_places() -> None:
 def test_a_document_with_one_other_value_is_judged_as_python_judges_it() -> None:
     refused = _compare((json.dumps(document).encode(), ins, outs) for document, ins, outs in _spoiled())
     assert _SPOILED // 4 < refused < _SPOILED
+
+
+def test_an_operator_that_does_not_run_is_named_and_so_are_those_that_do() -> None:
+    nodes = [node("Erf", ["x"], ["y"])]
+    erf = model(nodes, [], [value_info("x", FLOAT, [1, 3])], [value_info("y", FLOAT, [1, 3])])
+    document = {"kind": "onnx", "model": b64encode(erf).decode()}
+    ((_, message),) = _of_go([_line(json.dumps(document).encode(), *_BODY)])[0]["problems"]
+    assert message.startswith('is no ONNX model that runs here: the operator "Erf" is not among those that run here: ')
+    (listed,) = re.findall(r"a set of operators runs, that of feedforward policies:(.*?);", _PAGE, flags=re.DOTALL)
+    assert re.findall(r"`(\w+)`", listed) == message.rpartition(": ")[2].split(", ")
+
+
+def test_a_spoiled_model_does_no_harm() -> None:
+    random = np.random.default_rng(26)
+    whole = layer(random.normal(size=(3, 3)), random.normal(size=3))
+    lines = []
+    for _ in range(400):
+        spoiled = bytearray(whole)
+        for place in random.integers(len(whole), size=int(random.integers(1, 4))):
+            spoiled[place] = int(random.choice([0, 1, 127, 128, 255, random.integers(256)]))
+        document = {"kind": "onnx", "model": b64encode(spoiled[: int(random.choice([len(whole), place]))]).decode()}
+        lines.append(_line(json.dumps(document).encode(), *_BODY))
+    answers = _of_go(lines)
+    refused = sum(1 for answer in answers if answer.get("problems"))
+    assert len(answers) == 400 and 100 < refused < 400
 
 
 def test_the_schemas_are_those_of_the_protocol() -> None:

@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import os
 import shutil
+import subprocess
 from pathlib import Path
 
 import pytest
 
 import go_messages
-from go_programs import CLIENT, GO, go
+from go_programs import BUILDING, CLIENT, GO, go
+
+STATICCHECK = shutil.which(
+    "staticcheck", path=os.pathsep.join([os.environ.get("PATH", os.defpath), str(Path.home() / "go" / "bin")])
+)
 
 pytestmark = pytest.mark.skipif(GO is None, reason="Go is not installed: the Go client was not built and not run")
 
@@ -30,3 +35,19 @@ def test_it_is_good_by_its_own_tests() -> None:
     race = ["-race"] if shutil.which("gcc") else []  # the detector is linked by a C compiler
     tested = go("test", *race, "./...")
     assert tested.returncode == 0, tested.stdout + tested.stderr
+
+
+@pytest.mark.skipif(STATICCHECK is None, reason="staticcheck is not installed: the Go client was not judged by it")
+def test_staticcheck_finds_nothing() -> None:
+    assert STATICCHECK is not None and GO is not None
+    path = f"{Path(GO).parent}{os.pathsep}{os.environ.get('PATH', os.defpath)}"
+    checked = subprocess.run(
+        [STATICCHECK, "./..."],
+        cwd=CLIENT,
+        env={**os.environ, "PATH": path, "GOFLAGS": "-mod=readonly", "GOPROXY": "off"},
+        timeout=BUILDING,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert checked.returncode == 0, checked.stdout + checked.stderr

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from layout import ROOT
 
-__all__ = ["CLIENT", "GO", "go"]
+__all__ = ["BUILDING", "CLIENT", "GO", "go"]
 
 GO = shutil.which("go", path=os.pathsep.join([os.environ.get("PATH", os.defpath), "/usr/local/go/bin"]))
 CLIENT = ROOT / "clients" / "go"

@@ -9,7 +9,9 @@ import (
 	"strings"
 )
 
-const mostProducts = 1 << 28 // in one step of a model
+const mostProducts = 1 << 26 // and other results, in one step of a model
+
+var errLong = fmt.Errorf("a step of it takes more than %d products and other results", mostProducts)
 
 // node is an operator of a model, and what it is applied to.
 type onnxNode struct {
@@ -49,7 +51,7 @@ func newONNX(document []byte, n *names) kernel {
 		Model string
 	}](document)
 	entries := newEntries(given.sides, n)
-	file, err := base64.StdEncoding.Strict().DecodeString(given.Model)
+	file, err := base64.StdEncoding.DecodeString(given.Model)
 	if err != nil || strings.ContainsAny(given.Model, "\r\n") {
 		n.Add("model", "is not base64")
 		return nil
@@ -265,8 +267,8 @@ func (m *model) run(inputs []float64) ([]float64, error) {
 		if err != nil {
 			return nil, fmt.Errorf("%s: %w", node.operator, err)
 		}
-		if products > mostProducts {
-			return nil, fmt.Errorf("a step of it takes more than %d products", mostProducts)
+		if products += len(result.values); products > mostProducts {
+			return nil, errLong
 		}
 		if len(node.outputs) != 1 {
 			return nil, fmt.Errorf("%s: has %d outputs", node.operator, len(node.outputs))

@@ -130,9 +130,8 @@ func matMul(arguments []*tensor, _ map[string]attribute, products *int) (*tensor
 		return nil, fmt.Errorf("makes more than %d numbers", mostValues)
 	}
 	values := make([]float64, size(shape))
-	*products += len(values) * inner
-	if *products > mostProducts {
-		return nil, nil
+	if *products += len(values) * inner; *products > mostProducts {
+		return nil, errLong
 	}
 	for row := range size(shape[:len(shape)-1]) {
 		out := values[row*columns : (row+1)*columns]
@@ -158,7 +157,7 @@ func gemm(arguments []*tensor, attributes map[string]attribute, products *int) (
 		b = transposed(b)
 	}
 	result, err := matMul([]*tensor{a, b}, nil, products)
-	if err != nil || result == nil {
+	if err != nil {
 		return nil, err
 	}
 	alpha, beta := factor(attributes, "alpha", 1), factor(attributes, "beta", 1)

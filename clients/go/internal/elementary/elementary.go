@@ -1,9 +1,9 @@
 // Package elementary has sin, cos, exp and tanh with the bits that the reference implementation computes them with.
 //
-// That one asks the C library. What is done here, in which order and where it is rounded is what GNU's does since 2.28
-// on processors of x86-64 that multiply and add at once (tanh: from 2.28 to 2.40): within 0.55 of the last place, tanh
-// within 2. Go's own functions are as good, but round otherwise, and a network with a memory makes a metre of the last
-// bit. Another C library, or a processor of another kind, rounds otherwise too: there Python differs from itself.
+// That one asks the C library. What is done here, in which order and where it is rounded is what GNU's 2.36 does on
+// processors of x86-64 that multiply and add at once: within 0.55 of the last place, tanh within 2. Go's own functions
+// are as good, but round otherwise, and a network with a memory makes a metre of the last bit. Other versions, other
+// libraries and processors of another kind may round otherwise too: there Python differs from itself.
 //
 // FMA is written wherever that library fuses. Go may fuse more by itself, on arm64, ppc64, s390x and riscv64, and on
 // amd64 from GOAMD64=v3: an explicit conversion, float64(a*b), keeps a product that is rounded rounded.
