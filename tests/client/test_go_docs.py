@@ -21,7 +21,7 @@ pytestmark = pytest.mark.skipif(GO is None, reason="Go is not installed: what th
 
 _PAGE = (ROOT / "docs" / "go.md").read_text()
 _BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```", _PAGE, flags=re.DOTALL | re.MULTILINE)
-_PACKAGES = ("context", "encoding/json", "fmt", "log", "nmes", "nmes/brain", "nmes/fleet")
+_PACKAGES = ("context", "encoding/json", "fmt", "log", "nmes", "nmes/brain", "nmes/evolve", "nmes/fleet", "nmes/genome")
 _PIECE = """package main
 
 import (
