@@ -322,12 +322,15 @@ def _lines(entries: list[Entry], units: dict[str, str]) -> list[str]:
 
 @command.command()
 @click.argument("file", metavar="FILE", type=_FILE)
+@click.argument("entries", metavar="[ENTRY]...", type=click.IntRange(1), nargs=-1)
 @click.option("--jobs", type=click.IntRange(1), help="How many processes.  [default: one a core]")
 @click.option("--write", is_flag=True, help="Mark what is broken in FILE; what was marked and holds is listed again.")
 @click.option("--json", "as_json", is_flag=True, help="Print the verdicts as JSON.")
 @QUIET
-def verify(file: Path, jobs: int | None, write: bool, as_json: bool) -> None:
+def verify(file: Path, entries: tuple[int, ...], jobs: int | None, write: bool, as_json: bool) -> None:
     """Run every entry's recordings again, and compare all that it says.
+
+    Of those entries alone whose numbers are given, as `show --json` tells them.
 
     An entry is broken if its recordings are gone or changed, do not come out as recorded, are not one for each seed of
     a task that FILE takes, or prove anything else than is listed. It could not be judged here if that may be this
@@ -340,16 +343,20 @@ def verify(file: Path, jobs: int | None, write: bool, as_json: bool) -> None:
     \b
         nmes leaderboard verify board.sqlite --jobs 4
         nmes leaderboard verify board.sqlite --write
+        nmes leaderboard verify board.sqlite 3 7
     """
     board = _open(file)
-    total = len(board)
+    only = frozenset(entries) or None
+    total = len(board) if only is None else len(only)
     verdicts: list[Verdict] = []
     with progress_bars(total > 1) as progress:
         progress("verifying", 0, total)
-        for each in board.verify(jobs=jobs or os.cpu_count() or 1):
+        for each in board.verify(jobs=jobs or os.cpu_count() or 1, only=only):
             verdicts.append(each)
             progress("verifying", len(verdicts), total)
     verdicts.sort(key=lambda each: each.id)
+    if missing := (only or frozenset()) - {each.id for each in verdicts}:
+        raise click.UsageError(f"{file} has no entry {', '.join(map(str, sorted(missing)))}")
     if as_json:
         print_json([each.to_json() for each in verdicts])
     else:

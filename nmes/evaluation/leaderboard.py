@@ -20,7 +20,7 @@ import os
 import secrets
 import shutil
 import sqlite3
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from hashlib import file_digest
 from itertools import groupby
@@ -276,11 +276,13 @@ class Leaderboard:
         """Returns the path of the recording with this hash."""
         return self.recordings / f"{recording_hash}.mcap"
 
-    def verify(self, *, jobs: int = 1) -> Iterator[Verdict]:
+    def verify(self, *, jobs: int = 1, only: Collection[int] | None = None) -> Iterator[Verdict]:
         """Runs every entry's recordings again, and compares all that they prove with what it says; writes nothing.
 
         Args:
             jobs: In how many processes.
+            only: The numbers of some entries. Others whose author has the same name and another key are run too, since
+                the name is that of the first who holds. None: all.
 
         Yields:
             A verdict for each entry, as they are ready.
@@ -289,18 +291,23 @@ class Leaderboard:
         seen: set[tuple[str, str]] = set()
         for entry in self._rows():
             if isinstance(entry, Verdict):
-                yield entry
+                if only is None or entry.id in only:
+                    yield entry
                 continue
             reason = None if self._takes(entry.task_hash) else "the leaderboard does not take its task"
             if (entry.task_hash, entry.creature_hash) in seen:
                 reason = "its creature is listed for its task already"
             seen.add((entry.task_hash, entry.creature_hash))
-            if reason is not None:
-                yield Verdict(entry.id, entry.task, entry.name, "broken", reason)
-            else:
+            if reason is None:
                 work.append((entry, [self.recording(each) for each in entry.recordings]))
+            elif only is None or entry.id in only:
+                yield Verdict(entry.id, entry.task, entry.name, "broken", reason)
         contested = []
         keys = _keys_by_author(entry for entry, _ in work)
+        if only is not None:
+            asked = {form for entry, _ in work if entry.id in only for form in author_forms(entry.author)}
+            rivals = {form for form in asked if len(keys[form]) > 1}
+            work = [each for each in work if each[0].id in only or not rivals.isdisjoint(author_forms(each[0].author))]
         for index, verdict in in_processes(examine, work, jobs):
             entry = work[index][0]
             if isinstance(verdict, Lost):
@@ -310,9 +317,9 @@ class Leaderboard:
                 verdict = Verdict(entry.id, entry.task, entry.name, "not_judged", reason)
             if verdict.verdict == "holds" and any(len(keys[form]) > 1 for form in author_forms(entry.author)):
                 contested.append((entry, verdict))  # until it is known which of those who claim the name hold
-            else:
+            elif only is None or entry.id in only:
                 yield verdict
-        yield from _settled(contested)
+        yield from (verdict for verdict in _settled(contested) if only is None or verdict.id in only)
 
     def mark(self, verdicts: Iterable[Verdict]) -> None:
         """Writes down which entries are broken, and that others hold again; what was not judged stays as it is."""

@@ -305,7 +305,11 @@ class _Api:
 
     async def verify(self, request: Request) -> JsonObject:
         path = self._folder.find("leaderboards", request.path_params["name"])
-        return await self._start(["leaderboard", "verify", str(path), "--json"])
+        entry = (await _object(request)).get("entry")  # all if there is none
+        if entry is not None and (type(entry) is not int or entry < 1):
+            raise LabError("invalid", "an entry is meant by its number", "entry")
+        only = [] if entry is None else [str(entry)]
+        return await self._start(["leaderboard", "verify", str(path), *only, "--json"])
 
     # -- jobs ------------------------------------------------------------------------------------------------------
 

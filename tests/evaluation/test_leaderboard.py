@@ -27,6 +27,7 @@ from nmes.cli import main
 from nmes.errors import LeaderboardError, ProofError
 from nmes.evaluation import Task, evaluate, prove
 from nmes.evaluation.leaderboard import Leaderboard
+from nmes.evaluation.leaderboard_entry import Verdict
 from nmes.evaluation.task import CREATURE
 from nmes.genome import Genome
 from nmes.protocol import parse, request_from
@@ -88,6 +89,34 @@ def test_proved_entries_are_listed_best_first(board: Path, proofs: list[str]) ->
     assert run("show", board, "--task", "walk").stdout.count("\n") == 1
     assert run("show", board, "--top", "1").stdout.count("\n") == 2
     assert run("verify", board, "--jobs", "2").stdout == "2 of 2 entries hold\n"
+
+
+def test_one_entry_can_be_verified_alone(board: Path, tmp_path: Path) -> None:
+    entries = {entry["name"]: entry for entry in json.loads(run("show", board, "--json").stdout)}
+    (other,) = {*entries} - {"wave"}
+    for digest in entries["wave"]["recordings"]:
+        (board.with_suffix(".recordings") / f"{digest}.mcap").unlink()
+    one, gone = str(entries[other]["id"]), str(entries["wave"]["id"])
+    assert run("verify", board, one, "--jobs", "1").stdout == "1 of 1 entries hold\n"
+    (verdict,) = json.loads(run("verify", board, gone, "--json").stdout)
+    assert (verdict["id"], verdict["verdict"]) == (int(gone), "broken")
+    assert run("verify", board, gone, one, "--jobs", "1").stdout.endswith("1 of 2 entries hold, 1 broken\n")
+    missing = run("verify", board, one, "77")
+    assert missing.exit_code == 2 and "has no entry 77" in missing.stderr
+
+
+def test_a_name_that_is_anothers_is_found_in_one_entry(board: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with sqlite3.connect(board) as database:
+        database.execute("UPDATE entries SET author = 'Ada', key = CASE id WHEN 1 THEN 'a' ELSE 'b' END")
+    database.close()
+    monkeypatch.setattr(
+        "nmes.evaluation.leaderboard.examine",
+        lambda work: Verdict(work[0].id, work[0].task, work[0].name, "holds", None),
+    )
+    (verdict,) = Leaderboard(board).verify(only=[2])
+    assert (verdict.id, verdict.verdict) == (2, "broken") and "another key" in str(verdict.reason)
+    (verdict,) = Leaderboard(board).verify(only=[1])
+    assert (verdict.id, verdict.verdict) == (1, "holds")
 
 
 def test_entries_are_listed_once_and_whole(board: Path, proofs: list[str], tmp_path: Path) -> None:

@@ -179,6 +179,11 @@ def test_a_leaderboard_is_listed_and_verified(lab: RunningLab) -> None:
     assert board["items"] == [] and "walk" in {task["name"] for task in board["tasks"]}
     assert lab.ask("/api/leaderboards/torn")[1]["error"]["code"] == "no_leaderboard"
     assert lab.ended(lab.good("/api/leaderboards/board/verify", {})["id"])["result"] == []
+    job = lab.good("/api/leaderboards/board/verify", {"entry": 3})
+    assert job["command"].endswith("board.sqlite 3 --json") and lab.ended(job["id"])["status"] == 2
+    for entry in (0, "3", [3], "--write", True, 1.5):
+        status, told = lab.ask("/api/leaderboards/board/verify", {"entry": entry})
+        assert status == 422 and told["error"]["code"] == "invalid", entry
 
 
 @pytest.mark.long

@@ -7,14 +7,19 @@ import re
 import shutil
 import time
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 import nmes
+from boards import DASH
+from creatures import SINE, cpg, snake
 from lab_browser import PASSWORD, PATIENCE, Lab, opened, running_browser, serious, served_lab
 from layout import ROOT
+from nmes.evaluation import Task, evaluate, prove
 from nmes.evaluation.leaderboard import Leaderboard
+from nmes.genome import Genome
 
 if TYPE_CHECKING:
     from playwright.sync_api import Browser, Page, WebSocketRoute
@@ -209,6 +214,23 @@ def test_an_empty_leaderboard_says_how_to_fill_it(browser: Browser, lab: Lab) ->
     with opened(browser, lab, "leaderboard") as page:
         page.get_by_text("Nothing is listed yet").wait_for()
         assert str(lab.folder / "leaderboards" / "board.sqlite") in page.locator("main code").inner_text()
+
+
+def test_one_entry_of_a_leaderboard_is_verified(browser: Browser, lab: Lab, tmp_path: Path) -> None:
+    dash = Task(DASH)
+    board = Leaderboard(lab.folder / "leaderboards" / "dash.sqlite", create=True)
+    board.allow(dash)
+    for brain, name in ((SINE, "wave"), (cpg(4), MARKUP)):
+        recordings = evaluate(Genome(snake(brain, name=name, author="Ada")), dash, record=tmp_path).recordings
+        board.add([prove(path) for path in recordings])
+    board.close()
+    with opened(browser, lab, "leaderboard/dash") as page:
+        button = page.get_by_role("button", name="Verify wave")
+        button.hover()
+        page.get_by_text(re.compile(r"nmes leaderboard verify \S+dash.sqlite [12]")).wait_for()
+        button.click()
+        page.get_by_text("wave holds.").wait_for(timeout=1000 * PATIENCE)
+        assert page.locator(".badge.good").count() == 1 and page.locator("tbody tr").count() == 2
 
 
 def test_the_keyboard_reaches_everything(browser: Browser, lab: Lab) -> None:

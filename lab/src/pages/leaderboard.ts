@@ -66,21 +66,22 @@ function entries({ name, items }: Board, choice: HTMLElement, signal: AbortSigna
       && `${entry.name} ${entry.author}`.toLowerCase().includes(search.value.toLowerCase()));
     fill(body, ...(items.length === 0 ? [empty("Nothing is listed yet", "Whoever proves a score is listed:", h("code", {}, `nmes leaderboard add ${line(file)} proofs/*.mcap`))]
       : wanted.length === 0 ? [empty("No entry is like that", "Choose another task, or search for something else.")]
-        : tasks.map((each) => ranked(each, wanted.filter((entry) => entry.task === each), verdicts))));
+        : tasks.map((each) => ranked(each, wanted.filter((entry) => entry.task === each), verdicts, verify))));
   };
-  const verify = action({
-    label: "Verify all", icon: "check", look: "primary", command: () => line("nmes", "leaderboard", "verify", file),
+  const verify = (entry?: Entry): HTMLButtonElement => action({
+    label: entry === undefined ? "Verify all" : `Verify ${entry.name}`, icon: "check", look: entry === undefined ? "primary" : "plain", bare: entry !== undefined,
+    command: () => line("nmes", "leaderboard", "verify", file, ...(entry === undefined ? [] : [String(entry.id)])),
     run: async () => {
-      told.textContent = "Every recording is run again …";
+      told.textContent = entry === undefined ? "Every recording is run again …" : `The recordings of ${entry.name} are run again …`;
       try {
-        const job = await ended(await post<Job>(`/leaderboards/${part(name)}/verify`), signal);
+        const job = await ended(await post<Job>(`/leaderboards/${part(name)}/verify`, entry === undefined ? {} : { entry: entry.id }), signal);
         if (!Array.isArray(job.result)) {
           throw new Error(job.lines.at(-1) ?? "it could not be verified");
         }
-        verdicts.clear();
-        (job.result as Verdict[]).forEach((verdict) => verdicts.set(verdict.id, verdict));
-        const held = [...verdicts.values()].filter(({ verdict }) => verdict === "holds").length;
-        told.textContent = `${held} of ${verdicts.size} hold.`;
+        const found = job.result as Verdict[];
+        found.forEach((verdict) => verdicts.set(verdict.id, verdict));
+        const held = found.filter(({ verdict }) => verdict === "holds").length;
+        told.textContent = entry === undefined ? `${held} of ${found.length} hold.` : `${entry.name} ${held === 1 ? "holds" : `does not hold: ${found[0]?.reason ?? ""}`}.`;
         draw();
       } catch (error) {
         told.textContent = signal.aborted ? "" : words(error);
@@ -90,10 +91,10 @@ function entries({ name, items }: Board, choice: HTMLElement, signal: AbortSigna
   task.addEventListener("change", draw);
   search.addEventListener("input", draw);
   draw();
-  return h("div", { class: "stack" }, h("div", { class: "bar" }, choice, task, h("div", { class: "searching" }, icon("search", 18), search), h("span", { class: "grow" }), verify), told, body);
+  return h("div", { class: "stack" }, h("div", { class: "bar" }, choice, task, h("div", { class: "searching" }, icon("search", 18), search), h("span", { class: "grow" }), verify()), told, body);
 }
 
-function ranked(task: string, entries: readonly Entry[], verdicts: ReadonlyMap<number, Verdict>): Child {
+function ranked(task: string, entries: readonly Entry[], verdicts: ReadonlyMap<number, Verdict>, verify: (entry: Entry) => Child): Child {
   return entries.length > 0 && h("section", { class: "stack" }, h("h2", {}, task), h("div", { class: "table" }, h("table", {},
     h("thead", {}, h("tr", {}, h("th", { class: "number" }, "Rank"), h("th", {}, "Creature"), h("th", { class: "wide" }, "Author"), h("th", { class: "number" }, "Score"),
       h("th", { class: "number wide" }, "Recordings"), h("th", {}, "Proof"))),
@@ -104,7 +105,7 @@ function ranked(task: string, entries: readonly Entry[], verdicts: ReadonlyMap<n
       h("td", { class: "number" }, `${entry.score.toLocaleString("en", { maximumFractionDigits: 3 })}${entry.unit === "" ? "" : ` ${entry.unit}`}`,
         entry.spread > 0 && h("span", { class: "soft wide" }, ` ± ${entry.spread.toLocaleString("en", { maximumFractionDigits: 3 })}`)),
       h("td", { class: "number wide" }, entry.recordings.length),
-      h("td", {}, proof(entry, verdicts.get(entry.id)))))))));
+      h("td", {}, h("span", { class: "bar" }, proof(entry, verdicts.get(entry.id)), verify(entry)))))))));
 }
 
 function proof({ broken }: Entry, verdict: Verdict | undefined): Child {
