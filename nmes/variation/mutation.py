@@ -7,7 +7,7 @@ requirements and the draw alone.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -24,7 +24,7 @@ from nmes.variation.requirements import ANY, Requirements
 from nmes.variation.sensor_changes import POINTED, draw_details, point_anew
 from nmes.variation.shapes import change_shape
 
-__all__ = ["KINDS", "Mutant", "mutate"]
+__all__ = ["KINDS", "OF_BRAINS", "Mutant", "mutate"]
 
 KINDS: Final[Mapping[str, float]] = {
     "add-part": 1.0,
@@ -46,6 +46,8 @@ KINDS: Final[Mapping[str, float]] = {
     "development": 1.0,
 }
 """The kinds of mutation, each with how often it is drawn where it can be, relative to the others."""
+OF_BRAINS: Final = frozenset(brain_changes.CHANGES)
+"""Those of them that change brains; all others change bodies, and brains go along."""
 _CUBE_SENSORS: Final = tuple(kind for kind in OF_CUBE if kind not in (*OF_OTHERS, *OF_FOOD, *SURROUNDED, "hear"))
 _MOST_VOICES = 128
 _VARIED: Final = ("body", "later", "development", "sensors", "voices", "brain")
@@ -67,13 +69,21 @@ class Mutant:
     kind: str
 
 
-def mutate(genome: Genome, draw: Draw, *, kind: str | None = None, requirements: Requirements = ANY) -> Mutant:
+def mutate(
+    genome: Genome,
+    draw: Draw,
+    *,
+    kind: str | None = None,
+    among: Collection[str] = KINDS,
+    requirements: Requirements = ANY,
+) -> Mutant:
     """Changes a genome a little.
 
     Args:
         genome: The parent. Its brain, if it has one, must be a good one.
         draw: All choices.
         kind: One of `KINDS`; drawn by their weights if None.
+        among: The kinds that may be drawn.
         requirements: What the mutant's body must be like, and what it may come to sense and say.
 
     Raises:
@@ -93,7 +103,7 @@ def mutate(genome: Genome, draw: Draw, *, kind: str | None = None, requirements:
         "shape": bool(requirements.shapes),
         "development": requirements.development,
     }
-    kinds = {name: weight for name, weight in KINDS.items() if use.get(name, True)}
+    kinds = {name: weight for name, weight in KINDS.items() if name in among and use.get(name, True)}
     given, fruitless = genome.document, 0
     for _ in range(_TRIES):
         chosen = draw.one_of(tuple(kinds), tuple(kinds.values())) if kind is None else kind

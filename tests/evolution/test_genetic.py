@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
+
+from nmes.errors import DocumentError
 from nmes.evaluation import Task
 from nmes.evolution.algorithm import Algorithm, Candidate, Problem, Score
 from nmes.evolution.algorithms import load_algorithm
 from nmes.genome import Genome
 from nmes.variation.draw import Draw
-from nmes.variation.mutation import mutate
+from nmes.variation.mutation import OF_BRAINS, mutate
 
 
 def new(name: str, seed: int = 1, *starts: Genome, task: Task | None = None, **options: Any) -> Algorithm:
@@ -133,3 +136,32 @@ def test_evolution_finds_more_than_chance() -> None:
 
     chance = best("random")
     assert best("ga", founders=30, population=30, window=4, elites=5) > 0.7 * chance
+
+
+@pytest.mark.parametrize("name", ["ga", "afpo"])
+def test_brains_alone_vary_and_nobody_else_comes(name: str) -> None:
+    walker, biped = Genome.load("walker"), Genome.load("biped")
+    told = run(new(name, 1, walker, biped, founders=6, population=6, window=1, crossover=1.0, bodies=False), [1.0] * 40)
+    for candidate in told:
+        assert candidate.genome.document["body"] in (walker.document["body"], biped.document["body"])
+        assert set(candidate.operator.split("+")) <= {"start", *OF_BRAINS}
+    assert len({candidate.genome.hash for candidate in told}) > 30
+
+
+@pytest.mark.parametrize("name", ["ga", "afpo"])
+def test_bodies_alone_vary_and_brains_go_along(name: str) -> None:
+    walker = Genome.load("walker")
+    told = run(new(name, 1, walker, founders=6, population=6, window=1, crossover=1.0, brains=False), [1.0] * 40)
+    assert not {kind for candidate in told for kind in candidate.operator.split("+")} & {*OF_BRAINS, "cross", "random"}
+    given = {each["motor"]: each for each in walker.document["brain"]["oscillators"]}
+    for candidate in told:
+        for each in candidate.genome.document["brain"]["oscillators"]:
+            assert given.get(each["motor"], each) == each
+    assert len({candidate.genome.body.mass for candidate in told}) > 10
+
+
+def test_what_does_not_vary_must_be_given() -> None:
+    with pytest.raises(DocumentError, match="starts: what does not vary must be given"):
+        new("ga", bodies=False)
+    with pytest.raises(DocumentError, match="either bodies or brains must vary"):
+        new("afpo", 1, Genome.load("walker"), bodies=False, brains=False)

@@ -6,7 +6,7 @@ creature takes the place. So no run fails for want of offspring where there are 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,7 +15,7 @@ from nmes.evolution.algorithm import Candidate, Problem
 from nmes.genome import Genome
 from nmes.variation.crossover import cross
 from nmes.variation.draw import Draw
-from nmes.variation.mutation import mutate
+from nmes.variation.mutation import KINDS, mutate
 from nmes.variation.random_genomes import random_genome
 
 __all__ = ["Parent", "breed", "found", "newcomer"]
@@ -33,18 +33,25 @@ class Parent:
     genome: Genome
 
 
-def newcomer(problem: Problem, index: int, generation: int = 0) -> Candidate:
-    """Returns a random creature.
+def newcomer(problem: Problem, index: int, generation: int = 0, among: Collection[str] = KINDS) -> Candidate:
+    """Returns a random creature; a start genome where not all kinds of mutation may be drawn, since something stays.
 
     Raises:
         VariationError: `no_offspring`: the task allows none.
     """
+    if len(among) < len(KINDS):
+        return Candidate(problem.starts[index % len(problem.starts)], "start", (), generation)
     genome = random_genome(problem.draw("candidate", index, "random"), problem.requirements, f"random-{index}")
     return Candidate(genome, "random", (), generation)
 
 
-def found(problem: Problem, index: int) -> Candidate:
+def found(problem: Problem, index: int, among: Collection[str] = KINDS) -> Candidate:
     """Returns a candidate to begin with: a start genome, then mutants of these in turn; or a random creature.
+
+    Args:
+        problem: What the run is about.
+        index: The candidate's.
+        among: The kinds of mutation that may be drawn.
 
     Raises:
         VariationError: `no_offspring`: the task allows no random creature.
@@ -55,11 +62,16 @@ def found(problem: Problem, index: int) -> Candidate:
     start = Parent(place, problem.starts[place])
     if index == place:
         return Candidate(start.genome, "start")
-    return breed(problem, index, lambda _: start, 0.0, 0)
+    return breed(problem, index, lambda _: start, 0.0, 0, among)
 
 
 def breed(
-    problem: Problem, index: int, choose: Callable[[Draw], Parent], crossover: float, generation: int
+    problem: Problem,
+    index: int,
+    choose: Callable[[Draw], Parent],
+    crossover: float,
+    generation: int,
+    among: Collection[str] = KINDS,
 ) -> Candidate:
     """Returns an offspring.
 
@@ -70,6 +82,7 @@ def breed(
         crossover: In which part of the cases two parents are crossed, from 0 to 1; a child is mutated too in half of
             these, and in all others.
         generation: The candidate's.
+        among: The kinds of mutation that may be drawn.
 
     Raises:
         VariationError: `no_offspring`: no parent has offspring, and the task allows no random creature.
@@ -78,13 +91,16 @@ def breed(
     for _ in range(_TRIES):
         parent = choose(draw)
         try:
-            return _offspring(problem, draw, parent, choose(draw) if draw.chance(crossover) else None, generation)
+            other = choose(draw) if draw.chance(crossover) else None
+            return _offspring(problem, draw, parent, other, generation, among)
         except VariationError:
             continue  # another parent, or another operator
-    return newcomer(problem, index, generation)
+    return newcomer(problem, index, generation, among)
 
 
-def _offspring(problem: Problem, draw: Draw, parent: Parent, other: Parent | None, generation: int) -> Candidate:
+def _offspring(
+    problem: Problem, draw: Draw, parent: Parent, other: Parent | None, generation: int, among: Collection[str]
+) -> Candidate:
     """Returns a child of one parent or two.
 
     Raises:
@@ -99,12 +115,12 @@ def _offspring(problem: Problem, draw: Draw, parent: Parent, other: Parent | Non
     while mutations and mutations < _MOST and draw.chance(_MORE):
         mutations += 1
     for _ in range(mutations):
-        genome, kind = _mutated(genome, draw, problem)
+        genome, kind = _mutated(genome, draw, problem, among)
         operators.append(kind)
     document = {**genome.document, "parents": list(dict.fromkeys(each.genome.hash for each in parents))}
     return Candidate(Genome(document), "+".join(operators), tuple(each.index for each in parents), generation)
 
 
-def _mutated(genome: Genome, draw: Draw, problem: Problem) -> tuple[Genome, str]:
-    mutant = mutate(genome, draw, requirements=problem.requirements)
+def _mutated(genome: Genome, draw: Draw, problem: Problem, among: Collection[str]) -> tuple[Genome, str]:
+    mutant = mutate(genome, draw, among=among, requirements=problem.requirements)
     return mutant.genome, mutant.kind

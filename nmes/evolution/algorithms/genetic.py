@@ -8,17 +8,19 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections import deque
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from nmes.errors import DocumentError
 from nmes.evolution.algorithm import Algorithm, Candidate, Problem, Score
 from nmes.evolution.algorithms.bounds import within_bounds
 from nmes.evolution.algorithms.breeding import Parent, breed, found, newcomer
 from nmes.evolution.algorithms.requirements import check_problem
 from nmes.schemas.documents import canonical_hash
 from nmes.variation.draw import Draw
+from nmes.variation.mutation import KINDS, OF_BRAINS
 
 __all__ = ["AgeFitness", "Genetic", "SteadyStateOptions"]
 
@@ -46,6 +48,9 @@ class SteadyStateOptions:
         tournament: Of how many, drawn at random, the best becomes a parent.
         crossover: The part of the offspring that have two parents, from 0 to 1.
         window: How many candidates may be evaluated at once.
+        bodies: Whether bodies vary. Where they do not, or brains do not, nobody is crossed, and start genomes take the
+            place of random creatures.
+        brains: Whether brains vary, beyond going along with a body.
     """
 
     founders: int = 200
@@ -53,10 +58,19 @@ class SteadyStateOptions:
     tournament: int = 5
     crossover: float = 0.25
     window: int = 32
+    bodies: bool = True
+    brains: bool = True
 
     def __post_init__(self) -> None:
         many = dict.fromkeys(("founders", "population", "window"), (1, 100_000))
         within_bounds(self, {**many, "tournament": (1, 1_000), "crossover": (0, 1)})
+        if not (self.bodies or self.brains):
+            raise DocumentError([("options.brains", "either bodies or brains must vary")])
+
+    @property
+    def among(self) -> Collection[str]:
+        """The kinds of mutation that may be drawn."""
+        return [kind for kind in KINDS if (self.brains if kind in OF_BRAINS else self.bodies)]
 
 
 class _SteadyState(Algorithm):
@@ -65,6 +79,10 @@ class _SteadyState(Algorithm):
     def __init__(self, problem: Problem, options: SteadyStateOptions) -> None:
         check_problem(problem)
         self._problem, self._options = problem, options
+        self._among = options.among
+        self._whole = len(self._among) == len(KINDS)  # whether bodies and brains vary
+        if not self._whole and not problem.starts:
+            raise DocumentError([("starts", "what does not vary must be given: name a genome to begin with")])
         self._members: Sequence[_Member] = ()
 
     @abstractmethod
@@ -79,10 +97,11 @@ class _SteadyState(Algorithm):
         """Returns the candidate of this index; see `Algorithm`."""
         options, generation = self._options, self._generation(index)
         if generation == 0:
-            return found(self._problem, index)
+            return found(self._problem, index, self._among)
         if not self._members:
-            return newcomer(self._problem, index, generation)
-        return breed(self._problem, index, self._chosen, options.crossover, generation)
+            return newcomer(self._problem, index, generation, self._among)
+        crossover = options.crossover if self._whole else 0.0
+        return breed(self._problem, index, self._chosen, crossover, generation, self._among)
 
     def _generation(self, index: int) -> int:
         """Returns 0 for founders, and then how many populations there would have been."""
@@ -187,7 +206,7 @@ class AgeFitness(_SteadyState):
         """Returns the candidate of this index; see `Algorithm`."""
         place = (index - self._options.founders) % self._options.population
         if index >= self._options.founders and place * self._newcomers % self._options.population < self._newcomers:
-            return newcomer(self._problem, index, self._generation(index))
+            return newcomer(self._problem, index, self._generation(index), self._among)
         return super().ask(index)
 
     def tell(self, index: int, candidate: Candidate, score: Score) -> None:
