@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from nmes.cli import _learn_resume, _learn_show, _learn_verify
+from nmes.cli import _learn_cube, _learn_resume, _learn_show, _learn_verify
 from nmes.cli._learn_run import JSON, THREADS, go_on
 from nmes.cli._options import BeginningGroup, read_values
 from nmes.cli._progress import QUIET
@@ -25,7 +25,7 @@ def command() -> None:
     """Train a creature's brain, in runs that anyone can repeat."""
 
 
-for _each in (_learn_resume, _learn_show, _learn_verify):
+for _each in (_learn_cube, _learn_resume, _learn_show, _learn_verify):
     command.add_command(_each.command)
 
 

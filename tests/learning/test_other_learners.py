@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 
+from command_line import run
 from nmes.brain import load_brain
 from nmes.learning.learners.cloning import Cloning, squares
 from nmes.learning.learners.cube import TargetCube, arrivals, learn_to_arrive
@@ -147,6 +150,43 @@ def test_the_cube_of_the_paper_learns_to_arrive_the_same_way_each_time() -> None
     assert arrived(1, 0, 5)[0] == 0
     assert arrived(1, 60, 10)[0] >= 1
     assert arrived(2, 3, 1) == arrived(2, 3, 1) != arrived(3, 3, 1)
+
+
+def test_a_push_that_is_late_begins_later_and_the_one_before_goes_on() -> None:
+    def ways(delay: int, *actions: int) -> list[float]:
+        cube = TargetCube(1, delay)
+        try:
+            cube.begin(0)
+            start, found = cube.distance, []
+            for action in actions:
+                cube.push(action)
+                found.append(start - cube.distance)
+            return found
+        finally:
+            cube.close()
+
+    assert ways(12, 0, 2) == pytest.approx([0.0, ways(0, 0)[0]], abs=1e-3)
+    nothing, whole = 0.0, ways(0, 0)[0]
+    assert nothing < abs(ways(6, 0)[0]) < abs(whole)
+    assert ways(6, 0, 0) != ways(6, 0, 1)
+
+
+def test_the_command_teaches_the_cube_as_the_library_does() -> None:
+    told = json.loads(run("learn", "cube", "--episodes", "3", "--test", "1", "--seed", "2", "--json").stdout)
+    cube = TargetCube(2)
+    try:
+        learner = learn_to_arrive(cube, 3)
+        count = arrivals(cube, learner, range(3, 4))
+    finally:
+        cube.close()
+    assert told == {
+        **{"episodes": 3, "delay": 0, "arrived": count, "of": 1, "part": float(count)},
+        "digest": learner.digest,
+    }
+    late = json.loads(
+        run("learn", "cube", "--episodes", "3", "--test", "1", "--seed", "2", "--delay", "6", "--json").stdout
+    )
+    assert late["digest"] != told["digest"]
 
 
 @pytest.mark.long

@@ -11,7 +11,7 @@ so that there are 1,225 states. All goes through commands of the world, as for a
 from __future__ import annotations
 
 from bisect import bisect
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from math import cos, hypot, pi, sin
 from typing import Final
 
@@ -21,7 +21,7 @@ from nmes.schemas.documents import JsonObject
 from nmes.variation.draw import Draw
 from nmes.world import World
 
-__all__ = ["ACTIONS", "NEAR", "STATES", "TargetCube", "arrivals", "learn_to_arrive"]
+__all__ = ["ACTIONS", "NEAR", "STATES", "TICKS", "TargetCube", "arrivals", "learn_to_arrive"]
 
 NEAR: Final = 0.5
 """How near the cube must come to the target, m, along the ground."""
@@ -35,7 +35,8 @@ _PUSHES: Final = ((1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
 ACTIONS: Final = len(_PUSHES)
 """How many actions there are: to be pushed along x, against it, along z, and against it."""
 _FORCE: Final = 4.0  # N, on a cube of 1 kg
-_TICKS: Final = 12  # that a push lasts: 0.2 s
+TICKS: Final = 12
+"""How many ticks a push lasts: 0.2 s."""
 _PUSHES_AT_MOST: Final = 60  # in an episode: 12 s
 _DISTANCE: Final = (2.0, 5.0)  # m: from the cube to the target at the start
 _CHANCE, _LEAST, _SETTLED = 0.5, 0.02, 0.8  # of any action: at first, at last, and from which part of the episodes on
@@ -47,23 +48,25 @@ class TargetCube:
 
     Args:
         seed: Of the world and of where targets are.
+        delay: How many ticks later than it is decided a push begins, at most `TICKS`: as with a client far away, to
+            whom the world does not wait. Until then the push before goes on, if there was one.
 
     Attributes:
         seed: The same.
         distance: From the cube to the target, m, along the ground.
     """
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, delay: int = 0) -> None:
         self._world = World({"mode": "lockstep", "seed": seed})
         self._client, self.seed, self.distance = self._world.join(), seed, 0.0
         self._do("spawn_cube", cube_name=_NAME, position=[0, 0.5, 0], size=[1, 1, 1], mass=1.0, friction=0.05)
-        self._target, self._pushes = (0.0, 0.0), 0
+        self._target, self._pushes, self._delay, self._before = (0.0, 0.0), 0, delay, (0.0, 0.0)
 
     def begin(self, episode: int) -> int:
         """Puts the cube back to where it began, and the target to where it is in this episode; returns the state."""
         draw = Draw(self.seed, "target", episode)
         far, bearing = draw.uniform(*_DISTANCE), draw.uniform(-pi, pi)
-        self._target, self._pushes = (far * cos(bearing), far * sin(bearing)), 0
+        self._target, self._pushes, self._before = (far * cos(bearing), far * sin(bearing)), 0, (0.0, 0.0)
         still = {name: [0, 0, 0] for name in ("linear_velocity", "angular_velocity")}
         self._do("set_cube_state", cube_name=_NAME, position=[0, 0.5, 0], rotation=[0, 0, 0, 1], **still)
         self._look()
@@ -76,11 +79,12 @@ class TargetCube:
             The state then, the reward (by how much it came nearer, m, and 1 where it arrives), whether it has arrived,
             and whether it is too late to go on.
         """
-        x, z = _PUSHES[action]
         before = self.distance
-        for _ in range(_TICKS):
+        for tick in range(TICKS):
+            x, z = self._before if tick < self._delay else _PUSHES[action]
             self._do("apply_physics", cube_name=_NAME, force=[_FORCE * x, 0.0, _FORCE * z])
             self._world.tick()
+        self._before = _PUSHES[action]
         self._look()
         self._pushes += 1
         arrived = self.distance < NEAR
@@ -107,8 +111,14 @@ class TargetCube:
         return reply
 
 
-def learn_to_arrive(cube: TargetCube, episodes: int) -> QLearning:
-    """Returns a learner that has pushed the cube for so many episodes, the first ones, less and less at random."""
+def learn_to_arrive(cube: TargetCube, episodes: int, tell: Callable[[int], None] = lambda _: None) -> QLearning:
+    """Returns a learner that has pushed the cube for so many episodes, the first ones, less and less at random.
+
+    Args:
+        cube: The cube.
+        episodes: How many.
+        tell: Called with how many are over.
+    """
     learner = QLearning(STATES, ACTIONS, QLearning.Options())
     for episode in range(episodes):
         state, over, draw = cube.begin(episode), False, Draw(cube.seed, "pushes", episode)
@@ -118,6 +128,7 @@ def learn_to_arrive(cube: TargetCube, episodes: int) -> QLearning:
             following, reward, arrived, late = cube.push(action)
             learner.learn(state, action, reward, following, arrived)
             state, over = following, arrived or late
+        tell(episode + 1)
     return learner
 
 

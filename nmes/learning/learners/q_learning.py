@@ -11,6 +11,7 @@ Watkins and P. Dayan, "Q-learning", Machine Learning 8 (1992).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from hashlib import blake2b
 
 import numpy as np
 
@@ -55,6 +56,11 @@ class QLearning:
         self._options = options
         self.values: Array = np.zeros((states, actions))
         self.visits = np.zeros((states, actions), np.int64)
+
+    @property
+    def digest(self) -> str:
+        """Of all values and visits, 32 hexadecimal digits."""
+        return blake2b(self.values.tobytes() + self.visits.tobytes(), digest_size=16).hexdigest()
 
     def best(self, state: int) -> int:
         """Returns the action of the highest value; of several the first."""

@@ -1,0 +1,75 @@
+"""`nmes learn cube`: teach the paper's cube to reach a target."""
+
+from __future__ import annotations
+
+import click
+
+from nmes.cli._json import print_json
+from nmes.cli._progress import QUIET, progress_bars
+
+__all__ = ["command"]
+
+
+@click.command("cube")
+@click.option(
+    "--episodes",
+    metavar="N",
+    type=click.IntRange(1, 100_000),
+    default=1200,
+    show_default=True,
+    help="How many to learn from.",
+)
+@click.option(
+    "--test",
+    metavar="N",
+    type=click.IntRange(1, 10_000),
+    default=30,
+    show_default=True,
+    help="How many to be judged by.",
+)
+@click.option(
+    "--seed",
+    metavar="S",
+    type=click.IntRange(0, 1_000_000_000),
+    default=0,
+    show_default=True,
+    help="Of all that is drawn.",
+)
+@click.option(
+    "--delay",
+    metavar="TICKS",
+    type=click.IntRange(0, 12),
+    default=0,
+    show_default=True,
+    help="How much later than it is decided a push begins, in 60ths of a second.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print what came of it as JSON.")
+@QUIET
+def command(episodes: int, test: int, seed: int, delay: int, as_json: bool) -> None:
+    """Teach the paper's cube to reach a target, by Q-learning.
+
+    A cube is pushed in one of four directions, five times a second, to a target that is elsewhere in each episode; what
+    is seen is its velocity and where the target is from it. Then it is judged by episodes that it did not learn from,
+    in which nothing is left to chance: in how many it arrives within half a metre, in twelve seconds.
+
+    For example:
+
+    \b
+        nmes learn cube
+        nmes learn cube --seed 3 --delay 6 --json
+    """
+    from nmes.learning.learners.cube import TargetCube, arrivals, learn_to_arrive
+
+    cube = TargetCube(seed, delay)
+    try:
+        with progress_bars() as progress:
+            learner = learn_to_arrive(cube, episodes, lambda done: progress("learning", done, episodes))
+        arrived = arrivals(cube, learner, range(episodes, episodes + test))
+    finally:
+        cube.close()
+    told = {"episodes": episodes, "delay": delay, "arrived": arrived, "of": test, "part": arrived / test}
+    if as_json:
+        print_json({**told, "digest": learner.digest})
+    else:
+        click.echo(f"it arrives in {arrived:,} of {test:,} episodes")
+        click.echo(f"digest: {learner.digest}")
