@@ -45,6 +45,7 @@ SUBCOMMANDS = {
     "replay": "Run a recording again and compare.",
     "serve": "Host worlds that clients drive over TCP.",
     "sign": "Vouch for a recording with an Ed25519 key.",
+    "study": "Test claims in studies that anyone can repeat.",
     "survey": "Score creatures in thousands of worlds.",
     "tasks": "List the tasks that creatures can be put to.",
     "tournament": "Have creatures play each other, and rate them.",

@@ -28,6 +28,7 @@ __all__ = [
     "RunError",
     "SigningError",
     "SimulationFault",
+    "StudyError",
     "VariationError",
     "WorldError",
     "visible",
@@ -121,6 +122,10 @@ class VariationError(NmesError):
 
 class RunError(NmesError):
     """A run of evolution or of learning that cannot be begun, read, gone on with, or written."""
+
+
+class StudyError(NmesError):
+    """A study that cannot be read, run or reported."""
 
 
 class NotDeterministic(NmesError):

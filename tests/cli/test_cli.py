@@ -357,7 +357,20 @@ def test_failures_exit_1_with_one_line(tmp_path: Path) -> None:
 # -- progress ---------------------------------------------------------------------------------------------------------
 
 
-QUIET = {"eval", "evolve", "info", "learn", "leaderboard", "play", "render", "replay", "survey", "tournament", "view"}
+QUIET = {
+    "eval",
+    "evolve",
+    "info",
+    "learn",
+    "leaderboard",
+    "play",
+    "render",
+    "replay",
+    "study",
+    "survey",
+    "tournament",
+    "view",
+}
 
 
 def test_a_terminal_is_shown_progress_unless_it_is_to_be_quiet(tmp_path: Path) -> None:

@@ -1,0 +1,208 @@
+"""One run of a study: its `nmes` commands, one after another, in processes of their own, and what they print.
+
+Hides processes: how commands find what stands for their placeholders, what runs beside them, and that nothing of a run
+goes on when it is over, or when it is stopped half way.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shlex
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Any, Final
+
+from nmes.errors import StudyError, visible
+from nmes.schemas.documents import JsonObject
+from nmes.study.document import PLACE, PlannedRun, Setting, Study, fill
+
+__all__ = ["Stopped", "Stopper", "perform"]
+
+_PATIENCE: Final = 10.0  # s that a command is given to end when it is told to
+_LOOK: Final = 0.02  # s between looks at what a command beside has printed
+_PRINTED: Final = 64 << 20  # bytes of what a command prints
+_LONGEST: Final = 1000  # characters of a column
+_TOLD: Final = 8  # lines of what a command that failed said
+
+
+class Stopped(Exception):
+    """A run that was stopped half way."""
+
+
+class Stopper:
+    """Stops all runs that are under way: from then on no process of theirs is begun, and those that are there end."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._processes: set[subprocess.Popen[bytes]] = set()
+        self.stopped = False
+
+    def begin(
+        self, words: list[str], environment: Mapping[str, str], out: IO[bytes], errors: IO[bytes]
+    ) -> subprocess.Popen[bytes]:
+        """Begins a process.
+
+        Raises:
+            Stopped: It is too late for that.
+        """
+        with self._lock:
+            if self.stopped:
+                raise Stopped
+            process = subprocess.Popen(
+                words, stdin=subprocess.DEVNULL, stdout=out, stderr=errors, env=dict(environment)
+            )
+            self._processes.add(process)
+        return process
+
+    def end(self, process: subprocess.Popen[bytes]) -> None:
+        """Ends a process, if it has not ended by itself."""
+        with suppress(ProcessLookupError):
+            process.terminate()
+        try:
+            process.wait(_PATIENCE)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        with self._lock:
+            self._processes.discard(process)
+
+    def stop(self) -> None:
+        """Stops everything."""
+        with self._lock:
+            self.stopped = True
+            processes = list(self._processes)
+        for process in processes:
+            with suppress(ProcessLookupError):
+                process.terminate()
+
+
+def perform(study: Study, run: PlannedRun, folder: Path, stopper: Stopper) -> JsonObject:
+    """Does a run, and returns its columns by name.
+
+    Args:
+        study: The study.
+        run: Which one.
+        folder: An empty folder for what it writes.
+        stopper: Ends it half way.
+
+    Raises:
+        StudyError: A command fails, or does not print what a column asks for (`command_failed`).
+        Stopped: It was stopped.
+    """
+    values: dict[str, Setting | list[Setting]] = {**run.values, "run": str(folder), "study": str(study.folder)}
+    environment = {name: value for name, value in os.environ.items() if name != "NMES_PASSWORD"}
+    environment |= run.arm.get("environment", {})
+    columns: JsonObject = dict.fromkeys(study.document["columns"])
+    beside: list[subprocess.Popen[bytes]] = []
+    try:
+        for name, command in run.arm.get("beside", {}).items():
+            words = fill(shlex.split(command), values)
+            process = _begin(stopper, words, environment, folder / f"beside-{name}")
+            beside.append(process)
+            if "--json" in words:
+                values |= _ready(name, process, folder / f"beside-{name}.out", run, stopper)
+        for name, command in study.arm_commands(run.arm).items():
+            words = fill(shlex.split(command), values)
+            process = _begin(stopper, words, environment, folder / name)
+            try:
+                status = process.wait()
+            finally:
+                stopper.end(process)
+            if stopper.stopped:
+                raise Stopped
+            told = f"{run}: {shlex.join(words)}\n"
+            columns |= _columns(study, name, status, folder, told)
+            values |= _printed(name, study.arm_commands(run.arm).values(), folder, told)
+    finally:
+        for process in beside:
+            stopper.end(process)
+    return columns
+
+
+def _begin(stopper: Stopper, words: list[str], environment: Mapping[str, str], path: Path) -> subprocess.Popen[bytes]:
+    """Begins a command of `nmes`, the one that this is; what it prints goes to files of that name."""
+    command = [sys.executable, "-m", "nmes", *words[1:]]
+    with open(f"{path}.out", "wb") as out, open(f"{path}.err", "wb") as errors:
+        return stopper.begin(command, environment, out, errors)
+
+
+def _ready(
+    name: str, process: subprocess.Popen[bytes], path: Path, run: PlannedRun, stopper: Stopper
+) -> dict[str, Setting | list[Setting]]:
+    """Waits for the first line of JSON that a command beside prints; returns what placeholders stand for by it."""
+    while True:
+        ended = process.poll() is not None
+        line, feed, _ = path.read_bytes().partition(b"\n")
+        if feed:
+            break
+        if stopper.stopped:
+            raise Stopped
+        if ended:
+            raise StudyError("command_failed", f"{run}: {name}, beside it, ended: {_said(path.with_suffix('.err'))}")
+        time.sleep(_LOOK)
+    try:
+        told = json.loads(line)
+    except ValueError as error:
+        raise StudyError("command_failed", f"{run}: {name}, beside it, printed no line of JSON: {error}") from error
+    items = told.items() if isinstance(told, dict) else ()
+    return {f"{name}.{key}": value for key, value in items if isinstance(value, str | int | float)}
+
+
+def _columns(study: Study, name: str, status: int, folder: Path, blame: str) -> JsonObject:
+    """Returns the columns that come of a command."""
+    wanted = {
+        column: source.partition(" ")[2]
+        for column, source in study.document["columns"].items()
+        if source.partition(" ")[0] == name
+    }
+    if status and "status" not in wanted.values():
+        raise StudyError("command_failed", f"{blame}ended with status {status}: {_said(folder / f'{name}.err')}")
+    columns: JsonObject = {column: float(status) for column, place in wanted.items() if place == "status"}
+    pointers = {column: place for column, place in wanted.items() if place != "status"}
+    printed = _read(folder / f"{name}.out", blame) if pointers else None
+    return columns | {column: _at(printed, pointer, blame) for column, pointer in pointers.items()}
+
+
+def _printed(name: str, commands: Iterable[str], folder: Path, blame: str) -> dict[str, Setting | list[Setting]]:
+    """Returns what placeholders such as `{record/0/recordings/0}` of later commands stand for."""
+    names = [place for command in commands for place in PLACE.findall(command) if place.startswith(f"{name}/")]
+    printed = _read(folder / f"{name}.out", blame) if names else None
+    return {place: str(_at(printed, place.removeprefix(name), blame)) for place in names}
+
+
+def _read(path: Path, blame: str) -> Any:
+    """Returns the JSON that a command has printed."""
+    if path.stat().st_size > _PRINTED:
+        raise StudyError("command_failed", f"{blame}printed over {_PRINTED >> 20} MiB")
+    try:
+        return json.loads(path.read_bytes())
+    except ValueError as error:
+        raise StudyError("command_failed", f"{blame}printed no JSON: {error}") from error
+
+
+def _at(value: Any, pointer: str, blame: str) -> str | float | bool | None:
+    """Returns what is at a place of what a command has printed: a single value, numbers as doubles."""
+    for key in pointer.split("/")[1:]:
+        try:
+            value = value[int(key)] if isinstance(value, list) else value[key]
+        except (LookupError, TypeError, ValueError):
+            raise StudyError("command_failed", f"{blame}printed nothing at {pointer}") from None
+    if isinstance(value, bool) or value is None:
+        return value
+    if isinstance(value, int | float):
+        return float(value)
+    if isinstance(value, str) and len(value) <= _LONGEST:
+        return value
+    raise StudyError("command_failed", f"{blame}printed no single value at {pointer}")
+
+
+def _said(path: Path) -> str:
+    """Returns the last lines that a command has told on standard error."""
+    lines = path.read_text("utf-8", "replace").strip().splitlines()
+    return visible("\n".join(lines[-_TOLD:]), keep="\n") or "it said nothing"

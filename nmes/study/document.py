@@ -1,0 +1,345 @@
+"""A study as its `study.toml` has it: what is asked, what is compared, and which runs that takes.
+
+Hides the file and what is judged of it beyond its schema: every name in it leads somewhere, every placeholder of every
+command has a value, every condition can be read, so that a run of hours does not fail at its end for a slip of the pen.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from hashlib import sha256
+from itertools import product
+from pathlib import Path
+from typing import Any, Final
+
+from nmes.errors import DocumentError, StudyError, WorldError
+from nmes.objective import Condition
+from nmes.schemas.documents import JsonObject, canonical_hash, check, compile_schema, complete, did_you_mean
+
+__all__ = ["BUDGETS", "COMPARISONS", "PLACE", "Plan", "PlannedRun", "Setting", "Study", "condition", "fill"]
+
+BUDGETS: Final = ("small", "full")
+COMPARISONS: Final = ("improvement", "difference", "equal")
+"""The statistics of two arms."""
+_SCHEMA: Final = compile_schema("study.json")
+_LARGEST: Final = 1 << 20  # bytes of `study.toml`
+_FILE: Final = 64 << 20  # bytes of another document of a study
+_RUNS: Final = 100_000  # of a plan
+_WRITTEN: Final = {*BUDGETS, "work", "study.toml", "discussion.md"}  # what does not decide what a run comes to
+_OWN: Final = ("run", "study", "seed")  # placeholders that every command has
+_RESERVED: Final = ("arm", "seed", "measured")  # columns of all results
+PLACE: Final = re.compile(r"\{([^{}]*)\}")
+"""A placeholder in a command."""
+
+Setting = str | float | int
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedRun:
+    """One arm in one cell with one seed.
+
+    Attributes:
+        number: Its place in the plan, from 0.
+        arm: The arm's document.
+        cell: The value of each factor.
+        seed: The seed.
+        values: What placeholders of its commands stand for, but for folders and what commands beside it say.
+    """
+
+    number: int
+    arm: JsonObject
+    cell: dict[str, Setting]
+    seed: int
+    values: dict[str, Setting | list[Setting]] = field(repr=False)
+
+    def __str__(self) -> str:
+        cell = "".join(f", {name} {value}" for name, value in self.cell.items())
+        return f"run {self.number} (arm {self.arm['name']}{cell}, seed {self.seed})"
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """All runs of a study with a budget.
+
+    Attributes:
+        study: The study.
+        budget: `small` or `full`.
+        runs: The runs, in the order of the results.
+        asked: The hash of what is asked: of `study.toml` without the other budget, and of the documents beside it.
+    """
+
+    study: Study
+    budget: str
+    runs: tuple[PlannedRun, ...]
+    asked: str
+
+    @property
+    def folder(self) -> Path:
+        """Where its results and its report are."""
+        return self.study.folder / self.budget
+
+
+class Study:
+    """A study.
+
+    Attributes:
+        folder: Its folder.
+        name: The folder's name.
+        document: What `study.toml` says, with its defaults.
+        given: The same as it was given, which its hash is of.
+    """
+
+    def __init__(self, folder: Path, document: Any) -> None:
+        """Judges what the file says.
+
+        Raises:
+            DocumentError: It is no study.
+        """
+        check(_SCHEMA, document)
+        self.folder, self.name, self.given = folder, folder.name, document
+        self.document = complete(_SCHEMA.schema, document)
+        for name in ("settings", "factors", "missing", "scales"):
+            self.document.setdefault(name, {})
+        self.document.setdefault("figures", [])
+        problems = list(self._problems())
+        if problems:
+            raise DocumentError(problems)
+
+    @classmethod
+    def load(cls, name: str | os.PathLike[str]) -> Study:
+        """Reads the study in a folder, or the one of that name in `studies`.
+
+        Raises:
+            StudyError: There is none, or it cannot be read (`no_study`).
+        """
+        folder = Path(name)
+        if not (folder / "study.toml").is_file() and len(folder.parts) == 1:
+            folder = Path("studies") / folder
+        path = folder / "study.toml"
+        try:
+            text = _bounded(path, _LARGEST)
+            document = tomllib.loads(text.decode(), parse_float=_finite)
+            return cls(folder.resolve(), document)
+        except OSError as error:
+            raise StudyError("no_study", f"there is no study in {folder}: {path}: {error.strerror}") from error
+        except DocumentError as error:
+            raise StudyError("no_study", f"{path} is not as it must be:\n{error.message}") from error
+        except (ValueError, RecursionError) as error:  # of TOML, of UTF-8 too
+            raise StudyError("no_study", f"{path} is no TOML: {error}") from error
+
+    def plan(self, budget: str) -> Plan:
+        """Returns the runs of a budget.
+
+        Raises:
+            StudyError: The study has no such budget, or a document of it cannot be read (`no_study`).
+        """
+        budgets = self.document["budgets"]
+        if budget not in budgets:
+            raise StudyError("no_study", f"{self.name} has no budget {budget}: there is {', '.join(budgets)}")
+        cells = list(self._cells(budget))
+        runs = [
+            PlannedRun(number, arm, dict(cell), seed, self._values(budget, arm, cell) | {"seed": seed})
+            for number, (arm, cell, seed) in enumerate(
+                product(self.document["arms"], cells, budgets[budget]["seeds"]),
+            )
+        ]
+        kept = {name: each for name, each in self.given["budgets"].items() if name == budget}
+        asked = canonical_hash({"study": {**self.given, "budgets": kept}, "files": self._files()})
+        return Plan(self, budget, tuple(runs), asked)
+
+    def arm_commands(self, arm: JsonObject) -> dict[str, str]:
+        """Returns the commands of an arm by name, in their order."""
+        every: dict[str, str] = self.document["commands"]
+        return {name: command for name, command in every.items() if name in arm.get("commands", every)}
+
+    def factors(self, budget: str) -> dict[str, list[Setting]]:
+        """Returns the values of each factor that a budget has."""
+        fewer = self.document["budgets"][budget].get("factors", {})
+        return {name: fewer.get(name, values) for name, values in self.document["factors"].items()}
+
+    def scale(self, cell: Mapping[str, Setting]) -> float:
+        """Returns what numbers of a cell are divided by before cells are put together."""
+        scales: Mapping[str, Mapping[str, float]] = self.document["scales"]
+        return math.prod(values[str(cell[factor])] for factor, values in scales.items())
+
+    def _cells(self, budget: str) -> Iterator[dict[str, Setting]]:
+        factors = self.factors(budget)
+        for values in product(*factors.values()):
+            yield dict(zip(factors, values, strict=True))
+
+    def _values(self, budget: str, arm: JsonObject, cell: Mapping[str, Setting]) -> dict[str, Setting | list[Setting]]:
+        own = self.document["budgets"][budget].get("settings", {})
+        return {**self.document["settings"], **own, **arm.get("settings", {}), **cell}
+
+    def _files(self) -> dict[str, str]:
+        """Returns the digest of each document beside `study.toml`, which commands may read."""
+        try:
+            found = sorted(path for path in self.folder.iterdir() if path.name not in _WRITTEN)
+            return {path.name: sha256(_bounded(path, _FILE)).hexdigest() for path in found if path.is_file()}
+        except OSError as error:
+            raise StudyError("no_study", f"cannot read {error.filename}: {error.strerror}") from error
+
+    # -- what is judged beyond the schema ------------------------------------------------------------------------
+
+    def _problems(self) -> Iterator[tuple[str, str]]:
+        document = self.document
+        for kind in ("claims", "arms", "figures"):
+            names = [each["name"] for each in document[kind]]
+            yield from (
+                (f"{kind}/{place}/name", f"there are two of the name {name}")
+                for place, name in enumerate(names)
+                if name in names[:place]
+            )
+        for name, values in document["factors"].items():
+            if len({isinstance(value, str) for value in values}) > 1:
+                yield f"factors/{name}", "its values must be all numbers or all words"
+        yield from self._column_problems()
+        yield from self._value_problems()
+        for place, claim in enumerate(document["claims"]):
+            for name in ("holds", "refuted", "partly"):
+                try:
+                    condition(claim.get(name, "true"), document["values"])
+                except WorldError as error:
+                    yield f"claims/{place}/{name}", error.message.partition(": ")[2]
+        for name, each in document["budgets"].items():
+            yield from self._budget_problems(name, each)
+
+    def _column_problems(self) -> Iterator[tuple[str, str]]:
+        document = self.document
+        for name, source in document["columns"].items():
+            if name in (*_RESERVED, *document["factors"]):
+                yield f"columns/{name}", "results have another column of that name"
+            yield from _unknown(f"columns/{name}", source.partition(" ")[0], document["commands"], "command")
+        for place, arm in enumerate(document["arms"]):
+            for name in arm.get("commands", ()):
+                yield from _unknown(f"arms/{place}/commands", name, document["commands"], "command")
+        for name in document["missing"]:
+            yield from _unknown("missing", name, document["columns"], "column")
+        for place, figure in enumerate(document["figures"]):
+            yield from _unknown(f"figures/{place}/column", figure["column"], document["columns"], "column")
+        for factor, scales in document["scales"].items():
+            yield from _unknown("scales", factor, document["factors"], "factor")
+            for value in document["factors"].get(factor, ()):
+                yield from _unknown(f"scales/{factor}", str(value), scales, "scale of the value")
+
+    def _value_problems(self) -> Iterator[tuple[str, str]]:
+        document = self.document
+        arms = {arm["name"]: arm for arm in document["arms"]}
+        for name, value in document["values"].items():
+            path = f"values/{name}"
+            column = value.get("column")
+            if column is not None:
+                yield from _unknown(f"{path}/column", column, document["columns"], "column")
+            elif value["statistic"] != "equal":
+                yield f"{path}/column", f"{value['statistic']} is of a column"
+            if (value["statistic"] in COMPARISONS) != ("over" in value):
+                yield f"{path}/over", f"{value['statistic']} is of {'two arms' if 'over' not in value else 'one arm'}"
+            source = document["columns"].get(column, "").partition(" ")[0]
+            for role in ("arm", "over"):
+                arm = value.get(role)
+                if arm is not None:
+                    yield from _unknown(f"{path}/{role}", arm, arms, "arm")
+                    if arm in arms and source in document["commands"] and source not in self.arm_commands(arms[arm]):
+                        yield f"{path}/{role}", f"arm {arm} does without the command of the column"
+            for factor, chosen in value.get("where", {}).items():
+                yield from _unknown(f"{path}/where", factor, document["factors"], "factor")
+                if chosen not in document["factors"].get(factor, [chosen]):
+                    yield f"{path}/where/{factor}", f"there is no value {chosen}"
+
+    def _budget_problems(self, budget: str, document: JsonObject) -> Iterator[tuple[str, str]]:
+        path = f"budgets/{budget}"
+        for factor, values in document.get("factors", {}).items():
+            yield from _unknown(f"{path}/factors", factor, self.document["factors"], "factor")
+            for value in values:
+                if value not in self.document["factors"].get(factor, values):
+                    yield f"{path}/factors/{factor}", f"there is no value {value}"
+        cells = math.prod(map(len, self.factors(budget).values()))
+        if cells * len(self.document["arms"]) * len(document["seeds"]) > _RUNS:
+            yield path, f"it has over {_RUNS:,} runs"
+            return
+        for place, arm in enumerate(self.document["arms"]):
+            values = self._values(budget, arm, self.document["factors"])
+            known = {*values, *_OWN}
+            for name, value in values.items():
+                for inner in PLACE.findall(_text(value)) if name not in self.document["factors"] else ():
+                    if inner not in known:
+                        yield f"arms/{place}", f"setting {name}: there is nothing that {{{inner}}} stands for"
+            beside: Mapping[str, str] = arm.get("beside", {})
+            before = list[str]()  # the commands whose output is there
+            for command, text in [*((None, text) for text in beside.values()), *self.arm_commands(arm).items()]:
+                for name in PLACE.findall(text):
+                    told = name.partition("/")[0] in before or name.partition(".")[0] in beside
+                    if name not in known and not told:
+                        yield f"arms/{place}", f"there is nothing that {{{name}}} stands for{did_you_mean(name, known)}"
+                before += [] if command is None else [command]
+
+
+def condition(text: str, values: Mapping[str, object]) -> Condition:
+    """Reads a condition over the values of a study.
+
+    Raises:
+        WorldError: `bad_expression`.
+    """
+    names = {name: ("a value of the study", "") for name in values}
+    return Condition(text, "condition", names=names, parts={"low": tuple(values), "high": tuple(values)})
+
+
+def fill(words: list[str], values: Mapping[str, Setting | list[Setting]]) -> list[str]:
+    """Returns the words of a command with what its placeholders stand for; a list stands for several words.
+
+    What a placeholder stands for may have placeholders itself, but of these none may.
+    """
+    values = {name: _filled(value, values) for name, value in values.items()}
+    filled: list[str] = []
+    for word in words:
+        whole = PLACE.fullmatch(word)
+        value = values[whole[1]] if whole is not None else None
+        if isinstance(value, list):
+            filled += map(_text, value)
+        else:
+            filled.append(PLACE.sub(lambda place: _text(values[place[1]]), word))
+    return filled
+
+
+def _filled(value: Setting | list[Setting], values: Mapping[str, Setting | list[Setting]]) -> Setting | list[Setting]:
+    """Returns a setting with what the placeholders in it stand for."""
+    if isinstance(value, list):
+        return [PLACE.sub(lambda place: _text(values[place[1]]), _text(each)) for each in value]
+    return PLACE.sub(lambda place: _text(values[place[1]]), value) if isinstance(value, str) else value
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        return " ".join(map(_text, value))
+    return str(int(value)) if isinstance(value, float) and value.is_integer() else str(value)
+
+
+def _unknown(path: str, name: str, known: Mapping[str, object], what: str) -> Iterator[tuple[str, str]]:
+    if name not in known:
+        yield path, f"there is no {what} {name}{did_you_mean(name, known)}"
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text} is no finite number")
+    return value
+
+
+def _bounded(path: Path, most: int) -> bytes:
+    """Reads a file of at most so many bytes.
+
+    Raises:
+        OSError: It cannot be read.
+        DocumentError: It is larger.
+    """
+    with path.open("rb") as file:
+        text = file.read(most + 1)
+    if len(text) > most:
+        raise DocumentError([("", f"{path} has over {most >> 20} MiB")])
+    return text

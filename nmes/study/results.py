@@ -1,0 +1,164 @@
+"""The results of a study: a row for each run, in the order of the plan, as a table of Parquet.
+
+Hides the file. Invariants: rows are what was told of runs and nothing else, numbers as doubles; the digest is of all
+rows in canonical form, so that it is the same after the file was written and read.
+"""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import ModuleType
+from typing import Any, Final
+
+import orjson
+
+from nmes.backend import load_backend
+from nmes.backend.fingerprint import differences, fingerprint
+from nmes.errors import MissingPackage, StudyError
+from nmes.schemas.documents import JsonObject, canonical_hash
+from nmes.study.document import Plan, PlannedRun
+
+__all__ = ["FILE", "Results", "row_of", "write_file"]
+
+FILE: Final = "results.parquet"
+_KEY: Final = b"nmes.study"
+_ROWS: Final = 1_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Results:
+    """All rows of a study with a budget.
+
+    Attributes:
+        asked: The hash of what was asked.
+        fingerprint: Of what computed them.
+        rows: The rows, each with arm, factors, seed, whether it is measured, and the columns.
+    """
+
+    asked: str
+    fingerprint: Mapping[str, str]
+    rows: Sequence[JsonObject]
+
+    @property
+    def digest(self) -> str:
+        """Of all rows and what was asked, 32 hexadecimal digits."""
+        return canonical_hash({"asked": self.asked, "rows": list(self.rows)})[:32]
+
+    @classmethod
+    def here(cls, plan: Plan, rows: Sequence[JsonObject]) -> Results:
+        """Makes results of rows that were computed here."""
+        return cls(plan.asked, fingerprint(load_backend("mujoco")), rows)
+
+    def differences(self) -> dict[str, tuple[str, str]]:
+        """Returns the decisive items of the fingerprint that are otherwise here than there, with both values."""
+        return differences(self.fingerprint, fingerprint(load_backend("mujoco")))
+
+    def write(self, plan: Plan) -> None:
+        """Writes them to the folder of the plan; where the same are there already, the file is left alone.
+
+        Raises:
+            MissingPackage: pyarrow is not installed.
+            StudyError: They cannot be written (`cannot_write`).
+        """
+        arrow, parquet = _arrow()
+        with suppress(StudyError):
+            if Results.read(plan).digest == self.digest:
+                return
+        about = {"asked": self.asked, "digest": self.digest, "fingerprint": dict(self.fingerprint)}
+        columns = {name: [row[name] for row in self.rows] for name in self.rows[0]}
+        fields = [(name, _kind(arrow, values)) for name, values in columns.items()]
+        schema = arrow.schema(fields, metadata={_KEY: orjson.dumps(about)})
+        sink = arrow.BufferOutputStream()
+        parquet.write_table(arrow.table(columns, schema=schema), sink)
+        write_file(plan.folder / FILE, sink.getvalue().to_pybytes())
+
+    @classmethod
+    def read(cls, plan: Plan) -> Results:
+        """Reads those of a plan.
+
+        Raises:
+            MissingPackage: pyarrow is not installed.
+            StudyError: There are none (`no_results`), or they are not what they say (`bad_results`).
+        """
+        arrow, parquet = _arrow()
+        path = plan.folder / FILE
+        try:
+            file = parquet.ParquetFile(path)
+            if file.metadata.num_rows > _ROWS:
+                raise StudyError("bad_results", f"{path} has over {_ROWS:,} rows")
+            table = file.read()
+            about = orjson.loads((table.schema.metadata or {})[_KEY])
+            results = cls(about["asked"], about["fingerprint"], table.to_pylist())
+            digest = about["digest"]
+        except FileNotFoundError:
+            hint = f"nmes study run {plan.study.name} --budget {plan.budget}"
+            raise StudyError("no_results", f"there are no results in {plan.folder}: {hint}") from None
+        except (OSError, KeyError, TypeError, ValueError, arrow.ArrowException) as error:
+            raise StudyError("bad_results", f"{path} are no results of a study: {error}") from error
+        if results.asked != plan.asked:
+            changed = "study.toml, or a document beside it, is not what these results answer: it was changed since"
+            raise StudyError("bad_results", f"{path}: {changed}")
+        if results.digest != digest:
+            raise StudyError("bad_results", f"{path}: the rows do not have the digest that the file names")
+        planned = [_about(run) for run in plan.runs]
+        names = {*planned[0], *plan.study.document["columns"]}
+        told = [{name: row.get(name) for name in planned[0]} for row in results.rows]
+        if told != planned or any(row.keys() != names for row in results.rows):
+            raise StudyError("bad_results", f"{path}: the rows are not those that the study plans")
+        return results
+
+
+def row_of(run: PlannedRun, columns: JsonObject) -> JsonObject:
+    """Returns the row of a run that has told these columns."""
+    return {**_about(run), **columns}
+
+
+def write_file(path: Path, content: bytes) -> None:
+    """Writes a file whole, or not at all.
+
+    Raises:
+        StudyError: It cannot be written (`cannot_write`).
+    """
+    part = path.with_name(f".{secrets.token_hex(8)}.part")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part.write_bytes(content)
+        part.replace(path)
+    except OSError as error:
+        raise StudyError("cannot_write", f"cannot write {path}: {error.strerror}") from error
+    finally:
+        with suppress(OSError):
+            part.unlink(missing_ok=True)
+
+
+def _about(run: PlannedRun) -> JsonObject:
+    """Returns what a row says of its run besides the columns."""
+    cell = {name: float(value) if isinstance(value, int) else value for name, value in run.cell.items()}
+    return {"arm": run.arm["name"], **cell, "seed": run.seed, "measured": run.arm["measured"]}
+
+
+def _kind(arrow: ModuleType, values: Sequence[Any]) -> Any:
+    """Returns the type of a column: truths, whole numbers (seeds), numbers, or text.
+
+    Raises:
+        StudyError: It has values of several kinds (`command_failed`).
+    """
+    kinds = {type(value) for value in values if value is not None} or {str}
+    if len(kinds) > 1:
+        names = ", ".join(sorted(kind.__name__ for kind in kinds))
+        raise StudyError("command_failed", f"a column has values of several kinds: {names}")
+    types = {bool: arrow.bool_(), int: arrow.int64(), float: arrow.float64(), str: arrow.string()}
+    return types[kinds.pop()]
+
+
+def _arrow() -> tuple[Any, Any]:
+    try:
+        import pyarrow
+        import pyarrow.parquet
+    except ImportError as error:
+        raise MissingPackage("results of studies need pyarrow: pip install 'nmes[arrow]'") from error
+    return pyarrow, pyarrow.parquet

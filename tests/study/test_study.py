@@ -1,0 +1,308 @@
+"""`nmes study`: runs that survive kills, reports that say what results say, and proofs that find what was changed."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import signal
+import subprocess
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pyarrow
+import pyarrow.parquet
+import pytest
+
+from command_line import run
+from nmes.schemas.documents import canonical_hash
+from nmes.study import Results, Study, verify_study
+from processes import NMES
+from studies import DISCUSSION, STUDY, make_study
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The small study, run in one go."""
+    folder = make_study(tmp_path_factory.mktemp("studies") / "whole")
+    result = run("study", "run", folder, "--jobs", "2")
+    assert result.exit_code == 0, result.output
+    assert result.output == f"farther: holds\nopen: undecided at this budget\nwrote {folder / 'small'}\n"
+    return folder
+
+
+@pytest.fixture
+def copied(whole: Path, tmp_path: Path) -> Path:
+    """A copy of the study with its results, to be changed."""
+    shutil.copytree(whole, tmp_path / "whole", ignore=shutil.ignore_patterns("work"))
+    return tmp_path / "whole"
+
+
+def rows(folder: Path) -> list[dict[str, object]]:
+    return list(Results.read(Study.load(folder).plan("small")).rows)
+
+
+def verify(folder: Path, *options: str) -> tuple[int, str]:
+    result = run("study", "verify", folder, *options)
+    return result.exit_code, result.output
+
+
+def nothing(done: int, total: int) -> None:
+    pass
+
+
+# -- results and report -----------------------------------------------------------------------------------------------
+
+
+def test_results_have_a_row_for_each_arm_and_seed_with_what_the_commands_print(whole: Path) -> None:
+    found = rows(whole)
+    assert [(row["arm"], row["seed"]) for row in found] == [
+        (arm, seed) for arm in ("swinging", "still") for seed in (1, 2, 3)
+    ]
+    printed = json.loads(
+        run("eval", whole / "swinging.json", "--task", whole / "slide.json", "--seeds", "2", "--json").stdout
+    )
+    assert (found[1]["score"], found[1]["hash"]) == (printed[0]["score"], printed[0]["genome_hash"])
+
+
+def test_a_report_has_verdicts_numbers_and_the_discussion(whole: Path) -> None:
+    text = (whole / "small" / "REPORT.md").read_text()
+    assert "> It gets farther.\n>\n> (nowhere)\n\nVerdict: **holds**" in text
+    assert "> It is hard to tell.\n>\n> (nowhere)\n\nVerdict: **undecided at this budget**" in text
+    scores = sorted(float(str(row["score"])) for row in rows(whole)[:3])
+    assert f"Who swings gets {sum(scores) / 3:.4g} m ({scores[0]:.4g} to {scores[2]:.4g}): `farther` holds." in text
+    assert "`alike`: part of the runs in which `hash` is the same in swinging as in still | 0 | exact | 3 | 3 |" in text
+    assert (whole / "small" / "scores.svg").read_text().count('class="dots"') == 6
+
+
+def test_a_study_that_is_as_it_was_holds(whole: Path) -> None:
+    status, output = verify(whole, "--sample", "2")
+    assert status == 0
+    assert "farther: holds\nopen: undecided at this budget\nholds: 2 of 6 runs done again\n" in output
+
+
+# -- what a proof finds -----------------------------------------------------------------------------------------------
+
+
+def edit(path: Path, old: str, new: str) -> None:
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+
+
+def change_number(small: Path) -> None:
+    edit(small / "REPORT.md", "| 0 | exact", "| 1 | exact")
+
+
+def change_verdict(small: Path) -> None:
+    edit(small / "REPORT.md", "Verdict: **undecided at this budget**", "Verdict: **holds**")
+
+
+def change_figure(small: Path) -> None:
+    edit(small / "scores.svg", 'class="dots"', 'class="f1"')
+
+
+def add_figure(small: Path) -> None:
+    (small / "better.svg").write_text("<svg/>")
+
+
+@pytest.mark.parametrize(
+    ("change", "finding"),
+    [
+        (change_number, "REPORT.md, line "),
+        (change_verdict, "REPORT.md, line "),
+        (change_figure, "scores.svg, line "),
+        (add_figure, "better.svg: no such figure comes of the results"),
+        (lambda small: (small / "REPORT.md").unlink(), "REPORT.md cannot be read"),
+    ],
+)
+def test_a_report_that_the_results_do_not_support_is_broken(
+    change: Callable[[Path], None], finding: str, copied: Path
+) -> None:
+    assert verify(copied, "--sample", "0")[0] == 0
+    change(copied / "small")
+    status, output = verify(copied, "--sample", "0")
+    assert status == 1 and finding in output and "broken: 0 of 6" in output
+
+
+def forge(folder: Path, digest: bool) -> None:
+    """Gives the first row another score; with a digest that fits, if asked."""
+    path = folder / "small" / "results.parquet"
+    table = pyarrow.parquet.read_table(path)
+    found = table.to_pylist()
+    found[0]["score"] += 1.0
+    about = json.loads(table.schema.metadata[b"nmes.study"])
+    if digest:
+        about["digest"] = canonical_hash({"asked": about["asked"], "rows": found})[:32]
+    schema = table.schema.with_metadata({b"nmes.study": json.dumps(about).encode()})
+    pyarrow.parquet.write_table(pyarrow.Table.from_pylist(found, schema=schema), path)
+
+
+def test_a_changed_row_is_found_by_the_digest_of_all_rows(copied: Path) -> None:
+    forge(copied, digest=False)
+    status, output = verify(copied, "--sample", "0")
+    assert status == 1 and "the rows do not have the digest that the file names" in output
+    assert run("study", "report", copied).exit_code == 1
+
+
+def test_a_row_that_was_forged_with_all_that_follows_is_found_where_its_run_is_done_again(copied: Path) -> None:
+    forge(copied, digest=True)
+    assert run("study", "report", copied).exit_code == 0
+    assert verify(copied, "--sample", "0")[0] == 0
+    found = verify_study(Study.load(copied).plan("small"), None, 2, nothing)
+    assert found.verdict == "broken" and len(found.findings) == 1
+    assert found.findings[0].startswith("run 0 (arm swinging, seed 1): score is ")
+
+
+def test_what_would_count_cannot_be_changed_after_the_run(copied: Path) -> None:
+    edit(copied / "study.toml", "gain > 2", "gain > 0.1")
+    status, output = verify(copied, "--sample", "0")
+    assert status == 1 and "study.toml, or a document beside it, is not what these results answer" in output
+
+
+def test_a_document_beside_cannot_be_changed_after_the_run(copied: Path) -> None:
+    edit(copied / "slide.json", "Slide.", "Slide")
+    assert verify(copied, "--sample", "0")[0] == 1
+
+
+@pytest.mark.parametrize(
+    ("discussion", "words"),
+    [
+        ("It gets 3 m.", "line 1: it has the digit 3"),
+        ("Words.\nIt is {{better}}.", "line 2: there is no value better"),
+    ],
+)
+def test_a_discussion_has_no_numbers_but_those_of_the_results(discussion: str, words: str, copied: Path) -> None:
+    (copied / "discussion.md").write_text(discussion)
+    for command in (("report",), ("verify", "--sample", "0")):
+        result = run("study", command[0], copied, *command[1:])
+        assert result.exit_code == 1 and words in result.output
+
+
+def test_a_discussion_may_change_after_the_run(copied: Path) -> None:
+    (copied / "discussion.md").write_text(DISCUSSION + "More words, and `code 66`.\n")
+    assert verify(copied, "--sample", "0")[0] == 1
+    assert run("study", "report", copied).exit_code == 0
+    assert verify(copied, "--sample", "0")[0] == 0
+
+
+# -- kills ------------------------------------------------------------------------------------------------------------
+
+
+def test_kills_and_ctrl_c_leave_what_is_done_and_do_not_show(whole: Path, tmp_path: Path) -> None:
+    folder = make_study(tmp_path / "killed")
+
+    def done() -> int:
+        return len(list(folder.glob("work/*/done/*.json")))
+
+    for number in (signal.SIGINT, signal.SIGKILL):
+        before = done()
+        arguments = [NMES, "study", "run", str(folder), "--jobs", "1"]
+        with subprocess.Popen(arguments, stdout=-1, stderr=-1, text=True) as child:
+            while done() == before and child.poll() is None:
+                time.sleep(0.005)
+            child.send_signal(number)
+            _, told = child.communicate(timeout=60)
+        assert 0 < before + 1 <= done() < 6
+        if number == signal.SIGINT:
+            assert child.returncode == 1
+            assert told == f"stopped: {done()} of 6 runs done\ngo on with: nmes study run killed --budget small\n"
+            assert not list(folder.glob("work/*/under-way/*"))
+    kept = {path: path.stat().st_mtime_ns for path in folder.glob("work/*/done/*.json")}
+    assert run("study", "run", folder, "--jobs", "2").exit_code == 0
+    assert {path: path.stat().st_mtime_ns for path in kept} == kept  # not done again
+    assert rows(folder) == rows(whole)
+    for name in ("REPORT.md", "scores.svg"):
+        text = (folder / "small" / name).read_text()
+        assert text.replace("verify killed", "verify whole") == (whole / "small" / name).read_text()
+
+
+# -- what a run may need ----------------------------------------------------------------------------------------------
+
+
+def test_commands_see_what_runs_beside_them_and_what_was_printed_before(tmp_path: Path) -> None:
+    folder = tmp_path / "beside"
+    folder.mkdir()
+    head = STUDY[: STUDY.index("[settings]")]
+    for old, new in (('low("gain") > 0.5', "same == 1"), ('high("gain") < 0.5', "same < 1"), ("gain >", "same >")):
+        head = head.replace(old, new)
+    (folder / "study.toml").write_text(
+        head.replace("gain <", "same <")
+        + """
+[commands]
+worlds = "nmes worlds {host.host}:{host.port} --password {host.password} --json"
+again = "nmes worlds {host.host}:{host.port} --password {host.password} --world {worlds/0/world} --json"
+failing = "nmes tasks {words} --json"
+
+[columns]
+world = "again /0/world"
+status = "failing status"
+
+[[arms]]
+name = "hosted"
+about = "Beside a host."
+measured = true
+settings = { words = ["no-such-task"] }
+beside = { host = "nmes serve --backend ballistic --worlds red,green --port 0 --no-record --json" }
+
+[values]
+same = { statistic = "equal", column = "world", arm = "hosted", over = "hosted" }
+status = { statistic = "max", column = "status", arm = "hosted" }
+
+[budgets.small]
+seeds = [1, 2, 3]
+minutes = 0.1
+"""
+    )
+    result = run("study", "run", folder, "--jobs", "2")
+    assert result.exit_code == 0, result.output
+    assert [(row["world"], row["status"], row["measured"]) for row in rows(folder)] == [("red", 2.0, True)] * 3
+    status, output = verify(folder)
+    assert status == 0 and "holds: 0 of 3 runs done again\nnot judged: 3 runs in which clocks have a part\n" in output
+
+
+def test_a_command_that_fails_is_told_with_what_it_said(tmp_path: Path) -> None:
+    folder = make_study(tmp_path / "failing")
+    edit(folder / "study.toml", '{ genome = "still" }', '{ genome = "nobody" }')
+    result = run("study", "run", folder, "--jobs", "1")
+    assert result.exit_code == 1
+    assert "run 3 (arm still, seed 1): nmes eval " in result.output and "ended with status " in result.output
+    assert "nobody.json" in result.output
+
+
+# -- what is no study -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("seeds = [1, 2, 3]", "seeds = [1]", "budgets/small/seeds"),
+        ("seeds = [1, 2, 3]", "seeds = [1, 1, 2]", "budgets/small/seeds"),
+        ("gain > 2", "gian > 2", "claims/1/holds: line 1, column 1: there is no quantity 'gian'; did you mean gain?"),
+        ("gain > 2", "gain", "claims/1/holds: line 1, column 1: it must give true or false"),
+        ("{genome}.json", "{genom}.json", "there is nothing that {genom} stands for; did you mean genome?"),
+        ('"{study}/slide.json"', '"{stud}/slide.json"', "setting task: there is nothing that {stud} stands for"),
+        ("nmes eval", "rm -r", "commands/score"),
+        ('"score /0/score"', '"sore /0/score"', "columns/score: there is no command sore; did you mean score?"),
+        ('over = "still" }', 'over = "stil" }', "values/gain/over: there is no arm stil; did you mean still?"),
+        ('arm = "swinging" }', 'arm = "swinging", over = "still" }', "values/swinging/over: iqm is of one arm"),
+        ('name = "open"', 'name = "farther"', "claims/1/name: there are two of the name farther"),
+        ("minutes = 0.1", "minutes = nan", "is no TOML: nan is no finite number"),
+        ("[settings]", "[settings", "is no TOML"),
+        ('format = "nmes-study/1"', 'format = "nmes-study/9"', "format"),
+    ],
+)
+def test_what_is_wrong_with_a_study_is_told_with_its_place(old: str, new: str, words: str, tmp_path: Path) -> None:
+    folder = make_study(tmp_path / "wrong")
+    edit(folder / "study.toml", old, new)
+    result = run("study", "run", folder)
+    assert result.exit_code == 1 and words in result.output, result.output
+
+
+def test_what_is_not_there_is_told_with_what_to_do(tmp_path: Path) -> None:
+    result = run("study", "report", tmp_path / "none")
+    assert result.exit_code == 1 and "there is no study in " in result.output
+    folder = make_study(tmp_path / "fresh")
+    result = run("study", "verify", folder)
+    assert result.exit_code == 1 and "nmes study run fresh --budget small" in result.output
+    assert "fresh has no budget full: there is small" in run("study", "run", folder, "--budget", "full").output
