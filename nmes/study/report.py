@@ -26,14 +26,14 @@ _LARGEST: Final = 1 << 20  # bytes of a discussion
 _PLACE: Final = re.compile(r"\{\{ *([a-z0-9_.]+) *\}\}")
 _CODE: Final = re.compile(r"`[^`]*`")
 _SAID: Final = {
-    "iqm": "interquartile mean of `{column}`, {arm}",
-    "mean": "mean of `{column}`, {arm}",
-    "median": "median of `{column}`, {arm}",
-    "min": "least `{column}`, {arm}",
-    "max": "greatest `{column}`, {arm}",
-    "improvement": "probability that `{column}` is better in {arm} than in {over}",
-    "difference": "interquartile mean of `{column}` in {arm}, less that in {over}",
-    "equal": "part of the runs in which `{column}` is the same in {arm} as in {over}",
+    "iqm": "interquartile mean of {column}, {arm}",
+    "mean": "mean of {column}, {arm}",
+    "median": "median of {column}, {arm}",
+    "min": "least {column}, {arm}",
+    "max": "greatest {column}, {arm}",
+    "improvement": "probability that {column} is better in {arm} than in {over}",
+    "difference": "interquartile mean of {column} in {arm}, less that in {over}",
+    "equal": "part of the runs in which {column} is the same in {arm} as in {over}",
 }
 
 
@@ -87,8 +87,9 @@ def _page(
 
 
 def _number_row(name: str, document: Mapping[str, str], found: Estimate) -> str:
-    shown = {key: str(value).replace("_", " ") if key in ("arm", "over") else value for key, value in document.items()}
-    said = _SAID[document["statistic"]].format_map({"column": "everything", **shown})
+    shown = {key: str(document.get(key, "")).replace("_", " ") for key in ("arm", "over")}
+    shown["column"] = f"`{document['column']}`" if "column" in document else "every column"
+    said = _SAID[document["statistic"]].format_map(shown)
     where: Mapping[str, object] = document.get("where", {})  # type: ignore[assignment]
     said += "".join(f", {factor} {value}" for factor, value in where.items())
     exact = document["statistic"] in ("min", "max", "equal")
