@@ -7,8 +7,11 @@ A subcommand's file exposes a click command named `command`. Exit codes: 0 good,
 from __future__ import annotations
 
 import errno
+import gc
 import importlib
+import os
 import sys
+from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any, cast
 
@@ -63,6 +66,14 @@ class _NotComparable(click.ClickException):
 
 
 class _Group(click.Group):
+    def main(self, args: Sequence[str] | None = None, *more: Any, **extra: Any) -> Any:
+        if args is None:  # those of the process, which is this command's own
+            # Most of what a command makes are modules, which stay: they are not to be looked through again and again.
+            gc.set_threshold(10_000)
+            # MuJoCo would load a library for windows, by a process of its own. Cameras ask for OpenGL in another way.
+            os.environ.setdefault("MUJOCO_GL", "disable")
+        return super().main(args, *more, **extra)
+
     def list_commands(self, ctx: click.Context) -> list[str]:
         return sorted(SUBCOMMANDS)
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import orjson
-from rich.console import Console
-from rich.table import Table
 
 from nmes.errors import visible
 from nmes.playback.answers import Mismatch
 from nmes.playback.remote import RemoteReplayReport
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 __all__ = ["show"]
 
@@ -20,6 +21,8 @@ _SHORT = 60  # characters of a value
 
 def show(report: RemoteReplayReport, console: Console) -> None:
     """Prints a report."""
+    from rich.table import Table
+
     amount = f"{report.commands:,} commands, {report.ticks:,} ticks, {report.values:,} values"
     console.print(f"{report.verdict}: {amount}; numbers may differ by {report.tolerance:g}", soft_wrap=True)
     if report.fields:

@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from nmes.cli._password import PASSWORD_VARIABLE, choose_password, password_options
-from nmes.client import AsyncClient, Client
+
+if TYPE_CHECKING:  # loaded by those that connect: `nmes replay` seldom does
+    from nmes.client import AsyncClient, Client
 
 __all__ = ["async_connector", "connection_options", "connector"]
 
@@ -33,6 +35,8 @@ def async_connector(
     password: str | None, password_file: Path | None, tls: bool, tls_ca: Path | None, timeout: float
 ) -> Callable[[tuple[str, int]], AsyncClient]:
     """Returns a function that makes a client of a server, not connected yet; the arguments are those of `connector`."""
+    from nmes.client import AsyncClient
+
     choice = _choose(password, password_file)
 
     def make(address: tuple[str, int]) -> AsyncClient:
@@ -79,6 +83,8 @@ def connector(
     Raises:
         UsageError: There is no password, or the certificates cannot be read.
     """
+    from nmes.client import Client
+
     choice = _choose(password, password_file)
     make = partial(Client, *address, password=choice, world=world, tls=tls, tls_ca=tls_ca, timeout=timeout)
     _check(make)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from pathlib import Path
-
-from rich.console import Console
-from rich.table import Table
+from typing import TYPE_CHECKING
 
 from nmes.cli._plot import Curves, write_plot
 from nmes.errors import visible
 from nmes.playback.drift import Drift, DriftReport
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 __all__ = ["plot", "show"]
 
@@ -22,6 +23,8 @@ FLOOR = 1e-6  # m: recorded poses are rounded to float32, so less than this is n
 
 def show(report: DriftReport, console: Console) -> None:
     """Prints a row for each cube: how far it is from where it was recorded, over time."""
+    from rich.table import Table
+
     amount = f"{report.ticks:,} ticks ({report.sim_seconds:,.2f} s), {report.commands:,} commands"
     console.print(f"recorded on {report.recorded}, run on {report.backend}: {amount}")
     if report.cubes:

@@ -6,14 +6,15 @@ import csv
 import sys
 from collections import Counter
 from collections.abc import Iterable, Sequence
-
-from rich.console import Console
-from rich.table import Table
+from typing import TYPE_CHECKING
 
 from nmes.cli._json import print_json
 from nmes.errors import visible
 from nmes.evaluation import Evaluation
 from nmes.evaluation.identity import borrows_name
+
+if TYPE_CHECKING:
+    from rich.table import Table
 
 __all__ = ["format_seeds", "print_csv", "print_results", "print_table"]
 
@@ -48,6 +49,8 @@ def print_csv(evaluations: Sequence[Evaluation]) -> None:
 
 def print_table(evaluations: Sequence[Evaluation]) -> None:
     """Prints evaluations as a table; below it which tasks have borrowed names, and why there is no score."""
+    from rich.console import Console
+
     console = Console(markup=False, highlight=False)
     console.print(_table(evaluations))
     borrowed = {each.task_hash: each.task for each in evaluations if borrows_name(each.task, each.task_hash)}
@@ -66,6 +69,8 @@ def print_table(evaluations: Sequence[Evaluation]) -> None:
 
 
 def _table(evaluations: Sequence[Evaluation]) -> Table:
+    from rich.table import Table
+
     table = Table("genome", "task", box=None, pad_edge=False)
     table.columns[0].overflow = "fold"
     with_roles = any(each.roles for each in evaluations)

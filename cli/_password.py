@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import click
 
-from nmes.client.conversation import PASSWORD_VARIABLE
+from nmes.protocol import PASSWORD_VARIABLE
 
 __all__ = ["PASSWORD_VARIABLE", "choose_password", "password_options", "read_password"]
 

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import os
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import click
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskID, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+if TYPE_CHECKING:
+    from rich.progress import TaskID
 
 __all__ = ["QUIET", "Progressing", "progress_bars"]
 
@@ -39,12 +42,20 @@ def progress_bars(visible: bool = True) -> Iterator[Progressing]:
     Args:
         visible: Whether to show bars at all: short work needs none.
     """
-    console = Console(stderr=True)
     context = click.get_current_context(silent=True)
-    visible = visible and not (context is not None and context.meta.get(_QUIET))
+    quiet = context is not None and context.meta.get(_QUIET)
+    asked = not os.environ.keys().isdisjoint({"FORCE_COLOR", "TTY_COMPATIBLE"})  # Rich takes that for a terminal
+    if not visible or quiet or not (asked or (sys.stderr is not None and sys.stderr.isatty())):
+        yield lambda doing, done, total, note="": None
+        return
+    # Not before it is needed: it takes a tenth of a second.
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
     texts = TextColumn("{task.description}"), TextColumn("{task.fields[note]}")
     columns = (texts[0], BarColumn(), TaskProgressColumn(), TimeRemainingColumn(), texts[1])
-    with Progress(*columns, console=console, transient=True, disable=not (visible and console.is_terminal)) as bars:
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
         tasks: dict[str, TaskID] = {}
 
         def progress(doing: str, done: int, total: int, note: str = "") -> None:

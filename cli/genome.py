@@ -10,9 +10,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 import orjson
-from rich.console import Console
-from rich.table import Table
-from rich.text import Text
 
 from nmes.cli import _genome_publish
 from nmes.cli._columns import columns
@@ -28,6 +25,9 @@ from nmes.schemas import load
 from nmes.schemas.documents import parse_document
 
 if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.table import Table
+
     from nmes.evolution import Difference
     from nmes.variation import Draw, Requirements
 
@@ -198,6 +198,8 @@ def show(files: list[str], output: Path | None, as_json: bool) -> None:
             what = visible(genomes[0].name) if len(genomes) == 1 else f"{len(genomes)} genomes"
             click.echo(f"drew {what} to {visible(str(output))}")
     elif not as_json:
+        from rich.console import Console
+
         console = Console(highlight=False, markup=False)
         if not console.is_terminal:
             console = Console(highlight=False, markup=False, width=200)  # what reads it has lines of any length
@@ -260,6 +262,8 @@ def _about(genome: Genome) -> dict[str, Any]:
 
 
 def _print(console: Console, genome: Genome) -> None:
+    from rich.text import Text
+
     from nmes.genome.preview import render_text
 
     about, body = _about(genome), genome.body
@@ -291,6 +295,8 @@ def _print(console: Console, genome: Genome) -> None:
 
 
 def _cubes(body: Body) -> Table:
+    from rich.table import Table
+
     table = Table("cube", "size (m)", "mass (kg)", "centre (m)", box=None, pad_edge=False)
     for cube in body.cubes:
         size, place = (", ".join(f"{part:.3g}" for part in parts) for parts in (cube.size, cube.position))
@@ -299,6 +305,8 @@ def _cubes(body: Body) -> Table:
 
 
 def _joints(body: Body) -> Table:
+    from rich.table import Table
+
     table = Table("joint", "type", "between", "limits", "motor", box=None, pad_edge=False)
     for joint in body.joints:
         unit = "m" if joint.kind == "slide" else "rad"
@@ -313,6 +321,8 @@ def _joints(body: Body) -> Table:
 
 
 def _rules(body: Body, entries: list[dict[str, Any]]) -> Table:
+    from rich.table import Table
+
     table = Table("rule", "when", "in stage", "does", "at most", "every", box=None, pad_edge=False)
     for number, (rule, entry) in enumerate(zip(body.development, entries, strict=True)):
         stage, times = (

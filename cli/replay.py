@@ -8,10 +8,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
-from rich.console import Console
 
 from nmes.cli import _against, _drift
 from nmes.cli._address import split_address
@@ -30,6 +29,9 @@ from nmes.playback.log import Log
 from nmes.playback.log_replay import replay_log
 from nmes.playback.remote import replay_remotely
 from nmes.recording import Recording
+
+if TYPE_CHECKING:
+    from rich.console import Console
 
 __all__ = ["command"]
 
@@ -160,7 +162,7 @@ def _judge(opened: Recording | Log, used: set[str], begin: Moment | None, end: M
     if report.verdict == "not_comparable" and report.divergence is not None and not report.part and not several:
         with _progress(recording) as progress:
             drift = measure_drift(recording, recording.config["backend"], progress=progress)
-        console = Console(highlight=False, markup=False, force_terminal=False)  # lines without marks for a terminal
+        console = _console(force_terminal=False)  # lines without marks for a terminal
         with console.capture() as told:
             _drift.show(drift, console)
         lines += told.get().splitlines()
@@ -227,5 +229,7 @@ def _progress(recording: Recording | Log) -> Iterator[Callable[[int, int], None]
         yield partial(progress, "replaying")
 
 
-def _console() -> Console:
-    return Console(highlight=False, markup=False)
+def _console(**options: Any) -> Console:
+    from rich.console import Console
+
+    return Console(highlight=False, markup=False, **options)

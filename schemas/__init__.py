@@ -42,6 +42,12 @@ def _texts() -> dict[str, bytes]:
 
 
 @cache
+def _parsed(path: str) -> Any:
+    """Returns what a schema file holds, never to be changed; read once, as many references lead into few files."""
+    return json.loads(_texts()[path])
+
+
+@cache
 def schema_hash() -> str:
     """Returns the SHA-256 of all schema files, in hexadecimal: equal hashes, equal protocol."""
     total = hashlib.sha256()
@@ -52,7 +58,7 @@ def schema_hash() -> str:
 
 def load(path: str) -> Schema:
     """Returns the schema in a file such as `commands/ping.json`, with no reference left in it."""
-    schema = _inlined(json.loads(_texts()[path]), path)
+    schema = _inlined(_parsed(path), path)
     assert isinstance(schema, dict)
     return schema
 
@@ -74,7 +80,7 @@ def _inlined(value: Any, path: str) -> Any:
         return beside
     file, _, pointer = value["$ref"].partition("#")
     target_path = posixpath.normpath(posixpath.join(posixpath.dirname(path), file)) if file else path
-    target = json.loads(_texts()[target_path])
+    target = _parsed(target_path)
     for key in pointer.split("/")[1:]:
         target = target[key]
     return {**_inlined(target, target_path), **beside}

@@ -20,17 +20,15 @@ import orjson
 from nmes.client.declaration import Pending
 from nmes.client.replies import AuthSuccess, Event, WorldSummary
 from nmes.errors import CommandFailed, Disconnected, RejectedMessage
-from nmes.protocol import DELIMITER, FrameSplitter, encode
+from nmes.protocol import DELIMITER, PASSWORD_VARIABLE, FrameSplitter, encode
 from nmes.schemas.documents import unwritable_number
 
-__all__ = ["EVENT_BACKLOG", "PASSWORD_VARIABLE", "READ", "ClientBase", "Conversation", "world_list"]
+__all__ = ["EVENT_BACKLOG", "READ", "ClientBase", "Conversation", "world_list"]
 
 # Bytes. A world of 10,000 cubes is a reply of some megabytes; a server is trusted more than its clients are.
 REPLY_LIMIT = 256 << 20
 # Bytes of one read. More is slower: for more than 128 KiB the memory is asked of the system, each time.
 READ = 64 << 10
-PASSWORD_VARIABLE = "NMES_PASSWORD"
-"""The environment's variable that has the password where none is given."""
 # Events that nobody reads are dropped, the oldest first, so that a client which subscribes and never reads stays small.
 EVENT_BACKLOG = 10_000
 

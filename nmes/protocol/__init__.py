@@ -30,7 +30,7 @@ from nmes.protocol.messages import (
     validate_metadata,
     validate_reply,
 )
-from nmes.protocol.session import REDACTED, Auth, FrameSplitter, Limits, Session
+from nmes.protocol.session import PASSWORD_VARIABLE, REDACTED, Auth, FrameSplitter, Limits, Session
 from nmes.schemas import schema_hash
 from nmes.schemas.documents import parse_json
 
@@ -40,6 +40,7 @@ __all__ = [
     "ERROR_CODES",
     "EVENTS",
     "NO_ID",
+    "PASSWORD_VARIABLE",
     "PROTOCOL_VERSION",
     "REDACTED",
     "REPLIES",

@@ -28,8 +28,10 @@ from nmes.protocol.messages import (
 )
 from nmes.schemas.documents import parse_json
 
-__all__ = ["REDACTED", "Auth", "FrameSplitter", "Limits", "Session"]
+__all__ = ["PASSWORD_VARIABLE", "REDACTED", "Auth", "FrameSplitter", "Limits", "Session"]
 
+PASSWORD_VARIABLE: Final = "NMES_PASSWORD"
+"""The environment's variable that has the password, of a server or a client, where none is given."""
 REDACTED: Final = b"(a frame with a password, which is not kept)"
 """What is recorded of a refused frame with the password, or a token, in it."""
 _WHITE: Final = b" \t\r\n"
