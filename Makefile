@@ -8,6 +8,10 @@ DEMO := $(VENV)/.demo-ready
 READY := $(VENV)/.ready
 PAGES := nmes/lab/pages/index.html
 
+# Images often say that no bytecode is to be written. The tests start a thousand processes that load the same modules:
+# compiling them each time would take most of it.
+export PYTHONDONTWRITEBYTECODE :=
+
 .DEFAULT_GOAL := help
 .PHONY: help setup demo lab test test-long conform-selftest lint format clients types editor imports layout bench docs man figures goldens constraints clean
 
