@@ -65,10 +65,10 @@ $(PAGES): $(DEMO) $(wildcard tools/lab_pages.py lab/*.json lab/*.mjs lab/src/* l
 	@$(BIN)/python tools/lab_pages.py
 
 test: lint $(PAGES)
-	$(BIN)/pytest -n auto -m 'not long'
+	$(BIN)/pytest -n auto --dist worksteal -m 'not long'
 
 test-long: lint $(PAGES)
-	$(BIN)/pytest -n auto --hypothesis-profile=search
+	$(BIN)/pytest -n auto --dist worksteal --hypothesis-profile=search
 
 conform-selftest: $(READY)
 	@PYTHONPATH=tests/support:tests/mutants $(BIN)/python tools/selftest.py

@@ -1,5 +1,7 @@
 """Settings for all tests: how long one may take, what Hypothesis draws, and the figures that tests record."""
 
+import os
+
 import pytest
 from hypothesis import HealthCheck, settings
 from hypothesis.database import DirectoryBasedExampleDatabase
@@ -30,6 +32,13 @@ settings.register_profile("nmes", STEADY, derandomize=True, database=None)
 # `make test-long`: other examples every time, first of all those that failed before.
 settings.register_profile("search", STEADY, derandomize=False, database=DirectoryBasedExampleDatabase(FAILURES))
 settings.load_profile("nmes")
+
+
+@pytest.hookimpl(optionalhook=True)  # of pytest-xdist
+def pytest_xdist_auto_num_workers() -> int:
+    """Returns how many processes `-n auto` means: half as many again as cores, as tests wait for half of their time."""
+    cores = os.cpu_count() or 1
+    return cores + (cores + 1) // 2
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
