@@ -10,7 +10,8 @@ exactly that of a ball; exactly that of a box, but for a rounding of 2% of its m
 capsule or a cylinder that of the box of its second moments with an edge upwards, which is within 4% of the volume. The
 force and the torque follow from one potential, so that no body gains by floating.
 
-Sums, products and square roots, each in one order: the same bits everywhere.
+Sums, products and square roots, each in one order: the same bits everywhere. Arrays are about few bodies, so that calls
+cost more than numbers: axes and corners are done at once, and added up one by one.
 """
 
 from __future__ import annotations
@@ -29,7 +30,11 @@ from nmes.backend.specs import Array, Medium, Vector
 __all__ = ["Immersion"]
 
 _ROUNDING = 0.02  # part of a body's mean edge by which what the level cuts is rounded
-_SIGNS = tuple(product((0.5, -0.5), repeat=3))  # of the corners of a box
+_CORNERS = np.array([*product((0.5, -0.5), repeat=3)]).T.reshape(3, 8, 1, 1)  # of a box: parts of its edges
+_SIGNS = 8.0 * _CORNERS[0] * _CORNERS[1] * _CORNERS[2]
+# Of quaternions' products in their matrices: yy + zz, xx + zz, xx + yy on the diagonal; xy, xz, yz beside it.
+_TWICE = np.array([[1, 0, 0], [2, 2, 1]])
+_FIRST, _SECOND = np.array([0, 0, 1]), np.array([1, 2, 2])
 
 
 class Immersion:
@@ -53,27 +58,31 @@ class Immersion:
         sizes: Sequence[Vector],
         masses: Array,
     ) -> None:
-        self._medium, self._weight, self._step = medium, np.array(weight), timestep
+        self._medium, self._weight = medium, np.array(weight)
         own = np.array([moments(shape, size) for shape, size in zip(shapes, sizes, strict=True)]).reshape(-1, 3)
         self._volumes = np.array([volume(shape, size) for shape, size in zip(shapes, sizes, strict=True)])
         a, b, c = own.T
         box = np.sqrt(6.0 * np.stack([b + c - a, a + c - b, a + b - c]))  # its edges, shape (3, n)
-        self._box, self._masses, self._moments = box, masses, own.T * masses
+        # Of axes, moments of time and bodies, shape (3, 1, n); those of drag for forces and for torques, (2, 3, 1, n).
+        self._box = box[:, None]
         x, y, z = box
         rho, mu, mean = medium.density, medium.viscosity, (x + y + z) / 3.0
-        self._quadratic = 0.5 * rho * np.stack([y * z, x * z, x * y])
-        self._viscous = 3.0 * pi * mu * mean
         xx, yy, zz = x * x * x * x, y * y * y * y, z * z * z * z
-        self._quadratic_turn = rho / 64.0 * np.stack([x * (yy + zz), y * (xx + zz), z * (xx + yy)])
-        self._viscous_turn = pi * mu * mean * mean * mean
+        pushed = 0.5 * rho * np.stack([y * z, x * z, x * y])
+        turned = rho / 64.0 * np.stack([x * (yy + zz), y * (xx + zz), z * (xx + yy)])
+        self._quadratic = np.stack([pushed, turned])[:, :, None]
+        self._viscous = np.stack([3.0 * pi * mu * mean, pi * mu * mean * mean * mean])[:, None, None]
+        self._most = np.stack([np.broadcast_to(masses, box.shape), own.T * masses])[:, :, None] / timestep
         self._balls = np.array([shape == "sphere" for shape in shapes], bool)
         self._radii = np.array([size[0] / 2.0 for size in sizes])
         lies = [axis(size) for size in sizes]
         self._turned = np.array([shape in ("capsule", "cylinder") for shape in shapes], bool)
-        self._lies = np.array([[float(i == each) for each in lies] for i in range(3)])
-        self._across = np.array([box[each - 1, i] for i, each in enumerate(lies)])
-        self._along = np.array([box[each, i] for i, each in enumerate(lies)])
-        self._rounding = _ROUNDING * mean
+        self._lies = np.array([[float(i == each) for each in lies] for i in range(3)])[:, None]
+        across = np.array([box[each - 1, i] for i, each in enumerate(lies)])
+        along = np.array([box[each, i] for i, each in enumerate(lies)])
+        self._across_squared, self._along_squared = across * across, along * along
+        rounding = _ROUNDING * mean
+        self._rounding = rounding * rounding
 
     def wrenches(self, states: Array) -> Array:
         """Returns the forces (N) and torques (N m) about the centres that the medium exerts, array (6, n).
@@ -81,16 +90,15 @@ class Immersion:
         Args:
             states: Of the bodies, array (n, 13) as `Simulation.states` has them.
         """
-        columns = np.ascontiguousarray(states.T)
+        columns = np.ascontiguousarray(states.T)[:, None]
         turn = _matrix(columns[3:7])
         part, torque = self._lifted(columns, turn)
         lift = -self._medium.density * self._volumes * part
-        out = np.empty((6, len(states)))
-        for i in range(3):
-            out[i], out[3 + i] = lift * self._weight[i], torque[i]
-        self._slow(out[:3], columns[7:10], turn, part, self._quadratic, self._viscous, self._masses)
-        self._slow(out[3:], columns[10:13], turn, part, self._quadratic_turn, self._viscous_turn, self._moments)
-        return out
+        out = np.empty((2, 3, *lift.shape))
+        out[0] = lift * self._weight[:, None, None]
+        out[1] = torque
+        self._slow(out, columns[7:13].reshape(out.shape), turn, part)
+        return out.reshape(6, len(states))
 
     def potentials(self, states: Array) -> Array:
         """Returns the energy of what the bodies displace, J, array (k, n), in states of shape (13, k, n)."""
@@ -105,31 +113,26 @@ class Immersion:
             energy = np.where(balls, _ball_energy(depth, self._radii), energy)
         return np.asarray(-density * self._weight[1] * self._volumes * energy)
 
-    def _slow(
-        self,
-        out: Array,
-        velocity: Array,
-        turn: list[list[Array]],
-        part: Array,
-        quadratic: Array,
-        viscous: Array,
-        inert: Array,
-    ) -> None:
-        """Adds drag against a velocity: of each own axis what would stop the body alone within a step at the most."""
-        own = [_sum(turn[j][i] * velocity[j] for j in range(3)) for i in range(3)]
-        inertia = np.broadcast_to(inert, quadratic.shape)
-        for i, speed in enumerate(own):
-            rate = np.minimum(part * (quadratic[i] * np.abs(speed) + viscous), inertia[i] / self._step)
-            force = -rate * speed
-            for j in range(3):
-                out[j] += turn[j][i] * force
+    def _slow(self, out: Array, velocity: Array, turn: Array, part: Array) -> None:
+        """Adds drag against velocities: of each own axis what would stop the body alone within a step at the most.
 
-    def _lifted(self, columns: Array, turn: list[list[Array]]) -> tuple[Array, list[Array]]:
-        """Returns the submerged part of each volume, and the torques of buoyancy."""
-        level, count = self._medium.level, columns.shape[1]
-        none = np.zeros(count)
+        Args:
+            out: Forces and torques, array (2, 3, 1, n).
+            velocity: Of the bodies and of their turning, likewise.
+            turn: Their matrices.
+            part: Of each that is submerged.
+        """
+        own = _sum(turn[j] * velocity[:, j, None] for j in range(3))
+        rate = np.minimum(part * (self._quadratic * np.abs(own) + self._viscous), self._most)
+        force = -rate * own
+        for i in range(3):
+            out += turn[:, i] * force[:, i, None]
+
+    def _lifted(self, columns: Array, turn: Array) -> tuple[Array, Array]:
+        """Returns the submerged part of each volume, and the torques of buoyancy, array (3, 1, n)."""
+        level, torque = self._medium.level, np.zeros_like(columns[:3])
         if level is None:
-            return np.ones(count), [none, none, none]
+            return np.ones_like(columns[0]), torque
         depth = level - columns[1]
         extents = self._extents(turn)
         part, _, slopes = _moments_below(depth, extents)
@@ -138,41 +141,31 @@ class Immersion:
         # Of the potential E: dE/d(extent i) times how that changes as the body turns about x and z.
         strength = -self._medium.density * self._weight[1] * self._volumes
         rise = turn[1]  # how far each own axis rises
-        push = [
-            np.where(self._balls, 0.0, strength * slope / extent) for slope, extent in zip(slopes, extents, strict=True)
-        ]
+        push = np.where(self._balls, 0.0, strength * slopes / extents)
         # An extent squared is edge^2 rise^2 and more (a box), or along^2 n^2 + ..., across^2 (1 - n^2) / 2 (turned).
-        along = _sum(self._lies[i] * rise[i] for i in range(3))
-        axial = (push[0] * self._along**2 - (push[1] + push[2]) * self._across**2 / 2.0) * along
-        gradient = [
-            np.where(self._turned, axial * self._lies[i], push[i] * self._box[i] * self._box[i] * rise[i])
-            for i in range(3)
-        ]
+        along = _sum(self._lies * rise)
+        axial = (push[0] * self._along_squared - (push[1] + push[2]) * self._across_squared / 2.0) * along
+        gradient = np.where(self._turned, axial * self._lies, push * self._box * self._box * rise)
         # d(rise i)/d(turn about x) = -R[2][i], about z = +R[0][i]
-        about_x = _sum(gradient[i] * turn[2][i] for i in range(3))
-        about_z = _sum(gradient[i] * turn[0][i] for i in range(3))
-        return part, [about_x, none, -about_z]
+        torque[0], torque[2] = _sum(gradient * turn[2]), -_sum(gradient * turn[0])
+        return part, torque
 
-    def _extents(self, turn: list[list[Array]]) -> list[Array]:
+    def _extents(self, turn: Array) -> Array:
         """Returns how far the three edges of each body's box reach in height, rounded, m."""
-        rounding, rise = self._rounding * self._rounding, turn[1]
-        along = _sum(self._lies[i] * rise[i] for i in range(3))
+        along, box = _sum(self._lies * turn[1]), self._box * turn[1]
         square = along * along
-        aside = self._across * self._across * np.maximum(1.0 - square, 0.0) / 2.0
-        squares = []
-        for i in range(3):
-            box = self._box[i] * rise[i]
-            turned = self._along * self._along * square if i == 0 else aside
-            squares.append(np.where(self._turned, turned, box * box))
-        return [np.sqrt(each + rounding) for each in squares]
+        turned = np.empty_like(box)
+        turned[0] = self._along_squared * square
+        turned[1:] = self._across_squared * np.maximum(1.0 - square, 0.0) / 2.0
+        return np.asarray(np.sqrt(np.where(self._turned, turned, box * box) + self._rounding))
 
 
-def _moments_below(depth: Array, extents: list[Array]) -> tuple[Array, Array, list[Array]]:
+def _moments_below(depth: Array, extents: Array) -> tuple[Array, Array, Array]:
     """Returns what is below a level of even boxes whose edges reach so far in height: their part and its mean depth.
 
     Args:
-        depth: How far beneath the level the middles are, m.
-        extents: Of the three edges, m, none of them 0.
+        depth: How far beneath the level the middles are, m, array (k, n).
+        extents: Of the three edges, m, none of them 0, array (3, k, n).
 
     Returns:
         The part of each volume; the mean over the whole volume of how deep what is below lies, m; and the derivatives
@@ -180,18 +173,17 @@ def _moments_below(depth: Array, extents: list[Array]) -> tuple[Array, Array, li
     """
     a, b, c = extents
     scale = 1.0 / (a * b * c)
-    part, energy, slopes = 0.0 * depth, 0.0 * depth, [0.0 * depth, 0.0 * depth, 0.0 * depth]
-    for signs in _SIGNS:
-        corner = np.maximum(depth + signs[0] * a + signs[1] * b + signs[2] * c, 0.0)
-        cube = 8.0 * signs[0] * signs[1] * signs[2] * corner * corner * corner * scale / 6.0
-        part = part + cube
-        energy = energy + cube * corner / 4.0
-        slopes = [slope + sign * cube for slope, sign in zip(slopes, signs, strict=True)]
+    corners = np.maximum(depth + _CORNERS[0] * a + _CORNERS[1] * b + _CORNERS[2] * c, 0.0)
+    terms = np.empty((5, *corners.shape))  # of the part, the energy and the slopes
+    terms[0] = cubes = _SIGNS * corners * corners * corners * scale / 6.0
+    terms[1] = cubes * corners / 4.0
+    terms[2:] = _CORNERS * cubes
+    sums = reduce(add, terms.swapaxes(0, 1), 0.0 * depth)
+    part, energy, slopes = sums[0], sums[1], sums[2:]
     # Deep enough, it is all below; sums of large numbers would say so less exactly.
     whole = depth >= (a + b + c) / 2.0
     part, energy = np.where(whole, 1.0, part), np.where(whole, depth, energy)
-    slopes = [np.where(whole, 0.0, slope - energy / extent) for slope, extent in zip(slopes, extents, strict=True)]
-    return part, energy, slopes
+    return part, energy, np.where(whole, 0.0, slopes - energy / extents)
 
 
 def _ball_part(depth: Array, radii: Array) -> Array:
@@ -208,14 +200,17 @@ def _ball_energy(depth: Array, radii: Array) -> Array:
     return np.asarray(np.where(depth >= radii, depth, below))
 
 
-def _matrix(q: Array) -> list[list[Array]]:
+def _matrix(q: Array) -> Array:
     """Returns the matrices of quaternions, shape (4, ...): rows are the world's axes, columns the body's own."""
-    x, y, z, w = q
-    return [
-        [1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - w * z), 2.0 * (x * z + w * y)],
-        [2.0 * (x * y + w * z), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - w * x)],
-        [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)],
-    ]
+    products = q[:, None] * q
+    squares = products[_TWICE, _TWICE]
+    same, other = products[_FIRST, _SECOND], products[3, 2::-1]  # xy, xz, yz; wz, wy, wx
+    less, more = 2.0 * (same - other), 2.0 * (same + other)
+    turn = np.empty((3, 3, *q.shape[1:]))
+    turn[0, 0], turn[1, 1], turn[2, 2] = 1.0 - 2.0 * (squares[0] + squares[1])
+    turn[0, 1], turn[2, 0], turn[1, 2] = less
+    turn[1, 0], turn[0, 2], turn[2, 1] = more
+    return turn
 
 
 def _sum(terms: Iterable[Array]) -> Array:
