@@ -1,18 +1,24 @@
 """Searching: Hypothesis plays random commands, legal and not, against a model of a world, and shrinks what goes wrong.
 
-It hides Hypothesis. Same seed, same search: nothing is kept from run to run. A failure becomes the shortest script that
-shows it, `Trial.script`, which is then played once more for the report.
+It hides Hypothesis. Same seed, same search: nothing is kept from run to run, nor taken from the modules that happen to
+be imported, whose constants Hypothesis else draws too. A failure becomes the shortest script that shows it,
+`Trial.script`, which is then played once more for the report.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any
 
 import hypothesis
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
+from hypothesis.configuration import set_hypothesis_home_dir
 from hypothesis.errors import Flaky
+from hypothesis.internal.conjecture.providers import AVAILABLE_PROVIDERS, HypothesisProvider
+from hypothesis.internal.constants_ast import Constants
 from hypothesis.stateful import RuleBasedStateMachine, precondition, rule, run_state_machine_as_test
 
 from nmes.conformance.case import Category, Finding, Row, Scope
@@ -33,6 +39,26 @@ MILD = 5.0  # numbers that move things are drawn up to this, so that no engine g
 FIXED = frozenset(
     {"type", "id", "cube_name", "position", "cube1", "cube2", "joint_type", "list", "sensors", "rays", "group"}
 )
+
+
+class _Provider(HypothesisProvider):
+    """Hypothesis' own source of examples, without the constants of the modules that are imported."""
+
+    _local_constants = Constants()
+
+
+@contextmanager
+def _own_provider() -> Iterator[None]:
+    """Has Hypothesis draw from the seed alone, and leave no folder in that of the user."""
+    usual = AVAILABLE_PROVIDERS["hypothesis"]
+    with tempfile.TemporaryDirectory(prefix="nmes-conform-", ignore_cleanup_errors=True) as folder:
+        AVAILABLE_PROVIDERS["hypothesis"] = _Provider
+        set_hypothesis_home_dir(folder)
+        try:
+            yield
+        finally:
+            set_hypothesis_home_dir(None)
+            AVAILABLE_PROVIDERS["hypothesis"] = usual
 
 
 def values(part: Schema) -> st.SearchStrategy[Any]:
@@ -229,8 +255,9 @@ def search(t: Trial, seed: int) -> tuple[Script, Finding] | None:
     scripts: list[Script] = []
     findings: list[Finding] = []
 
+    factory = machine(t, scripts, findings)
+
     def explore(phases: Sequence[Phase]) -> bool:
-        factory = machine(t, scripts, findings)
         hypothesis.seed(seed)(factory)
         profile = settings(
             max_examples=EXAMPLES,
@@ -242,7 +269,8 @@ def search(t: Trial, seed: int) -> tuple[Script, Finding] | None:
             suppress_health_check=list(HealthCheck),
         )
         try:
-            run_state_machine_as_test(factory, settings=profile)
+            with _own_provider():
+                run_state_machine_as_test(factory, settings=profile)
         except (Finding, Flaky) as error:  # Flaky: the server answered otherwise when it was asked the same again
             t.halt.sleep(0)  # all that it met while it was cut says nothing
             if not findings:  # it failed before anything was said
@@ -255,8 +283,29 @@ def search(t: Trial, seed: int) -> tuple[Script, Finding] | None:
     # To shrink a silence would cost a time-out for each attempt.
     if "in time" not in findings[-1].expected:
         explore([Phase.generate, Phase.shrink])
-    shortest = min(range(len(scripts)), key=lambda n: (len(scripts[n]), len(str(scripts[n])), n))
+        _shorten(factory)
+    shortest = _shortest(scripts)
     return scripts[shortest], findings[shortest]
+
+
+def _shortest(scripts: Sequence[Script]) -> int:
+    return min(range(len(scripts)), key=lambda n: (len(scripts[n]), len(str(scripts[n])), n))
+
+
+def _shorten(factory: type[Conversation]) -> None:
+    """Leaves out one command after the other where the rest fails too: Hypothesis gives up after 500 steps."""
+    script = factory.scripts[_shortest(factory.scripts)]
+    number = len(script)
+    while number > 0:
+        number = min(number, len(script)) - 1
+        conversation = factory()
+        try:
+            for step in [*script[:number], *script[number + 1 :]]:
+                conversation.say(step["client"], step["command"])
+        except Finding:
+            script = factory.scripts[-1]
+        finally:
+            conversation.teardown()
 
 
 @table(1, "3.3.1", [Row(str(n), n) for n in range(4)], scope=Scope.TIME)
