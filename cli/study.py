@@ -53,23 +53,21 @@ def run(name: str, budget: str, jobs: int | None) -> None:
         nmes study run studies/upright --budget full --jobs 8
     """
     from nmes.study import Study, run_study, write_report
+    from nmes.study.run import count_done
 
     plan = Study.load(name).plan(budget)
-    told = 0
     with interruptions(signal.SIGINT, signal.SIGTERM) as interrupted:
         try:
             with progress_bars() as progress:
 
                 def tell(done: int, total: int) -> None:
-                    nonlocal told
-                    told = done
                     progress("running", done, total)
                     if interrupted():
                         raise KeyboardInterrupt
 
                 run_study(plan, jobs or os.cpu_count() or 1, tell)
         except KeyboardInterrupt:
-            click.echo(f"stopped: {told:,} of {len(plan.runs):,} runs done", err=True)
+            click.echo(f"stopped: {count_done(plan):,} of {len(plan.runs):,} runs done", err=True)
             click.echo(f"go on with: nmes study run {plan.study.name} --budget {budget}", err=True)
             sys.exit(1)
     _tell(write_report(plan))

@@ -24,7 +24,7 @@ from nmes.study.commands import Stopped, Stopper, perform
 from nmes.study.document import Plan, PlannedRun
 from nmes.study.results import Results, row_of, write_file
 
-__all__ = ["Progress", "do_runs", "run_study"]
+__all__ = ["Progress", "count_done", "do_runs", "run_study"]
 
 _LOOK: Final = 0.2  # s between looks at whether somebody has pressed Ctrl-C
 
@@ -44,7 +44,7 @@ def run_study(plan: Plan, jobs: int, progress: Progress) -> Results:
             cannot be written (`cannot_write`). What is done is kept.
         MissingPackage: pyarrow is not installed.
     """
-    work = plan.study.folder / "work" / f"{plan.budget}-{plan.asked[:16]}"
+    work = _work(plan)
     with _locked(work):
         done = {run.number: row for run in plan.runs if (row := _kept(work, run)) is not None}
         missing = [run for run in plan.runs if run.number not in done]
@@ -113,6 +113,16 @@ def do_runs(
                 except (Stopped, StudyError):  # of runs that were cut off
                     continue
     shutil.rmtree(folder, ignore_errors=True)
+
+
+def count_done(plan: Plan) -> int:
+    """Counts the runs of a plan that are done, and kept."""
+    work = _work(plan)
+    return sum(_place(work, run).exists() for run in plan.runs)
+
+
+def _work(plan: Plan) -> Path:
+    return plan.study.folder / "work" / f"{plan.budget}-{plan.asked[:16]}"
 
 
 def _place(work: Path, run: PlannedRun) -> Path:
