@@ -7,10 +7,8 @@ Who is let in is the `Reception`'s matter.
 from __future__ import annotations
 
 import asyncio
-import ctypes
 import logging
 import ssl
-import sys
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from time import monotonic, time
@@ -25,6 +23,7 @@ from nmes.server.catalog import Catalog
 from nmes.server.connection import Connection
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.keys import Keys
+from nmes.server.memory import Memory
 from nmes.server.metrics import Figures, Metrics
 from nmes.server.reception import Reception
 from nmes.server.retention import Retention
@@ -41,7 +40,6 @@ __all__ = ["Host"]
 logger = logging.getLogger(__name__)
 
 SLEEPERS = 4  # worlds that are put to sleep at once where none keeps pace with the wall's clock: else one is
-TRIM = (32, 16, 30.0)  # engines let go, at least, worlds here for each of them, and s, after which memory is given back
 SWEEP = 60.0  # s: how often it is looked for recordings that are to be removed
 
 
@@ -339,9 +337,9 @@ class Host(Reception):
         """Has worlds hibernate that nobody uses, a few at once: else they could be made faster than they sleep.
 
         Beside worlds that keep pace with the wall's clock it is one at a time, with pauses: threads would take Python's
-        lock from the loop, in which those tick. To give memory back takes long where there is much of it.
+        lock from the loop, in which those tick.
         """
-        idle, let_go, trimmed = self._hibernate_after, 0, monotonic()
+        idle, memory = self._hibernate_after, Memory()
 
         async def put_to_sleep(worlds: Iterator[HostedWorld], idle: float, gently: bool) -> int:
             asleep = 0
@@ -355,17 +353,13 @@ class Host(Reception):
                         await asyncio.sleep(monotonic() - began)
             return asleep
 
-        least, share, longest = TRIM
         while idle is not None:
             await asyncio.sleep(min(max(idle / 4, 0.01), 5.0))
             paced = any(hosted.status.mode == "realtime" and not hosted.hibernation.resting for hosted in self._awake)
             worlds = iter(list(self._awake))
             lanes = (put_to_sleep(worlds, idle, paced) for _ in range(1 if paced else SLEEPERS))
-            let_go += sum(await asyncio.gather(*lanes))
-            late = not self._awake or monotonic() > trimmed + longest
-            if let_go and (late or let_go >= max(least, len(self.worlds) // share)):
-                await asyncio.to_thread(_give_back_memory)
-                let_go, trimmed = 0, monotonic()
+            let_go = sum(await asyncio.gather(*lanes))
+            await memory.tidy(len(self.worlds), let_go, idle=not self._awake, paced=paced)
 
     async def _sweep(self) -> None:
         while self._retention is not None:
@@ -407,9 +401,3 @@ def _state(hosted: HostedWorld) -> dict[str, Any]:
         "asleep": hosted.world.asleep,
         "ratio": None if status.lag is None else round(status.lag.ratio, 3),
     }
-
-
-def _give_back_memory() -> None:
-    """Has the C library give the system what it keeps of freed memory, where it can: glibc keeps most of an engine."""
-    if sys.platform == "linux" and (trim := getattr(ctypes.CDLL(None), "malloc_trim", None)) is not None:
-        trim(0)
