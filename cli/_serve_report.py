@@ -25,6 +25,7 @@ class Running(NamedTuple):
         ports: The ports that were found.
         metrics_port: The port that was found for metrics; None: there are none.
         http_port: The port that was found for WebSockets; None: there are none.
+        rosbridge_port: The port that was found for rosbridge; None: there is none.
     """
 
     settings: Settings
@@ -35,6 +36,7 @@ class Running(NamedTuple):
     ports: list[int]
     metrics_port: int | None
     http_port: int | None
+    rosbridge_port: int | None
 
     @property
     def worlds(self) -> dict[str, int]:
@@ -61,6 +63,8 @@ def ready_object(running: Running) -> dict[str, Any]:
         ready["metrics_port"] = running.metrics_port
     if running.http_port is not None:
         ready["http_port"] = running.http_port
+    if running.rosbridge_port is not None:
+        ready["rosbridge_port"] = running.rosbridge_port
     if settings.password_source == MADE_UP:
         ready["password"] = settings.password
     return ready
@@ -114,9 +118,12 @@ def ready_lines(running: Running) -> list[str]:
     lines.append(_roles_line(running))
     if running.metrics_port is not None:
         lines.append(f"Metrics on http://{settings.metrics_host}:{running.metrics_port}/metrics")
+    scheme = "ws" if settings.tls is None else "wss"
     if running.http_port is not None:
-        scheme = "ws" if settings.tls is None else "wss"
         lines.append(f"WebSockets on {scheme}://{running.address}:{running.http_port}/ws")
+    if running.rosbridge_port is not None:
+        free = ", without a password" if settings.password_source == MADE_UP else ""
+        lines.append(f"rosbridge on {scheme}://{running.address}:{running.rosbridge_port}{free}")
     if settings.parent is not None:
         lines.append(f"Going on from frame {running.start:,} of {settings.parent[0].path}")
     if settings.kept:

@@ -76,7 +76,8 @@ class Settings:
         drain: How long (s) clients have to leave after SIGTERM.
         agones: The port of the sidecar of Agones; None: there is none.
         http_port: Port of the WebSockets; None: there are none.
-        http_origins: Whose pages may come there.
+        rosbridge_port: Port of rosbridge; None: there is none.
+        http_origins: Whose pages may come to these.
         access_log: The file of who comes and goes; None: there is none.
         keep: Which recordings are removed; None: none.
         makers: The passwords of those who may create worlds, by their names.
@@ -107,6 +108,7 @@ class Settings:
     drain: float
     agones: int | None
     http_port: int | None
+    rosbridge_port: int | None
     http_origins: Sequence[str]
     access_log: Path | None
     keep: Retention | None
@@ -168,6 +170,7 @@ def read_settings(options: Mapping[str, Any]) -> Settings:
         drain=options["drain"],
         agones=_sidecar_port() if options["agones"] else None,
         http_port=options["http_port"],
+        rosbridge_port=options["rosbridge_port"],
         http_origins=_origins(options),
         access_log=options["access_log"],
         keep=_retention(options),
@@ -333,8 +336,8 @@ def _layout(options: Mapping[str, Any], name: str) -> tuple[list[str], list[int]
 def _origins(options: Mapping[str, Any]) -> Sequence[str]:
     """Returns whose pages may come, each as browsers write an origin."""
     origins: Sequence[str] = options["http_origins"]
-    if origins and options["http_port"] is None:
-        raise click.UsageError("--http-origin goes with --http")
+    if origins and options["http_port"] is None and options["rosbridge_port"] is None:
+        raise click.UsageError("--http-origin goes with --http or --rosbridge")
     for origin in origins:
         if not re.fullmatch(r"https?://[a-z0-9.-]+(:[0-9]{1,5})?|https?://\[[0-9a-f:]+\](:[0-9]{1,5})?", origin):
             raise click.UsageError(f"{origin}: an origin is a scheme and a name, such as https://lab.example.org")
@@ -347,8 +350,9 @@ def _check_workers(options: Mapping[str, Any]) -> None:
         raise click.UsageError("--workers goes with --resume FOLDER: one recording is of one world, so of one process")
     if options["no_record"]:
         raise click.UsageError("--workers does not go with --no-record: worlds come back from their recordings")
-    if options["http_port"] is not None:
-        raise click.UsageError("--workers does not go with --http: only sockets of TCP are handed on")
+    for option in ("http", "rosbridge"):
+        if options[f"{option}_port"] is not None:
+            raise click.UsageError(f"--workers does not go with --{option}: only sockets of TCP are handed on")
     if not hasattr(socket, "send_fds"):
         raise click.UsageError("--workers needs a system whose processes can hand sockets to each other")
 

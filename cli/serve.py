@@ -23,7 +23,7 @@ from nmes.cli._options import MOMENT
 from nmes.cli._password import PASSWORD_VARIABLE, password_options
 from nmes.cli._serve_process import COLLECTIONS, SWITCH, raise_open_files_limit
 from nmes.cli._serve_report import Running, ready_lines, ready_object, stopped_lines
-from nmes.cli._serve_settings import DIALECTS, MANY_WORLDS, MOST_WORKERS, MOST_WORLDS, Settings, read_settings
+from nmes.cli._serve_settings import DIALECTS, MADE_UP, MANY_WORLDS, MOST_WORKERS, MOST_WORLDS, Settings, read_settings
 from nmes.cli._serve_worker import command_of_worker
 from nmes.cli._viewer import viewer
 from nmes.cli.info import open_recording
@@ -245,11 +245,17 @@ def _open_parent(context: click.Context, parameter: click.Parameter, value: str 
     help="Port for WebSockets too, at /ws, by which browsers come; 0 finds a free one.",
 )
 @click.option(
+    "--rosbridge",
+    "rosbridge_port",
+    type=click.IntRange(0, 65535),
+    help="Port for programs that are written for ROS, which speak rosbridge; 0 finds a free one.",
+)
+@click.option(
     "--http-origin",
     "http_origins",
     multiple=True,
     metavar="ORIGIN",
-    help="Whose pages may come there, such as https://lab.example.org, beside those of the address itself.",
+    help="Whose pages may come to these two, such as https://lab.example.org, beside those of the address itself.",
 )
 @click.option(
     "--drain",
@@ -394,7 +400,7 @@ async def _start(host: Host | Supervisor, settings: Settings) -> Running:
     is asked before all have started, and the one world is in one of them; who comes earlier waits.
     """
     names, metrics_port, address, ports = settings.names, settings.metrics_port, settings.address, []
-    http_port = settings.http_port
+    http_port, rosbridge_port = settings.http_port, settings.rosbridge_port
     try:
         for name in names:
             password = settings.world_passwords.get(name)
@@ -411,6 +417,13 @@ async def _start(host: Host | Supervisor, settings: Settings) -> Running:
 
                 application = worlds_application(host, [settings.address], settings.http_origins)
                 _, http_port = await host.serve_http(settings.address, http_port, application)
+        with _free_port_hint("--rosbridge"):
+            if rosbridge_port is not None and isinstance(host, Host):
+                from nmes.ros import rosbridge_application
+
+                made_up = settings.password if settings.password_source == MADE_UP else None
+                bridge = rosbridge_application(host, [settings.address], settings.http_origins, made_up)
+                _, rosbridge_port = await host.serve_http(settings.address, rosbridge_port, bridge)
         with _free_port_hint("--port"):
             for index, port in enumerate(settings.ports):
                 default = names[index] if len(settings.ports) > 1 else None
@@ -421,7 +434,7 @@ async def _start(host: Host | Supervisor, settings: Settings) -> Running:
         raise click.UsageError(f"world config: {error.message}") from error
     except WorldError as error:
         raise click.UsageError(error.message) from error
-    return Running(settings, host, sample, sample.ticks, address, ports, metrics_port, http_port)
+    return Running(settings, host, sample, sample.ticks, address, ports, metrics_port, http_port, rosbridge_port)
 
 
 @contextmanager

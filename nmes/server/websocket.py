@@ -25,7 +25,7 @@ from nmes.server.connection import LINGER, READ, Connection
 from nmes.server.host import Host
 from nmes.server.http import SOCKET, OwnPages
 
-__all__ = ["carry", "health", "worlds_application"]
+__all__ = ["Carrier", "carry", "health", "worlds_application"]
 
 NO_TEXT = 1003  # the code of a WebSocket that is closed since it sent what is no text
 
@@ -59,13 +59,16 @@ async def carry(host: Host, websocket: WebSocket, password: str | None = None) -
         password: What stands for the password where `auth` has none; None: nothing does.
     """
     await websocket.accept()
-    await _Transport(websocket, Connection(host, None), password).run()
+    await Carrier(websocket, Connection(host, None), password).run()
 
 
-class _Transport(asyncio.Transport):
-    """What a connection takes for its socket."""
+class Carrier(asyncio.Transport):
+    """What a connection takes for its socket.
 
-    def __init__(self, websocket: WebSocket, connection: Connection, password: str | None) -> None:
+    One that translates overrides `hear` and `tell`.
+    """
+
+    def __init__(self, websocket: WebSocket, connection: Connection, password: str | None = None) -> None:
         super().__init__()
         self._websocket = websocket
         self._socket: asyncio.Transport = websocket.scope["extensions"][SOCKET]
@@ -75,6 +78,7 @@ class _Transport(asyncio.Transport):
         self._size = 0  # of them, bytes
         self._most = 64 << 10  # bytes that may wait before the connection is told to pause
         self._paused = False  # it was told to
+        self._held = False  # it asked for nothing to be read
         self._closing = False
         self._code = 1000
         self._more = asyncio.Event()  # something is to be sent, or it is to be closed
@@ -86,6 +90,7 @@ class _Transport(asyncio.Transport):
         connection = self._protocol
         assert isinstance(connection, Connection)
         connection.connection_made(self)
+        self.begin()
         tasks = [asyncio.create_task(self._send()), asyncio.create_task(self._receive(connection))]
         try:
             await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
@@ -112,9 +117,23 @@ class _Transport(asyncio.Transport):
                 self._code = NO_TEXT
                 connection.hang_up(RejectedMessage("bad_frame", "a message is a text frame of the WebSocket"))
             else:
-                self._feed(connection, self._with_password(text).encode() + DELIMITER)
+                self.hear(text)
 
-    def _feed(self, connection: Connection, data: bytes) -> None:
+    def begin(self) -> None:
+        """Is called before anything is read."""
+
+    def hear(self, text: str) -> None:
+        """Takes in what the peer says."""
+        self.feed(self._with_password(text).encode())
+
+    def tell(self, frame: bytes) -> None:
+        """Takes in what the connection says, a message."""
+        self.say(frame)
+
+    def feed(self, message: bytes) -> None:
+        """Hands the connection a message."""
+        connection, data = self._protocol, message + DELIMITER
+        assert isinstance(connection, Connection)
         for start in range(0, len(data), READ):
             piece = data[start : start + READ]
             connection.get_buffer(-1)[: len(piece)] = piece
@@ -143,6 +162,7 @@ class _Transport(asyncio.Transport):
                 if self._paused and self._size <= self._most // 4:
                     self._paused = False
                     self._protocol.resume_writing()
+                    self._read_or_wait()
             if self._closing:
                 await self._websocket.close(self._code)
                 return
@@ -152,42 +172,64 @@ class _Transport(asyncio.Transport):
     # -- what a connection asks of a socket ------------------------------------------------------------------------
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:
+        """Returns what is known of the socket beneath."""
         return self._socket.get_extra_info(name, default)
 
     def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
+        """Replaces the connection."""
         self._protocol = protocol
 
     def get_protocol(self) -> asyncio.BaseProtocol:
+        """Returns the connection."""
         return self._protocol
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
+        """Sets how much (bytes) may wait before the connection is told to pause."""
         if high is not None:
             self._most = high
 
     def get_write_buffer_size(self) -> int:
+        """Returns how much (bytes) the peer has not been sent yet."""
         return self._size + self._socket.get_write_buffer_size()
 
     def write(self, data: Any) -> None:
         """Sends whole messages, each with its delimiter."""
-        frames = bytes(data).split(DELIMITER)[:-1]
-        self._queue.extend(frames)
-        for frame in frames:
-            self._size += len(frame)
+        for frame in bytes(data).split(DELIMITER)[:-1]:
+            self.tell(frame)
+
+    def say(self, frame: bytes) -> None:
+        """Sends the peer a text frame."""
+        self._queue.append(frame)
+        self._size += len(frame)
         self._more.set()
         if self._size > self._most and not self._paused:
             self._paused = True
             self._protocol.pause_writing()
+            self._read_or_wait()
+
+    def _read_or_wait(self) -> None:
+        """Reads on unless the connection asked for a pause, or the peer does not read himself."""
+        if self._held or self._paused:
+            self._reads.clear()
+        else:
+            self._reads.set()
 
     def can_write_eof(self) -> bool:
+        """Tells that one side alone cannot be closed."""
         return False
 
     def pause_reading(self) -> None:
-        self._reads.clear()
+        """Reads nothing more for now."""
+        self._held = True
+        self._read_or_wait()
 
     def resume_reading(self) -> None:
-        self._reads.set()
+        """Reads on."""
+        self._held = False
+        self._read_or_wait()
 
     def is_closing(self) -> bool:
+        """Whether it is to be closed."""
         return self._closing
 
     def close(self) -> None:

@@ -1,0 +1,185 @@
+"""The services of a world: what a call becomes as a command of the protocol, and what its reply becomes for the caller.
+
+Those under /rosapi answer at once, from what there is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final, NamedTuple
+
+from nmes.errors import RejectedMessage
+from nmes.ros.graph import NODE, Graph, full_name
+from nmes.ros.messages import RosError, from_ros, number, plain_type, stamp
+from nmes.schemas.documents import JsonObject, parse_json, write_json
+from nmes.world import World
+
+__all__ = ["LOOKED_UP", "SERVICES", "Asked", "Service", "look_up"]
+
+Args = Mapping[str, Any]
+
+
+class Service(NamedTuple):
+    """A service that is a command of the protocol.
+
+    Attributes:
+        type: As ROS 1 writes it.
+        command: Makes the command of the arguments; it raises RosError.
+        values: Makes what is returned of the reply, which is no error.
+        told: Whether an error is told in the values, as `success` and `status_message`; else the call fails.
+    """
+
+    type: str
+    command: Callable[[Args], JsonObject]
+    values: Callable[[JsonObject], JsonObject]
+    told: bool = False
+
+
+def _nothing(_: JsonObject) -> JsonObject:
+    return {}
+
+
+def _bare(kind: str) -> Service:
+    """Returns a service without arguments and values, as std_srvs/Empty."""
+    return Service("std_srvs/Empty", lambda _: {"type": kind}, _nothing)
+
+
+def _text(args: Args, field: str, default: str | None = None) -> str:
+    value = args.get(field, default)
+    if not isinstance(value, str):
+        raise RosError(f"{field}: a string is missing")
+    return value
+
+
+def _document(text: str, what: str) -> JsonObject:
+    try:
+        document = parse_json(text.encode())
+    except (RejectedMessage, UnicodeEncodeError) as error:
+        raise RosError(f"{what}: it is no JSON: {error}") from error
+    if not isinstance(document, dict):
+        raise RosError(f"{what}: it is no JSON object")
+    return document
+
+
+def _spawn(args: Args) -> JsonObject:
+    """Makes `spawn_creature` of gazebo_msgs/SpawnModel, whose model is a genome here."""
+    pose = args.get("initial_pose") or {}
+    position = pose.get("position") or {} if isinstance(pose, dict) else None
+    if not isinstance(pose, dict) or not isinstance(position, dict):
+        raise RosError("initial_pose: a position, with x, y and z")
+    turn = pose.get("orientation") or {}
+    if not isinstance(turn, dict) or any(number(turn.get(axis, 0.0), axis) != 0.0 for axis in "xyz"):
+        raise RosError("initial_pose: a creature is not turned when it is spawned: leave x, y, z of orientation at 0")
+    genome = _document(_text(args, "model_xml"), "model_xml, which holds a genome as JSON")
+    name = _text(args, "model_name", "")
+    named = {"name": name} if name else {}
+    return {"type": "spawn_creature", "genome": genome, "position": from_ros(position), **named}
+
+
+def _step(args: Args) -> JsonObject:
+    ticks = args.get("ticks", 1)
+    if isinstance(ticks, bool) or not isinstance(ticks, int):
+        raise RosError("ticks: a whole number")
+    return {"type": "step", "ticks": ticks}
+
+
+def _command(args: Args) -> JsonObject:
+    return _document(_text(args, "command"), "command")
+
+
+SERVICES: Final[dict[str, Service]] = {
+    "/spawn": Service(
+        "gazebo_msgs/SpawnModel",
+        _spawn,
+        lambda reply: {"success": True, "status_message": f"spawned {reply['creature']}"},
+        told=True,
+    ),
+    "/reset": _bare("reset"),
+    "/pause": _bare("pause"),
+    "/resume": _bare("resume"),
+    "/step": Service("nmes_msgs/Step", _step, lambda reply: {"frame": reply["frame"]}),
+    "/command": Service("nmes_msgs/Command", _command, lambda reply: {"reply": write_json(reply).decode()}),
+}
+
+
+# -- /rosapi -------------------------------------------------------------------------------------------------------
+
+
+class Asked(NamedTuple):
+    """A call of a service under /rosapi, and what answers it."""
+
+    graph: Graph
+    world: World
+    args: Args
+
+
+def _topics(asked: Asked) -> JsonObject:
+    topics = asked.graph.topics
+    return {"topics": list(topics), "types": [topic.type for topic in topics.values()]}
+
+
+def _topic_type(asked: Asked) -> JsonObject:
+    topic = asked.graph.find(_text(asked.args, "topic"))
+    return {"type": "" if topic is None else topic.type}
+
+
+def _topics_for_type(asked: Asked) -> JsonObject:
+    kind = plain_type(_text(asked.args, "type"))[0]
+    return {"topics": [name for name, topic in asked.graph.topics.items() if topic.type == kind]}
+
+
+def _service_types() -> dict[str, str]:
+    return {name: each.type for name, each in SERVICES.items()} | {name: each[0] for name, each in LOOKED_UP.items()}
+
+
+def _services_for_type(asked: Asked) -> JsonObject:
+    kind = plain_type(_text(asked.args, "type"))[0]
+    return {"services": [name for name, each in _service_types().items() if each == kind]}
+
+
+def _node_details(asked: Asked) -> JsonObject:
+    topics = asked.graph.topics if full_name(_text(asked.args, "node")) == NODE else {}
+    return {
+        "subscribing": [name for name, topic in topics.items() if topic.hear is not None],
+        "publishing": [name for name, topic in topics.items() if topic.read is not None],
+        "services": list(_service_types()) if topics else [],
+    }
+
+
+def _get_time(asked: Asked) -> JsonObject:
+    """Returns the world's time, as ROS 1 and as ROS 2 write it: nothing in the call says which is meant."""
+    return {"time": {**stamp(asked.world, False), **stamp(asked.world, True)}}
+
+
+def _get_param(asked: Asked) -> JsonObject:
+    known = _PARAMS.get(full_name(_text(asked.args, "name")))
+    return {"value": known or _text(asked.args, "default", "") or "null"}
+
+
+_PARAMS: Final = {"/use_sim_time": "true"}  # their values, as JSON
+
+LOOKED_UP: Final[dict[str, tuple[str, Callable[[Asked], JsonObject]]]] = {
+    "/rosapi/topics": ("rosapi/Topics", _topics),
+    "/rosapi/topic_type": ("rosapi/TopicType", _topic_type),
+    "/rosapi/topics_for_type": ("rosapi/TopicsForType", _topics_for_type),
+    "/rosapi/services": ("rosapi/Services", lambda _: {"services": list(_service_types())}),
+    "/rosapi/service_type": (
+        "rosapi/ServiceType",
+        lambda asked: {"type": _service_types().get(full_name(_text(asked.args, "service")), "")},
+    ),
+    "/rosapi/services_for_type": ("rosapi/ServicesForType", _services_for_type),
+    "/rosapi/nodes": ("rosapi/Nodes", lambda _: {"nodes": [NODE]}),
+    "/rosapi/node_details": ("rosapi/NodeDetails", _node_details),
+    "/rosapi/get_time": ("rosapi/GetTime", _get_time),
+    "/rosapi/get_param_names": ("rosapi/GetParamNames", lambda _: {"names": list(_PARAMS)}),
+    "/rosapi/get_param": ("rosapi/GetParam", _get_param),
+}
+
+
+def look_up(name: str, asked: Asked) -> JsonObject:
+    """Returns what a service under /rosapi tells.
+
+    Raises:
+        RosError: The arguments are not those that it takes.
+    """
+    return LOOKED_UP[name][1](asked)
