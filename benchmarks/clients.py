@@ -1,6 +1,6 @@
 """What the clients in Python, Go and TypeScript cost: act + step + observe, and commands in a long row.
 
-One server, one world a client; the clients take turns. A trip is three commands, each of which waits for its reply, as
+One server, one recorded world a client; the clients take turns. A trip is three commands, each of which waits for its reply, as
 a controller does. In the row 1,000 commands are on their way at once. Go and Node are left out where they are missing.
 """
 
@@ -84,10 +84,10 @@ def process(*command: str) -> Iterator[Runner]:
 
 
 @contextmanager
-def served(worlds: int) -> Iterator[list[int]]:
-    """Serves worlds without recordings; gives their ports."""
-    program = str(Path(sys.executable).parent / "nmes")
-    command = [program, "serve", "--json", "--no-record", "--port", "0", "--worlds", str(worlds), "--mode", "lockstep"]
+def served(worlds: int, folder: Path) -> Iterator[list[int]]:
+    """Serves worlds that are recorded into a folder; gives their ports."""
+    program = [str(Path(sys.executable).parent / "nmes"), "serve", "--json", "--record", str(folder / "recordings")]
+    command = [*program, "--port", "0", "--worlds", str(worlds), "--mode", "lockstep"]
     environment = {**os.environ, "NMES_PASSWORD": PASSWORD}
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment) as server:
         assert server.stdout is not None
@@ -120,7 +120,7 @@ def figures() -> Iterator[Figure]:
     """Measures."""
     with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
         started = commands(Path(name))
-        ports = stack.enter_context(served(len(started)))
+        ports = stack.enter_context(served(len(started), Path(name)))
         runners = {
             name: stack.enter_context(process(*command, str(port)))
             for (name, command), port in zip(started.items(), ports, strict=True)

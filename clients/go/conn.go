@@ -22,7 +22,9 @@ const (
 )
 
 // conn is one connection in the json dialect: it frames, numbers commands, and matches replies, which come in the order
-// of the commands. A goroutine writes and another reads, so that neither side ever waits for the other to read.
+// of the commands. A goroutine reads, so that neither side ever waits for the other to read. A command of which nothing
+// else is under way is written by who sends it, which saves the way to another goroutine; all others by one that does
+// nothing else, many at once.
 type conn struct {
 	socket  net.Conn
 	events  chan Event
@@ -31,6 +33,7 @@ type conn struct {
 	mu      sync.Mutex
 	room    sync.Cond // there is room again, or the connection is lost
 	unsent  []byte
+	writing bool    // somebody writes
 	waiting []*call // in the order in which they were sent; the first is next to be answered
 	count   uint64  // of commands
 	lost    error
@@ -133,7 +136,6 @@ func (c *conn) authenticate(fields any) *call {
 		return pending
 	}
 	c.mu.Lock()
-	defer c.mu.Unlock()
 	c.put(message, pending)
 	return pending
 }
@@ -147,7 +149,6 @@ func (c *conn) send(command AnyCommand) *call {
 		return failed
 	}
 	c.mu.Lock()
-	defer c.mu.Unlock()
 	for len(c.unsent) > writeBacklog && c.lost == nil {
 		c.room.Wait()
 	}
@@ -159,14 +160,43 @@ func (c *conn) send(command AnyCommand) *call {
 	return pending
 }
 
-// put queues a frame and its reply to come; the lock is held.
+// put sends a frame, or queues it, and its reply to come. The lock is held, and released here.
 func (c *conn) put(message []byte, pending *call) {
 	if c.lost != nil {
-		pending.resolve(nil, c.lost)
+		lost := c.lost
+		c.mu.Unlock()
+		pending.resolve(nil, lost)
 		return
 	}
 	c.waiting = append(c.waiting, pending)
 	c.unsent = append(append(c.unsent, message...), delimiter...)
+	alone := len(c.waiting) == 1 && !c.writing
+	if alone {
+		c.flush(nil)
+	} else if !c.writing {
+		c.rouse()
+	}
+	c.mu.Unlock()
+}
+
+// flush writes all that is queued, once, and returns that memory. The lock is held, but not while it writes.
+func (c *conn) flush(spare []byte) []byte {
+	data := c.unsent
+	c.unsent, c.writing = spare[:0], true
+	c.room.Broadcast()
+	c.mu.Unlock()
+	// Of an error the reader notices: what the server said before it hung up is read first.
+	_, err := c.socket.Write(data)
+	c.mu.Lock()
+	c.writing = false
+	if len(c.unsent) > 0 && err == nil {
+		c.rouse()
+	}
+	return data
+}
+
+// rouse has the writer look.
+func (c *conn) rouse() {
 	select {
 	case c.wake <- struct{}{}:
 	default:
@@ -182,15 +212,10 @@ func (c *conn) write() {
 			return
 		}
 		c.mu.Lock()
-		data := c.unsent
-		c.unsent = spare[:0]
-		c.room.Broadcast()
-		c.mu.Unlock()
-		if _, err := c.socket.Write(data); err != nil {
-			// What the server said before it hung up is read first; the reader notices the end.
-			return
+		if len(c.unsent) > 0 && !c.writing {
+			spare = c.flush(spare)
 		}
-		spare = data
+		c.mu.Unlock()
 	}
 }
 
