@@ -107,7 +107,7 @@ def verify(name: str, budget: str, sample: int, everything: bool, jobs: int | No
 
     STUDY is its folder, or the name of one in `studies`. The report and its figures are made again, and must have the
     same bytes. Some runs, which the digest of the results draws, are done again: every column must be the same to the
-    last bit. Those of arms in which clocks have a part are not, and it is told how many these are.
+    last bit. Arms and columns in which clocks have a part are not judged, and it is told which these are.
 
     Exit status: 0 it holds, 1 it is broken, 2 wrong usage, 3 runs do not come out the same here, where other numbers
     come out than where the results were made.
@@ -138,6 +138,8 @@ def verify(name: str, budget: str, sample: int, everything: bool, jobs: int | No
         click.echo(f"{_WORDS[found.verdict]}: {found.again:,} of {found.runs:,} runs done again")
         if found.measured:
             click.echo(f"not judged: {found.measured:,} runs in which clocks have a part")
+        if found.not_judged:
+            click.echo(f"not judged: columns in which clocks have a part ({', '.join(found.not_judged)})")
         click.echo(f"digest: {found.digest}")
     sys.exit(_STATUS[found.verdict])
 

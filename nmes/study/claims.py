@@ -103,9 +103,10 @@ def _equal(
 
 
 def _shared(plan: Plan, arms: Sequence[str]) -> list[str]:
-    """Returns the columns of commands that all of some arms have."""
+    """Returns the columns of commands that all of some arms have, but for those that are measured."""
     commands = [plan.study.arm_commands(arm) for arm in plan.study.document["arms"] if arm["name"] in arms]
-    columns: Mapping[str, str] = plan.study.document["columns"]
+    measured = plan.study.document["measured"]
+    columns = {name: each for name, each in plan.study.document["columns"].items() if name not in measured}
     return [name for name, source in columns.items() if all(source.partition(" ")[0] in each for each in commands)]
 
 

@@ -70,7 +70,8 @@ class Plan:
         study: The study.
         budget: `small` or `full`.
         runs: The runs, in the order of the results.
-        asked: The hash of what is asked: of `study.toml` without the other budget, and of the documents beside it.
+        asked: The hash of what is asked: of `study.toml` without the other budget and without how many minutes it may
+            take, and of the documents beside it.
     """
 
     study: Study
@@ -105,7 +106,8 @@ class Study:
         self.document = complete(_SCHEMA.schema, document)
         for name in ("settings", "factors", "missing", "scales"):
             self.document.setdefault(name, {})
-        self.document.setdefault("figures", [])
+        for name in ("figures", "measured"):
+            self.document.setdefault(name, [])
         problems = list(self._problems())
         if problems:
             raise DocumentError(problems)
@@ -148,8 +150,8 @@ class Study:
                 product(self.document["arms"], cells, budgets[budget]["seeds"]),
             )
         ]
-        kept = {name: each for name, each in self.given["budgets"].items() if name == budget}
-        asked = canonical_hash({"study": {**self.given, "budgets": kept}, "files": self._files()})
+        kept = {name: value for name, value in self.given["budgets"][budget].items() if name != "minutes"}
+        asked = canonical_hash({"study": {**self.given, "budgets": {budget: kept}}, "files": self._files()})
         return Plan(self, budget, tuple(runs), asked)
 
     def arm_commands(self, arm: JsonObject) -> dict[str, str]:
@@ -218,8 +220,9 @@ class Study:
         for place, arm in enumerate(document["arms"]):
             for name in arm.get("commands", ()):
                 yield from _unknown(f"arms/{place}/commands", name, document["commands"], "command")
-        for name in document["missing"]:
-            yield from _unknown("missing", name, document["columns"], "column")
+        for path in ("missing", "measured"):
+            for name in document[path]:
+                yield from _unknown(path, name, document["columns"], "column")
         for place, figure in enumerate(document["figures"]):
             yield from _unknown(f"figures/{place}/column", figure["column"], document["columns"], "column")
         for factor, scales in document["scales"].items():

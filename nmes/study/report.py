@@ -153,6 +153,9 @@ def _method(plan: Plan, results: Results) -> Iterator[str]:
         yield f"| {arm['name'].replace('_', ' ')} | {about} | {' '.join(f'`{word}`' for word in words)} |"
     yield from ("", "```", *document["commands"].values(), "```", "")
     settings = {**document["settings"], **budget.get("settings", {})}
+    if document["measured"]:
+        names = ", ".join(f"`{name}`" for name in document["measured"])
+        yield f"Measured, so that another run comes to other numbers: {names}."
     if settings:
         yield f"Settings: {', '.join(f'`{name} = {_value(value)}`' for name, value in settings.items())}."
     for name, chosen in study.factors(plan.budget).items():

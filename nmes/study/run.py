@@ -36,7 +36,7 @@ def run_study(plan: Plan, jobs: int, progress: Progress) -> Results:
 
     Args:
         plan: Which.
-        jobs: How many at once.
+        jobs: How many at once; of a study that measures, one, whatever it says: runs would disturb each other.
         progress: Called now and then with how many are done, and how many there are.
 
     Raises:
@@ -70,7 +70,7 @@ def do_runs(
     Args:
         plan: Of which plan.
         runs: Which.
-        jobs: How many at once.
+        jobs: As of `run_study`.
         folder: In which they write; what they wrote goes when they are done.
         tell: Called now and then with how many are done.
 
@@ -82,6 +82,7 @@ def do_runs(
     """
     shutil.rmtree(folder, ignore_errors=True)  # what a kill has left
     stopper, waiting, count = Stopper(), list(reversed(list(runs))), 0
+    jobs = 1 if plan.study.document["measured"] else jobs
 
     def do(run: PlannedRun) -> JsonObject:
         own = folder / f"{run.number}-{secrets.token_hex(4)}"

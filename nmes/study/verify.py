@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Collection
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -34,6 +35,7 @@ class StudyVerdict:
         runs: How many rows there are.
         again: How many runs were done again.
         measured: How many rows are of measured arms, which do not come out again and are not done again.
+        not_judged: The columns that are measured, which do not come out again in the runs that are done again.
         verdicts: The verdict on each claim, by its name, as the results have it.
         digest: Of the results.
     """
@@ -43,6 +45,7 @@ class StudyVerdict:
     runs: int
     again: int
     measured: int
+    not_judged: tuple[str, ...]
     verdicts: dict[str, str]
     digest: str
 
@@ -67,9 +70,9 @@ def verify_study(plan: Plan, sample: int | None, jobs: int, progress: Progress) 
     except StudyError as error:
         if error.code not in ("bad_results", "bad_discussion"):
             raise
-        return StudyVerdict("broken", (error.message,), 0, 0, 0, {}, "")
+        return StudyVerdict("broken", (error.message,), 0, 0, 0, (), {}, "")
     exact = [run for run in plan.runs if not run.arm["measured"]]
-    measured = len(plan.runs) - len(exact)
+    measured, not_judged = len(plan.runs) - len(exact), tuple(plan.study.document["measured"])
     if sample is not None and sample < len(exact):
         order = Draw(0, "study", "verify", results.digest).order(len(exact))[:sample]
         exact = [exact[place] for place in sorted(order.tolist())]
@@ -79,12 +82,12 @@ def verify_study(plan: Plan, sample: int | None, jobs: int, progress: Progress) 
         closing(do_runs(plan, exact, jobs, Path(folder, "runs"), lambda count: progress(count, len(exact)))) as done,
     ):
         for run, columns in done:
-            again += _differences(str(run), results.rows[run.number], row_of(run, columns))
+            again += _differences(str(run), results.rows[run.number], row_of(run, columns), not_judged)
     verdict: Any = "broken" if findings else "holds"
     if again and not findings:
         verdict = "not_comparable" if results.differences() else "broken"
     every = tuple([*findings, *sorted(again)][:_MOST])
-    return StudyVerdict(verdict, every, len(plan.runs), len(exact), measured, found, results.digest)
+    return StudyVerdict(verdict, every, len(plan.runs), len(exact), measured, not_judged, found, results.digest)
 
 
 def _compare_files(folder: Path, expected: dict[str, bytes]) -> list[str]:
@@ -113,9 +116,9 @@ def _figures(folder: Path) -> list[Path]:
     return sorted(folder.glob("*.svg"))
 
 
-def _differences(run: str, told: JsonObject, now: JsonObject) -> list[str]:
+def _differences(run: str, told: JsonObject, now: JsonObject, not_judged: Collection[str]) -> list[str]:
     """Returns in which columns a run did not come out as its row has it, in words."""
-    names = [name for name in now if now[name] != told[name]]
+    names = [name for name in now if name not in not_judged and now[name] != told[name]]
     return [f"{run}: {name} is {_short(now[name])}, not {_short(told[name])}" for name in names]
 
 

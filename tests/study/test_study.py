@@ -6,6 +6,7 @@ import json
 import shutil
 import signal
 import subprocess
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -16,7 +17,8 @@ import pytest
 
 from command_line import run
 from nmes.schemas.documents import canonical_hash
-from nmes.study import Results, Study, verify_study
+from nmes.study import Results, Study, run_study, verify_study
+from nmes.study.claims import evaluate
 from processes import NMES
 from studies import DISCUSSION, STUDY, make_study
 
@@ -179,6 +181,11 @@ def test_a_discussion_has_no_numbers_but_those_of_the_results(discussion: str, w
         assert result.exit_code == 1 and words in result.output
 
 
+def test_how_long_it_may_take_can_be_told_anew_after_the_run(copied: Path) -> None:
+    edit(copied / "study.toml", "minutes = 0.1", "minutes = 0.2")
+    assert verify(copied, "--sample", "1")[0] == 0
+
+
 def test_a_discussion_may_change_after_the_run(copied: Path) -> None:
     (copied / "discussion.md").write_text(DISCUSSION + "More words, and `code 66`.\n")
     assert verify(copied, "--sample", "0")[0] == 1
@@ -215,6 +222,83 @@ def test_kills_and_ctrl_c_leave_what_is_done_and_do_not_show(whole: Path, tmp_pa
     for name in ("REPORT.md", "scores.svg"):
         text = (folder / "small" / name).read_text()
         assert text.replace("verify killed", "verify whole") == (whole / "small" / name).read_text()
+
+
+# -- what is measured -------------------------------------------------------------------------------------------------
+
+
+def with_clocks(folder: Path, measured: str) -> Path:
+    """Returns the small study with a column of times, which is said to be measured or is not."""
+    make_study(folder)
+    edit(folder / "study.toml", 'title = "A small study"', f'title = "A small study"\n{measured}')
+    edit(
+        folder / "study.toml",
+        'hash = "score /0/genome_hash"',
+        'hash = "score /0/genome_hash"\nwall = "score /0/wall_seconds"',
+    )
+    return folder
+
+
+def test_measured_columns_are_results_that_need_not_come_out_again(tmp_path: Path) -> None:
+    folder = with_clocks(tmp_path / "timed", 'measured = ["wall"]')
+    assert run("study", "run", folder).exit_code == 0
+    assert all(float(str(row["wall"])) > 0 for row in rows(folder))
+    status, output = verify(folder, "--all")
+    assert status == 0 and "holds: 6 of 6 runs done again\n" in output
+    assert "not judged: columns in which clocks have a part (wall)\n" in output
+    assert (
+        "Measured, so that another run comes to other numbers: `wall`." in (folder / "small" / "REPORT.md").read_text()
+    )
+    forge(folder, digest=True)  # of a column that is not measured
+    assert run("study", "report", folder).exit_code == 0
+    status, output = verify(folder, "--all")
+    assert status == 1 and "run 0 (arm swinging, seed 1): score is " in output and "wall is " not in output
+
+
+def test_a_column_of_clocks_that_is_not_said_to_be_measured_is_found(tmp_path: Path) -> None:
+    folder = with_clocks(tmp_path / "timed", "measured = []")
+    assert run("study", "run", folder).exit_code == 0
+    status, output = verify(folder, "--all")
+    assert status == 1 and "(arm swinging, seed 1): wall is " in output
+
+
+def test_what_two_arms_have_alike_leaves_measured_columns_out(tmp_path: Path) -> None:
+    folder = with_clocks(tmp_path / "timed", 'measured = ["wall"]')
+    edit(
+        folder / "study.toml",
+        '{ statistic = "equal", column = "hash", arm = "swinging", over = "still" }',
+        '{ statistic = "equal", arm = "swinging", over = "swinging" }',
+    )
+    assert run("study", "run", folder).exit_code == 0
+    document = Study.load(folder)
+    plan = document.plan("small")
+    assert evaluate(plan, Results.read(plan))["alike"].value == 1.0
+    document.document["measured"] = []
+    found = [dict(row) for row in Results.read(plan).rows]
+    found[0]["wall"] = None  # of which even a row is not the same as itself
+    assert evaluate(plan, Results.here(plan, found))["alike"].value < 1.0
+
+
+@pytest.mark.parametrize(("measured", "most"), [('measured = ["wall"]', 1), ("measured = []", 2)])
+def test_runs_of_a_study_that_measures_are_done_one_at_a_time(
+    measured: str, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lock, under_way, seen = threading.Lock(), 0, 0
+
+    def perform(*arguments: object) -> dict[str, object]:
+        nonlocal under_way, seen
+        with lock:
+            under_way += 1
+            seen = max(seen, under_way)
+        time.sleep(0.2)
+        with lock:
+            under_way -= 1
+        return {"score": 1.0, "hash": "", "wall": 1.0}
+
+    monkeypatch.setattr("nmes.study.run.perform", perform)
+    plan = Study.load(with_clocks(tmp_path / "timed", measured)).plan("small")
+    assert len(run_study(plan, 2, nothing).rows) == 6
+    assert seen == most
 
 
 # -- what a run may need ----------------------------------------------------------------------------------------------
@@ -287,6 +371,11 @@ def test_a_command_that_fails_is_told_with_what_it_said(tmp_path: Path) -> None:
         ('over = "still" }', 'over = "stil" }', "values/gain/over: there is no arm stil; did you mean still?"),
         ('arm = "swinging" }', 'arm = "swinging", over = "still" }', "values/swinging/over: iqm is of one arm"),
         ('name = "open"', 'name = "farther"', "claims/1/name: there are two of the name farther"),
+        (
+            'title = "A small study"',
+            'title = "."\nmeasured = ["scor"]',
+            "measured: there is no column scor; did you mean",
+        ),
         ("minutes = 0.1", "minutes = nan", "is no TOML: nan is no finite number"),
         ("[settings]", "[settings", "is no TOML"),
         ('format = "nmes-study/1"', 'format = "nmes-study/9"', "format"),
