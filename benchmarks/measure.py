@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import statistics
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import inf
 from typing import Any
 
-Trial = Callable[[], float]
-Samples = dict[str, list[float]]
+from nmes.measure.turns import Samples, Trial, in_turns, ratio
+
+__all__ = ["Figure", "Samples", "Trial", "in_turns", "ratio", "summary"]
 
 
 @dataclass(frozen=True)
@@ -34,22 +35,6 @@ class Figure:
         low = f"at least {self.at_least:g}" if self.at_least > -inf else ""
         high = f"at most {self.at_most:g}" if self.at_most < inf else ""
         return " and ".join(filter(None, (low, high)))
-
-
-def in_turns(trials: Mapping[str, Trial], rounds: int) -> Samples:
-    """Runs each trial once a round, first once for warmth, every other round backwards; returns what they returned."""
-    samples: Samples = {name: [] for name in trials}
-    for trial in trials.values():
-        trial()
-    for number in range(rounds):
-        for name in sorted(trials, reverse=number % 2 == 1):
-            samples[name].append(trials[name]())
-    return samples
-
-
-def ratio(samples: Samples, over: str, under: str) -> float:
-    """Returns the median of the ratios of the same round."""
-    return statistics.median(a / b for a, b in zip(samples[over], samples[under], strict=True))
 
 
 def summary(samples: Samples, unit: float) -> dict[str, dict[str, float]]:

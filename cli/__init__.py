@@ -43,6 +43,7 @@ SUBCOMMANDS = {
     "lab": "Work with worlds, creatures and runs in a browser.",
     "leaderboard": "Keep a list of scores that are proved.",
     "learn": "Train a creature's brain, in runs that anyone can repeat.",
+    "measure": "Measure what things cost on this machine.",
     "play": "Run a creature on a task and film it.",
     "render": "Make a film or a picture of recordings.",
     "replay": "Run a recording again and compare.",
