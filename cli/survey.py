@@ -186,6 +186,48 @@ def show(folder: Path, output: Path | None, as_json: bool) -> None:
         click.echo(visible(f"wrote {output / 'map.svg'} and {output / 'map.png'}"))
 
 
+@command.command("growth")
+@_FOLDER
+@click.option(
+    "--draws",
+    metavar="N",
+    type=click.IntRange(1, 100_000),
+    default=500,
+    show_default=True,
+    help="How many parts of each size.",
+)
+@click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
+def growth(folder: Path, draws: int, as_json: bool) -> None:
+    """Tell how best score and diversity grow with the number of worlds.
+
+    Parts of the survey are drawn, of all its worlds, half of them, a quarter and so on: each is a survey that might
+    have been. Told are their best scores, and how many different behaviours they have: two are alike that got as far
+    over the ground and worked as much, each within a factor of four.
+
+    For example:
+
+    \b
+        nmes survey growth surveys/0
+        nmes survey growth surveys/0 --draws 2000 --json
+    """
+    from nmes.fleet.growth import survey_growth
+    from nmes.fleet.survey import Survey
+
+    found = survey_growth(Survey.open(folder), draws)
+    if found is None:
+        raise click.UsageError(f"fewer than four worlds of {folder} are done")
+    if as_json:
+        print_json(asdict(found))
+        return
+    rows: list[tuple[str, ...]] = [("worlds", "best", "from", "to", "behaviours", "from", "to")]
+    for each in found.sizes:
+        numbers = (each.best, each.best_low, each.best_high, each.behaviours, each.behaviours_low, each.behaviours_high)
+        rows.append((f"{each.worlds:,}", *("none" if number is None else f"{number:.4g}" for number in numbers)))
+    for line in columns(rows, tuple(range(len(rows[0])))):
+        click.echo(line)
+    click.echo(f"digest: {found.digest}")
+
+
 @command.command("verify")
 @_FOLDER
 @click.option("--sample", metavar="N", type=click.IntRange(0), default=100, show_default=True, help="How many worlds.")
