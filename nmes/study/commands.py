@@ -190,7 +190,7 @@ def _at(value: Any, pointer: str, blame: str) -> str | float | bool | None:
     """Returns what is at a place of what a command has printed: a single value, numbers as doubles."""
     for key in pointer.split("/")[1:]:
         try:
-            value = value[int(key)] if isinstance(value, list) else value[key]
+            value = _in_list(value, key) if isinstance(value, list) else value[key]
         except (LookupError, TypeError, ValueError):
             raise StudyError("command_failed", f"{blame}printed nothing at {pointer}") from None
     if isinstance(value, bool) or value is None:
@@ -200,6 +200,19 @@ def _at(value: Any, pointer: str, blame: str) -> str | float | bool | None:
     if isinstance(value, str) and len(value) <= _LONGEST:
         return value
     raise StudyError("command_failed", f"{blame}printed no single value at {pointer}")
+
+
+def _in_list(values: list[Any], key: str) -> Any:
+    """Returns the value at a place, or the first object that has a member of this value: `genome=walker`.
+
+    Raises:
+        LookupError, ValueError: There is none.
+    """
+    name, equals, wanted = key.partition("=")
+    if not equals:
+        return values[int(key)]
+    named = [each for each in values if isinstance(each, dict) and str(each.get(name)) == wanted]
+    return named[0]
 
 
 def _said(path: Path) -> str:

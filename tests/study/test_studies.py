@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shutil
 import tomllib
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import pytest
 import paper
 from layout import ROOT
 from nmes.study import Plan, Study, verify_study
+from nmes.study.claims import VERDICTS
 
 DONE = sorted(path.parent for path in ROOT.glob("studies/*/*/results.parquet"))
 
@@ -40,6 +42,27 @@ def test_every_study_can_be_planned_with_each_budget_and_is_listed() -> None:
 def test_reports_say_what_the_results_say(folder: Path) -> None:
     found = verify_study(plan_of(folder), 0, 1, nothing)
     assert (found.verdict, found.findings) == ("holds", ())
+
+
+@pytest.mark.parametrize("folder", DONE, ids=lambda folder: f"{folder.parent.name}-{folder.name}")
+@pytest.mark.parametrize("changed", ["verdict", "number"])
+def test_a_report_of_these_that_its_results_do_not_support_is_found(folder: Path, changed: str, tmp_path: Path) -> None:
+    shutil.copytree(folder.parent, tmp_path / folder.parent.name, ignore=shutil.ignore_patterns("work"))
+    planted = tmp_path / folder.parent.name / folder.name
+    report = planted / "REPORT.md"
+    text = report.read_text("utf-8")
+    if changed == "verdict":
+        found = re.search(r"^Verdict: \*\*(.*)\*\*$", text, re.MULTILINE)
+        assert found is not None
+        other = next(each for each in VERDICTS if each != found[1])
+        text = text.replace(found[0], f"Verdict: **{other}**", 1)
+    else:
+        rows = re.findall(r"^(\| `\w+`: .* \| )(-?[\d.e+-]+)( \|.*)$", text, re.MULTILINE)
+        before, number, after = rows[-1]
+        text = text.replace(f"{before}{number}{after}", f"{before}{float(number) + 1:.4g}{after}")
+    report.write_text(text, "utf-8")
+    found_broken = verify_study(plan_of(planted), 0, 1, nothing)
+    assert found_broken.verdict == "broken" and "REPORT.md, line " in found_broken.findings[0]
 
 
 def test_what_a_run_comes_to_follows_from_its_settings_and_its_seed() -> None:

@@ -320,6 +320,7 @@ failing = "nmes tasks {words} --json"
 
 [columns]
 world = "again /0/world"
+port = "worlds /world=green/port"
 status = "failing status"
 
 [[arms]]
@@ -341,6 +342,11 @@ minutes = 0.1
     result = run("study", "run", folder, "--jobs", "2")
     assert result.exit_code == 0, result.output
     assert [(row["world"], row["status"], row["measured"]) for row in rows(folder)] == [("red", 2.0, True)] * 3
+    assert all(isinstance(row["port"], float) for row in rows(folder))
+    edit(folder / "study.toml", "/world=green/port", "/world=blue/port")
+    result = run("study", "run", folder)
+    assert result.exit_code == 1 and "printed nothing at /world=blue/port" in result.output
+    edit(folder / "study.toml", "/world=blue/port", "/world=green/port")
     status, output = verify(folder)
     assert status == 0 and "holds: 0 of 3 runs done again\nnot judged: 3 runs in which clocks have a part\n" in output
 
