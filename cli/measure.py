@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import asdict
+from importlib.util import find_spec
 from typing import Any
 
 import click
 
 from nmes.cli._json import print_json
-from nmes.errors import visible
+from nmes.errors import MissingPackage, visible
 
 __all__ = ["command"]
 
@@ -162,6 +163,34 @@ def encodings(cubes: int, rounds: int, seed: int, as_json: bool) -> None:
     from nmes.measure.encodings import measure_encodings
 
     _tell(asdict(measure_encodings(cubes, seed, rounds)), as_json)
+
+
+@command.command("peer")
+@click.argument("genome", default="walker")
+@click.option(
+    "--steps", metavar="N", type=click.IntRange(1), default=24_000, show_default=True, help="To learn from, of each."
+)
+@_rounds(9)
+@_SEED
+@_JSON
+def peer(genome: str, steps: int, rounds: int, seed: int, as_json: bool) -> None:
+    """Measure a body and a learner here and in Gymnasium.
+
+    GENOME is a file, or the name of a genome that ships. The same model of MuJoCo is stepped by our environments, by a
+    plain environment of Gymnasium, and over a host; the same learner learns in both to get as far along x as it can.
+    Which other peers are installed is told too; none of them is measured.
+
+    For example:
+
+    \b
+        nmes measure peer
+        nmes measure peer centipede --steps 100000 --json
+    """
+    if find_spec("gymnasium") is None:
+        raise MissingPackage("to measure beside Gymnasium takes it: pip install 'nmes[gym]'")
+    from nmes.measure.peers import measure_peers
+
+    _tell(asdict(measure_peers(genome, steps, seed, rounds)), as_json)
 
 
 def _tell(found: dict[str, Any], as_json: bool) -> None:

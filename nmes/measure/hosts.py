@@ -25,7 +25,16 @@ from nmes.measure.turns import in_turns, ratio
 from nmes.schemas.documents import canonical_hash
 from nmes.variation.draw import Draw
 
-__all__ = ["AgentCost", "DecisionRates", "SpawnTimes", "measure_agents", "measure_decisions", "measure_spawning"]
+__all__ = [
+    "AgentCost",
+    "DecisionRates",
+    "RunningHost",
+    "SpawnTimes",
+    "measure_agents",
+    "measure_decisions",
+    "measure_spawning",
+    "running_host",
+]
 
 _PATIENCE: Final = 30.0  # s that a host is given to end
 _APART: Final = 3.0  # m between agents, which never meet
@@ -82,16 +91,19 @@ class SpawnTimes:
     one_over_together: float
 
 
-class _Host:
+class RunningHost:
     """A host that runs.
 
     Attributes:
+        address: `HOST:PORT`.
+        password: Its password.
         connect: Returns a client that is not connected yet.
         connect_async: The same, awaiting.
     """
 
     def __init__(self, process: subprocess.Popen[bytes], port: int, password: str) -> None:
         self._pid = process.pid
+        self.address, self.password = f"127.0.0.1:{port}", password
         self.connect = partial(Client, port=port, password=password, timeout=_PATIENCE)
         self.connect_async = partial(AsyncClient, port=port, password=password, timeout=_PATIENCE)
 
@@ -107,7 +119,7 @@ class _Host:
 
 
 @contextmanager
-def _host(mode: str) -> Iterator[_Host]:
+def running_host(mode: str) -> Iterator[RunningHost]:
     """Runs a host of one world."""
     password = secrets.token_hex(16)
     command = [sys.executable, "-m", "nmes", "serve", "--port", "0", "--no-record", "--mode", mode, "--json"]
@@ -118,7 +130,7 @@ def _host(mode: str) -> Iterator[_Host]:
             line = process.stdout.readline()
             if not line:
                 raise MachineError("cannot_measure", "a host does not begin here: see what `nmes serve` says")
-            yield _Host(process, json.loads(line)["port"], password)
+            yield RunningHost(process, json.loads(line)["port"], password)
         finally:
             process.terminate()
             process.wait(_PATIENCE)
@@ -142,7 +154,7 @@ def measure_agents(counts: Sequence[int], ticks: int, seed: int, rounds: int) ->
     Raises:
         MachineError: The processor's time of a host cannot be told here, or none begins (`cannot_measure`).
     """
-    with _host("lockstep") as host, ExitStack() as stack:
+    with running_host("lockstep") as host, ExitStack() as stack:
         clients = [stack.enter_context(host.connect()) for _ in range(max(counts))]
         names = [
             client.spawn_cube(position=[_APART * place, 0.5, 0.0], friction=0.1, list=False)["spawned"]
@@ -188,7 +200,7 @@ def measure_decisions(seconds: float, seed: int) -> DecisionRates:
         MachineError: No host begins (`cannot_measure`).
     """
     draw = Draw(seed, "decisions")
-    with _host("lockstep") as host, host.connect() as client:
+    with running_host("lockstep") as host, host.connect() as client:
         name = client.spawn_cube(position=[0.0, 0.5, 0.0], friction=0.1, list=False)["spawned"]
         count, began = 0, time.perf_counter()
         while (took := time.perf_counter() - began) < seconds:
@@ -196,7 +208,7 @@ def measure_decisions(seconds: float, seed: int) -> DecisionRates:
             client.step()
             count += 1
         lockstep = count / took
-    with _host("realtime") as host, host.connect() as client:
+    with running_host("realtime") as host, host.connect() as client:
         name = client.spawn_cube(position=[0.0, 0.5, 0.0], friction=0.1, list=False)["spawned"]
         client.subscribe(events=["tick"])
         frames, began = [], 0.0
@@ -235,7 +247,7 @@ def measure_spawning(cubes: int, connections: int, rounds: int) -> SpawnTimes:
 async def _spawning(cubes: int, connections: int, rounds: int) -> dict[str, list[float]]:
     samples: dict[str, list[float]] = {"one": [], "many": [], "together": []}
     places = [[_SPREAD * number, 0.5, 0.0] for number in range(cubes)]
-    with _host("realtime") as host:
+    with running_host("realtime") as host:
         async with AsyncExitStack() as stack:
             clients = [await stack.enter_async_context(host.connect_async()) for _ in range(connections)]
 

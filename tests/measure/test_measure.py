@@ -4,12 +4,17 @@ from __future__ import annotations
 
 import json
 import sys
+from math import isclose
 from typing import Any
 
+import numpy as np
 import pytest
 
 from command_line import run
-from nmes.measure import encodings
+from nmes.evaluation import Task
+from nmes.genome import Genome
+from nmes.learning.environment import TaskEnv
+from nmes.measure import encodings, peers
 from nmes.measure.encodings import measure_encodings
 from nmes.measure.turns import in_turns, ratio
 
@@ -127,3 +132,52 @@ def test_msgpack_that_is_not_installed_is_told(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setitem(sys.modules, "msgpack", None)
     result = run("measure", "encodings", "--cubes", "1")
     assert result.exit_code == 1 and "pip install 'nmes[bench]'" in result.output
+
+
+# -- peers ------------------------------------------------------------------------------------------------------------
+
+
+def test_the_plain_environment_has_the_same_body() -> None:
+    """The same actions bring it as far, tick by tick, as in our environment."""
+    genome, task = Genome.load("walker"), Task(peers._TASK)
+    ours, plain = TaskEnv(genome, task), peers._Plain(genome, task)
+    ours.reset(seed=1)
+    plain.reset(seed=1)
+    draw = np.random.Generator(np.random.PCG64(1))
+    far = 0.0
+    for _ in range(peers._TICKS):
+        action = draw.uniform(-1.0, 1.0, plain.action_space.shape)
+        (_, mine, _, over, _), (_, theirs, _, cut, _) = ours.step(action), plain.step(action)
+        assert isclose(mine, theirs, abs_tol=1e-9)
+        assert over == cut
+        far += mine
+    assert cut and abs(far) > 1e-3
+
+
+def test_a_body_and_a_learner_are_measured_beside_gymnasium() -> None:
+    asked = ("peer", "walker", "--steps", "2400", "--rounds", "2")
+    found = measured(*asked)
+    assert all(found[name] > 0 for name in ("rate", "rate_rows", "rate_remote", "steps_per_second", "learning"))
+    assert found["exact"] is found["exact_plain"] is True
+    assert found["change"]["grown"] is found["change"]["unmoved"] is True and found["change"]["milliseconds"] > 0
+    assert found["megabytes"] > found["megabytes_plain"] > 10
+    assert measured(*asked)["digest"] == found["digest"] != measured(*asked, "--seed", "1")["digest"]
+
+
+def test_an_environment_that_does_not_come_again_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    step, count = peers._Plain.step, iter(range(10**9))
+
+    def drifting(self: peers._Plain, action: np.ndarray) -> Any:
+        self._data.qvel[0] += 1e-12 * next(count)
+        return step(self, action)
+
+    genome, task = Genome.load("walker"), Task(peers._TASK)
+    assert peers._comes_again(lambda: peers._Plain(genome, task), 1)
+    monkeypatch.setattr(peers._Plain, "step", drifting)
+    assert not peers._comes_again(lambda: peers._Plain(genome, task), 1)
+
+
+def test_gymnasium_that_is_not_installed_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nmes.cli.measure.find_spec", lambda name: None)
+    result = run("measure", "peer")
+    assert result.exit_code == 1 and "pip install 'nmes[gym]'" in result.output
