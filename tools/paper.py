@@ -26,7 +26,8 @@ _HEAD = """\
 Each claim of the paper that can be tested, in its order, with the verdict of the [study](studies.md) that tests it:
 `holds`, `holds in part`, `refuted`, or `undecided at this budget`. The figure is the value that the verdict rests on,
 with its interval of 95 %. The command proves it: report and figures follow from the results, and runs that are done
-again come out the same. What no study tests yet says so.
+again come out the same, but for times and memory, which are measured anew by whoever runs a study. What no study
+tests yet says so.
 
 This page is written by `tools/paper.py` from `studies/paper.toml` and the results of the studies.
 
