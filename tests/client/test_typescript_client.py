@@ -8,17 +8,24 @@ import re
 import shutil
 import ssl
 import subprocess
+import sys
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from urllib.parse import urlencode
 
 import pytest
 import trustme
 
 import ts_messages
+from lab_browser import running_browser
 from layout import ROOT
+from nmes import Client
 from nmes.conformance import Verdict
 from nmes.conformance.clients import judge
-from servers import PASSWORD, Served, served
+from nmes.playback import replay
+from processes import process, ready
+from servers import PASSWORD, PATIENCE, Served, served, until
 
 NODE, NPM = shutil.which("node"), shutil.which("npm")
 CLIENT = ROOT / "clients" / "typescript"
@@ -95,6 +102,48 @@ def test_it_is_good_by_its_own_tests(built: Path, server: Served, tmp_path: Path
             NMES_PORT=str(server.port), NMES_TLS_PORT=str(secure.port), NMES_TLS_CA=str(tmp_path / "ca.pem"),
         )  # fmt: skip
     assert tested.returncode == 0, tested.stdout + tested.stderr
+
+
+@contextmanager
+def static_server(folder: Path) -> Iterator[str]:
+    """Serves the files of a folder, in a process of its own; gives its origin."""
+    command = [sys.executable, "-u", "-m", "http.server", "--bind", "127.0.0.1", "--directory", str(folder), "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True) as web:
+        try:
+            assert web.stdout is not None
+            port = re.search(r"port (\d+)", web.stdout.readline())
+            assert port is not None
+            yield f"http://127.0.0.1:{port[1]}"
+        finally:
+            web.kill()
+
+
+def test_a_page_of_40_lines_drives_a_cube(built: Path, tmp_path: Path) -> None:
+    page = built / "examples" / "drive.html"
+    assert len(page.read_text().splitlines()) == 40
+    # Each in a process of its own: the page comes from another address than the world's, which is told to let it in.
+    with static_server(built) as origin:
+        options = ["--port", "0", "--http", "0", "--http-origin", origin, "--json", "--record", str(tmp_path)]
+        with process("serve", *options, NMES_PASSWORD=PASSWORD) as running, running_browser() as browser:
+            told = ready(running)
+            view = browser.new_page()
+            complaints: list[str] = []
+            view.on("pageerror", lambda error: complaints.append(str(error)))
+            server = f"ws://127.0.0.1:{told['http_port']}/ws"
+            view.goto(f"{origin}/examples/drive.html#{urlencode({'server': server, 'password': PASSWORD})}")
+            view.get_by_text("You are ").wait_for()
+            name = view.locator("output").inner_text().removeprefix("You are ").removesuffix(".")
+            view.keyboard.down("ArrowRight")
+            with Client(port=told["port"], password=PASSWORD) as client:
+                until(lambda: client.get_cube_state(name)["position"][0] > 1.0)
+            view.keyboard.up("ArrowRight")
+            right = "document.querySelector('canvas').getContext('2d').getImageData(331, 300, 200, 1).data"
+            view.wait_for_function(f"[...{right}].includes(180)")  # the cube is drawn where it went to
+            assert complaints == []
+            running.terminate()
+            assert running.wait(PATIENCE) == 0
+    (recording,) = tmp_path.glob("*.mcap")
+    assert replay(recording).verdict == "reproduced"
 
 
 def test_it_conforms(built: Path) -> None:
