@@ -181,6 +181,86 @@ func TestManyGoroutinesShareAConnection(t *testing.T) {
 	}
 }
 
+// Who waits for a reply reads, some give up meanwhile, others pipeline, and events come all the while: nothing is lost,
+// and events are heard also where nobody waits.
+func TestWhoeverReadsLosesNothing(t *testing.T) {
+	const steps = 400
+	address := world(t)
+	ctx, client, other := within(t), enter(t, address), enter(t, address)
+	lockstep(t, client)
+	if _, err := client.Subscribe(ctx, nmes.Subscribe{Events: []string{"tick"}}); err != nil {
+		t.Fatal(err)
+	}
+	heard := make(chan int, 2*steps)
+	go func() {
+		for event := range client.Events() {
+			if tick, ok := event.(*nmes.TickEvent); ok {
+				heard <- tick.Frame
+			}
+		}
+		close(heard)
+	}()
+	var group sync.WaitGroup
+	failures := make(chan error, 4)
+	group.Add(2)
+	go func() { // gives up on some
+		defer group.Done()
+		for i := range steps {
+			short, cancel := context.WithTimeout(ctx, time.Duration(i%7)*30*time.Microsecond)
+			if _, err := client.Ping(short); err != nil && !errors.Is(err, context.DeadlineExceeded) {
+				failures <- err
+			}
+			cancel()
+		}
+	}()
+	go func() { // pipelines
+		defer group.Done()
+		for range steps / 20 {
+			var pings []nmes.Pending[nmes.Pong]
+			for range 20 {
+				pings = append(pings, nmes.Send(client, nmes.Ping{}))
+			}
+			for _, ping := range pings {
+				if _, err := ping.Wait(ctx); err != nil {
+					failures <- err
+					return
+				}
+			}
+			time.Sleep(200 * time.Microsecond)
+		}
+	}()
+	for frame := 1; frame <= steps; frame++ {
+		if stepped, err := client.Step(ctx, nmes.Step{}); err != nil || stepped.Frame != frame {
+			t.Fatal(frame, stepped, err)
+		}
+	}
+	group.Wait()
+	close(failures)
+	for err := range failures {
+		t.Fatal(err)
+	}
+	for range 5 { // nobody waits for a reply on this connection any more
+		if _, err := other.Step(ctx, nmes.Step{}); err != nil {
+			t.Fatal(err)
+		}
+		time.Sleep(5 * time.Millisecond)
+	}
+	for frame := 1; frame <= steps+5; frame++ {
+		select {
+		case tick := <-heard:
+			if tick != frame {
+				t.Fatal(frame, tick)
+			}
+		case <-ctx.Done():
+			t.Fatal("tick ", frame, " was not heard")
+		}
+	}
+	client.Close()
+	if _, more := <-heard; more {
+		t.Fatal("events go on behind the end")
+	}
+}
+
 func TestABatchHasAnOutcomeForEachCommand(t *testing.T) {
 	ctx, client := within(t), enter(t, world(t))
 	lockstep(t, client)

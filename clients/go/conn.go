@@ -8,9 +8,11 @@ import (
 	"errors"
 	"fmt"
 	"net"
+	"os"
 	"strconv"
 	"sync"
 	"sync/atomic"
+	"time"
 )
 
 const (
@@ -22,11 +24,14 @@ const (
 )
 
 // conn is one connection in the json dialect: it frames, numbers commands, and matches replies, which come in the order
-// of the commands. A goroutine reads, so that neither side ever waits for the other to read. A command of which nothing
-// else is under way is written by who sends it, which saves the way to another goroutine; all others by one that does
-// nothing else, many at once.
+// of the commands. A goroutine reads and another writes many commands at once, so that neither side ever waits for the
+// other to read.
+//
+// A command beside which no other is under way is written by who sends it, and he who waits for its reply reads. A
+// controller that waits for each reply so needs no other goroutine: to wake one takes about as long as a tick.
 type conn struct {
 	socket  net.Conn
+	direct  bool // whether a read may be interrupted, and be done by who waits
 	events  chan Event
 	dropped atomic.Uint64
 
@@ -40,10 +45,24 @@ type conn struct {
 	wake    chan struct{} // something is to be written
 	gone    chan struct{} // closed when the connection is lost
 	closed  bool          // the server said that it closes the world
+
+	turn       chan struct{} // full while somebody reads, who has what follows
+	buffer     []byte        // what was read, and is not a whole frame
+	searched   int           // how much of that has no delimiter
+	background atomic.Bool   // who reads is the goroutine that does nothing else
+	resume     chan struct{} // it is to read now
+	lent       atomic.Int64  // when somebody who waited had the turn last, ns
 }
+
+// How long nobody who waits has read until the goroutine that does nothing else reads again.
+const lending = 2 * time.Millisecond
+
+// long ago: a deadline that interrupts a read.
+var past = time.Unix(1, 0)
 
 // call is a command whose reply is to come.
 type call struct {
+	conn *conn  // that it went out alone on, beside no other; nil of others
 	id   string // "" of the authentication, which has none
 	done chan struct{}
 	raw  []byte
@@ -58,6 +77,9 @@ func (c *call) resolve(raw []byte, err error) {
 }
 
 func wait[R any](ctx context.Context, c *call) (*R, error) {
+	if c.conn != nil {
+		c.conn.readFor(ctx, c)
+	}
 	select {
 	case <-c.done:
 	default:
@@ -104,7 +126,11 @@ func open(ctx context.Context, address string, config *tls.Config) (*conn, error
 		events: make(chan Event, EventBacklog),
 		wake:   make(chan struct{}, 1),
 		gone:   make(chan struct{}),
+		turn:   make(chan struct{}, 1),
+		resume: make(chan struct{}, 1),
+		buffer: make([]byte, 0, 64<<10),
 	}
+	_, c.direct = socket.(*net.TCPConn)
 	c.room.L = &c.mu
 	go c.read()
 	go c.write()
@@ -172,9 +198,15 @@ func (c *conn) put(message []byte, pending *call) {
 	c.unsent = append(append(c.unsent, message...), delimiter...)
 	alone := len(c.waiting) == 1 && !c.writing
 	if alone {
+		if c.direct {
+			pending.conn = c
+		}
 		c.flush(nil)
-	} else if !c.writing {
-		c.rouse()
+	} else {
+		if !c.writing {
+			c.rouse()
+		}
+		c.readOn()
 	}
 	c.mu.Unlock()
 }
@@ -219,40 +251,118 @@ func (c *conn) write() {
 	}
 }
 
+// read reads whenever nobody does who waits, until the connection is lost.
 func (c *conn) read() {
-	defer close(c.events)
-	buffer := make([]byte, 0, 64<<10)
-	searched := 0
+	defer close(c.events) // nobody has the turn then, and nobody takes it any more
+	pause := time.NewTimer(0)
+	defer pause.Stop()
 	for {
-		if len(buffer) == cap(buffer) {
-			buffer = append(buffer, 0)[:len(buffer)]
+		c.turn <- struct{}{}
+		c.background.Store(true)
+		for c.failure() == nil && !c.receive() {
 		}
-		n, err := c.socket.Read(buffer[len(buffer):cap(buffer)])
-		buffer = buffer[:len(buffer)+n]
-		begin := 0
-		for {
-			from := max(searched, begin)
-			at := bytes.Index(buffer[from:], []byte(delimiter))
-			if at < 0 {
-				break
-			}
-			frame := bytes.TrimSpace(buffer[begin : from+at])
-			begin, searched = from+at+len(delimiter), 0
-			if len(frame) > 0 && !c.take(bytes.Clone(frame)) {
-				return
-			}
-		}
-		buffer = append(buffer[:0], buffer[begin:]...)
-		searched = max(0, len(buffer)-len(delimiter)+1)
-		if len(buffer) > largestFrame {
-			c.lose(&Disconnected{"bad_reply", fmt.Sprintf("a frame is longer than %d bytes", largestFrame)})
+		c.background.Store(false)
+		if c.failure() != nil {
 			return
 		}
-		if err != nil {
-			c.ended(err)
+		<-c.turn
+		for lent := true; lent; { // it was interrupted by somebody who waits
+			pause.Reset(lending)
+			select {
+			case <-pause.C:
+				lent = time.Now().UnixNano()-c.lent.Load() < int64(lending)
+			case <-c.resume:
+				lent = false
+			case <-c.gone:
+				lent = false
+			}
+		}
+	}
+}
+
+// readOn has the goroutine that reads do so, where it has lent its turn.
+func (c *conn) readOn() {
+	select {
+	case c.resume <- struct{}{}:
+	default:
+	}
+}
+
+// readFor reads until a call is answered, where nobody else does who waits too.
+func (c *conn) readFor(ctx context.Context, pending *call) {
+	if ctx.Done() != nil {
+		defer context.AfterFunc(ctx, func() { c.socket.SetReadDeadline(past) })()
+	}
+	select {
+	case c.turn <- struct{}{}:
+	default:
+		if !c.background.Load() {
+			return
+		}
+		c.socket.SetReadDeadline(past)
+		select {
+		case c.turn <- struct{}{}:
+		case <-pending.done:
+			return
+		case <-ctx.Done():
 			return
 		}
 	}
+	for !pending.resolved() && ctx.Err() == nil && c.failure() == nil {
+		c.receive()
+	}
+	c.lent.Store(time.Now().UnixNano())
+	<-c.turn
+	c.mu.Lock()
+	others := len(c.waiting) > 0
+	c.mu.Unlock()
+	if others {
+		c.readOn()
+	}
+}
+
+func (c *call) resolved() bool {
+	select {
+	case <-c.done:
+		return true
+	default:
+		return false
+	}
+}
+
+// receive reads once, and hands out what frames there are; it returns whether it was interrupted. Who calls it has the
+// turn.
+func (c *conn) receive() (interrupted bool) {
+	if len(c.buffer) == cap(c.buffer) {
+		c.buffer = append(c.buffer, 0)[:len(c.buffer)]
+	}
+	n, err := c.socket.Read(c.buffer[len(c.buffer):cap(c.buffer)])
+	c.buffer = c.buffer[:len(c.buffer)+n]
+	begin := 0
+	for {
+		from := max(c.searched, begin)
+		at := bytes.Index(c.buffer[from:], []byte(delimiter))
+		if at < 0 {
+			break
+		}
+		frame := bytes.TrimSpace(c.buffer[begin : from+at])
+		begin, c.searched = from+at+len(delimiter), 0
+		if len(frame) > 0 && !c.take(bytes.Clone(frame)) {
+			return false
+		}
+	}
+	c.buffer = append(c.buffer[:0], c.buffer[begin:]...)
+	c.searched = max(0, len(c.buffer)-len(delimiter)+1)
+	switch {
+	case len(c.buffer) > largestFrame:
+		c.lose(&Disconnected{"bad_reply", fmt.Sprintf("a frame is longer than %d bytes", largestFrame)})
+	case errors.Is(err, os.ErrDeadlineExceeded):
+		c.socket.SetReadDeadline(time.Time{})
+		return true
+	case err != nil:
+		c.ended(err)
+	}
+	return false
 }
 
 func (c *conn) ended(err error) {
