@@ -87,6 +87,16 @@ def test_a_thousand_drawn_brains_do_the_same_to_the_last_bit() -> None:
     assert not others, f"{len(others)} differ: {others[:10]}"
 
 
+def test_who_does_without_brains_and_genomes_links_no_function_of_the_notice() -> None:
+    told = go("list", "-deps", ".", "./fleet")
+    needed = {name for name in told.stdout.splitlines() if name.startswith("nmes")}
+    assert needed == {"nmes", "nmes/fleet"}, told.stderr
+    notice = (CLIENT / "NOTICE").read_text()
+    folders = re.findall(r"^internal/(\w+)", notice, re.MULTILINE)
+    assert set(folders) == {"elementary", "random"}
+    assert all((CLIENT / "internal" / folder).is_dir() for folder in folders)
+
+
 def test_models_do_nearly_what_onnxruntime_does() -> None:
     models = [(wanted, given) for brain, wanted, given in _both() if brain.document["kind"] == "onnx"]
     assert len(models) == _DRAWN // 6

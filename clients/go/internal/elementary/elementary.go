@@ -5,6 +5,8 @@
 // are as good, but round otherwise, and a network with a memory makes a metre of the last bit. Other versions, other
 // libraries and processors of another kind may round otherwise too: there Python differs from itself.
 //
+// Whose work is followed, under which licences, and why no other source would do is in NOTICE, at the root of the module.
+//
 // FMA is written wherever that library fuses. Go may fuse more by itself, on arm64, ppc64, s390x and riscv64, and on
 // amd64 from GOAMD64=v3: an explicit conversion, float64(a*b), keeps a product that is rounded rounded.
 package elementary
