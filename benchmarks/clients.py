@@ -1,7 +1,9 @@
 """What the clients in Python, Go and TypeScript cost: act + step + observe, and commands in a long row.
 
-One server, one recorded world a client; the clients take turns. A trip is three commands, each of which waits for its reply, as
-a controller does. In the row 1,000 commands are on their way at once. Go and Node are left out where they are missing.
+One server, one recorded world a client; the clients take turns. A trip is three commands, each of which waits for its
+reply, as a controller does. In the row 1,000 commands are on their way at once. Go and Node are left out where they are
+missing. In Go 1,000 goroutines also share the connection; the recording tells whether what each sent came whole, and in
+order.
 """
 
 from __future__ import annotations
@@ -9,9 +11,11 @@ from __future__ import annotations
 import json
 import os
 import shutil
+import statistics
 import subprocess
 import sys
 import tempfile
+from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import partial
@@ -20,12 +24,15 @@ from pathlib import Path
 from typing import Protocol
 
 from measure import Figure, in_turns, ratio, summary
+from nmes.recording import Kind, Recording
 
 PASSWORD = "benchmark"
 ROUNDS = 10
 TRIPS = 300  # a trial
 COMMANDS = 20_000  # a trial
 ON_THEIR_WAY = 1000
+GOROUTINES = 1000
+FIRST = 2  # the first goroutine's number; fewer are those of other trials (clients/go/bench)
 CLIENTS = Path(__file__).parent.parent / "clients"
 GO_ENVIRONMENT = {"GOTOOLCHAIN": "local", "GOFLAGS": "-mod=readonly", "GOPROXY": "off"}
 
@@ -116,17 +123,40 @@ def commands(folder: Path) -> Mapping[str, list[str]]:
     return found
 
 
+def astray(folder: Path, rounds: int) -> int:
+    """Returns in how many places a folder's recordings differ from what goroutines sent: missing, doubled, overtaken.
+
+    Each goroutine pushes with its number along x, and along y with how many commands it had sent in that round.
+    """
+    sent = defaultdict[int, list[int]](list)
+    for path in folder.rglob("*.mcap"):
+        for record in Recording(path):
+            if record.kind is Kind.COMMAND and b'"apply_physics"' in record.data:
+                goroutine, number, _ = json.loads(record.data)["force"]
+                if goroutine >= FIRST:
+                    sent[goroutine].append(number)
+    numbers = list(range(COMMANDS // GOROUTINES)) * rounds
+    apart = 0
+    for goroutine in range(FIRST, FIRST + GOROUTINES):
+        came = sent.pop(goroutine, [])
+        apart += abs(len(came) - len(numbers)) + sum(one != other for one, other in zip(came, numbers, strict=False))
+    return apart + sum(map(len, sent.values()))
+
+
 def figures() -> Iterator[Figure]:
     """Measures."""
-    with tempfile.TemporaryDirectory() as name, ExitStack() as stack:
-        started = commands(Path(name))
-        ports = stack.enter_context(served(len(started), Path(name)))
-        runners = {
-            name: stack.enter_context(process(*command, str(port)))
-            for (name, command), port in zip(started.items(), ports, strict=True)
-        }
-        trips = in_turns({name: partial(run, "trips", TRIPS) for name, run in runners.items()}, ROUNDS)
-        rows = in_turns({name: partial(run, "pipelined", COMMANDS) for name, run in runners.items()}, ROUNDS)
+    with tempfile.TemporaryDirectory() as name:
+        with ExitStack() as stack:
+            started = commands(Path(name))
+            ports = stack.enter_context(served(len(started), Path(name)))
+            runners = {
+                name: stack.enter_context(process(*command, str(port)))
+                for (name, command), port in zip(started.items(), ports, strict=True)
+            }
+            trips = in_turns({name: partial(run, "trips", TRIPS) for name, run in runners.items()}, ROUNDS)
+            rows = in_turns({name: partial(run, "pipelined", COMMANDS) for name, run in runners.items()}, ROUNDS)
+            shared = [runners["Go"]("shared", COMMANDS) for _ in range(ROUNDS)] if "Go" in runners else []
+        lost = astray(Path(name) / "recordings", len(shared)) if shared else 0
     rates = {name: [COMMANDS / seconds for seconds in values] for name, values in rows.items()}
     details = {"trips, us": summary(trips, TRIPS * 1e-6), "commands/s": summary(rates, 1)}
     for name in runners:
@@ -137,6 +167,9 @@ def figures() -> Iterator[Figure]:
         middle = summary(trips, TRIPS * 1e-6)[name]["median"]
         yield Figure(f"{name}: act + step + observe", middle, "us", details=details)
     if "Go" in runners:
+        rate = COMMANDS / statistics.median(shared)
+        yield Figure(f"Go: commands of {GOROUTINES:,} goroutines over one connection", rate, "commands/s")
+        yield Figure("Go: of these lost, doubled or out of order, in all rounds", lost, "commands", at_most=0)
         yield Figure("act + step + observe, Python's time over Go's", ratio(trips, "Python", "Go"), "x", at_least=1)
     if {"Go", "Node"} <= runners.keys():
         yield Figure("commands in a row, Node's rate over Go's", ratio(rates, "Node", "Go"), "x", at_least=0.7)

@@ -1,5 +1,5 @@
 // Command bench measures this client: started with the port of a world, it reads what to do and how often, a line each
-// (pipelined 20000, trips 300), and writes how many seconds that took.
+// (pipelined 20000, shared 20000, trips 300), and writes how many seconds that took.
 package main
 
 import (
@@ -7,12 +7,17 @@ import (
 	"fmt"
 	"log"
 	"os"
+	"sync"
 	"time"
 
 	"nmes"
 )
 
-const onTheirWay = 1000 // commands at once
+const (
+	onTheirWay = 1000 // commands at once
+	goroutines = 1000
+	first      = 2 // the number of the first goroutine: pushes of 1 are those of the others
+)
 
 func main() {
 	ctx := context.Background()
@@ -29,9 +34,12 @@ func main() {
 			return
 		}
 		began := time.Now()
-		if what == "trips" {
+		switch what {
+		case "trips":
 			trips(ctx, client, count)
-		} else {
+		case "shared":
+			shared(ctx, client, count)
+		default:
 			pipelined(ctx, client, count)
 		}
 		fmt.Println(time.Since(began).Seconds())
@@ -64,6 +72,28 @@ func pipelined(ctx context.Context, client *nmes.Client, count int) {
 		_, err := each.Wait(ctx)
 		must(err)
 	}
+}
+
+// shared has many goroutines pipeline over the one connection. Each pushes with its number along x, and along y with how
+// many commands it has sent, so that a recording tells whether they came whole and in order.
+func shared(ctx context.Context, client *nmes.Client, count int) {
+	var group sync.WaitGroup
+	for number := range goroutines {
+		group.Add(1)
+		go func() {
+			defer group.Done()
+			sent := make([]nmes.Pending[nmes.PhysicsApplied], count/goroutines)
+			for i := range sent {
+				force := nmes.Vector{float64(first + number), float64(i), 0}
+				sent[i] = nmes.Send(client, nmes.ApplyPhysics{CubeName: "box", Force: &force})
+			}
+			for _, each := range sent {
+				_, err := each.Wait(ctx)
+				must(err)
+			}
+		}()
+	}
+	group.Wait()
 }
 
 func push() nmes.ApplyPhysics {
