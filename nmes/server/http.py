@@ -10,6 +10,8 @@ Invariants:
   `localhost`, or a name that was given.
 - A request is there within `Limits.auth_timeout`, and its head is no longer than `Limits.auth_frame`.
 - What a stranger sends makes no traceback.
+- Frames of a WebSocket are read in pieces of `PIECE`, the next once the application has taken those before: a read of
+  256 KiB may be 40,000 frames, and nobody else has a turn while they are taken apart.
 """
 
 from __future__ import annotations
@@ -33,11 +35,12 @@ from websockets.http11 import Request
 from nmes.protocol import Limits
 from nmes.server.door import Door, address_of
 
-__all__ = ["SOCKET", "HttpServer", "OwnPages", "refusal"]
+__all__ = ["PIECE", "SOCKET", "HttpServer", "OwnPages", "refusal"]
 
 logger = logging.getLogger(__name__)
 
 SOCKET = "nmes.socket"  # the extension of a WebSocket's scope that is its socket, an `asyncio.Transport`
+PIECE = 8 << 10  # bytes of frames that are taken apart at once
 KEEP_ALIVE = 15  # s: how long a connection may wait for its next request
 GRACE = 0.5  # s: for which requests go on when the server closes
 
@@ -216,10 +219,47 @@ class _Http(H11Protocol):
 
 
 class _Socket(WebSocketsSansIOProtocol):
-    """One WebSocket, whose application may see its socket too."""
+    """One WebSocket, whose application may see its socket too, and which is read in pieces."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._unread = bytearray()  # what came and waits for its turn; nothing more is read from the socket meanwhile
 
     def handle_connect(self, event: Request) -> None:
         super().handle_connect(event)
         if not self.handshake_complete:  # else it is refused, and no application hears of it
             extensions = cast(dict[str, Any], self.scope["extensions"])
             extensions[SOCKET] = self.transport
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        self._unread.clear()
+        super().connection_lost(exc)
+
+    def data_received(self, data: bytes) -> None:
+        if len(data) <= PIECE and not self._unread:
+            super().data_received(data)
+        else:
+            self._unread += data
+            self._read_piece()
+
+    async def receive(self) -> Any:
+        message = await super().receive()
+        self._read_on()
+        return message
+
+    def _read_piece(self) -> None:
+        piece = bytes(self._unread[:PIECE])
+        del self._unread[:PIECE]
+        if piece:
+            super().data_received(piece)
+        self._read_on()
+
+    def _read_on(self) -> None:
+        """Has the next piece read when others have had their turn, if the application waits for it."""
+        if not self._unread:
+            if not self.read_paused:
+                self.transport.resume_reading()
+            return
+        self.transport.pause_reading()
+        if self.queue.empty():
+            self.loop.call_soon(self._read_piece)

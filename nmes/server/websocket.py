@@ -9,6 +9,7 @@ from __future__ import annotations
 import asyncio
 from collections import deque
 from collections.abc import Collection
+from time import monotonic
 from typing import Any
 
 from starlette.applications import Starlette
@@ -24,6 +25,7 @@ from nmes.schemas.documents import parse_json
 from nmes.server.connection import LINGER, READ, Connection
 from nmes.server.host import Host
 from nmes.server.http import SOCKET, OwnPages
+from nmes.server.threads import SLICE
 
 __all__ = ["Carrier", "carry", "health", "worlds_application"]
 
@@ -106,9 +108,16 @@ class Carrier(asyncio.Transport):
                 raise result
 
     async def _receive(self, connection: Connection) -> None:
-        """Hands messages to the connection, while it reads, until the peer hangs up."""
+        """Hands messages to the connection, while it reads, until the peer hangs up.
+
+        To the connection each is a read of its own; so it cannot tell that it has kept the others waiting for a slice.
+        """
+        until = monotonic() + SLICE
         while True:
             await self._reads.wait()
+            if monotonic() >= until:
+                await asyncio.sleep(0)
+                until = monotonic() + SLICE
             message = await self._websocket.receive()
             if message["type"] == "websocket.disconnect":
                 return

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import json
 import socket
 import ssl
@@ -12,7 +13,9 @@ from typing import Any
 import pytest
 import trustme
 from click.testing import CliRunner
+from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 from websockets.exceptions import InvalidStatus
+from websockets.frames import Frame, Opcode
 
 from browsers import doors, get, socket_to, web_port
 from nmes.cli import main
@@ -20,6 +23,8 @@ from nmes.conformance import Options, Target, Verdict, run
 from nmes.playback import replay
 from nmes.protocol import DELIMITER, Limits
 from nmes.recording import Kind, Recording
+from nmes.server.http import PIECE
+from nmes.server.websocket import Carrier
 from processes import process, ready
 from servers import PASSWORD, PATIENCE, served, until
 
@@ -207,6 +212,58 @@ def test_what_does_not_apply_to_websockets_is_skipped_by_the_suite_and_all_else_
     skipped = {each.case.number for each in report.results if "WebSocket" in (each.reason or "")}
     assert {"1.5", "1.17", "4.1:latin1"} <= skipped
     assert report.counts[Verdict.OK] > 50
+
+
+def test_who_says_much_at_once_lets_others_have_their_turn(monkeypatch: pytest.MonkeyPatch) -> None:
+    counts = {"frames": 0, "messages": 0}
+    most = dict.fromkeys(counts, 0)  # in one turn of the event loop
+
+    def counted(kind: type, method: str, what: str) -> None:
+        original = getattr(kind, method)
+
+        def count(self: Any, given: Any) -> Any:
+            counts[what] += 1
+            return original(self, given)
+
+        monkeypatch.setattr(kind, method, count)
+
+    counted(WebSocketsSansIOProtocol, "handle_text", "frames")
+    counted(Carrier, "hear", "messages")
+    monkeypatch.setattr("nmes.server.websocket.SLICE", 0.0)
+    ping = Frame(Opcode.TEXT, b'{"type":"ping"}').serialize(mask=True)
+    with served() as server, socket_to(web_port(server)) as browser:
+        assert browser.enter()["type"] == "auth_success"
+        last = dict(counts)
+        over = False
+
+        def turn() -> None:
+            for what in counts:
+                most[what] = max(most[what], counts[what] - last[what])
+            last.update(counts)
+            if not over:
+                asyncio.get_running_loop().call_soon(turn)
+
+        server.call(turn)
+        browser.connection.socket.sendall(ping * 6000)
+        for _ in range(6000):
+            assert browser.hear() == {"type": "pong"}
+        over = True
+        server.call(lambda: None)
+    assert counts["messages"] == 6001
+    assert 0 < most["frames"] <= PIECE // len(ping) + 1 and 0 < most["messages"] <= 2
+
+
+def test_a_long_frame_and_what_comes_behind_it_arrive_whole() -> None:
+    spawns = [{"type": "spawn_cube", "cube_name": f"{n:0100}", "position": [0, 2 * n, 0]} for n in range(250)]
+    batch = {"type": "batch", "commands": spawns}
+    with served() as server, socket_to(web_port(server), max_size=None) as browser:
+        assert browser.enter()["type"] == "auth_success"
+        frames = [json.dumps(each).encode() for each in (batch, {"type": "ping"}, {"type": "get_world_info"})]
+        assert len(frames[0]) > 4 * PIECE
+        browser.connection.socket.sendall(b"".join(Frame(Opcode.TEXT, frame).serialize(mask=True) for frame in frames))
+        assert len(browser.hear()["results"]) == 250
+        assert browser.hear() == {"type": "pong"}
+        assert browser.hear()["counts"]["cubes"] == 250
 
 
 def test_serve_says_where_its_websockets_are(tmp_path: Path) -> None:
