@@ -11,7 +11,8 @@ from collections.abc import Callable, Collection, Mapping
 from functools import partial
 from math import ceil
 from time import monotonic
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
+from weakref import WeakKeyDictionary
 
 from starlette.applications import Starlette
 from starlette.routing import Route, WebSocketRoute
@@ -20,9 +21,10 @@ from starlette.websockets import WebSocket
 
 from nmes.errors import RejectedMessage
 from nmes.protocol import encode
+from nmes.ros.definitions import fields
 from nmes.ros.graph import Graph, Views, full_name
 from nmes.ros.messages import RosError, plain_type
-from nmes.ros.services import LOOKED_UP, SERVICES, Asked, Service, look_up
+from nmes.ros.services import LOOKED_UP, SERVICES, Asked, Service, check_args, look_up
 from nmes.schemas.documents import JsonObject, parse_json, write_json
 from nmes.server.connection import Connection
 from nmes.server.host import Host
@@ -42,6 +44,14 @@ BEHIND: Final = 64 << 10  # bytes that a client has not read yet, over which top
 
 _TICK = b'"type":"tick"'
 
+EVENTS: Final = {  # how bad those are that come to all who listen to ticks
+    "barrier_timeout": "warning",
+    "host_draining": "warning",
+    "lagging": "warning",
+    "world_closed": "error",
+    "world_fault": "error",
+}
+
 
 def rosbridge_application(
     host: Host, names: Collection[str], origins: Collection[str], password: str | None = None
@@ -57,7 +67,7 @@ def rosbridge_application(
         origins: Whose pages may connect, beside its own.
         password: What stands for the password of those who say none; None: nothing does.
     """
-    views: dict[str, Views] = {}
+    views: _AllViews = WeakKeyDictionary()
 
     async def connect(websocket: WebSocket) -> None:
         await websocket.accept()
@@ -69,6 +79,9 @@ def rosbridge_application(
 
     routes = [Route("/health", health), WebSocketRoute("/{path:path}", connect)]
     return OwnPages(Starlette(routes=routes), names, origins)
+
+
+_AllViews = WeakKeyDictionary[HostedWorld, Views]  # a world that is closed takes its own along
 
 
 def _auth(websocket: WebSocket, password: str | None) -> JsonObject:
@@ -98,7 +111,7 @@ class _Subscription:
 class _Bridge(Carrier):
     """One client."""
 
-    def __init__(self, websocket: WebSocket, host: Host, views: dict[str, Views], auth: JsonObject) -> None:
+    def __init__(self, websocket: WebSocket, host: Host, views: _AllViews, auth: JsonObject) -> None:
         super().__init__(websocket, Connection(host, None))
         self._host, self._all_views, self._auth = host, views, auth
         self._name: str | None = None  # of the world that it is in
@@ -130,11 +143,13 @@ class _Bridge(Carrier):
             reply(message)
         elif message["type"] == "auth_success":
             self._name = message["world"]
-            self._views = self._all_views.setdefault(self._name, Views())
+            if (hosted := self._host.worlds.get(self._name)) is not None:  # it may be closed already
+                self._views = self._all_views.setdefault(hosted, Views())
         elif message["type"] == "error":
             self._status("error", message["message"], None)
         else:
-            self._status("info", frame.decode(), None)
+            kind = message["type"]
+            self._status(EVENTS.get(kind, "info"), f"{kind}: {message.get('message', frame.decode())}", None)
 
     def forget(self) -> None:
         """No longer waits for the world to come back from a thread."""
@@ -175,7 +190,10 @@ class _Bridge(Carrier):
                 raise RosError(
                     f"op: {str(said.get('op'))[:64]!r} is not known here; known are {', '.join(_OPERATIONS)}"
                 )
-            operation(self, said)
+            if unknown := said.keys() - operation.fields:
+                listed = ", ".join(sorted(field[:64] for field in unknown)[:8])
+                self._status("warning", f"{said['op']} has no field {listed}: that is passed over", identity)
+            operation.does(self, said)
         except (RosError, RejectedMessage) as error:
             self._status("error", error.message, identity)
 
@@ -214,6 +232,9 @@ class _Bridge(Carrier):
         known = graph.find(topic)
         if known is None or known.hear is None:
             raise RosError(_missing(graph, topic, "hear"))
+        if unknown := message.keys() - fields(known.type).keys():
+            has = ", ".join(fields(known.type))
+            raise RosError(f"msg: {known.type} has no {min(unknown)[:64]!r}; its fields are {has}")
         self._command(known.hear(message), partial(self._said, topic, said.get("id")))
 
     def _said(self, topic: str, identity: Any, reply: JsonObject) -> None:
@@ -224,8 +245,10 @@ class _Bridge(Carrier):
 
     def _subscribe(self, said: JsonObject) -> None:
         topic, identity = _text(said, "topic"), str(said.get("id", ""))
-        if said.get("compression", "none") not in ("none", None):
-            raise RosError("compression: there is none here; subscribe without it")
+        _refuse_encodings(said)
+        queue = said.get("queue_length") or 0
+        if isinstance(queue, bool) or not isinstance(queue, int) or queue < 0:
+            raise RosError("queue_length: a whole number of messages, 0 or more")
         rate = said.get("throttle_rate") or 0
         if isinstance(rate, bool) or not isinstance(rate, (int, float)) or not 0 <= rate <= 1e9:
             raise RosError("throttle_rate: milliseconds, from 0 to 1e9")
@@ -239,6 +262,9 @@ class _Bridge(Carrier):
         subscription = self._topics.setdefault(topic, _Subscription())
         subscription.rates[identity] = rate / 1000.0
         subscription.ros2 |= ros2
+        if queue > 1:
+            told = f"queue_length: nothing is queued here; after a pause you are told what {topic} tells then"
+            self._status("warning", told, said.get("id"))
         self._command({"type": "subscribe", "events": ["tick"]}, self._subscribed)
 
     def _subscribed(self, reply: JsonObject) -> None:
@@ -255,7 +281,8 @@ class _Bridge(Carrier):
             return
         if said.get("id") is None:
             subscription.rates.clear()
-        subscription.rates.pop(str(said.get("id")), None)
+        elif subscription.rates.pop(str(said["id"]), None) is None:
+            self._status("warning", f"you do not listen to {topic} under that id", said["id"])
         if not subscription.rates:
             del self._topics[topic]
         if not self._topics:
@@ -285,6 +312,9 @@ class _Bridge(Carrier):
                 args = {}
             if not isinstance(args, dict):
                 raise RosError("args: a JSON object, of arguments by name")
+            _refuse_encodings(said)
+            if service is not None or name in LOOKED_UP:
+                check_args(name, args)
             if service is not None:
                 self._command(service.command(args), partial(self._called, head, service))
             elif name in LOOKED_UP:
@@ -374,6 +404,13 @@ def _text(said: Mapping[str, Any], field: str) -> str:
     return value
 
 
+def _refuse_encodings(said: Mapping[str, Any]) -> None:
+    if said.get("compression", "none") not in ("none", None):
+        raise RosError("compression: there is none here; ask without it")
+    if said.get("fragment_size") is not None:
+        raise RosError("fragment_size: messages are sent whole here; ask without it")
+
+
 def _missing(graph: Graph, topic: str, way: str) -> str:
     """Returns why a topic cannot be spoken on or listened to."""
     if full_name(topic) in graph.ambiguous:
@@ -384,12 +421,23 @@ def _missing(graph: Graph, topic: str, way: str) -> str:
     return f"this world has no topic {topic}; /rosapi/topics tells which there are"
 
 
-_OPERATIONS: Final[dict[str, Callable[[_Bridge, JsonObject], None]]] = {
-    "advertise": _Bridge._advertise,
-    "unadvertise": _Bridge._unadvertise,
-    "publish": _Bridge._say,
-    "subscribe": _Bridge._subscribe,
-    "unsubscribe": _Bridge._unsubscribe,
-    "call_service": _Bridge._call,
-    "set_level": _Bridge._set_level,
+class _Operation(NamedTuple):
+    """What an operation does, and the fields that are known of it."""
+
+    does: Callable[[_Bridge, JsonObject], None]
+    fields: frozenset[str]
+
+
+def _operation(does: Callable[[_Bridge, JsonObject], None], fields: str) -> _Operation:
+    return _Operation(does, frozenset(("op", "id", *fields.split())))
+
+
+_OPERATIONS: Final = {
+    "advertise": _operation(_Bridge._advertise, "topic type latch queue_size"),
+    "unadvertise": _operation(_Bridge._unadvertise, "topic"),
+    "publish": _operation(_Bridge._say, "topic msg type latch queue_size"),
+    "subscribe": _operation(_Bridge._subscribe, "topic type throttle_rate queue_length fragment_size compression"),
+    "unsubscribe": _operation(_Bridge._unsubscribe, "topic type"),
+    "call_service": _operation(_Bridge._call, "service type args fragment_size compression timeout"),
+    "set_level": _operation(_Bridge._set_level, "level"),
 }

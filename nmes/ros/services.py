@@ -9,12 +9,13 @@ from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
 from nmes.errors import RejectedMessage
+from nmes.ros.definitions import fields, full_text, typedefs
 from nmes.ros.graph import NODE, Graph, full_name
-from nmes.ros.messages import RosError, from_ros, number, plain_type, stamp
+from nmes.ros.messages import WORLD_FRAME, RosError, from_ros, number, plain_type, stamp
 from nmes.schemas.documents import JsonObject, parse_json, write_json
 from nmes.world import World
 
-__all__ = ["LOOKED_UP", "SERVICES", "Asked", "Service", "look_up"]
+__all__ = ["LOOKED_UP", "SERVICES", "Asked", "Service", "check_args", "look_up"]
 
 Args = Mapping[str, Any]
 
@@ -70,8 +71,12 @@ def _spawn(args: Args) -> JsonObject:
     turn = pose.get("orientation") or {}
     if not isinstance(turn, dict) or any(number(turn.get(axis, 0.0), axis) != 0.0 for axis in "xyz"):
         raise RosError("initial_pose: a creature is not turned when it is spawned: leave x, y, z of orientation at 0")
-    genome = _document(_text(args, "model_xml"), "model_xml, which holds a genome as JSON")
     name = _text(args, "model_name", "")
+    if _text(args, "robot_namespace", "").strip("/") not in ("", name):
+        raise RosError("robot_namespace: a creature's topics are under its model_name; leave it empty")
+    if _text(args, "reference_frame", "") not in ("", WORLD_FRAME):
+        raise RosError(f"reference_frame: a creature is spawned in the frame {WORLD_FRAME!r} alone")
+    genome = _document(_text(args, "model_xml"), "model_xml, which holds a genome as JSON")
     named = {"name": name} if name else {}
     return {"type": "spawn_creature", "genome": genome, "position": from_ros(position), **named}
 
@@ -84,7 +89,12 @@ def _step(args: Args) -> JsonObject:
 
 
 def _command(args: Args) -> JsonObject:
-    return _document(_text(args, "command"), "command")
+    command = _document(_text(args, "command"), "command")
+    inner = command.get("commands")
+    for each in (command, *(inner if isinstance(inner, list) else ())):
+        if isinstance(each, dict) and each.get("type") in ("subscribe", "unsubscribe"):
+            raise RosError("command: events of the protocol are not told here; subscribe to topics")
+    return command
 
 
 SERVICES: Final[dict[str, Service]] = {
@@ -156,6 +166,28 @@ def _get_param(asked: Asked) -> JsonObject:
     return {"value": known or _text(asked.args, "default", "") or "null"}
 
 
+def _no_params(_: Asked) -> JsonObject:
+    raise RosError("there are no parameters here that could be set or deleted: commands change a world (/command)")
+
+
+def _nodes_of(asked: Asked, field: str, way: str) -> JsonObject:
+    topic = asked.graph.find(_text(asked.args, "topic"))
+    return {field: [NODE] if topic is not None and getattr(topic, way) is not None else []}
+
+
+def _topics_and_raw_types(asked: Asked) -> JsonObject:
+    told = _topics(asked)
+    return {**told, "typedefs_full_text": [full_text(kind) for kind in told["types"]]}
+
+
+def _service_node(asked: Asked) -> JsonObject:
+    return {"node": NODE if full_name(_text(asked.args, "service")) in _service_types() else ""}
+
+
+def _details(half: str) -> Callable[[Asked], JsonObject]:
+    return lambda asked: {"typedefs": typedefs(_text(asked.args, "type"), half)}
+
+
 _PARAMS: Final = {"/use_sim_time": "true"}  # their values, as JSON
 
 LOOKED_UP: Final[dict[str, tuple[str, Callable[[Asked], JsonObject]]]] = {
@@ -171,9 +203,33 @@ LOOKED_UP: Final[dict[str, tuple[str, Callable[[Asked], JsonObject]]]] = {
     "/rosapi/nodes": ("rosapi/Nodes", lambda _: {"nodes": [NODE]}),
     "/rosapi/node_details": ("rosapi/NodeDetails", _node_details),
     "/rosapi/get_time": ("rosapi/GetTime", _get_time),
+    "/rosapi/topics_and_raw_types": ("rosapi/TopicsAndRawTypes", _topics_and_raw_types),
+    "/rosapi/publishers": ("rosapi/Publishers", lambda asked: _nodes_of(asked, "publishers", "read")),
+    "/rosapi/subscribers": ("rosapi/Subscribers", lambda asked: _nodes_of(asked, "subscribers", "hear")),
+    "/rosapi/service_node": ("rosapi/ServiceNode", _service_node),
+    "/rosapi/message_details": ("rosapi/MessageDetails", _details("")),
+    "/rosapi/service_request_details": ("rosapi/ServiceRequestDetails", _details("Request")),
+    "/rosapi/service_response_details": ("rosapi/ServiceResponseDetails", _details("Response")),
+    "/rosapi/action_servers": ("rosapi/GetActionServers", lambda _: {"action_servers": []}),
     "/rosapi/get_param_names": ("rosapi/GetParamNames", lambda _: {"names": list(_PARAMS)}),
     "/rosapi/get_param": ("rosapi/GetParam", _get_param),
+    "/rosapi/has_param": (
+        "rosapi/HasParam",
+        lambda asked: {"exists": full_name(_text(asked.args, "name")) in _PARAMS},
+    ),
+    "/rosapi/set_param": ("rosapi/SetParam", _no_params),
+    "/rosapi/delete_param": ("rosapi/DeleteParam", _no_params),
 }
+
+
+def check_args(name: str, args: Args) -> None:
+    """Raises RosError where a call of a service of that name says something that it does not take."""
+    kind = SERVICES[name].type if name in SERVICES else LOOKED_UP[name][0]
+    known = fields(f"{kind}Request")
+    unknown = next((field for field in args if field not in known), None)
+    if unknown is not None:
+        takes = ", ".join(known) or "nothing"
+        raise RosError(f"args: {kind} has no {unknown[:64]!r}; it takes {takes}")
 
 
 def look_up(name: str, asked: Asked) -> JsonObject:

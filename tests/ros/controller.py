@@ -40,6 +40,13 @@ look = {
     "types": [ros.get_topic_type(topic) for topic in ("/tf", "/rocker/torso/pose")],
     "nodes": ros.get_nodes(),
     "time": ros.get_time()["secs"],
+    "parameters": ros.get_params(),
+    "fields": ros.get_message_details("sensor_msgs/JointState")["typedefs"][0]["fieldnames"],
+    "takes": ros.get_service_request_details("gazebo_msgs/SpawnModel")["typedefs"][0]["fieldnames"],
+    "answers": ros.get_service_response_details("gazebo_msgs/SpawnModel")["typedefs"][0]["fieldnames"],
+    "of_type": ros.get_topics_for_type("sensor_msgs/JointState"),
+    "service": [ros.get_service_type("/reset"), ros.get_services_for_type("gazebo_msgs/SpawnModel")],
+    "node": ros.get_node_details("/nmes")["publishing"][:2],
     "simulated": Param(ros, "/use_sim_time").get(),
     "positions": [message["position"][0] for message in seen],
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import math
 import re
@@ -9,6 +10,7 @@ import shutil
 import subprocess
 import sys
 import time
+import weakref
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -28,6 +30,7 @@ from nmes.playback import replay
 from nmes.protocol import Limits
 from nmes.recording import Recording
 from nmes.ros import rosbridge_application
+from nmes.ros.definitions import fields
 from nmes.ros.messages import from_ros, ros_name, to_ros
 from processes import process, ready
 from servers import PASSWORD, PATIENCE, Served, served
@@ -154,6 +157,11 @@ def test_a_controller_with_roslibpy_drives_a_creature_and_all_of_it_replays(tmp_
     assert seen["topics"] == COMMON + OWN and seen["after"] == COMMON
     assert seen["types"] == ["tf2_msgs/TFMessage", "geometry_msgs/PoseStamped"]
     assert seen["nodes"] == ["/nmes"] and seen["time"] >= 1 and seen["simulated"] is True
+    assert seen["parameters"] == ["/use_sim_time"] and seen["node"] == ["/clock", "/tf"]
+    assert seen["fields"] == ["header", "name", "position", "velocity", "effort"]
+    assert seen["takes"][:2] == ["model_name", "model_xml"] and seen["answers"] == ["success", "status_message"]
+    assert seen["of_type"] == ["/joint_states", "/joint_command", "/rocker/joint_states", "/rocker/joint_command"]
+    assert seen["service"] == ["std_srvs/Empty", ["/spawn"]]
     assert max(seen["positions"]) > 0.3 and min(seen["positions"]) < -0.2  # it follows the wave
     recording = Path(told["recording"])
     assert replay(recording).verdict == "reproduced"
@@ -182,6 +190,9 @@ def test_a_controller_with_roslib_drives_a_creature(tmp_path: Path) -> None:
     assert controller.returncode == 0, controller.stderr
     seen = json.loads(controller.stdout)
     assert seen["spawned"]["success"] and seen["topics"]["topics"] == COMMON + OWN
+    assert seen["raw"] == seen["topics"]["topics"] and seen["publishers"] == ["/nmes"] and seen["actions"] == []
+    point = {"x": "float64", "y": "float64", "z": "float64"}
+    assert seen["decoded"]["pose"] == {"position": point, "orientation": {**point, "w": "float64"}}
     assert seen["states"]["name"] == ["shoulder"] and seen["states"]["position"][0] == pytest.approx(0.4, abs=0.05)
     assert seen["pose"]["position"]["x"] == pytest.approx(1, abs=0.1)
     assert seen["pose"]["position"]["y"] == pytest.approx(2, abs=0.1)
@@ -371,6 +382,12 @@ REFUSED = [
         "one number for each",
     ),
     ({"op": "set_level", "level": "loud"}, "level"),
+    ({"op": "subscribe", "topic": "/clock", "fragment_size": 100}, "fragment_size"),
+    ({"op": "subscribe", "topic": "/clock", "queue_length": "long"}, "queue_length"),
+    (
+        {"op": "publish", "topic": "/rocker/shoulder/command", "msg": {"data": 0.1, "speed": 3}},
+        "std_msgs/Float64 has no 'speed'; its fields are data",
+    ),
     ({"op": "fragment", "id": "1", "data": "{", "num": 0, "total": 2}, "not known here"),
 ]
 
@@ -405,6 +422,13 @@ def test_of_several_joints_the_first_that_cannot_be_set_is_told() -> None:
         ("/step", [1], "args"),
         ("/command", {"command": "{"}, "JSON"),
         ("/command", {"command": '{"type": "fly"}'}, "fly"),
+        ("/command", {"command": '{"type": "unsubscribe"}'}, "topics"),
+        ("/command", {"command": '{"type": "batch", "commands": [{"type": "subscribe"}]}'}, "topics"),
+        ("/step", {"tiks": 3}, "nmes_msgs/Step has no 'tiks'; it takes ticks"),
+        ("/rosapi/topics", {"of": "mine"}, "it takes nothing"),
+        ("/rosapi/message_details", {"type": "std_msgs/Everything"}, "nothing here is of type"),
+        ("/rosapi/service_request_details", {"type": "std_msgs/Float64"}, "nothing here is of type"),
+        ("/rosapi/set_param", {"name": "/use_sim_time", "value": "false"}, "no parameters here"),
         ("/rosapi/topic_type", {}, "topic"),
     ],
 )
@@ -423,6 +447,8 @@ def test_a_call_that_fails_says_why(robot: Peer, service: str, args: Any, why: s
         ({"initial_pose": {"orientation": {"x": 0.7, "w": 0.7}}}, "orientation"),
         ({"initial_pose": {"position": {"x": "far"}}}, "x is no number"),
         ({"initial_pose": 3}, "initial_pose"),
+        ({"robot_namespace": "/elsewhere"}, "robot_namespace"),
+        ({"reference_frame": "rocker/torso"}, "reference_frame"),
     ],
 )
 def test_a_creature_that_cannot_be_spawned_is_told_in_the_answer(robot: Peer, change: Any, why: str) -> None:
@@ -438,6 +464,122 @@ def test_levels_say_what_is_told(robot: Peer) -> None:
     assert (warning["level"], warning["id"]) == ("warning", 4)
     robot.say({"op": "set_level", "level": "none"}, {"op": "fly"})
     assert robot.silent()
+
+
+@pytest.mark.parametrize(
+    ("operation", "why"),
+    [
+        ({"op": "subscribe", "topic": "/clock", "queue_length": 10}, "queue_length: nothing is queued here"),
+        ({"op": "advertise", "topic": "/rocker/command", "type": "std_msgs/Float64MultiArray", "z": 1, "b": 2}, "b, z"),
+        ({"op": "unsubscribe", "topic": "/tf", "id": "other"}, "under that id"),
+        ({"op": "unsubscribe", "topic": "/clock"}, "do not listen"),
+    ],
+)
+def test_what_is_passed_over_is_told_as_a_warning(robot: Peer, operation: Any, why: str) -> None:
+    robot.say({"op": "subscribe", "topic": "/tf", "id": "mine"}, {"op": "set_level", "level": "warning"})
+    robot.say({"id": 5, **operation})
+    warning = robot.until(op="status")
+    assert warning["level"] == "warning" and why in warning["msg"]
+    assert warning["id"] == operation.get("id", 5)
+
+
+def test_a_world_that_stops_for_a_fault_tells_those_who_only_listen(server: Served) -> None:
+    with peer(door(server)) as client, server.peer() as other:
+        client.say({"op": "subscribe", "topic": "/clock"})
+        client.until(op="publish")
+        other.ask({"type": "spawn_cube", "cube_name": "a", "mass": 1e-6})
+        other.ask({"type": "apply_force", "cube_name": "a", "force": [1e15, 0, 0]})
+        assert other.ask({"type": "step", "ticks": 1000})["code"] == "world_faulted"
+        assert client.until(op="status", level="error")["msg"].startswith("world_fault: ")
+        assert client.call("/reset")["result"] is True
+
+
+def test_nothing_is_kept_of_a_world_that_is_closed(server: Served) -> None:
+    port = door(server)
+    with peer(port) as client:
+        spawn(client)
+        client.call("/rosapi/topics")
+        kept = server.call(lambda: weakref.ref(server.host.worlds["main"].world))
+        server.client().close_world("main")
+        with pytest.raises(ConnectionClosed):
+            while True:
+                client.hear()
+    deadline = time.monotonic() + PATIENCE
+    while kept() is not None and time.monotonic() < deadline:
+        server.call(gc.collect)
+        time.sleep(0.01)
+    assert kept() is None
+    with pytest.raises(ConnectionClosed), peer(port) as late:
+        late.call("/rosapi/topics")
+
+
+# -- types ---------------------------------------------------------------------------------------------------------
+
+
+def fits(value: Any, kind: str, array: bool = False) -> bool:
+    """Whether a value has the fields of a type of ROS, all of them and no more."""
+    if array:
+        return isinstance(value, list) and all(fits(each, kind) for each in value)
+    atoms = {"string": str, "bool": bool, "float64": float, "int32": int, "int64": int, "uint32": int}
+    if kind in atoms:
+        return isinstance(value, atoms[kind])
+    known = fields(kind)
+    return value.keys() == known.keys() and all(
+        fits(value[name], field.type, field.array) for name, field in known.items()
+    )
+
+
+def asked(client: Peer, service: str, args: Mapping[str, Any]) -> Any:
+    client.say({"op": "call_service", "service": service, "args": args, "id": "asked"})
+    return client.until(op="service_response", id="asked")
+
+
+def test_all_that_is_told_has_the_fields_of_its_type(robot: Peer) -> None:
+    names, types = robot.call("/rosapi/topics")["values"].values()
+    told = 0
+    for name, kind in zip(names, types, strict=True):
+        if robot.call("/rosapi/publishers", topic=name)["values"]["publishers"]:
+            robot.say({"op": "subscribe", "topic": name, "type": kind})
+            assert fits(robot.until(op="publish", topic=name)["msg"], kind), name
+            told += 1
+        else:
+            assert robot.call("/rosapi/subscribers", topic=name)["values"] == {"subscribers": ["/nmes"]}
+    assert told == 6 and len(names) == 10
+    arguments = {"topic": "/tf", "type": "sensor_msgs/JointState", "service": "/step", "node": "/nmes", "name": "/x"}
+    services = robot.call("/rosapi/services")["values"]["services"]
+    for service in (each for each in services if each.startswith("/rosapi/")):
+        kind = asked(robot, "/rosapi/service_type", {"service": service})["values"]["type"]
+        said = {name: arguments[name] for name in fields(f"{kind}Request") if name in arguments}
+        if kind.startswith("rosapi/Service") and "type" in said:
+            said["type"] = "gazebo_msgs/SpawnModel"
+        answer = asked(robot, service, said)
+        if service in ("/rosapi/set_param", "/rosapi/delete_param"):
+            assert answer["result"] is False
+            continue
+        values = answer["values"]
+        if kind == "rosapi/GetTime":  # as ROS 1 and ROS 2 write it, in one
+            assert values["time"].pop("sec") == 0 and values["time"].pop("nanosec") == 0
+        assert answer["result"] is True and fits(values, f"{kind}Response"), service
+
+
+def test_types_are_told_as_lists_of_fields_and_as_text(robot: Peer) -> None:
+    (clock, time_of) = robot.call("/rosapi/message_details", type="rosgraph_msgs/msg/Clock")["values"]["typedefs"]
+    assert clock == {
+        "type": "rosgraph_msgs/Clock", "fieldnames": ["clock"], "fieldtypes": ["time"], "fieldarraylen": [-1],
+        "examples": ["{}"], "constnames": [], "constvalues": [],
+    }  # fmt: skip
+    assert time_of["fieldnames"] == ["secs", "nsecs"]
+    request = robot.call("/rosapi/service_request_details", type="gazebo_msgs/SpawnModel")["values"]["typedefs"]
+    assert [each["type"] for each in request] == [
+        "gazebo_msgs/SpawnModelRequest", "geometry_msgs/Pose", "geometry_msgs/Point", "geometry_msgs/Quaternion",
+    ]  # fmt: skip
+    told = robot.call("/rosapi/topics_and_raw_types")["values"]
+    text = dict(zip(told["topics"], told["typedefs_full_text"], strict=True))["/tf"]
+    assert text.startswith("geometry_msgs/TransformStamped[] transforms\n")
+    assert re.findall("^MSG: (.*)$", text, re.MULTILINE) == [
+        "geometry_msgs/TransformStamped", "std_msgs/Header", "geometry_msgs/Transform", "geometry_msgs/Vector3",
+        "geometry_msgs/Quaternion",
+    ]  # fmt: skip
 
 
 # -- who may come --------------------------------------------------------------------------------------------------

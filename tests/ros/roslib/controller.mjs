@@ -26,5 +26,10 @@ const reached = new Promise((resolve) => {
 });
 await reached;
 const topics = await new Promise((resolve, reject) => ros.getTopics(resolve, reject));
-console.log(JSON.stringify({ spawned, topics, ...last }));
+const raw = await new Promise((resolve, reject) => ros.getTopicsAndRawTypes(resolve, reject));
+const types = await new Promise((resolve, reject) => ros.getMessageDetails("geometry_msgs/PoseStamped", resolve, reject));
+const decoded = ros.decodeTypeDefs(types);
+const publishers = await new Promise((resolve, reject) => pose.getPublishers(resolve, reject));
+const actions = await new Promise((resolve, reject) => ros.getActionServers(resolve, reject));
+console.log(JSON.stringify({ spawned, topics, raw: raw.topics, decoded, publishers, actions, ...last }));
 ros.close();
