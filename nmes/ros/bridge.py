@@ -6,12 +6,13 @@ recorded. What topics tell is read from the world itself, after its ticks, and r
 
 from __future__ import annotations
 
+import asyncio
 import logging
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Coroutine, Mapping
 from functools import partial
 from math import ceil
 from time import monotonic
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeVar
 from weakref import WeakKeyDictionary
 
 from starlette.applications import Starlette
@@ -26,7 +27,7 @@ from nmes.ros.graph import Graph, Views, full_name
 from nmes.ros.messages import RosError, plain_type
 from nmes.ros.services import LOOKED_UP, SERVICES, Asked, Service, check_args, look_up
 from nmes.schemas.documents import JsonObject, parse_json, write_json
-from nmes.server.connection import Connection
+from nmes.server.connection import LONG, Connection
 from nmes.server.host import Host
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.http import OwnPages
@@ -34,6 +35,9 @@ from nmes.server.websocket import Carrier, health
 from nmes.world import World
 
 __all__ = ["rosbridge_application"]
+
+A = TypeVar("A")
+T = TypeVar("T")
 
 logger = logging.getLogger(__name__)
 
@@ -175,11 +179,11 @@ class _Bridge(Carrier):
 
     # -- operations ------------------------------------------------------------------------------------------------
 
-    def hear(self, text: str) -> None:
+    async def hear(self, text: str) -> None:
         """Does what an operation says, and tells what cannot be done of it."""
         identity = None
         try:
-            said = parse_json(text.encode())
+            said = await self._read(parse_json, text.encode(), len(text))
             if not isinstance(said, dict):
                 raise RosError("an operation is a JSON object")
             identity = said.get("id")
@@ -193,9 +197,14 @@ class _Bridge(Carrier):
             if unknown := said.keys() - operation.fields:
                 listed = ", ".join(sorted(field[:64] for field in unknown)[:8])
                 self._status("warning", f"{said['op']} has no field {listed}: that is passed over", identity)
-            operation.does(self, said)
+            if (done := operation.does(self, said)) is not None:
+                await done
         except (RosError, RejectedMessage) as error:
             self._status("error", error.message, identity)
+
+    async def _read(self, reading: Callable[[A], T], what: A, size: int) -> T:
+        """Reads what the client says, in a thread if it is of a size (characters) that would keep others waiting."""
+        return reading(what) if size <= LONG else await asyncio.wrap_future(self._host.read(reading, what))
 
     def _status(self, level: str, text: str, identity: Any) -> None:
         if LEVELS.index(level) <= self._level:
@@ -301,7 +310,7 @@ class _Bridge(Carrier):
         elif graph is not None and (kind is None or full_name(topic) in graph.ambiguous):
             raise RosError(_missing(graph, topic, way))
 
-    def _call(self, said: JsonObject) -> None:
+    async def _call(self, said: JsonObject) -> None:
         name, args = full_name(_text(said, "service")), said.get("args", {})
         head = {"op": "service_response", "service": said["service"]}
         if said.get("id") is not None:
@@ -316,7 +325,8 @@ class _Bridge(Carrier):
             if service is not None or name in LOOKED_UP:
                 check_args(name, args)
             if service is not None:
-                self._command(service.command(args), partial(self._called, head, service))
+                size = max((len(each) for each in args.values() if isinstance(each, str)), default=0)
+                self._command(await self._read(service.command, args, size), partial(self._called, head, service))
             elif name in LOOKED_UP:
                 self._command({"type": "ping"}, partial(self._look_up, head, name, args))
             else:
@@ -424,11 +434,11 @@ def _missing(graph: Graph, topic: str, way: str) -> str:
 class _Operation(NamedTuple):
     """What an operation does, and the fields that are known of it."""
 
-    does: Callable[[_Bridge, JsonObject], None]
+    does: Callable[[_Bridge, JsonObject], Coroutine[Any, Any, None] | None]
     fields: frozenset[str]
 
 
-def _operation(does: Callable[[_Bridge, JsonObject], None], fields: str) -> _Operation:
+def _operation(does: Callable[[_Bridge, JsonObject], Coroutine[Any, Any, None] | None], fields: str) -> _Operation:
     return _Operation(does, frozenset(("op", "id", *fields.split())))
 
 

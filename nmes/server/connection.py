@@ -36,7 +36,7 @@ from nmes.server.threads import SLICE
 if TYPE_CHECKING:
     from nmes.server.reception import Reception
 
-__all__ = ["LINGER", "READ", "Connection"]
+__all__ = ["LINGER", "LONG", "READ", "Connection"]
 
 logger = logging.getLogger(__name__)
 
@@ -314,7 +314,7 @@ class Connection(asyncio.BufferedProtocol):
     def _read_in_thread(self, frame: bytes) -> None:
         """Reads the first frame of the backlog in a thread; what came behind it waits."""
         loop = asyncio.get_running_loop()
-        self._reading = reading = self._host.parse(self._session, frame)
+        self._reading = reading = self._host.read(self._session.parse, frame)
 
         def go_on() -> None:
             self._reading = None

@@ -11,14 +11,14 @@ import asyncio
 import logging
 import ssl
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Coroutine, Iterable, Mapping
+from collections.abc import Callable, Collection, Coroutine, Iterable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
 from time import monotonic
-from typing import Any
+from typing import Any, TypeVar
 
 from nmes.errors import NmesError, RejectedMessage, WorldError
-from nmes.protocol import Limits, Request, Session
+from nmes.protocol import Limits
 from nmes.server.access_log import AccessLog
 from nmes.server.catalog import DEFAULT, Catalog, Offer
 from nmes.server.connection import LINGER, READ, Connection
@@ -29,6 +29,9 @@ from nmes.server.keys import Keys
 from nmes.server.probes import Probes
 
 __all__ = ["Reception", "drain", "spawn"]
+
+A = TypeVar("A")
+T = TypeVar("T")
 
 logger = logging.getLogger(__name__)
 
@@ -288,9 +291,9 @@ class Reception(ABC):
         self._inside.discard(connection)
         self._door.forget(connection)
 
-    def parse(self, session: Session, frame: bytes) -> Future[Request]:
-        """Reads a frame of a session in a thread."""
-        return self._reader.submit(session.parse, frame)
+    def read(self, reading: Callable[[A], T], what: A) -> Future[T]:
+        """Has something long that a peer says read in a thread."""
+        return self._reader.submit(reading, what)
 
     async def listen(self, host: str, port: int, world: str | None = None) -> tuple[str, int]:
         """Listens on an address.

@@ -126,13 +126,13 @@ class Carrier(asyncio.Transport):
                 self._code = NO_TEXT
                 connection.hang_up(RejectedMessage("bad_frame", "a message is a text frame of the WebSocket"))
             else:
-                self.hear(text)
+                await self.hear(text)
 
     def begin(self) -> None:
         """Is called before anything is read."""
 
-    def hear(self, text: str) -> None:
-        """Takes in what the peer says."""
+    async def hear(self, text: str) -> None:
+        """Takes in what the peer says; he is read no further before that is done."""
         self.feed(self._with_password(text).encode())
 
     def tell(self, frame: bytes) -> None:

@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+import threading
 import time
 import weakref
 from collections.abc import Iterator, Mapping
@@ -32,6 +33,8 @@ from nmes.recording import Recording
 from nmes.ros import rosbridge_application
 from nmes.ros.definitions import fields
 from nmes.ros.messages import from_ros, ros_name, to_ros
+from nmes.schemas.documents import parse_json
+from nmes.server.connection import LONG
 from processes import process, ready
 from servers import PASSWORD, PATIENCE, Served, served
 
@@ -646,6 +649,27 @@ def test_one_who_only_asks_is_read_no_further_than_he_reads() -> None:
         with pytest.raises((TimeoutError, ConnectionClosed)):
             for _ in range(100_000):  # 40 MB
                 client.say(call)
+
+
+def test_what_is_long_is_read_in_a_thread_and_in_its_turn(robot: Peer, monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[tuple[bool, bool]] = []  # whether it was long, and whether in a thread of readers
+
+    def noting(text: bytes) -> Any:
+        read.append((len(text) > LONG, threading.current_thread().name.startswith("nmes-reader")))
+        return parse_json(text)
+
+    monkeypatch.setattr("nmes.ros.bridge.parse_json", noting)
+    monkeypatch.setattr("nmes.ros.services.parse_json", noting)
+    long = json.dumps({"type": "set_joint_param", "joint_name": "rocker.shoulder", "param_name": "target_position"})
+    for number in range(10):  # each long one before a short one
+        command = long.replace("}", f', "value": {number / 20}}}') + " " * LONG
+        robot.say({"op": "call_service", "service": "/command", "args": {"command": command}, "id": number})
+        robot.say({"op": "publish", "topic": "/rocker/shoulder/command", "msg": {"data": -number / 20}})
+    assert robot.call("/command", command='{"type": "ping"}' + " " * LONG)["result"] is True
+    joint = robot.command(type="get_joint_info", joint_name="rocker.shoulder")
+    assert joint["params"]["target_position"] == -0.45
+    assert read.count((True, True)) == 22 and (True, False) not in read and (False, True) not in read
+    assert "more than" in robot.error('{"op": "fly", "a": [' + "[]," * 70_000 + "0]}")
 
 
 values = st.recursive(
