@@ -32,7 +32,6 @@ from nmes.server.host import Host
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.http import OwnPages
 from nmes.server.websocket import Carrier, health
-from nmes.world import World
 
 __all__ = ["rosbridge_application"]
 
@@ -102,12 +101,14 @@ class _Subscription:
 
     Attributes:
         rates: How long (s of the world's time) is at least between two messages, by the subscription's id.
+        pause: The shortest of them, s.
         ros2: Whether times are written as in ROS 2.
         due: The frame at which the next message is due.
     """
 
     def __init__(self) -> None:
         self.rates: dict[str, float] = {}
+        self.pause = 0.0
         self.ros2 = False
         self.due = 0
 
@@ -183,7 +184,8 @@ class _Bridge(Carrier):
         """Does what an operation says, and tells what cannot be done of it."""
         identity = None
         try:
-            said = await self._read(parse_json, text.encode(), len(text))
+            data = text.encode()
+            said = parse_json(data) if len(data) <= LONG else await self._read(parse_json, data)
             if not isinstance(said, dict):
                 raise RosError("an operation is a JSON object")
             identity = said.get("id")
@@ -194,17 +196,17 @@ class _Bridge(Carrier):
                 raise RosError(
                     f"op: {str(said.get('op'))[:64]!r} is not known here; known are {', '.join(_OPERATIONS)}"
                 )
-            if unknown := said.keys() - operation.fields:
-                listed = ", ".join(sorted(field[:64] for field in unknown)[:8])
+            if not said.keys() <= operation.fields:
+                listed = ", ".join(sorted(field[:64] for field in said.keys() - operation.fields)[:8])
                 self._status("warning", f"{said['op']} has no field {listed}: that is passed over", identity)
             if (done := operation.does(self, said)) is not None:
                 await done
         except (RosError, RejectedMessage) as error:
             self._status("error", error.message, identity)
 
-    async def _read(self, reading: Callable[[A], T], what: A, size: int) -> T:
-        """Reads what the client says, in a thread if it is of a size (characters) that would keep others waiting."""
-        return reading(what) if size <= LONG else await asyncio.wrap_future(self._host.read(reading, what))
+    async def _read(self, reading: Callable[[A], T], what: A) -> T:
+        """Reads something long in a thread, as it would keep others waiting."""
+        return await asyncio.wrap_future(self._host.read(reading, what))
 
     def _status(self, level: str, text: str, identity: Any) -> None:
         if LEVELS.index(level) <= self._level:
@@ -241,9 +243,10 @@ class _Bridge(Carrier):
         known = graph.find(topic)
         if known is None or known.hear is None:
             raise RosError(_missing(graph, topic, "hear"))
-        if unknown := message.keys() - fields(known.type).keys():
-            has = ", ".join(fields(known.type))
-            raise RosError(f"msg: {known.type} has no {min(unknown)[:64]!r}; its fields are {has}")
+        has = fields(known.type)
+        if not message.keys() <= has.keys():
+            unknown = min(message.keys() - has.keys())
+            raise RosError(f"msg: {known.type} has no {unknown[:64]!r}; its fields are {', '.join(has)}")
         self._command(known.hear(message), partial(self._said, topic, said.get("id")))
 
     def _said(self, topic: str, identity: Any, reply: JsonObject) -> None:
@@ -270,6 +273,7 @@ class _Bridge(Carrier):
             raise RosError(f"you have {MOST_TOPICS:,} subscriptions, which is the most")
         subscription = self._topics.setdefault(topic, _Subscription())
         subscription.rates[identity] = rate / 1000.0
+        subscription.pause = min(subscription.rates.values())
         subscription.ros2 |= ros2
         if queue > 1:
             told = f"queue_length: nothing is queued here; after a pause you are told what {topic} tells then"
@@ -292,7 +296,9 @@ class _Bridge(Carrier):
             subscription.rates.clear()
         elif subscription.rates.pop(str(said["id"]), None) is None:
             self._status("warning", f"you do not listen to {topic} under that id", said["id"])
-        if not subscription.rates:
+        if subscription.rates:
+            subscription.pause = min(subscription.rates.values())
+        else:
             del self._topics[topic]
         if not self._topics:
             self._command({"type": "unsubscribe"}, lambda _: None)
@@ -325,8 +331,9 @@ class _Bridge(Carrier):
             if service is not None or name in LOOKED_UP:
                 check_args(name, args)
             if service is not None:
-                size = max((len(each) for each in args.values() if isinstance(each, str)), default=0)
-                self._command(await self._read(service.command, args, size), partial(self._called, head, service))
+                long = any(len(each) > LONG for each in args.values() if isinstance(each, str))
+                command = await self._read(service.command, args) if long else service.command(args)
+                self._command(command, partial(self._called, head, service))
             elif name in LOOKED_UP:
                 self._command({"type": "ping"}, partial(self._look_up, head, name, args))
             else:
@@ -372,11 +379,13 @@ class _Bridge(Carrier):
         if self._is_behind():
             return
         world = hosted.world
+        frame, rate = world.frame, world.config["tick_rate"]
         for topic, subscription in self._topics.items():
-            if not subscription.due - self._interval(subscription, world) <= world.frame < subscription.due:
+            ticks = max(1, ceil(subscription.pause * rate - 1e-6))  # from a message to the next
+            if not subscription.due - ticks <= frame < subscription.due:
                 text = self._views.text(world, topic, subscription.ros2)
                 if text is not None:
-                    subscription.due = world.frame + self._interval(subscription, world)
+                    subscription.due = frame + ticks
                     self.say(text)
 
     def _is_behind(self) -> bool:
@@ -400,11 +409,6 @@ class _Bridge(Carrier):
         except Exception:
             logger.exception("a client of rosbridge cannot be told what world %r does", self._name)
             self.abort()
-
-    def _interval(self, subscription: _Subscription, world: World) -> int:
-        """Returns how many ticks are between two messages."""
-        rate: float = world.config["tick_rate"]
-        return max(1, ceil(min(subscription.rates.values()) * rate - 1e-6))
 
 
 def _text(said: Mapping[str, Any], field: str) -> str:

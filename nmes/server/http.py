@@ -219,11 +219,16 @@ class _Http(H11Protocol):
 
 
 class _Socket(WebSocketsSansIOProtocol):
-    """One WebSocket, whose application may see its socket too, and which is read in pieces."""
+    """One WebSocket, whose application may see its socket too, and which is read in pieces.
+
+    What comes before the application has taken what came before waits, and nothing more is read then. By itself uvicorn
+    stops reading after each message and begins again, which takes two calls of the system and as long as to parse it.
+    """
 
     def __init__(self, *args: Any, **options: Any) -> None:
         super().__init__(*args, **options)
         self._unread = bytearray()  # what came and waits for its turn; nothing more is read from the socket meanwhile
+        self.read_paused = True  # as uvicorn takes it, who leaves reading alone then
 
     def handle_connect(self, event: Request) -> None:
         super().handle_connect(event)
@@ -236,30 +241,36 @@ class _Socket(WebSocketsSansIOProtocol):
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        if len(data) <= PIECE and not self._unread:
+        if len(data) <= PIECE and not self._unread and self._wanted:
             super().data_received(data)
         else:
             self._unread += data
-            self._read_piece()
+            self._read_on()
 
     async def receive(self) -> Any:
         message = await super().receive()
-        self._read_on()
+        self.read_paused = True
+        if self._unread:
+            self._read_on()
         return message
+
+    @property
+    def _wanted(self) -> bool:
+        """Whether the application waits for more, or for nothing but the end, which is to be read then."""
+        return self.queue.empty() or self.close_sent
+
+    def _read_on(self) -> None:
+        """Reads the next piece when others have had their turn; nothing else is read before all pieces are."""
+        if self._unread:
+            self.transport.pause_reading()
+            if self._wanted:
+                self.loop.call_soon(self._read_piece)
+        else:
+            self.transport.resume_reading()
 
     def _read_piece(self) -> None:
         piece = bytes(self._unread[:PIECE])
         del self._unread[:PIECE]
         if piece:
             super().data_received(piece)
-        self._read_on()
-
-    def _read_on(self) -> None:
-        """Has the next piece read when others have had their turn, if the application waits for it."""
-        if not self._unread:
-            if not self.read_paused:
-                self.transport.resume_reading()
-            return
-        self.transport.pause_reading()
-        if self.queue.empty():
-            self.loop.call_soon(self._read_piece)
+            self._read_on()

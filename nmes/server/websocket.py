@@ -114,7 +114,8 @@ class Carrier(asyncio.Transport):
         """
         until = monotonic() + SLICE
         while True:
-            await self._reads.wait()
+            if not self._reads.is_set():
+                await self._reads.wait()
             if monotonic() >= until:
                 await asyncio.sleep(0)
                 until = monotonic() + SLICE
