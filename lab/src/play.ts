@@ -1,6 +1,6 @@
 /** A creature put into a world of its own, and that world watched: what Build, Evolve and Lessons end with. */
-import type { Client } from "nmes-client";
-import { ApiError, socketUrl } from "./api.js";
+import type { Client, Command as Message } from "nmes-client";
+import { ApiError, part, post, socketUrl } from "./api.js";
 import { done } from "./command.js";
 import { Link } from "./connection.js";
 import type { Genome } from "./creature/genome.js";
@@ -54,6 +54,39 @@ export async function release({ world, name, genome, template, target, asleep = 
   } finally {
     leaving.abort();
   }
+}
+
+/** A candidate of a run in a world like that of its task, which is made anew for it. */
+export interface Staged {
+  readonly world: string;
+  readonly creature: string;
+  readonly task: string;
+  readonly seed: number;
+  readonly command: string;
+}
+
+/** Puts a candidate of a run into a world of its task, driven by its own brain. */
+export async function stage(world: string, run: string, candidate: number | "best"): Promise<Staged> {
+  const closing = { type: "auth", close: world };
+  try {
+    await askHost({ close: world });
+    done({ message: closing });
+  } catch (error) {
+    if (!(error instanceof ApiError && error.code === "world_not_found")) throw error;
+  }
+  const staged = await post<Staged & { readonly commands: readonly Message[] }>(`/runs/${part(run)}/candidates/${candidate}/world`, { world });
+  const leaving = new AbortController();
+  const visit = new Visit(world, leaving.signal);
+  try {
+    for (const message of staged.commands) {
+      await visit.request(message);
+      done({ world, message });
+    }
+  } finally {
+    leaving.abort();
+  }
+  done(staged.command);
+  return staged;
 }
 
 /** A name for a world, made of one that a person chose. */

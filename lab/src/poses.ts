@@ -26,6 +26,8 @@ export interface Scenery {
   readonly boxes?: readonly { size: readonly number[]; position: readonly number[]; quaternion: readonly number[]; shape?: string }[];
   readonly planets?: readonly { position: readonly number[]; radius: number }[];
   readonly food?: readonly (readonly number[])[];
+  /** What all is in, kg/m3, up to its level, m; without one everywhere. */
+  readonly medium?: { readonly density: number; readonly level: number | null };
   readonly landscape?: { readonly size: readonly number[]; readonly heights: readonly (readonly number[])[] } | null;
 }
 

@@ -5,7 +5,7 @@
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { h } from "./dom.js";
-import { type Contact, type Frame, STRIDE, type Scene, type SceneCube, type Scenery } from "./poses.js";
+import { type Contact, type Frame, STRIDE, type Scene, type SceneCube } from "./poses.js";
 import { color, onTheme } from "./theme.js";
 
 export type Point = readonly [number, number, number];
@@ -42,6 +42,7 @@ const LIGHT = new THREE.Vector3(0.45, 1, 0.35); // where the sun stands
 /** What lays all flat on the ground, away from the sun. */
 const FLAT = new THREE.Matrix4().set(1, -LIGHT.x / LIGHT.y, 0, 0, 0, 0, 0, 0.002, 0, -LIGHT.z / LIGHT.y, 1, 0, 0, 0, 0, 1);
 const HALF_TURN = Math.PI;
+const WATERY = 100; // kg/m3 from which on a medium is seen
 const SLOW = 30; // ms between two drawings from which on there are fewer pixels
 const FEWEST = 0.5; // pixels of the picture for one of the page, along a side
 
@@ -144,7 +145,7 @@ export class Stage {
       const [red = 0.8, green = 0.8, blue = 0.8] = scene.cubes[cube]?.color ?? [];
       this.meshes.get(kind)?.setColorAt(instance, new THREE.Color().setRGB(red, green, blue, THREE.SRGBColorSpace));
     }
-    this.furnish(scene.scenery ?? { ground: true });
+    this.furnish(scene);
     this.request();
   }
 
@@ -291,17 +292,22 @@ export class Stage {
 
   /** Takes the theme's colours. */
   private paint(): void {
-    const background = new THREE.Color(color("stage"));
-    this.scene.background = background;
-    this.scene.fog = new THREE.Fog(background, 25, 160);
+    this.air("stage");
     this.outline.material = new THREE.LineBasicMaterial({ color: color("accent"), depthTest: false });
     this.axes.material = new THREE.LineBasicMaterial({ color: color("joint"), depthTest: false });
     this.forces.material = new THREE.LineBasicMaterial({ color: color("contact"), depthTest: false });
     this.rope.material = new THREE.LineBasicMaterial({ color: color("accent"), depthTest: false });
     if (this.described !== undefined) {
-      this.furnish(this.described.scenery ?? { ground: true });
+      this.furnish(this.described);
     }
     this.request();
+  }
+
+  /** Takes a colour for what is far away. */
+  private air(name: string): void {
+    const background = new THREE.Color(color(name));
+    this.scene.background = background;
+    this.scene.fog = new THREE.Fog(background, 25, 160);
   }
 
   /** The shadows of a mesh's bodies on level ground, each place darkened once. */
@@ -324,7 +330,8 @@ export class Stage {
   }
 
   /** Puts up what never moves. */
-  private furnish({ ground = true, boxes = [], planets = [], landscape = null, food = [] }: Scenery): void {
+  private furnish({ scenery = { ground: true }, creatures = [] }: Scene): void {
+    const { ground = true, boxes = [], planets = [], landscape = null, food = [], medium } = scenery;
     for (const child of [...this.fixed.children]) {
       this.fixed.remove(child);
       if (child instanceof THREE.Mesh) {
@@ -338,9 +345,9 @@ export class Stage {
       mesh.children.forEach((child) => (child.visible = this.shaded));
     }
     if (landscape !== null) {
-      put(heightfield(landscape, material));
+      put(heightfield(landscape));
     } else if (ground) {
-      const plane = new THREE.Mesh(new THREE.PlaneGeometry(400, 400), new THREE.MeshBasicMaterial({ map: grid() }));
+      const plane = new THREE.Mesh(new THREE.PlaneGeometry(400, 400), new THREE.MeshBasicMaterial({ map: grid(400, 400) }));
       plane.rotation.x = -HALF_TURN / 2;
       this.fixed.add(plane);
     }
@@ -355,6 +362,22 @@ export class Stage {
       const mesh = new THREE.Mesh(new THREE.SphereGeometry(radius, 48, 32), material);
       mesh.position.fromArray(position);
       put(mesh);
+    }
+    this.air(medium !== undefined && medium.level === null && medium.density > WATERY ? "deep" : "stage");
+    if (medium !== undefined && medium.level !== null) {
+      const surface = new THREE.MeshBasicMaterial({ color: color("water"), transparent: true, opacity: 0.45, side: THREE.DoubleSide, depthWrite: false });
+      const plane = new THREE.Mesh(new THREE.PlaneGeometry(400, 400), surface);
+      plane.rotation.x = -HALF_TURN / 2;
+      plane.position.y = medium.level;
+      put(plane);
+    }
+    for (const { target } of creatures) {
+      if (Array.isArray(target)) {
+        const mark = new THREE.Mesh(new THREE.TorusGeometry(0.25, 0.04, 8, 24), new THREE.MeshBasicMaterial({ color: color("accent") }));
+        mark.rotation.x = HALF_TURN / 2;
+        mark.position.fromArray(target as number[]);
+        put(mark);
+      }
     }
     if (food.length > 0) {
       const dots = new THREE.InstancedMesh(new THREE.SphereGeometry(0.12, 10, 8), new THREE.MeshLambertMaterial({ color: color("good") }), food.length);
@@ -534,7 +557,7 @@ function replace(lines: THREE.Line | THREE.LineSegments, points: readonly number
 }
 
 /** A landscape: heights in rows along z, columns along x. */
-function heightfield({ size, heights }: { size: readonly number[]; heights: readonly (readonly number[])[] }, material: THREE.Material): THREE.Mesh {
+function heightfield({ size, heights }: { size: readonly number[]; heights: readonly (readonly number[])[] }): THREE.Mesh {
   const rows = heights.length;
   const columns = heights[0]?.length ?? 0;
   const [width = 1, depth = width] = size;
@@ -547,7 +570,7 @@ function heightfield({ size, heights }: { size: readonly number[]; heights: read
     }
   }
   geometry.computeVertexNormals();
-  return new THREE.Mesh(geometry, material);
+  return new THREE.Mesh(geometry, new THREE.MeshLambertMaterial({ map: grid(width, depth) }));
 }
 
 let edges: THREE.CanvasTexture | undefined;
@@ -563,8 +586,8 @@ function edged(): THREE.Texture {
   }));
 }
 
-/** The ground: a line each metre, a stronger one each ten. */
-function grid(): THREE.Texture {
+/** The ground of so many metres: a line each metre, a stronger one each ten. */
+function grid(width: number, depth: number): THREE.Texture {
   const drawing = texture(512, (context) => {
     context.fillStyle = color("ground");
     context.fillRect(0, 0, 512, 512);
@@ -580,7 +603,7 @@ function grid(): THREE.Texture {
     }
   });
   drawing.wrapS = drawing.wrapT = THREE.RepeatWrapping;
-  drawing.repeat.set(40, 40);
+  drawing.repeat.set(width / 10, depth / 10);
   drawing.anisotropy = SOFTWARE ? 1 : 8;
   return drawing;
 }

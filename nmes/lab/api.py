@@ -24,9 +24,10 @@ from nmes.evolution.algorithms import ALGORITHMS
 from nmes.genome import Genome
 from nmes.lab.folder import Folder, LabError
 from nmes.lab.genomes import checked, mutated
-from nmes.lab.lab import Lab
+from nmes.lab.lab import KEYFRAMES, Lab
 from nmes.lab.recordings import about_recording
 from nmes.lab.runs import about_run, begin_command, candidate, genome_source, resume_command, task_source
+from nmes.lab.staging import stage
 from nmes.recording import Recording
 from nmes.schemas.documents import JsonObject, parse_document, write_json
 
@@ -53,6 +54,7 @@ ROUTES: Final = {
     ("POST", "/api/runs/{name}/pause"): "pause_run",
     ("POST", "/api/runs/{name}/resume"): "resume_run",
     ("GET", "/api/runs/{name}/candidates/{number}/genome"): "candidate",
+    ("POST", "/api/runs/{name}/candidates/{number}/world"): "stage",
     ("GET", "/api/recordings"): "recordings",
     ("GET", "/api/recordings/{name}"): "recording",
     ("GET", "/api/recordings/{name}/file"): "recording_file",
@@ -245,6 +247,14 @@ class _Api:
     async def candidate(self, request: Request) -> JsonObject:
         name, number = request.path_params["name"], request.path_params["number"]
         return await self._lab.do(candidate, self._folder, name, number)
+
+    async def stage(self, request: Request) -> JsonObject:
+        asked = await _object(request)
+        name, number = request.path_params["name"], request.path_params["number"]
+        staging = await self._lab.do(stage, self._folder, name, number, asked.get("world"), asked.get("seed"))
+        await self._lab.host.create({**staging.config, **KEYFRAMES})
+        told = staging._asdict()
+        return {"world": told.pop("config")["name"], **told}
 
     async def score(self, request: Request) -> JsonObject:
         asked = await _object(request)

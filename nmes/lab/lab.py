@@ -15,10 +15,11 @@ from nmes.schemas.documents import ShippedDocuments, parse_document
 from nmes.server import Host
 from nmes.server.catalog import DEFAULT, Catalog
 
-__all__ = ["Lab", "open_lab"]
+__all__ = ["KEYFRAMES", "Lab", "open_lab"]
 
 _THREADS: Final = 2  # that answer what takes a while
-_KEYFRAMES: Final = {"keyframes": 10.0}  # s: so that recordings can be scrubbed
+KEYFRAMES: Final = {"keyframes": 10.0}
+"""Of the config of each world of a lab, s: so that recordings can be scrubbed."""
 _WORLDS: Final = ShippedDocuments("world config", "nmes.world", "shipped")
 
 T = TypeVar("T")
@@ -70,14 +71,14 @@ async def open_lab(folder: Folder, password: str, most_jobs: int) -> AsyncIterat
         password: What opens its worlds.
         most_jobs: How many commands may run at once.
     """
-    templates = {DEFAULT: _KEYFRAMES}
+    templates = {DEFAULT: KEYFRAMES}
     for name in _WORLDS.names():
-        templates[name] = {**_KEYFRAMES, **parse_document(_WORLDS.read(name))}
+        templates[name] = {**KEYFRAMES, **parse_document(_WORLDS.read(name))}
     host = Host(password, catalog=Catalog(templates), record_to=folder.path / "recordings", hibernate_after=60.0)
     lab = Lab(folder, host, list(templates), most_jobs)
     try:
         async with host:
-            host.offer({**_KEYFRAMES, "name": "main"})
+            host.offer({**KEYFRAMES, "name": "main"})
             try:
                 yield lab
             finally:

@@ -20,7 +20,16 @@ from nmes.schemas.documents import JsonObject, parse_document, write_json
 from nmes.view.learning_page import to_json as learning_json
 from nmes.view.run_summary import RunSummary
 
-__all__ = ["about_run", "begin_command", "candidate", "genome_source", "resume_command", "task_source"]
+__all__ = [
+    "about_run",
+    "begin_command",
+    "candidate",
+    "candidate_index",
+    "genome_source",
+    "is_learning",
+    "resume_command",
+    "task_source",
+]
 
 _LEARNING: Final = "nmes-learning/1"
 _LINEAGE: Final = 500  # ancestors that are told
@@ -125,10 +134,15 @@ def resume_command(folder: Folder, name: str) -> list[str]:
         LabError: There is none.
     """
     path = folder.find("runs", name)
-    return ["learn" if _is_learning(path) else "evolve", "resume", str(path), "--json"]
+    return ["learn" if is_learning(path) else "evolve", "resume", str(path), "--json"]
 
 
-def _is_learning(path: Path) -> bool:
+def is_learning(path: Path) -> bool:
+    """Whether a run is one of learning.
+
+    Raises:
+        LabError: There is none.
+    """
     try:
         settings = read_settings(path / SETTINGS)
     except OSError as error:
@@ -144,7 +158,7 @@ def about_run(folder: Folder, name: str) -> JsonObject:
         RunError: It is damaged.
     """
     path = folder.find("runs", name)
-    if _is_learning(path):
+    if is_learning(path):
         return {"kind": "learn", **learning_json(LearningRun.open(path))}
     run = Run.open(path)
     summary = RunSummary(run)
@@ -191,15 +205,27 @@ def candidate(folder: Folder, name: str, number: str) -> JsonObject:
         LabError: There is none.
         RunError: It is damaged.
     """
+    index, path = candidate_index(folder, name, number), folder.find("runs", name)
+    if is_learning(path):
+        return dict(Genome.load(path / "genome.json").document)
+    return dict(Run.open(path).genome(index).document)
+
+
+def candidate_index(folder: Folder, name: str, number: str) -> int:
+    """Returns the index of a candidate, as for `candidate`; of the best of a run of learning 0.
+
+    Raises:
+        LabError: There is none.
+        RunError: The run is damaged.
+    """
     path = folder.find("runs", name)
-    if _is_learning(path):
-        file = path / "genome.json"
-        if number != "best" or not file.is_file():
+    if is_learning(path):
+        if number != "best" or not (path / "genome.json").is_file():
             raise LabError("not_found", "a run of learning has its best alone, once there is one", "candidate")
-        return dict(Genome.load(file).document)
+        return 0
     run = Run.open(path)
     best = run.best
     index = best.index if number == "best" and best is not None else int(number) if number.isdecimal() else -1
     if not 0 <= index < len(run):
         raise LabError("not_found", f"the run has no candidate {number}", "candidate")
-    return dict(run.genome(index).document)
+    return index

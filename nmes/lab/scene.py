@@ -74,6 +74,8 @@ def _scenery(world: World) -> JsonObject:
     scenery: dict[str, Any] = {"ground": spec.ground, "boxes": boxes, "landscape": None}
     scenery["planets"] = [{"position": planet.position, "radius": planet.radius} for planet in spec.planets]
     scenery["food"] = world.entities.food.tolist()
+    if spec.medium is not None:
+        scenery["medium"] = {"density": spec.medium.density, "level": spec.medium.level}
     if spec.heightfield is not None:
         heights = spec.heightfield.heights
         rows, columns = (np.linspace(0, count - 1, min(count, _FINEST)).round().astype(int) for count in heights.shape)

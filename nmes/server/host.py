@@ -228,8 +228,23 @@ class Host(Reception):
         last = await asyncio.to_thread(lambda: recording.last_frame)
         if frame is not None and frame > last:
             raise RecordingError("no_such_frame", f"{recording.path} ends at frame {last}; it has no frame {frame}")
-        self.offer({**recording.config, "name": name})
-        self._origins[name] = Origin(recording, last if frame is None else frame)
+        return await self.create(
+            {**recording.config, "name": name}, Origin(recording, last if frame is None else frame)
+        )
+
+    async def create(self, config: Mapping[str, Any], origin: Origin | None = None) -> HostedWorld:
+        """Creates a world and hosts it, as `add`; made in a thread.
+
+        Args:
+            config: Its config.
+            origin: Where it goes on from; None: it is new.
+
+        Raises:
+            RejectedMessage, WorldError: As `offer`; or it cannot be created (`world_unavailable`).
+        """
+        name = self.offer(config)
+        if origin is not None:
+            self._origins[name] = origin
         failure = await self.open(name)
         if failure is not None:
             self._forget(name)

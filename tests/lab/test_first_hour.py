@@ -96,9 +96,9 @@ def watch(person: Person, lab: Lab, world: str) -> float:
     stage.wait_for()
     with nmes.Client(port=lab.host_port, password=PASSWORD, world=world) as client:
         page.wait_for_function("() => Number(document.querySelector('.watched .stage')?.dataset.drawn) > 5")
-        first, before = stage.screenshot(), client.get_cube_state("it.trunk")["position"][0]
+        first, before = stage.screenshot(), client.get_cube_state("creature.trunk")["position"][0]
         page.wait_for_timeout(4000)
-        last, after = stage.screenshot(), client.get_cube_state("it.trunk")["position"][0]
+        last, after = stage.screenshot(), client.get_cube_state("creature.trunk")["position"][0]
     assert first != last, "the picture stands still"
     return float(after - before)
 

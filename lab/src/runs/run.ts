@@ -6,7 +6,7 @@ import { portrait } from "../creature/portrait.js";
 import { type Child, fill, h } from "../dom.js";
 import type { Job } from "../jobs.js";
 import { isRun } from "../names.js";
-import { release, watch, worldName } from "../play.js";
+import { stage, watch, worldName } from "../play.js";
 import { address, announce, failure, heading, loading, notify, type View } from "../shell.js";
 import { Curve, heatMap, lineage, worded } from "./charts.js";
 import type { Measure, Relative } from "./places.js";
@@ -220,9 +220,9 @@ export class RunView {
     this.#stage.hidden = false;
     fill(this.#stage, h("h2", {}, title), loading("the world"));
     try {
-      await release({ world, name: "it", genome: await this.#genome(candidate) });
+      const { creature, task, seed } = await stage(world, this.name, candidate);
       if (signal.aborted) return;
-      fill(this.#stage, h("h2", {}, title), watch(world, "it", signal),
+      fill(this.#stage, h("h2", {}, title), h("p", { class: "soft" }, `In the world of ${task}, as seed ${seed} draws it.`), watch(world, creature, signal),
         h("div", { class: "actions" }, action({ label: "From the start", icon: "reset", run: () => this.#watch(this.#chosen) }), h("a", { class: "button", href: address("worlds", world) }, "Open its world"),
           ...(candidate === "best" ? [] : this.#keeping(candidate))));
       this.#stage.scrollIntoView({ block: "nearest", behavior: "smooth" });
