@@ -59,6 +59,7 @@ ROUTES: Final = {
     ("GET", "/api/recordings/{name}"): "recording",
     ("GET", "/api/recordings/{name}/file"): "recording_file",
     ("POST", "/api/recordings/{name}/replay"): "replay",
+    ("POST", "/api/recordings/{name}/diff"): "diff",
     ("POST", "/api/recordings/{name}/fork"): "fork",
     ("POST", "/api/scores"): "score",
     ("GET", "/api/leaderboards"): "leaderboards",
@@ -278,6 +279,13 @@ class _Api:
     async def replay(self, request: Request) -> JsonObject:
         path = self._folder.find("recordings", request.path_params["name"])
         return await self._start(["replay", str(path), "--json"])
+
+    async def diff(self, request: Request) -> JsonObject:
+        other = (await _object(request)).get("other")
+        if not isinstance(other, str):
+            raise LabError("invalid", "a recording is compared with another, by its name", "other")
+        paths = [self._folder.find("recordings", name) for name in (request.path_params["name"], other)]
+        return await self._start(["diff", *map(str, paths), "--json"])
 
     async def fork(self, request: Request) -> JsonObject:
         path = self._folder.find("recordings", request.path_params["name"])

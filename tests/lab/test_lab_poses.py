@@ -171,6 +171,11 @@ def test_a_recording_is_shown_at_any_moment_and_a_world_goes_on_from_there(lab: 
     assert lab.ask(f"/api/recordings/{name}/file")[1][:8] == b"\x89MCAP0\r\n"
     verdict = lab.ended(lab.good(f"/api/recordings/{name}/replay", {})["id"])
     assert verdict["result"]["verdict"] == "reproduced" and verdict["command"].startswith("nmes replay ")
+    (fork,) = (each["name"] for each in lab.good("/api/recordings?name=again")["items"])
+    difference = lab.ended(lab.good(f"/api/recordings/{name}/diff", {"other": fork})["id"])
+    assert difference["command"].startswith("nmes diff ") and difference["result"]["states"] is None
+    for other, status in ((None, 422), (["x"], 422), ("none", 404), ("../x", 400)):
+        assert lab.ask(f"/api/recordings/{name}/diff", {"other": other})[0] == status
 
 
 def test_a_lab_ends_well_while_pages_are_open(tmp_path: Path) -> None:

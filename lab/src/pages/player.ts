@@ -18,7 +18,7 @@ interface Mark {
   readonly client?: number;
 }
 
-interface About {
+export interface About {
   readonly world: string;
   readonly backend: string;
   readonly seed: number;
@@ -42,7 +42,7 @@ interface Verdict {
   readonly divergence?: { readonly frame?: number; readonly message?: string } | null;
 }
 
-const SPEEDS = ["0.1", "0.25", "0.5", "1", "2", "4", "8"].map((speed) => [speed, `${speed} ×`] as const);
+export const SPEEDS = ["0.1", "0.25", "0.5", "1", "2", "4", "8"].map((speed) => [speed, `${speed} ×`] as const);
 const LISTED = 200; // marks in the list
 
 export class Player {
@@ -59,18 +59,22 @@ export class Player {
   private readonly side = h("div", { class: "stack side" });
   private readonly busy = h("span", { class: "badge", hidden: true }, "reading");
   private readonly following = h("input", { type: "checkbox", checked: true });
-  private about: About | undefined;
+  /** What is known of the recording; undefined until it is. */
+  about: About | undefined;
+  /** Called whenever it stands elsewhere, plays or pauses, or more is known of it. */
+  watcher: () => void = () => {};
+  private marked: string | undefined; // a cube
   private scene: Scene | undefined;
   private other: Player | undefined;
   private wanted = 0; // the frame that is to be shown
   private asked: number | undefined; // the one that was asked for and has not come
-  private playing: { since: number; from: number } | undefined;
+  private clocked: { since: number; from: number } | undefined;
 
   constructor(private readonly name: string, private readonly signal: AbortSignal) {
     this.stage = new Stage(`The recording ${name}`, signal);
     this.play = h("button", { class: "primary", onclick: () => this.toggle() });
-    this.range.addEventListener("input", () => { this.stop(); this.seek(Number(this.range.value)); });
-    this.speed.addEventListener("change", () => { if (this.playing !== undefined) { this.start(); } });
+    this.range.addEventListener("input", () => { this.go(Number(this.range.value)); });
+    this.speed.addEventListener("change", () => { if (this.playing) { this.start(); } });
     this.following.addEventListener("change", () => this.follow());
     this.button();
     this.link = new Link(socketUrl("/ws/recording", { name }), {
@@ -103,6 +107,36 @@ export class Player {
   /** Has another one go along. */
   lead(other: Player | undefined): void {
     this.other = other;
+  }
+
+  /** The frame that is to be shown. */
+  get at(): number {
+    return this.wanted;
+  }
+
+  /** Whether it plays. */
+  get playing(): boolean {
+    return this.clocked !== undefined;
+  }
+
+  /** How many times faster than it was it plays. */
+  set pace(times: number) {
+    this.speed.value = String(times);
+    if (this.playing) {
+      this.start();
+    }
+  }
+
+  /** Pauses at a frame; the other one goes along. */
+  go(to: number): void {
+    this.stop();
+    this.seek(to);
+  }
+
+  /** Marks a cube, by its name, in whatever is shown. */
+  point(cube: string | undefined): void {
+    this.marked = cube;
+    this.stage.choose(this.scene?.cubes.findIndex(({ name }) => name === cube) ?? -1);
   }
 
   private async learn(): Promise<void> {
@@ -164,7 +198,7 @@ export class Player {
   private told(): HTMLElement {
     const { marks = [], marks_whole: whole = true, backend = "", seed = 0, world = "", tick_rate: rate = 60, complete = true } = this.about ?? {};
     const rows = marks.slice(0, LISTED).map(({ kind, what, frame: when, count }) =>
-      h("li", {}, h("button", { class: "ghost small", onclick: () => { this.stop(); this.seek(when); } },
+      h("li", {}, h("button", { class: "ghost small", onclick: () => this.go(when) },
         h("i", { class: `dot ${kind}`, "aria-hidden": "true" }), h("span", { class: "mono" }, `${(when / rate).toFixed(2)} s`),
         h("span", { class: "what" }, kind === "command" ? what : `${kind === "fault" ? "fault: " : ""}${what}${kind === "fault" || kind === "command" ? "" : ` ${kind}`}`, count > 1 ? ` × ${count}` : ""))));
     return h("div", { class: "card" }, h("h2", {}, "What happened"),
@@ -173,8 +207,9 @@ export class Player {
       (!whole || marks.length > LISTED) && h("p", { class: "hint" }, "There is more: ", h("code", {}, line("nmes", "info", kept("recordings", `${this.name}.mcap`))), " tells all."));
   }
 
-  private toggle(): void {
-    if (this.playing === undefined) {
+  /** Plays, or pauses. */
+  toggle(): void {
+    if (this.clocked === undefined) {
       if (this.about !== undefined && this.wanted >= this.about.last) {
         this.seek(this.about.first);
       }
@@ -185,31 +220,31 @@ export class Player {
   }
 
   private start(): void {
-    this.playing = { since: performance.now(), from: this.wanted };
+    this.clocked = { since: performance.now(), from: this.wanted };
     this.button();
   }
 
   private stop(): void {
-    this.playing = undefined;
+    this.clocked = undefined;
     this.button();
   }
 
   private button(): void {
-    const on = this.playing !== undefined;
+    const on = this.clocked !== undefined;
     fill(this.play, icon(on ? "pause" : "play", 18), on ? "Pause" : "Play");
+    this.watcher();
   }
 
   private nudge(by: number): void {
-    this.stop();
-    this.seek(this.wanted + by);
+    this.go(this.wanted + by);
   }
 
   /** Moves on while it plays. */
   private advance(): void {
-    if (this.playing === undefined || this.about === undefined) {
+    if (this.clocked === undefined || this.about === undefined) {
       return;
     }
-    const { since, from } = this.playing;
+    const { since, from } = this.clocked;
     const to = from + Math.floor(((performance.now() - since) / 1000) * this.about.tick_rate * Number(this.speed.value));
     if (to >= this.about.last) {
       this.stop();
@@ -224,6 +259,7 @@ export class Player {
     this.wanted = Math.min(Math.max(to, this.about?.first ?? 0), this.about?.last ?? to);
     this.range.value = String(this.wanted);
     this.tell();
+    this.watcher();
     this.ask();
     if (!along && this.leads) {
       this.other?.seek(to, true);
@@ -246,6 +282,7 @@ export class Player {
     if (message["type"] === "scene") {
       this.scene = message as unknown as Scene;
       this.stage.describe(this.scene);
+      this.point(this.marked);
       this.follow();
     } else if (message["type"] === "error") {
       const again = message["code"] === "not_yet";

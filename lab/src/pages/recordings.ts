@@ -1,8 +1,8 @@
 /** Recordings: those of the lab, and one or two of them played side by side. */
-import { get, kept, words } from "../api.js";
-import { line } from "../command.js";
+import { get, words } from "../api.js";
 import { type Child, append, fill, h, icon } from "../dom.js";
 import { type View, address, empty, failure, go, heading, loading } from "../shell.js";
+import { Pair } from "./pair.js";
 import { Player } from "./player.js";
 
 const TYPED = 200; // ms after the last key before the list is asked for
@@ -35,24 +35,12 @@ export function open(view: View): void {
 
 function play({ root, signal }: View, names: readonly string[]): void {
   const [first = "", second] = names;
-  const players = names.map((name) => new Player(name, signal));
+  const back = h("a", { class: "button", href: "#/recordings" }, icon("back", 18), "All recordings");
   if (second !== undefined) {
-    const [one, other] = players;
-    one?.lead(other);
-    other?.lead(one);
+    append(root, [heading("Two recordings", "On one time line, and where they part.", back), new Pair([first, second], signal).element]);
+    return;
   }
-  append(root, [
-    heading(second === undefined ? first : "Two recordings", second === undefined ? undefined : "They are moved together: frame by frame, or each by itself.",
-      h("a", { class: "button", href: "#/recordings" }, icon("back", 18), "All recordings"), second === undefined ? beside(first, signal) : together(players)),
-    second !== undefined && h("p", { class: "hint" }, "The first difference between them is told by ", h("code", {}, line("nmes", "diff", kept("recordings", `${first}.mcap`), kept("recordings", `${second}.mcap`)))),
-    h("div", { class: `panes of-${names.length}` }, ...players.map(({ element }) => element)),
-  ]);
-}
-
-function together(players: readonly Player[]): HTMLElement {
-  const box = h("input", { type: "checkbox", checked: true });
-  box.addEventListener("change", () => players.forEach((player) => (player.leads = box.checked)));
-  return h("label", { class: "check" }, box, "Move together");
+  append(root, [heading(first, undefined, back, beside(first, signal)), h("div", { class: "panes of-1" }, new Player(first, signal).element)]);
 }
 
 function beside(name: string, signal: AbortSignal): HTMLElement {

@@ -1,0 +1,116 @@
+"""Two recordings side by side in the lab, as a browser shows them: one time line, and where they part."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
+
+import pytest
+
+from lab_browser import PATIENCE, Lab, opened, running_browser, serious, served_lab
+from nmes.genome import Genome
+from nmes.world import World
+from processes import NMES
+from recordings import record, send
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser, Page
+
+PUSHED, TICKS = 60, 150  # after how many ticks, and of how many
+CUBE = "w.torso"
+MUJOCO = {"backend": "mujoco"}
+
+
+def walked(force: float) -> Callable[[World, int], None]:
+    """Returns what records a walker that is pushed so hard."""
+
+    def play(world: World, client: int) -> None:
+        send(world, client, type="spawn_creature", genome=Genome.load("walker").document, name="w", autonomous=True)
+        for tick in range(TICKS):
+            if tick == PUSHED:
+                send(world, client, type="apply_physics", cube_name=CUBE, force=[force, 0, 0])
+            send(world, client, type="step")
+
+    return play
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with running_browser() as running:
+        yield running
+
+
+@pytest.fixture(scope="module")
+def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
+    """A lab with recordings that part, and one that is the same as another."""
+    folder = tmp_path_factory.mktemp("lab")
+    (folder / "recordings").mkdir()
+    record(folder / "recordings" / "soft.mcap", walked(200.0), MUJOCO)
+    record(folder / "recordings" / "hard.mcap", walked(900.0), MUJOCO)
+    shutil.copy(folder / "recordings" / "soft.mcap", folder / "recordings" / "again.mcap")
+    with served_lab(folder) as running:
+        yield running
+
+
+def standing(page: Page, *frames: int) -> None:
+    """Waits until the two recordings are shown at these frames."""
+    for pane, frame in enumerate(frames):
+        page.locator(f".pane[data-frame='{frame}']").nth(pane if len(set(frames)) == 1 else 0).wait_for()
+
+
+def test_two_recordings_are_moved_on_one_time_line(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "recordings/soft/hard") as page:
+        line = page.get_by_label("Frame of both")
+        page.wait_for_function("() => document.querySelector('[aria-label=\"Frame of both\"]').max === '150'")
+        assert page.get_by_label("Frame", exact=True).count() == 2  # each has one of its own, which is not seen
+        assert not page.get_by_label("Frame", exact=True).first.is_visible()
+        line.fill("40")
+        standing(page, 40, 40)
+        page.get_by_label("Both one frame on").click()
+        standing(page, 41, 41)
+        page.get_by_label("Speed of both").select_option("8")
+        page.get_by_role("button", name="Play both").click()
+        standing(page, TICKS, TICKS)
+        page.get_by_role("button", name="Play both").wait_for()
+        page.get_by_label("Move together").uncheck()
+        page.get_by_label("Frame", exact=True).first.fill("7")
+        page.locator(".pane[data-frame='7']").wait_for()
+        assert page.locator(f".pane[data-frame='{TICKS}']").count() == 1
+        assert line.is_disabled()
+        page.get_by_label("Move together").check()
+        standing(page, 7, 7)
+
+
+def test_where_two_recordings_part_is_marked_named_and_gone_to(browser: Browser, lab: Lab) -> None:
+    paths = [str(lab.folder / "recordings" / f"{name}.mcap") for name in ("soft", "hard")]
+    told = subprocess.run([NMES, "diff", *paths, "--json"], capture_output=True, check=False)
+    expected = json.loads(told.stdout)
+    assert (expected["inputs"]["ticks"], expected["states"]["tick"]) == (PUSHED, PUSHED + 1)
+    with opened(browser, lab, "recordings/soft/hard") as page:
+        button = page.get_by_role("button", name="Find where they part")
+        button.hover()
+        assert page.locator("#command").inner_text() == f"nmes diff {paths[0]} {paths[1]}"
+        button.click()
+        page.get_by_text("they part", exact=True).wait_for(timeout=2 * PATIENCE)
+        standing(page, PUSHED, PUSHED)  # at the first difference
+        assert page.locator(".ticks .parted").count() == 2
+        shown = page.locator("[aria-label=Both]").inner_text()
+        for fact in (expected["inputs"]["field"], expected["states"]["cube"], expected["states"]["field"], "200", "900"):
+            assert fact in shown, (fact, shown)
+        page.get_by_role("button", name=f"Go to frame {PUSHED + 1}").click()
+        standing(page, PUSHED + 1, PUSHED + 1)
+        page.get_by_text("cubes come apart").click()
+        assert page.locator("[aria-label=Both] tbody tr").count() > 3
+        assert serious(page) == []
+        assert page.evaluate("document.documentElement.scrollWidth") <= page.viewport_size["width"]
+
+
+def test_recordings_that_are_the_same_are_said_to_be(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "recordings/soft/again", viewport={"width": 360, "height": 740}) as page:
+        page.get_by_role("button", name="Find where they part").click()
+        page.get_by_text("the same", exact=True).wait_for(timeout=2 * PATIENCE)
+        assert page.locator(".ticks .parted").count() == 0
+        assert page.evaluate("document.documentElement.scrollWidth") <= 360
