@@ -47,6 +47,9 @@ export interface Scene {
 /** Places in the scene of what touches (-1: ground), position, normal, force (N). */
 export type Contact = readonly [number, number, number, number, number, number, number, number, number];
 
+/** A joint's place in the scene, and what its motor does (N m, of a slide N). */
+export type Effort = readonly [number, number];
+
 export const STRIDE = 7; // numbers of a cube: position x y z, quaternion x y z w
 
 /** A binary frame. */

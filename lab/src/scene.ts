@@ -4,8 +4,9 @@
  */
 import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { Arrows } from "./arrows.js";
 import { h } from "./dom.js";
-import { type Contact, type Frame, STRIDE, type Scene, type SceneCube } from "./poses.js";
+import { type Contact, type Effort, type Frame, STRIDE, type Scene, type SceneCube, type SceneJoint } from "./poses.js";
 import { color, onTheme } from "./theme.js";
 
 export type Point = readonly [number, number, number];
@@ -71,11 +72,13 @@ export class Stage {
   private readonly fixed = new THREE.Group(); // ground and scenery
   private readonly outline = new THREE.LineSegments(new THREE.EdgesGeometry(new THREE.BoxGeometry(1.04, 1.04, 1.04)));
   private readonly axes = new THREE.LineSegments(new THREE.BufferGeometry());
-  private readonly forces = new THREE.LineSegments(new THREE.BufferGeometry());
+  private readonly contacts = new Arrows(true);
+  private readonly motors = new Arrows(false);
   private readonly rope = new THREE.Line(new THREE.BufferGeometry());
   private pieces: Piece[] = [];
   private described: Scene | undefined;
   private poses = new Float32Array(0);
+  private efforts: readonly Effort[] = [];
   private followed: readonly number[] = [];
   private chosen = -1;
   private requested = 0;
@@ -101,12 +104,12 @@ export class Stage {
     this.controls.minDistance = 0.3;
     this.controls.maxDistance = 800;
     this.controls.addEventListener("change", () => this.request());
-    for (const lines of [this.outline, this.axes, this.forces, this.rope]) {
+    for (const lines of [this.outline, this.axes, this.rope]) {
       lines.frustumCulled = false;
       lines.renderOrder = 2;
       lines.visible = false;
     }
-    this.scene.add(this.sky, this.sun, this.fixed, this.outline, this.axes, this.forces, this.rope);
+    this.scene.add(this.sky, this.sun, this.fixed, this.outline, this.axes, this.rope, this.contacts.group, this.motors.group);
     this.paint();
     onTheme(() => this.paint(), signal);
     const watcher = new ResizeObserver(() => this.resize());
@@ -125,6 +128,7 @@ export class Stage {
   describe(scene: Scene): void {
     this.described = scene;
     this.poses = new Float32Array(scene.cubes.length * STRIDE);
+    this.efforts = []; // they were those of joints of the scene before
     const counts: Record<Kind, number> = { box: 0, sphere: 0, cylinder: 0 };
     this.pieces = scene.cubes.flatMap((cube, place) => piecesOf(cube, place, counts));
     for (const kind of ["box", "sphere", "cylinder"] as const) {
@@ -172,7 +176,7 @@ export class Stage {
       mesh.boundingSphere = null;
     }
     if (!this.framed) {
-      this.overview();
+      this.overview(this.followed);
     } else if (this.followed.length > 0) {
       this.shift(this.centre().sub(before));
     }
@@ -180,15 +184,38 @@ export class Stage {
     this.request();
   }
 
-  /** Shows where cubes touch: a line along the normal, the longer the more force. */
+  /** Shows where cubes touch: an arrow along the normal, the longer the more force. */
   touch(contacts: readonly Contact[]): void {
-    const points = contacts.flatMap(([, , x, y, z, nx, ny, nz, force]) => {
-      const length = Math.min(0.05 + Math.log1p(Math.max(force, 0)) * 0.12, 2);
-      return [x, y, z, x + nx * length, y + ny * length, z + nz * length];
-    });
-    replace(this.forces, points);
-    this.forces.visible = points.length > 0;
+    this.contacts.show(contacts.map(([, , x, y, z, nx, ny, nz, force]) =>
+      ({ at: new THREE.Vector3(x, y, z), along: new THREE.Vector3(nx, ny, nz).normalize(), strength: force })));
+    this.element.dataset["contacts"] = String(this.contacts.count);
     this.request();
+  }
+
+  /** Shows what motors do: an arrow along the axis of the joint, the longer the more torque or force. */
+  strain(efforts: readonly Effort[]): void {
+    this.efforts = efforts;
+    this.exert();
+    this.request();
+  }
+
+  private exert(): void {
+    this.motors.show(this.efforts.flatMap(([joint, effort]) => {
+      const place = this.described?.joints[joint];
+      if (place === undefined) return [];
+      const { centre, axis } = this.standing(place);
+      return [{ at: centre, along: axis.multiplyScalar(Math.sign(effort)), strength: Math.abs(effort) }];
+    }));
+    this.element.dataset["motors"] = String(this.motors.count);
+  }
+
+  /** Where a joint is now, and its axis, a unit vector. */
+  private standing({ a, anchor, axis }: SceneJoint): { centre: THREE.Vector3; axis: THREE.Vector3 } {
+    const turn = new THREE.Quaternion().fromArray(this.poses, a * STRIDE + 3);
+    return {
+      centre: new THREE.Vector3(...(anchor ?? [0, 0, 0])).applyQuaternion(turn).add(new THREE.Vector3(...this.position(a))),
+      axis: new THREE.Vector3(...(axis ?? [0, 1, 0])).applyQuaternion(turn).normalize(),
+    };
   }
 
   /** Marks a cube; none with -1. */
@@ -217,11 +244,11 @@ export class Stage {
     this.framed = false;
   }
 
-  /** Brings all into the picture. */
-  overview(): void {
+  /** Brings all into the picture, or some cubes. */
+  overview(some: readonly number[] = []): void {
     this.framed = true;
     const box = new THREE.Box3();
-    for (let cube = 0; cube * STRIDE < this.poses.length; cube++) {
+    for (const cube of some.length > 0 ? some : (this.described?.cubes ?? []).keys()) {
       const half = Math.max(...(this.described?.cubes[cube]?.size ?? [1])) / 2;
       const centre = new THREE.Vector3(...this.position(cube));
       box.expandByPoint(centre.clone().addScalar(half)).expandByPoint(centre.subScalar(half));
@@ -295,7 +322,8 @@ export class Stage {
     this.air("stage");
     this.outline.material = new THREE.LineBasicMaterial({ color: color("accent"), depthTest: false });
     this.axes.material = new THREE.LineBasicMaterial({ color: color("joint"), depthTest: false });
-    this.forces.material = new THREE.LineBasicMaterial({ color: color("contact"), depthTest: false });
+    this.contacts.paint(color("contact"));
+    this.motors.paint(color("series-3"));
     this.rope.material = new THREE.LineBasicMaterial({ color: color("accent"), depthTest: false });
     if (this.described !== undefined) {
       this.furnish(this.described);
@@ -397,17 +425,16 @@ export class Stage {
     }
     const points: number[] = [];
     if (this.joints) {
-      const turn = new THREE.Quaternion();
-      for (const { a, b, anchor, axis } of this.described?.joints ?? []) {
-        const length = Math.min(...(this.described?.cubes[a]?.size ?? [1]), ...(this.described?.cubes[b]?.size ?? [1])) * 0.9;
-        turn.fromArray(this.poses, a * STRIDE + 3);
-        const centre = new THREE.Vector3(...(anchor ?? [0, 0, 0])).applyQuaternion(turn).add(new THREE.Vector3(...this.position(a)));
-        const along = new THREE.Vector3(...(axis ?? [0, 1, 0])).applyQuaternion(turn).multiplyScalar(length);
+      for (const joint of this.described?.joints ?? []) {
+        const edges = [joint.a, joint.b].flatMap((cube) => this.described?.cubes[cube]?.size ?? [1]);
+        const { centre, axis } = this.standing(joint);
+        const along = axis.multiplyScalar(Math.min(...edges) * 0.9);
         points.push(...centre.clone().sub(along).toArray(), ...centre.add(along).toArray());
       }
     }
     replace(this.axes, points);
     this.axes.visible = points.length > 0;
+    this.exert();
   }
 
   private centre(): THREE.Vector3 {

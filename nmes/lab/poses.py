@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import asyncio
 import logging
+from collections.abc import Callable, Collection
 from time import monotonic
 from typing import Final
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from nmes.errors import WorldError
-from nmes.lab.scene import contacts_text, frame_bytes, scene_text
+from nmes.lab.scene import contacts_text, frame_bytes, motors_text, scene_text
 from nmes.server import Host
 from nmes.server.hosted_world import HostedWorld
 from nmes.world import World
@@ -25,18 +26,19 @@ logger = logging.getLogger(__name__)
 
 INTERVAL: Final = 1 / 60  # s between two looks
 SCENES: Final = 0.1  # s between two scenes of a world whose cubes come and go
-CONTACTS: Final = 0.1  # s between two accounts of contacts
-TOUCHING: Final = 2000  # cubes of a world of which no contacts are told any more
+FORCES: Final = 0.1  # s between two accounts of contacts, and of motors
+MANY: Final = 2000  # cubes of a world of which neither is told any more
 PAUSE: Final = 10.0  # s after which a world that could not be looked at is looked at again
 MOST: Final = 64  # that may watch at once
+_FORCES: Final[dict[str, Callable[[World, int], str]]] = {"contacts": contacts_text, "motors": motors_text}
 UNKNOWN_WORLD, TOO_MANY = 4404, 4429  # codes with which a WebSocket is closed
 
 
 class Reader:
     """Somebody who watches. What he has not read when there is something newer is left out."""
 
-    def __init__(self, contacts: bool = False) -> None:
-        self.contacts = contacts
+    def __init__(self, wants: Collection[str] = ()) -> None:
+        self.wants = wants  # kinds of texts that only those are told who ask for them
         self._texts: dict[str, str] = {}  # by kind: of each the newest
         self._frame: bytes | None = None
         self._news = asyncio.Event()
@@ -113,7 +115,7 @@ class Watchers:
             await websocket.close(TOO_MANY, "too_many_watchers")
             return
         watched = self._watched.setdefault(name, _Watched(self._host, name))
-        reader = Reader(websocket.query_params.get("contacts") == "1")
+        reader = Reader({kind for kind in _FORCES if websocket.query_params.get(kind) == "1"})
         watched.add(reader)
         try:
             await send_until_gone(websocket, reader)
@@ -134,7 +136,7 @@ class _Watched:
         self._version = -1  # of the structure that it tells
         self._scene: str | None = None
         self._frame = b""
-        self._due = self._described = self._touched = 0.0  # when
+        self._due = self._described = self._forces = 0.0  # when
         self._task: asyncio.Task[None] | None = None
 
     def add(self, reader: Reader) -> None:
@@ -205,14 +207,12 @@ class _Watched:
             self._frame = frame
             for reader in self.readers:
                 reader.show(frame)
-        curious = [reader for reader in self.readers if reader.contacts]
-        if (
-            curious
-            and len(world.entities.cubes) <= TOUCHING
-            and now >= self._touched + CONTACTS
-            and world.fault is None
-        ):
-            self._touched = now
-            text = contacts_text(world, self._number)
-            for reader in curious:
-                reader.tell("contacts", text)
+        wanted = {kind for reader in self.readers for kind in reader.wants}
+        few = len(world.entities.cubes) <= MANY and world.fault is None
+        if wanted and few and now >= self._forces + FORCES:
+            self._forces = now
+            for kind in [kind for kind in _FORCES if kind in wanted]:
+                text = _FORCES[kind](world, self._number)
+                for reader in self.readers:
+                    if kind in reader.wants:
+                        reader.tell(kind, text)

@@ -15,9 +15,11 @@ from nmes.schemas.documents import JsonObject, write_json
 from nmes.world import World
 from nmes.world.scenery import scene_spec
 
-__all__ = ["contacts_text", "frame_bytes", "scene_text"]
+__all__ = ["contacts_text", "frame_bytes", "motors_text", "scene_text"]
 
 _HEAD: Final = struct.Struct("<II")
+_MOST: Final = 4000  # contacts that are told
+_DRIVEN: Final = frozenset({"hinge", "slide"})  # joints that may have motors
 _FINEST: Final = 129  # heights along each side of a landscape that are told
 
 
@@ -89,7 +91,7 @@ def frame_bytes(world: World, number: int, frame: int) -> bytes:
 
 
 def contacts_text(world: World, number: int) -> str:
-    """Returns where cubes touch, and with what force (N), as a text frame."""
+    """Returns where cubes touch, and with what force (N), as a text frame; of very many contacts the strongest."""
     bodies = {body: place for place, body in enumerate(world.entities.body_names)}
     simulation = world.simulation
     contacts = [
@@ -98,4 +100,20 @@ def contacts_text(world: World, number: int) -> str:
         for body in bodies
         for contact in simulation.contacts(body)
     ]
-    return write_json({"type": "contacts", "scene": number, "frame": world.frame, "contacts": contacts}).decode()
+    if len(contacts) > _MOST:
+        contacts = sorted(contacts, key=lambda contact: -contact[-1])[:_MOST]
+    return _text("contacts", world, number, contacts)
+
+
+def motors_text(world: World, number: int) -> str:
+    """Returns what motors do (N m, of slides N), by the places of their joints in the scene, as a text frame."""
+    driven = [
+        (place, joint.number) for place, joint in enumerate(world.entities.joints.values()) if joint.kind in _DRIVEN
+    ]
+    efforts = world.simulation.joint_readings(tuple(joint for _, joint in driven))[:, 2].tolist()
+    motors = [[place, round(effort, 4)] for (place, _), effort in zip(driven, efforts, strict=True) if effort]
+    return _text("motors", world, number, motors)
+
+
+def _text(kind: str, world: World, number: int, rows: list[list[float]]) -> str:
+    return write_json({"type": kind, "scene": number, "frame": world.frame, kind: rows}).decode()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
 from contextlib import ExitStack
 from pathlib import Path
@@ -82,6 +83,41 @@ def test_a_lockstep_world_is_shown_as_get_world_state_tells_it(lab: RunningLab) 
             world.ask({"type": "despawn_cube", "cube_name": "<img/src=x>"})
             scene, frame = newest(watcher, 0)
             assert "<img/src=x>" not in {cube["name"] for cube in scene["cubes"]} and same(told(world), scene, frame)
+
+
+def test_forces_are_told_to_those_alone_who_ask_for_them(lab: RunningLab) -> None:
+    with lab.socket() as maker:
+        maker.ask({"type": "auth", "create": {"world": "strong"}})
+    with lab.world(world="strong") as world:
+        world.ask({"type": "set_mode", "mode": "lockstep"})
+        genome = Genome.load("walker").document
+        spawned = world.ask({"type": "spawn_creature", "genome": genome, "name": "w", "autonomous": True})
+        world.ask({"type": "step", "ticks": 60})
+        with lab.socket("/ws/poses?world=strong&contacts=1&motors=1") as curious:
+            told: dict[str, Any] = {}
+            while told.keys() < {"scene", "contacts", "motors"}:
+                message = curious.hear()
+                told |= {} if isinstance(message, bytes) else {message["type"]: message}
+        joints = [joint["name"] for joint in told["scene"]["joints"]]
+        efforts = {joints[place]: effort for place, effort in told["motors"]["motors"]}
+        assert efforts.keys() == set(spawned["joints"].values())
+        for name, effort in efforts.items():
+            joint = world.ask({"type": "get_joint_info", "joint_name": name})
+            assert effort == pytest.approx(joint["effort"], abs=1e-4) and effort
+        cubes = [cube["name"] for cube in told["scene"]["cubes"]]
+        pressed = {name: 0.0 for name in cubes}
+        for cube, other, *_, force in told["contacts"]["contacts"]:
+            assert other == -1 or cubes[other] in pressed
+            pressed[cubes[cube]] += force
+        for name, force in pressed.items():
+            touching = world.ask({"type": "get_cube_info", "cube_name": name})["contacts"]
+            assert force == pytest.approx(sum(each["force"] for each in touching), abs=1e-3)
+        assert any(pressed.values())
+        with lab.socket("/ws/poses?world=strong&motors=yes") as watcher:
+            with pytest.raises(TimeoutError):
+                while True:
+                    message = watcher.connection.recv(0.5)
+                    assert isinstance(message, bytes) or json.loads(message)["type"] == "scene"
 
 
 def test_a_running_world_is_shown_at_the_pace_of_its_ticks_and_not_where_nothing_moves(lab: RunningLab) -> None:

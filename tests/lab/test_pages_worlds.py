@@ -166,6 +166,20 @@ def test_a_cube_is_inspected_and_pushed_with_the_mouse(browser: Browser, lab: La
         assert json.loads(page.locator("#command").inner_text())["type"] == "apply_force"
 
 
+def test_forces_are_drawn_on_demand(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "worlds/main") as page:
+        until(page, lambda: frames(page) > 5)
+        stage = page.locator(".stage")
+        assert (stage.get_attribute("data-contacts"), stage.get_attribute("data-motors")) == ("0", "0")
+        for what, message in (("Contacts", '{"type":"get_world_state","sensors":true}'), ("Motors", '{"type":"batch"')):
+            attribute = f"data-{what.lower()}"
+            page.get_by_label(what).check()
+            assert page.locator("#command").inner_text().startswith(message)
+            until(page, lambda attribute=attribute: int(stage.get_attribute(attribute) or 0) > 0)  # type: ignore[misc]
+            page.get_by_label(what).uncheck()
+            until(page, lambda attribute=attribute: stage.get_attribute(attribute) == "0")  # type: ignore[misc]
+
+
 def test_names_with_markup_are_text(browser: Browser, lab: Lab) -> None:
     with opened(browser, lab, "brain") as page:
         page.get_by_text("<b>flea</b>").first.wait_for()

@@ -4,7 +4,7 @@ import { get, part, socketUrl, words } from "../api.js";
 import { type Command as Shown, action, done, preview } from "../command.js";
 import { Link } from "../connection.js";
 import { type Child, fill, h, icon, select } from "../dom.js";
-import { type Contact, type Scene, frame } from "../poses.js";
+import { type Contact, type Effort, type Scene, frame } from "../poses.js";
 import { type Pull, Stage } from "../scene.js";
 import { address, attempt, notify } from "../shell.js";
 import { Visit } from "../world.js";
@@ -30,6 +30,7 @@ class Pane {
   private readonly running: HTMLButtonElement;
   private readonly mode: HTMLSelectElement;
   private readonly contacts: HTMLInputElement;
+  private readonly motors: HTMLInputElement;
   private link: Link | undefined;
   private linked: AbortController | undefined;
   private readonly banner = h("div");
@@ -57,7 +58,17 @@ class Pane {
       done(this.message(message));
       await this.learn();
     }));
-    this.contacts = h("input", { type: "checkbox", onchange: () => this.connect() });
+    const forces = (tells: () => object): HTMLInputElement => {
+      const box = h("input", { type: "checkbox", onchange: () => {
+        this.connect();
+        if (box.checked) {
+          done(this.message(tells()));
+        }
+      } });
+      return box;
+    };
+    this.contacts = forces(() => ({ type: "get_world_state", sensors: true }));
+    this.motors = forces(() => ({ type: "batch", commands: (this.scene?.joints ?? []).slice(0, 100).map(({ name }) => ({ type: "get_joint_info", joint_name: name })) }));
     this.following.addEventListener("change", () => this.follow());
     this.element = this.layout(close);
     this.connect();
@@ -94,7 +105,8 @@ class Pane {
         h("div", { class: "stack" }, this.stage.element,
           h("div", { class: "bar controls" }, this.running, step, ticks, this.mode, h("span", { class: "grow" }), this.following),
           h("div", { class: "bar options" },
-            h("label", { class: "check" }, joints, "Joints"), h("label", { class: "check" }, this.contacts, "Contacts"),
+            h("label", { class: "check" }, joints, "Joints"), h("label", { class: "check", title: "Where cubes touch, and the force along the normal" }, this.contacts, "Contacts"),
+            h("label", { class: "check", title: "What motors do: torque or force along the axis of the joint" }, this.motors, "Motors"),
             push, h("span", { class: "hint" }, "Click a cube to inspect it."), h("span", { class: "grow" }), reset)),
         h("div", { class: "stack side" }, this.arrivals(), h("div", { class: "card" }, this.inspector),
           h("p", { class: "hint" }, "All that happens here is recorded. ", h("a", { href: `#/recordings?name=${encodeURIComponent(this.world)}` }, "Its recordings")))));
@@ -149,11 +161,11 @@ class Pane {
     return [Math.round(x * 100) / 100, 3, Math.round(z * 100) / 100];
   }
 
-  /** Watches, with contacts or without; anew when that changes. */
+  /** Watches, with contacts and motors or without; anew when that changes. */
   private connect(): void {
     this.linked?.abort();
     this.linked = new AbortController();
-    const query = { world: this.world, ...(this.contacts.checked ? { contacts: "1" } : {}) };
+    const query = { world: this.world, ...(this.contacts.checked ? { contacts: "1" } : {}), ...(this.motors.checked ? { motors: "1" } : {}) };
     this.link = new Link(socketUrl("/ws/poses", query), {
       open: () => void this.enter(),
       message: (message) => this.read(message),
@@ -162,6 +174,9 @@ class Pane {
     fill(this.banner, this.link.banner);
     if (!this.contacts.checked) {
       this.stage.touch([]);
+    }
+    if (!this.motors.checked) {
+      this.stage.strain([]);
     }
   }
 
@@ -172,6 +187,8 @@ class Pane {
       this.describe();
     } else if (message["type"] === "contacts") {
       this.stage.touch((message as { contacts?: readonly Contact[] }).contacts ?? []);
+    } else if (message["type"] === "motors") {
+      this.stage.strain((message as { motors?: readonly Effort[] }).motors ?? []);
     }
   }
 
