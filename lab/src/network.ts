@@ -11,11 +11,19 @@ export interface Wire {
   readonly weight: number;
 }
 
+/** What a world tells of a brain that it runs. */
+export interface Mind {
+  readonly units: readonly number[];
+  readonly controls: readonly number[];
+}
+
 export interface Network {
   readonly units: readonly Unit[];
   readonly wires: readonly Wire[];
-  /** What the units do, of what the sensors read; absent of brains with a memory, which only the world knows. */
-  readonly activate?: (sensed: readonly number[]) => number[];
+  /** What the units do, of what the sensors read and, of a brain with a memory, what the world tells of it. */
+  readonly activate: (sensed: readonly number[], mind: Mind) => number[];
+  /** Whether that depends on the past, which only the world knows. */
+  readonly remembers: boolean;
 }
 
 type Json = { readonly [name: string]: unknown };
@@ -36,7 +44,7 @@ export function network(brain: Json, sensors: readonly string[], outputs: readon
     case "mlp": return layered(brain, sensors, outputs);
     case "ctrnn": return recurrent(brain, sensors, outputs);
     case "graph": return free(brain, sensors);
-    case "cpg": return coupled(brain, sensors);
+    case "cpg": return coupled(brain, sensors, outputs);
     default: return undefined;
   }
 }
@@ -74,9 +82,9 @@ function layered(brain: Json, sensors: readonly string[], outputs: readonly stri
     before = start;
   });
   return {
-    units, wires,
+    units, wires, remembers: false,
     activate: (sensed) => {
-      let values = inputs.map(({ places }) => places.reduce((total, place) => total + (sensed[place] ?? 0), 0));
+      let values = inputs.map(({ places }) => summed(sensed, places));
       const all = [...values];
       for (const { weights, biases = [], activation = "tanh" } of layers) {
         const act = ACTIVATIONS[activation] ?? Math.tanh;
@@ -97,7 +105,15 @@ function recurrent(brain: Json, sensors: readonly string[], outputs: readonly st
     ...((brain["input_weights"] as number[][] | undefined) ?? []).flatMap((row, to) => row.map((weight, from) => ({ from, to: inputs.length + to, weight }))),
     ...weights.flatMap((row, to) => row.map((weight, from) => ({ from: inputs.length + from, to: inputs.length + to, weight }))),
   ];
-  return { units, wires };
+  return {
+    units, wires, remembers: true,
+    activate: (sensed, mind) => [...inputs.map(({ places }) => summed(sensed, places)), ...mind.units],
+  };
+}
+
+/** What an entry of a list reads: all that it means, together. */
+function summed(sensed: readonly number[], places: readonly number[]): number {
+  return places.reduce((total, place) => total + (sensed[place] ?? 0), 0);
 }
 
 interface Link { readonly from?: string; readonly sensor?: string; readonly to: string; readonly weight: number }
@@ -123,14 +139,14 @@ function free(brain: Json, sensors: readonly string[]): Network {
   const last = Math.max(1, ...depth) + (nodes.some(({ motor }, index) => motor === undefined && depth[sensed.length + index] === Math.max(...depth)) ? 1 : 0);
   const units = [...sensed.map((label) => ({ label, column: 0 })), ...nodes.map(({ id, motor }, index) =>
     ({ label: motor ?? id, column: motor !== undefined ? last : Math.max(depth[sensed.length + index] ?? 1, 1) }))];
-  if (loops) {
-    return { units, wires };
-  }
   const reads = sensed.map((entry) => sensors.flatMap((name, index) => (name === entry || fits(entry, name) ? [index] : [])));
   return {
-    units, wires,
-    activate: (values) => {
-      const all = units.map((_, unit) => (reads[unit] ?? []).reduce((total, each) => total + (values[each] ?? 0), 0));
+    units, wires, remembers: loops,
+    activate: (values, mind) => {
+      const all = units.map((_, unit) => summed(values, reads[unit] ?? []));
+      if (loops) {
+        return [...all.slice(0, sensed.length), ...mind.units];
+      }
       for (const unit of order) {
         const node = nodes[unit - sensed.length];
         if (node !== undefined) {
@@ -159,11 +175,13 @@ function sorted(count: number, wires: readonly Wire[]): { order: number[]; loops
 }
 
 /** Oscillators, and what pulls at their phases. */
-function coupled(brain: Json, sensors: readonly string[]): Network {
+function coupled(brain: Json, sensors: readonly string[], outputs: readonly string[]): Network {
   const oscillators = brain["oscillators"] as { motor: string }[];
   const feedback = (brain["feedback"] as { sensor: string; motor: string; rate?: number; offset?: number }[] | undefined) ?? [];
   const links = (brain["links"] as { from: string; to: string; weight: number }[] | undefined) ?? [];
   const sensed = [...new Set(feedback.map(({ sensor }) => sensor))].filter((entry) => sensors.some((name) => name === entry || fits(entry, name)));
+  const reads = sensed.map((entry) => sensors.flatMap((name, index) => (name === entry || fits(entry, name) ? [index] : [])));
+  const driven = oscillators.map(({ motor }) => outputs.findIndex((name) => name === motor || fits(motor, name)));
   const place = (motor: string): number => sensed.length + oscillators.findIndex((each) => each.motor === motor || fits(each.motor, motor));
   return {
     units: [...sensed.map((label) => ({ label, column: 0 })), ...oscillators.map(({ motor }) => ({ label: motor, column: 1 }))],
@@ -171,5 +189,10 @@ function coupled(brain: Json, sensors: readonly string[]): Network {
       ...feedback.map(({ sensor, motor, rate, offset }) => ({ from: sensed.indexOf(sensor), to: place(motor), weight: rate ?? offset ?? 0 })),
       ...links.map(({ from, to, weight }) => ({ from: place(from), to: place(to), weight })),
     ].filter(({ from, to }) => from >= 0 && to >= sensed.length),
+    remembers: true,
+    activate: (values, mind) => [
+      ...reads.map((places) => summed(values, places)),
+      ...driven.map((motor) => mind.controls[motor] ?? 0),
+    ],
   };
 }

@@ -231,6 +231,10 @@ class Kernel(ABC):
         """Returns what it remembers of its steps, (*lead, k): with `recall` it goes on bit for bit."""
         return np.empty((*self._lead, 0))
 
+    def activity(self) -> Array:
+        """Returns what its units did in the last step, (*lead, k); none where that follows from what was sensed."""
+        return np.empty((*self._lead, 0))
+
     def recall(self, memory: Array) -> None:
         """Takes up what `memory` of a kernel of the same arrays, seeds and dt returned; after `reset`.
 
@@ -436,6 +440,14 @@ class Brain(ABC):
     def memory(self) -> Array:
         """Returns what it remembers of its steps since `reset`, shape (k,): where `recall` goes on bit for bit."""
         return self._running().memory()
+
+    def activity(self) -> Array:
+        """Returns what its units did in the last step, in the order of the document, shape (k,), mostly from -1 to 1.
+
+        They are the neurons of a `ctrnn`, each tanh((y + bias) / 2), and the nodes of a `graph`; of other kinds there
+        are none, since what those do is what motors are told, or follows from what was sensed alone.
+        """
+        return self._running().activity()
 
     def recall(self, memory: Array) -> None:
         """Goes on where `memory` was asked of a brain of the same document; after `reset` with the same seed and dt.

@@ -229,6 +229,11 @@ class CtrnnKernel(Kernel):
         states: Array = self._v.copy()
         return states
 
+    def activity(self) -> Array:
+        """Returns how each neuron fires."""
+        fired: Array = self._u.copy()
+        return fired
+
     def _take_up(self, memory: Array) -> None:
         self._v[...] = memory
         self._sums[...] = memory
@@ -305,6 +310,10 @@ class GraphKernel(Kernel):
     def memory(self) -> Array:
         """Returns what the nodes were in the last step."""
         return self._now.copy()
+
+    def activity(self) -> Array:
+        """Returns the same as `memory`."""
+        return self.memory()
 
     def _take_up(self, memory: Array) -> None:
         self._now[...] = memory
@@ -386,6 +395,10 @@ class GraphBrain(Brain):
 
     def _run(self, *arrays: Array) -> Kernel:
         return GraphKernel(self._groups, self._owner, self._unbounded, len(self.inputs), *arrays)
+
+    def activity(self) -> Array:
+        """Returns the nodes' values, in the order of the document."""
+        return super().activity()[..., self._place]
 
 
 def _flow(activations: Sequence[str], links: Sequence[tuple[int, int]]) -> tuple[Indices, list[_Group], frozenset[int]]:

@@ -15,7 +15,7 @@ from typing import Final
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from nmes.errors import WorldError
-from nmes.lab.scene import contacts_text, frame_bytes, motors_text, scene_text
+from nmes.lab.scene import contacts_text, frame_bytes, mind_text, motors_text, scene_text
 from nmes.server import Host
 from nmes.server.hosted_world import HostedWorld
 from nmes.world import World
@@ -37,9 +37,11 @@ UNKNOWN_WORLD, TOO_MANY = 4404, 4429  # codes with which a WebSocket is closed
 class Reader:
     """Somebody who watches. What he has not read when there is something newer is left out."""
 
-    def __init__(self, wants: Collection[str] = ()) -> None:
+    def __init__(self, wants: Collection[str] = (), mind: str | None = None) -> None:
         self.wants = wants  # kinds of texts that only those are told who ask for them
+        self.mind = mind  # the creature whose brain he watches, instead of poses
         self._texts: dict[str, str] = {}  # by kind: of each the newest
+        self._told: dict[str, str] = {}  # likewise
         self._frame: bytes | None = None
         self._news = asyncio.Event()
         self._over = False
@@ -50,16 +52,19 @@ class Reader:
         self._news.set()
 
     def tell(self, kind: str, text: str) -> None:
-        """Replaces the text of that kind which is to be sent."""
-        self._texts[kind] = text
+        """Replaces the text of that kind which is to be sent, unless it is the last that he was told."""
+        if self._told.get(kind) == text:
+            return
+        self._texts[kind] = self._told[kind] = text
         if kind == "scene":
             self._frame = None
         self._news.set()
 
     def show(self, frame: bytes) -> None:
-        """Replaces the frame that is to be sent."""
-        self._frame = frame
-        self._news.set()
+        """Replaces the frame that is to be sent, unless he watches a brain."""
+        if self.mind is None:
+            self._frame = frame
+            self._news.set()
 
     async def send(self, websocket: WebSocket) -> None:
         """Sends what there is, until `end`, and closes the WebSocket then."""
@@ -115,7 +120,8 @@ class Watchers:
             await websocket.close(TOO_MANY, "too_many_watchers")
             return
         watched = self._watched.setdefault(name, _Watched(self._host, name))
-        reader = Reader({kind for kind in _FORCES if websocket.query_params.get(kind) == "1"})
+        asked = websocket.query_params
+        reader = Reader({kind for kind in _FORCES if asked.get(kind) == "1"}, asked.get("mind"))
         watched.add(reader)
         try:
             await send_until_gone(websocket, reader)
@@ -136,7 +142,7 @@ class _Watched:
         self._version = -1  # of the structure that it tells
         self._scene: str | None = None
         self._frame = b""
-        self._due = self._described = self._forces = 0.0  # when
+        self._due = self._described = self._told = 0.0  # when
         self._task: asyncio.Task[None] | None = None
 
     def add(self, reader: Reader) -> None:
@@ -207,12 +213,18 @@ class _Watched:
             self._frame = frame
             for reader in self.readers:
                 reader.show(frame)
-        wanted = {kind for reader in self.readers for kind in reader.wants}
-        few = len(world.entities.cubes) <= MANY and world.fault is None
-        if wanted and few and now >= self._forces + FORCES:
-            self._forces = now
-            for kind in [kind for kind in _FORCES if kind in wanted]:
-                text = _FORCES[kind](world, self._number)
-                for reader in self.readers:
-                    if kind in reader.wants:
-                        reader.tell(kind, text)
+        if now >= self._told + FORCES and world.fault is None:
+            self._told = now
+            self._tell_more(world)
+
+    def _tell_more(self, world: World) -> None:
+        """Tells forces and minds to those who asked for them."""
+        for kind, text_of in _FORCES.items() if len(world.entities.cubes) <= MANY else ():
+            curious = [reader for reader in self.readers if kind in reader.wants]
+            text = text_of(world, self._number) if curious else ""
+            for reader in curious:
+                reader.tell(kind, text)
+        for reader in self.readers:
+            mind = None if reader.mind is None else mind_text(world, self._number, reader.mind)
+            if mind is not None:
+                reader.tell("mind", mind)

@@ -15,10 +15,11 @@ from nmes.schemas.documents import JsonObject, write_json
 from nmes.world import World
 from nmes.world.scenery import scene_spec
 
-__all__ = ["contacts_text", "frame_bytes", "motors_text", "scene_text"]
+__all__ = ["contacts_text", "frame_bytes", "mind_text", "motors_text", "scene_text"]
 
 _HEAD: Final = struct.Struct("<II")
 _MOST: Final = 4000  # contacts that are told
+_UNITS: Final = 1000  # units of a brain that are told
 _DRIVEN: Final = frozenset({"hinge", "slide"})  # joints that may have motors
 _FINEST: Final = 129  # heights along each side of a landscape that are told
 
@@ -113,6 +114,20 @@ def motors_text(world: World, number: int) -> str:
     efforts = world.simulation.joint_readings(tuple(joint for _, joint in driven))[:, 2].tolist()
     motors = [[place, round(effort, 4)] for (place, _), effort in zip(driven, efforts, strict=True) if effort]
     return _text("motors", world, number, motors)
+
+
+def mind_text(world: World, number: int, name: str) -> str | None:
+    """Returns what a creature's brain does, as a text frame; None where there is no such creature.
+
+    `units` are those of a brain with a memory that the world runs, `controls` what it was driven with last.
+    """
+    if name not in world.creatures():
+        return None
+    creature = world.creature(name)
+    units = [] if creature.mind is None else creature.mind.activity()[:_UNITS].tolist()
+    controls = [] if creature.controls is None else creature.controls[:_UNITS].tolist()
+    told = {"type": "mind", "scene": number, "frame": world.frame, "creature": name, "own": creature.mind is not None}
+    return write_json({**told, "units": units, "controls": controls}).decode()
 
 
 def _text(kind: str, world: World, number: int, rows: list[list[float]]) -> str:

@@ -55,6 +55,10 @@ class Mind:
         """Returns what it remembers, shape (k,)."""
         return self._brain.memory()
 
+    def activity(self) -> Array:
+        """Returns what its units did last, shape (k,), as `Brain.activity`."""
+        return self._brain.activity()
+
     def state(self) -> str:
         """Returns its memory for a snapshot."""
         return pack_array(self.memory())

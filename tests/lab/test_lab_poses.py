@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from browsers import Socket
+from creatures import SINE, snake
 from labs import Frame, RunningLab, running_lab
 from nmes.genome import Genome
 from servers import until
@@ -118,6 +119,54 @@ def test_forces_are_told_to_those_alone_who_ask_for_them(lab: RunningLab) -> Non
                 while True:
                     message = watcher.connection.recv(0.5)
                     assert isinstance(message, bytes) or json.loads(message)["type"] == "scene"
+
+
+LOOP = {
+    "kind": "graph",
+    "nodes": [{"id": "out", "motor": "*"}, {"id": "hidden", "bias": 0.5}],
+    "links": [{"from": "hidden", "to": "out", "weight": 1.0}, {"from": "out", "to": "out", "weight": 0.5}],
+}
+
+
+def test_what_a_brain_with_a_memory_does_is_told(lab: RunningLab) -> None:
+    steps = 25
+    with lab.socket() as maker:
+        maker.ask({"type": "auth", "create": {"world": "minds"}})
+    with lab.world(world="minds") as world:
+        world.ask({"type": "set_mode", "mode": "lockstep"})
+        ctrnn = {
+            "kind": "ctrnn",
+            "time_constants": [0.1, 0.3, 0.2, 0.5],
+            "biases": [0.1, -0.4, 0.3, 0.2],
+            "weights": np.linspace(-3, 3, 16).reshape(4, 4).tolist(),
+            "input_weights": [[2.0], [-1.0], [0.5], [1.0]],
+            "inputs": ["*"],
+        }
+        for name, brain in (("ctrnn", ctrnn), ("loop", LOOP), ("sine", SINE)):
+            genome, place = snake(brain), [0, 0, 5 * len(name)]
+            world.ask({"type": "spawn_creature", "genome": genome, "name": name, "position": place, "autonomous": True})
+        alone = Genome(snake(ctrnn)).brain()
+        alone.reset(0, 1 / 60)
+        for _ in range(steps):
+            outputs = alone.step(world.ask({"type": "sense", "creature": "ctrnn"})["values"]).copy()
+            world.ask({"type": "step"})
+        told = {}
+        for name in ("ctrnn", "loop", "sine"):
+            with lab.socket(f"/ws/poses?world=minds&mind={name}") as watcher:
+                while (message := watcher.hear())["type"] != "mind":
+                    pass
+                told[name] = message
+                with pytest.raises(TimeoutError):  # neither poses, nor anything else while nothing happens
+                    watcher.connection.recv(0.5)
+        hidden, out = np.tanh(0.5), 0.0
+        for _ in range(steps):
+            out = np.tanh(hidden + 0.5 * out)
+        assert told["loop"]["units"] == pytest.approx([out, hidden])
+        assert told["ctrnn"]["units"] == alone.activity().tolist() == pytest.approx(np.tanh(alone.memory()))
+        assert told["ctrnn"]["controls"] == outputs.tolist()
+        assert told["sine"]["units"] == [] and len(told["sine"]["controls"]) == len(outputs)
+        with lab.socket("/ws/poses?world=minds&mind=none%00<b>") as watcher:
+            assert watcher.hear()["type"] == "scene"
 
 
 def test_a_running_world_is_shown_at_the_pace_of_its_ticks_and_not_where_nothing_moves(lab: RunningLab) -> None:

@@ -220,8 +220,28 @@ def test_a_brain_is_drawn_and_does_something(browser: Browser, lab: Lab) -> None
     with opened(browser, lab, "brain/main/flea") as page:
         page.get_by_role("heading", name="A brain of kind mlp").wait_for()
         until(page, lambda: float(page.locator(".network .unit").last.evaluate("unit => unit.style.fillOpacity")) > 0.5)
-        assert page.locator(".bars li").count() == 1
+        assert page.locator(".bars li").count() == 2  # a sensor and a motor
         assert page.locator(".wire title").first.text_content() == "0.500"
+
+
+def test_a_brain_with_a_memory_is_drawn_as_it_works(browser: Browser, lab: Lab) -> None:
+    rest = {"time_constants": [0.2, 0.2], "biases": [3.0, -3.0], "weights": [[0.0, 0.0], [0.0, 0.0]]}
+    recurrent = {**FLEA, "brain": {"kind": "ctrnn", **rest, "input_weights": [[0.0], [0.0]]}}
+    swinging = {**FLEA, "brain": {"kind": "cpg", "oscillators": [{"motor": "hip", "frequency": 1, "offset": 0.9}]}}
+    with nmes.Client(port=lab.host_port, password=PASSWORD) as client:
+        for place, (name, genome) in enumerate({"recurrent": recurrent, "swinging": swinging}.items()):
+            client.spawn_creature(genome, name=name, autonomous=True, position=[0, 0, 3 + 2 * place])
+    for name, units in (("recurrent", [0.905, 0.905]), ("swinging", [])):
+        with opened(browser, lab, f"brain/main/{name}") as page:
+            page.get_by_text("depends on their past").wait_for()
+            dots = page.locator(".network .unit")
+            until(page, lambda: dots.last.evaluate("unit => Number(unit.style.fillOpacity)") > 0.05)  # noqa: B023
+            filled = dots.evaluate_all("units => units.map(unit => Number(unit.style.fillOpacity))")
+            assert units == [] or filled[-2:] == pytest.approx(units, abs=0.01)
+            motors = page.locator(".card", has_text="What its motors are told")
+            until(page, lambda: motors.locator(".number").inner_text() != "")  # noqa: B023
+            assert motors.get_by_text("hip").count() == 1
+            assert serious(page) == []
 
 
 def test_an_empty_leaderboard_says_how_to_fill_it(browser: Browser, lab: Lab) -> None:

@@ -3,7 +3,7 @@ import { post, socketUrl, words } from "../api.js";
 import { done } from "../command.js";
 import { Link } from "../connection.js";
 import { append, fill, h, icon, svg } from "../dom.js";
-import { type Network, network } from "../network.js";
+import { type Mind, type Network, network } from "../network.js";
 import type { Scene } from "../poses.js";
 import { type View, address, empty, heading, load } from "../shell.js";
 import { Visit, allWorlds } from "../world.js";
@@ -15,6 +15,12 @@ const MOST_WIRES = 4000;
 
 interface Checked {
   readonly body: { readonly sensors: readonly { readonly id: string; readonly type: string }[]; readonly outputs: readonly string[] } | null;
+}
+
+/** What a world tells of the brain of one of its creatures. */
+interface Told extends Mind {
+  /** Whether the world runs it. */
+  readonly own: boolean;
 }
 
 export function open(view: View): void {
@@ -67,22 +73,39 @@ function show({ root, signal }: View, world: string, creature: string): void {
     const sensors = found?.sensors ?? [];
     const names = sensors.map(({ id }) => id);
     const drawn = brain === undefined ? undefined : network(brain, names, found?.outputs ?? []);
+    const outputs = found?.outputs ?? [];
     const bars = sensors.length === 0 ? undefined : new Bars(names);
+    const driven = outputs.length === 0 ? undefined : new Bars(outputs);
     const picture = drawn === undefined ? undefined : new Picture(drawn);
     const note = h("p", { class: "hint", role: "status" });
+    const whose = h("p", { class: "hint" });
+    let sensed: readonly number[] = [];
+    let mind: Told = { own: true, units: [], controls: [] };
     if (bars !== undefined) {
       void sense(visit, creature, signal, (values) => {
+        sensed = values;
         bars.show(values);
-        picture?.show(values);
+        picture?.show(sensed, mind);
       }, (text) => (note.textContent = text));
     }
-    return h("div", { class: "columns" },
+    const link = new Link(socketUrl("/ws/poses", { world, mind: creature }), {
+      message: (message) => {
+        if (message["type"] !== "mind") return;
+        mind = message as unknown as Told;
+        whose.textContent = mind.own || brain === undefined ? "" : "Its brain is run by somebody else: what its units do only they know.";
+        driven?.show(mind.controls);
+        picture?.show(sensed, mind);
+      },
+    }, signal);
+    return h("div", { class: "stack" }, link.banner, h("div", { class: "columns" },
       h("div", { class: "card stack" }, h("h2", {}, brain === undefined ? "It has no brain" : `A brain of kind ${String(brain["kind"])}`),
         picture?.element ?? h("p", { class: "soft" }, brain === undefined ? "Whoever runs it drives its motors by messages." : described(brain)),
         picture !== undefined && h("p", { class: "hint" }, "Lines are weights: ", h("span", { class: "plus" }, "positive"), " and ", h("span", { class: "minus" }, "negative"), ", the thicker the larger. ",
-          drawn?.activate === undefined ? "What its units do depends on their past, which only the world knows: the weights alone are shown."
-            : "Units are filled by what they do, which this page computes of what is sensed now.")),
-      h("div", { class: "card stack" }, h("h2", {}, "What it senses"), note, bars?.element ?? h("p", { class: "soft" }, "It has no sensors.")));
+          drawn?.remembers === true ? "Units are filled by what they do, which depends on their past: the world tells it."
+            : "Units are filled by what they do, which this page computes of what is sensed now."), whose),
+      h("div", { class: "stack" },
+        h("div", { class: "card stack" }, h("h2", {}, "What it senses"), note, bars?.element ?? h("p", { class: "soft" }, "It has no sensors.")),
+        h("div", { class: "card stack" }, h("h2", {}, "What its motors are told"), driven?.element ?? h("p", { class: "soft" }, "It has no motors.")))));
   }, signal);
 }
 
@@ -173,9 +196,8 @@ class Picture {
     this.element = svg("svg", { viewBox: `0 0 ${WIDTH} ${height}`, class: "network", role: "img", "aria-label": `A network of ${network.units.length} units and ${network.wires.length} weights` }, ...lines, ...places.map(([cx, cy]) => svg("circle", { cx, cy, r: 8, class: "under" })), ...this.dots, ...labels);
   }
 
-  show(sensed: readonly number[]): void {
-    const values = this.network.activate?.(sensed);
-    values?.forEach((value, unit) => {
+  show(sensed: readonly number[], mind: Mind): void {
+    this.network.activate(sensed, mind).forEach((value, unit) => {
       const dot = this.dots[unit];
       if (dot !== undefined) {
         dot.style.setProperty("fill", value < 0 ? "var(--series-2)" : "var(--series-1)");
