@@ -8,7 +8,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -225,7 +225,7 @@ def test_a_brain_is_drawn_and_does_something(browser: Browser, lab: Lab) -> None
 
 
 def test_a_brain_with_a_memory_is_drawn_as_it_works(browser: Browser, lab: Lab) -> None:
-    rest = {"time_constants": [0.2, 0.2], "biases": [3.0, -3.0], "weights": [[0.0, 0.0], [0.0, 0.0]]}
+    rest: dict[str, Any] = {"time_constants": [0.2, 0.2], "biases": [3.0, -3.0], "weights": [[0.0, 0.0], [0.0, 0.0]]}
     recurrent = {**FLEA, "brain": {"kind": "ctrnn", **rest, "input_weights": [[0.0], [0.0]]}}
     swinging = {**FLEA, "brain": {"kind": "cpg", "oscillators": [{"motor": "hip", "frequency": 1, "offset": 0.9}]}}
     with nmes.Client(port=lab.host_port, password=PASSWORD) as client:
