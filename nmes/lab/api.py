@@ -9,6 +9,7 @@ from __future__ import annotations
 import shlex
 from collections.abc import Awaitable, Callable
 from importlib.metadata import version
+from pathlib import Path
 from typing import Any, Final
 
 from starlette.requests import Request
@@ -34,6 +35,7 @@ from nmes.schemas.documents import JsonObject, parse_document, write_json
 __all__ = ["ROUTES", "routes"]
 
 _BODY: Final = 8 << 20  # bytes of a request
+_FILM: Final = 8.0  # s of an episode that are filmed
 _ENTRIES: Final = 500  # of a leaderboard that are told at once
 
 Answer = Callable[[Request], Awaitable[Any]]
@@ -65,6 +67,8 @@ ROUTES: Final = {
     ("GET", "/api/leaderboards"): "leaderboards",
     ("GET", "/api/leaderboards/{name}"): "leaderboard",
     ("POST", "/api/leaderboards/{name}/verify"): "verify",
+    ("POST", "/api/leaderboards/{name}/film"): "film",
+    ("GET", "/api/films/{name}/file"): "film_file",
     ("GET", "/api/jobs"): "jobs",
     ("GET", "/api/jobs/{id:int}"): "job",
     ("POST", "/api/jobs/{id:int}/stop"): "stop_job",
@@ -242,8 +246,8 @@ class _Api:
         return job.to_json()
 
     async def resume_run(self, request: Request) -> JsonObject:
-        name = request.path_params["name"]
-        return await self._start(await self._lab.do(resume_command, self._folder, name), f"run {name}")
+        name, budget = request.path_params["name"], (await _object(request)).get("budget")
+        return await self._start(await self._lab.do(resume_command, self._folder, name, budget), f"run {name}")
 
     async def candidate(self, request: Request) -> JsonObject:
         name, number = request.path_params["name"], request.path_params["number"]
@@ -328,6 +332,28 @@ class _Api:
             raise LabError("invalid", "an entry is meant by its number", "entry")
         only = [] if entry is None else [str(entry)]
         return await self._start(["leaderboard", "verify", str(path), *only, "--json"])
+
+    async def film(self, request: Request) -> JsonObject:
+        name = request.path_params["name"]
+        path, number = self._folder.find("leaderboards", name), (await _object(request)).get("entry")
+
+        def proof() -> Path | None:
+            board = Leaderboard(path)
+            try:
+                found = [entry for entry in board.entries(broken=True) if entry.id == number]
+                return board.recording(found[0].recordings[0]) if found else None
+            finally:
+                board.close()
+
+        recording = await self._lab.do(proof) if type(number) is int else None
+        if recording is None:
+            raise LabError("not_found", f"{name!r} has no such entry", "entry")
+        film = self._folder.place("films", f"{name[:150]}-{number}")
+        options = ["--to", f"{_FILM:g}s", "--size", "480x360", "--fps", "15"]
+        return {**await self._start(["render", str(recording), "-o", str(film), *options]), "film": film.stem}
+
+    async def film_file(self, request: Request) -> Response:
+        return FileResponse(self._folder.find("films", request.path_params["name"]), media_type="image/gif")
 
     # -- jobs ------------------------------------------------------------------------------------------------------
 

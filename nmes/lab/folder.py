@@ -16,7 +16,7 @@ from nmes.errors import NmesError
 
 __all__ = ["Folder", "Kind", "LabError"]
 
-Kind = Literal["recordings", "runs", "genomes", "tasks", "leaderboards", "settings"]
+Kind = Literal["recordings", "runs", "genomes", "tasks", "leaderboards", "settings", "films"]
 
 _NAME: Final = re.compile(r"\w[\w.-]{0,199}")
 _STATUSES: Final = {
@@ -40,6 +40,7 @@ _SUFFIXES: Final[dict[Kind, str]] = {
     "tasks": ".json",
     "leaderboards": ".sqlite",
     "settings": ".json",
+    "films": ".gif",
 }
 
 

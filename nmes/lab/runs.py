@@ -33,6 +33,7 @@ __all__ = [
 
 _LEARNING: Final = "nmes-learning/1"
 _LINEAGE: Final = 500  # ancestors that are told
+_BUDGET: Final = 1_000_000_000  # candidates
 _ELITES: Final = 2500  # a grid of 50 x 50
 
 
@@ -127,14 +128,22 @@ def _learn(folder: Folder, settings: Mapping[str, Any]) -> list[str]:
     return command
 
 
-def resume_command(folder: Folder, name: str) -> list[str]:
-    """Returns the command that goes on with a run.
+def resume_command(folder: Folder, name: str, budget: Any = None) -> list[str]:
+    """Returns the command that goes on with a run, of evolution perhaps with another budget.
 
     Raises:
-        LabError: There is none.
+        LabError: There is none, or no such budget.
     """
     path = folder.find("runs", name)
-    return ["learn" if is_learning(path) else "evolve", "resume", str(path), "--json"]
+    learning = is_learning(path)
+    if budget is None:
+        return ["learn" if learning else "evolve", "resume", str(path), "--json"]
+    if learning:
+        reason = "a run of learning has the steps that it was begun with: begin another like it, with more"
+        raise LabError("invalid", reason, "budget")
+    if type(budget) is not int or not len(Run.open(path)) <= budget <= _BUDGET or budget < 1:
+        raise LabError("invalid", f"a budget is a number from as many as were told to {_BUDGET:,}", "budget")
+    return ["evolve", "resume", str(path), "--budget", str(budget), "--json"]
 
 
 def is_learning(path: Path) -> bool:

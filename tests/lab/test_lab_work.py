@@ -112,6 +112,8 @@ def test_a_run_that_was_paused_and_resumed_is_that_of_the_command_line(lab: Runn
     run = Run.open(tmp_path / "run")
     assert run.best is not None and about["best"] == {"index": run.best.index, "score": run.best.score}
     assert about["curve"][-1]["best"] == run.best.score and about["lineage"][-1]["index"] == run.best.index
+    for budget in (23, 0, -1, "x", True, 1.5, 1 << 40):
+        assert lab.ask("/api/runs/first/resume", {"budget": budget})[1]["error"]["path"] == "budget", budget
     for number in (str(run.best.index), "best"):
         assert lab.good(f"/api/runs/first/candidates/{number}/genome") == run.genome(run.best.index).document
     for number in ("24", "-1", "x", "%2e%2e"):
@@ -156,6 +158,8 @@ def test_a_run_of_learning_is_begun_by_the_command_that_is_shown(lab: RunningLab
     about = lab.good("/api/runs/learned")
     assert (about["kind"], about["state"]) == ("learn", "finished")
     assert about["digest"] == ended["result"]["digest"] and about["legs"]
+    refused = lab.ask("/api/runs/learned/resume", {"budget": 128})
+    assert refused[0] == 422 and "begin another like it" in refused[1]["error"]["message"]
 
 
 def test_no_more_commands_run_at_once_than_may(lab: RunningLab) -> None:
@@ -181,6 +185,9 @@ def test_a_leaderboard_is_listed_and_verified(lab: RunningLab) -> None:
     assert lab.ended(lab.good("/api/leaderboards/board/verify", {})["id"])["result"] == []
     job = lab.good("/api/leaderboards/board/verify", {"entry": 3})
     assert job["command"].endswith("board.sqlite 3 --json") and lab.ended(job["id"])["status"] == 2
+    for entry in (3, 0, "3", None):
+        assert lab.ask("/api/leaderboards/board/film", {"entry": entry})[0] == 404
+    assert lab.ask("/api/films/board-3/file")[0] == 404
     for entry in (0, "3", [3], "--write", True, 1.5):
         status, told = lab.ask("/api/leaderboards/board/verify", {"entry": entry})
         assert status == 422 and told["error"]["code"] == "invalid", entry

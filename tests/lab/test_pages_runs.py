@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import json
 import re
 import subprocess
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 import nmes
-from lab_browser import PASSWORD, Lab, opened, running_browser, served_lab
+from lab_browser import PASSWORD, PATIENCE, Lab, opened, running_browser, serious, served_lab
+from nmes.evolution.run import Run
 from processes import NMES
 
 if TYPE_CHECKING:
@@ -25,7 +28,7 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
-    """A lab with a finished run over hills."""
+    """A lab with a finished run over hills, and one of learning."""
     folder = tmp_path_factory.mktemp("lab")
     (folder / "runs").mkdir()
     options = [
@@ -42,6 +45,8 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
         str(folder / "runs/hills"),
     ]
     subprocess.run([NMES, "evolve", "walker", *options], check=True)
+    learning = ["--task", "walk", "--steps", "64", "--set", "rows=2", "--set", "ticks=16", "--every", "1", "-q"]
+    subprocess.run([NMES, "learn", "walker", *learning, "-o", str(folder / "runs/taught")], check=True)
     with served_lab(folder) as running:
         yield running
 
@@ -58,3 +63,53 @@ def test_a_champion_is_watched_in_the_world_of_its_task(browser: Browser, lab: L
                 info = client.get_world_info()
                 assert info["config"]["scene"]["type"] == "heightfield" and info["seed"] == 3
                 assert 0 < info["counts"]["cubes"] < 40
+
+
+def settings_of(lab: Lab, run: str) -> Any:
+    """Returns what a run was begun with."""
+    return json.loads((lab.folder / "runs" / run / "run.json").read_bytes())
+
+
+def test_a_finished_run_goes_on_to_a_greater_budget(browser: Browser, lab: Lab, tmp_path: Path) -> None:
+    options = ["--task", "rough", "--seeds", "3", "--jobs", "1", "-q", "-o"]
+    for folder, budget in ((lab.folder / "runs/more", "3"), (tmp_path / "whole", "7")):
+        subprocess.run([NMES, "evolve", "walker", "--budget", budget, *options, str(folder)], check=True)
+    with opened(browser, lab, "evolve/more") as page:
+        page.get_by_text("3 of 3 candidates").wait_for()
+        page.get_by_label("Another budget, in candidates").fill("7")
+        page.get_by_role("button", name="Go on to").hover()
+        shown = f"nmes evolve resume {lab.folder}/runs/more --budget 7"
+        assert page.locator("#command").inner_text() == shown
+        page.get_by_role("button", name="Go on to").click()
+        page.get_by_text("7 of 7 candidates").wait_for(timeout=4 * PATIENCE)
+    assert Run.open(lab.folder / "runs/more").digest == Run.open(tmp_path / "whole").digest
+
+
+def test_another_run_is_begun_like_one_with_its_settings_changed(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "evolve/hills") as page:
+        page.get_by_role("link", name="Begin another like it").click()
+        page.get_by_label("Name of the run").fill("hills-again")
+        page.get_by_label("Budget, in candidates").fill("2")
+        options = page.get_by_label("Options of the algorithm, as JSON")
+        options.fill(json.dumps({**json.loads(options.input_value()), "population": 8}))
+        assert serious(page) == []
+        page.get_by_role("button", name="Start").click()
+        page.get_by_text("2 of 2 candidates").wait_for(timeout=4 * PATIENCE)
+    before, after = settings_of(lab, "hills"), settings_of(lab, "hills-again")
+    changed = {name for name in before.keys() | after.keys() if before.get(name) != after.get(name)}
+    assert changed == {"budget", "seed", "options"}
+    assert (after["budget"], after["seed"], after["options"]["population"]) == (2, before["seed"] + 1, 8)
+
+
+def test_a_learning_is_begun_again_with_its_settings_changed(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "evolve/taught") as page:
+        page.get_by_role("link", name="Begin another like it").click()
+        page.get_by_label("Name of the run").fill("taught-again")
+        assert page.get_by_label("Steps to learn from").input_value() == "64"
+        options = page.get_by_label("Options of the algorithm, as JSON")
+        options.fill(json.dumps({**json.loads(options.input_value()), "rate": 0.001}))
+        page.get_by_role("button", name="Start").click()
+        page.get_by_text("64 of 64 steps").wait_for(timeout=4 * PATIENCE)
+    before, after = settings_of(lab, "taught"), settings_of(lab, "taught-again")
+    changed = {name for name in before.keys() | after.keys() if before.get(name) != after.get(name)}
+    assert changed == {"seed", "options"} and after["options"]["rate"] == 0.001

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 MARKUP = "<b>bold</b>"
 PHONE = {"width": 360, "height": 740}
 PAGES = ("worlds", "worlds/main", "recordings", "recordings/old", "brain", "brain/main/flea", "leaderboard")
-FLEA = {
+FLEA: dict[str, Any] = {
     "format": "nmes-genome/1",
     "name": "<b>flea</b>",
     "body": {
@@ -265,6 +265,16 @@ def test_one_entry_of_a_leaderboard_is_verified(browser: Browser, lab: Lab, tmp_
         button.click()
         page.get_by_text("wave holds.").wait_for(timeout=1000 * PATIENCE)
         assert page.locator(".badge.good").count() == 1 and page.locator("tbody tr").count() == 2
+        film = page.get_by_role("button", name="Film wave")
+        film.hover()
+        page.get_by_text(re.compile(r"nmes render \S+dash.recordings/\w+.mcap -o \S+gif")).first.wait_for()
+        film.click()
+        picture = page.get_by_alt_text("A film of wave on dash")
+        picture.wait_for(timeout=4 * PATIENCE)
+        until(page, lambda: picture.evaluate("film => film.complete && film.naturalWidth") == 480)
+        assert (lab.folder / "films").is_dir() and serious(page) == []
+        page.set_viewport_size({"width": 360, "height": 740})
+        assert page.evaluate("document.documentElement.scrollWidth") <= 360
 
 
 def test_the_keyboard_reaches_everything(browser: Browser, lab: Lab) -> None:

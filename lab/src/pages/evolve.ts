@@ -1,5 +1,5 @@
 /** Evolve and learn: a run is begun here, paused, gone on with, and looked at; its champions are watched. */
-import { get, part, post, state } from "../api.js";
+import { get, part, post, put, state, words } from "../api.js";
 import { action, done, line } from "../command.js";
 import type { Genome } from "../creature/genome.js";
 import { field, fill, h, select } from "../dom.js";
@@ -25,6 +25,7 @@ const ARCHIVES = new Set(["map-elites", "cma-me"]);
 const MEASURES = [{ expression: "legs", low: 0, high: 10, cells: 10 }, { expression: "mass", low: 0, high: 50, cells: 10 }];
 const OBJECTIVES = ["distance", "-energy"];
 const RANDOM = "";
+const SAME = "="; // which no name is: what the run has that another is begun like
 
 export async function open(view: View): Promise<void> {
   const [name] = view.params;
@@ -35,9 +36,11 @@ export async function open(view: View): Promise<void> {
   const list = h("div", {});
   const form = h("div", { class: "card" });
   fill(view.root, heading("Evolve and learn", "Bodies and brains that nobody designed, in runs that anyone can repeat."), form, h("h2", {}, "Runs"), list);
+  const another = view.query.get("like");
+  const like = async (): Promise<Like | undefined> => (another === null ? undefined : { name: another, ...await get<Pick<Like, "kind" | "settings">>(`/runs/${part(another)}`) });
   await Promise.all([
-    load(form, "what there is to choose", async () => Promise.all([genomes(view.signal), tasks(view.signal), state(), runs()]), ([known, all, { folder = "lab" }, existing]) =>
-      new Form(known, all, folder, existing.map((run) => run.name), view.query).element, view.signal),
+    load(form, "what there is to choose", async () => Promise.all([genomes(view.signal), tasks(view.signal), state(), runs(), like()]), ([known, all, { folder = "lab" }, existing, found]) =>
+      new Form(known, all, folder, existing.map((run) => run.name), view.query, found).element, view.signal),
     load(list, "runs", () => runs("", view.signal), (items) => listed(items), view.signal),
   ]);
 }
@@ -50,6 +53,26 @@ function listed(items: readonly RunItem[]): HTMLElement {
       h("td", { class: "name" }, h("a", { href: address("evolve", run.name) }, run.name)),
       h("td", {}, String(run.details?.["task"] ?? "")), h("td", {}, String(run.details?.["algorithm"] ?? "")),
       h("td", {}, run.job === null || run.job === undefined ? "" : h("span", { class: "badge good" }, "running")))))));
+}
+
+/** A run that another is begun like. */
+interface Like {
+  readonly name: string;
+  readonly kind: "evolve" | "learn";
+  readonly settings: Settings;
+}
+
+interface Settings {
+  readonly task: { readonly name: string };
+  readonly algorithm: string;
+  readonly seed: number;
+  readonly options?: object;
+  readonly budget?: number;
+  readonly starts?: readonly { readonly name: string }[];
+  readonly genome?: object;
+  readonly steps?: number;
+  readonly every?: number;
+  readonly reward?: string;
 }
 
 /** What a run is begun with. */
@@ -65,14 +88,26 @@ class Form {
   readonly #about = h("p", { class: "soft" });
   readonly #amount = h("span", {}, "Budget, in candidates");
   readonly #picture = h("div", {});
+  readonly #options = h("textarea", { rows: 4, spellcheck: "false", class: "mono" });
   #kind: "evolve" | "learn" = "evolve";
+  #fitted: string | undefined; // the algorithm whose options are shown
   #named = false; // by a person: then it stays
 
-  constructor(known: readonly Named[], private readonly all: readonly TaskItem[], private readonly folder: string, private readonly existing: readonly string[], query: URLSearchParams) {
+  constructor(known: readonly Named[], private readonly all: readonly TaskItem[], private readonly folder: string, private readonly existing: readonly string[], query: URLSearchParams, private readonly like?: Like) {
     const asked = query.get("genome") ?? RANDOM;
     const options = known.map(({ name, ships }) => [name, ships ? `${name} (ships)` : name] as const);
-    this.#start = select([[RANDOM, "random creatures"], ...options], asked);
-    this.#task = select(all.filter((task) => (task.roles ?? []).length === 0).map((task) => task.name), query.get("task") ?? "walk");
+    const same = like !== undefined && (like.kind === "learn" || (like.settings.starts ?? []).length > 0);
+    this.#start = select([...(same ? [[SAME, `as in ${like.name}`] as const] : []), [RANDOM, "random creatures"], ...options], same ? SAME : asked);
+    const alone = all.filter((task) => (task.roles ?? []).length === 0).map((task) => [task.name, task.name] as const);
+    this.#task = select([...(like?.kind === "evolve" ? [[SAME, `${like.settings.task.name}, as in ${like.name}`] as const] : []), ...alone],
+      like === undefined ? query.get("task") ?? "walk" : like.kind === "evolve" ? SAME : like.settings.task.name);
+    this.#kind = like?.kind ?? "evolve";
+    if (like !== undefined) {
+      this.#budget.value = String(like.settings.budget ?? like.settings.steps ?? 1);
+      this.#seed.value = String(like.settings.seed + 1);
+      fill(this.#algorithm, h("option", { value: like.settings.algorithm, selected: true }, like.settings.algorithm));
+      this.#options.value = JSON.stringify(like.settings.options ?? {}, null, 1);
+    }
     const kinds = (["evolve", "learn"] as const).map((kind) => h("button", { type: "button", "aria-pressed": String(kind === this.#kind) }, kind === "evolve" ? "Evolve" : "Learn"));
     kinds.forEach((button, i) => button.addEventListener("click", () => {
       this.#kind = i === 0 ? "evolve" : "learn";
@@ -84,8 +119,9 @@ class Form {
     fill(budget.querySelector("label") as HTMLElement, this.#amount);
     const begin = action({ label: "Start", icon: "play", look: "primary", run: () => this.#begin() });
     fill(this.element,
-      h("div", { class: "run-head" }, h("div", { class: "choices", role: "group", "aria-label": "What is done" }, ...kinds), this.#picture),
+      h("div", { class: "run-head" }, like === undefined && h("div", { class: "choices", role: "group", "aria-label": "What is done" }, ...kinds), this.#picture),
       h("div", { class: "form" }, field("Begin with", this.#start), field("Task", this.#task), field("Algorithm", this.#algorithm), budget, field("Seed", this.#seed), field("Name of the run", this.#name)),
+      like !== undefined && field("Options of the algorithm, as JSON", this.#options, "Those of another algorithm are other ones: {} takes its defaults."),
       this.#about, this.#command, h("div", { class: "actions" }, begin));
     this.element.addEventListener("submit", (event) => {
       event.preventDefault();
@@ -107,18 +143,29 @@ class Form {
       fill(this.#algorithm, ...fitting.map(([value, text]) => h("option", { value, selected: value === chosen }, text)));
     }
     if (learning && random && this.#start.options.length > 1) this.#start.selectedIndex = 1;
+    if (this.like !== undefined && chosen !== this.#fitted) this.#options.value = JSON.stringify(chosen === this.like.settings.algorithm ? this.like.settings.options ?? {} : {}, null, 1);
+    this.#fitted = chosen;
     this.#amount.textContent = learning ? "Steps to learn from" : "Budget, in candidates";
-    if (!this.#named) this.#name.value = this.#free(`${this.#task.value}-${chosen}-${this.#seed.value}`);
-    const task = this.all.find((each) => each.name === this.#task.value);
+    if (!this.#named) this.#name.value = this.#free(`${this.#taskName()}-${chosen}-${this.#seed.value}`);
+    const task = this.all.find((each) => each.name === this.#taskName());
     fill(this.#about, task?.description ?? "");
     this.#command.textContent = this.#line();
     void this.#draw();
   }
 
+  #taskName(): string {
+    return this.#task.value === SAME ? this.like?.settings.task.name ?? "" : this.#task.value;
+  }
+
+  /** The name of a genome that is a run's, once it is kept. */
+  #kept(): string {
+    return this.#start.value === SAME ? `${this.like?.name ?? ""}-start` : this.#start.value;
+  }
+
   async #draw(): Promise<void> {
     const name = this.#start.value;
     fill(this.#picture);
-    if (name === RANDOM) return;
+    if (name === RANDOM || name === SAME) return;
     const genome = await get<Genome>(`/genomes/${part(name)}`);
     const drawing = await drawn(genome, 64);
     if (this.#start.value === name && drawing !== undefined) fill(this.#picture, drawing);
@@ -132,29 +179,58 @@ class Form {
 
   /** The command line that does the same. */
   #line(): string {
-    const start = this.#start.value === RANDOM ? "random" : this.#start.value;
+    if (this.like !== undefined && this.#kind === "evolve") return line("nmes", "evolve", "--settings", `${this.folder}/settings/${this.#name.value}.json`, "-o", `${this.folder}/runs/${this.#name.value}`);
+    const start = this.#start.value === RANDOM ? "random" : this.#kept();
     const from = this.#start.selectedOptions[0]?.text.endsWith("(ships)") || start === "random" ? start : `${this.folder}/genomes/${start}.json`;
     const algorithm = this.#algorithm.value;
     const archive = ARCHIVES.has(algorithm) ? MEASURES.flatMap((each) => ["--measure", `${each.expression} from ${each.low} to ${each.high} in ${each.cells}`]) : [];
     const objectives = algorithm === "nsga2" ? OBJECTIVES.flatMap((each) => ["--objective", each]) : [];
-    return line("nmes", this.#kind, from, "--task", this.#task.value, "--algorithm", algorithm, this.#kind === "evolve" ? "--budget" : "--steps", this.#budget.value,
+    return line("nmes", this.#kind, from, "--task", this.#taskName(), "--algorithm", algorithm, this.#kind === "evolve" ? "--budget" : "--steps", this.#budget.value,
       "--seed", this.#seed.value, ...archive, ...objectives, "-o", `${this.folder}/runs/${this.#name.value}`);
   }
 
   async #begin(): Promise<void> {
     if (!this.element.reportValidity()) return;
-    const [task, algorithm, name] = [this.#task.value, this.#algorithm.value, this.#name.value];
-    const [amount, seed] = [Number(this.#budget.value), Number(this.#seed.value)];
-    const start = this.#start.value;
-    const settings = this.#kind === "learn"
-      ? { genome: start, task, algorithm, steps: amount, seed }
-      : {
-          task, algorithm, budget: amount, seed, starts: start === RANDOM ? [] : [start],
-          ...(ARCHIVES.has(algorithm) ? { measures: MEASURES } : {}),
-          ...(algorithm === "nsga2" ? { objectives: OBJECTIVES } : {}),
-        };
+    const name = this.#name.value;
+    const settings = this.#kind === "learn" ? await this.#lesson() : this.#search();
     const job = await post<{ id: number; command: string }>("/runs", { kind: this.#kind, name, settings });
     done(job.command);
     location.hash = `${address("evolve", name)}?job=${job.id}`;
+  }
+
+  /** Settings of evolution. */
+  #search(): object {
+    const [start, task, algorithm] = [this.#start.value, this.#task.value, this.#algorithm.value];
+    const before = this.like?.kind === "evolve" ? this.like.settings : undefined;
+    const same = before !== undefined && algorithm === before.algorithm;
+    return {
+      ...(same ? before : {}),
+      ...(before === undefined ? {} : { options: this.#given() }),
+      task: task === SAME ? before?.task : task, algorithm, budget: Number(this.#budget.value), seed: Number(this.#seed.value),
+      starts: start === SAME ? before?.starts : start === RANDOM ? [] : [start],
+      ...(ARCHIVES.has(algorithm) && !same ? { measures: MEASURES } : {}),
+      ...(algorithm === "nsga2" && !same ? { objectives: OBJECTIVES } : {}),
+    };
+  }
+
+  /** Settings of learning; the genome of a run that it is to be like is kept among the genomes. */
+  async #lesson(): Promise<object> {
+    const before = this.like?.kind === "learn" ? this.like.settings : undefined;
+    const genome = this.#kept();
+    if (this.#start.value === SAME) await put(`/genomes/${part(genome)}`, before?.genome);
+    const same = before !== undefined && this.#algorithm.value === before.algorithm;
+    return {
+      genome, task: this.#taskName(), algorithm: this.#algorithm.value, steps: Number(this.#budget.value), seed: Number(this.#seed.value),
+      ...(before === undefined ? {} : { options: this.#given(), every: before.every }),
+      ...(same && before.reward !== undefined ? { reward: before.reward } : {}),
+    };
+  }
+
+  #given(): unknown {
+    try {
+      return JSON.parse(this.#options.value);
+    } catch (error) {
+      throw new Error(`options: this is no JSON: ${words(error)}`);
+    }
   }
 }

@@ -1,6 +1,6 @@
 /** Leaderboards: scores, each with recordings that prove it, and the proof done again. */
 import { get, kept, part, post, state, words } from "../api.js";
-import { action, line } from "../command.js";
+import { action, done, line } from "../command.js";
 import { type Child, append, fill, h, icon, select } from "../dom.js";
 import { type Job, ended } from "../jobs.js";
 import { type View, empty, go, heading, load } from "../shell.js";
@@ -66,7 +66,7 @@ function entries({ name, items }: Board, choice: HTMLElement, signal: AbortSigna
       && `${entry.name} ${entry.author}`.toLowerCase().includes(search.value.toLowerCase()));
     fill(body, ...(items.length === 0 ? [empty("Nothing is listed yet", "Whoever proves a score is listed:", h("code", {}, `nmes leaderboard add ${line(file)} proofs/*.mcap`))]
       : wanted.length === 0 ? [empty("No entry is like that", "Choose another task, or search for something else.")]
-        : tasks.map((each) => ranked(each, wanted.filter((entry) => entry.task === each), verdicts, verify))));
+        : tasks.map((each) => ranked(each, wanted.filter((entry) => entry.task === each), verdicts, (entry) => [verify(entry), film(entry)]))));
   };
   const verify = (entry?: Entry): HTMLButtonElement => action({
     label: entry === undefined ? "Verify all" : `Verify ${entry.name}`, icon: "check", look: entry === undefined ? "primary" : "plain", bare: entry !== undefined,
@@ -88,13 +88,36 @@ function entries({ name, items }: Board, choice: HTMLElement, signal: AbortSigna
       }
     },
   });
+  const shown = h("div", {});
+  const film = (entry: Entry): HTMLButtonElement => action({
+    label: `Film ${entry.name}`, icon: "play", bare: true,
+    command: () => line("nmes", "render", ...entry.recordings.slice(0, 1).map((hash) => kept("leaderboards", `${name}.recordings`, `${hash}.mcap`)), "-o", kept("films", `${name}-${entry.id}.gif`)),
+    run: async () => {
+      fill(shown, h("p", { class: "hint", role: "status" }, `${entry.name} is filmed …`));
+      try {
+        const begun = await post<Job & { film: string }>(`/leaderboards/${part(name)}/film`, { entry: entry.id });
+        const job = await ended(begun, signal);
+        if (job.status !== 0) {
+          throw new Error(job.lines.at(-1) ?? "it could not be filmed");
+        }
+        const file = `/api/films/${part(begun.film)}/file?job=${job.id}`;
+        done(job.command);
+        fill(shown, h("figure", { class: "card stack film" }, h("img", { src: file, width: 480, height: 360, alt: `A film of ${entry.name} on ${entry.task}` }),
+          h("figcaption", {}, `${entry.name} on ${entry.task}, from the recording that proves its score`),
+          h("a", { class: "button", href: file, download: `${begun.film}.gif` }, icon("download", 18), "Download")));
+        shown.scrollIntoView({ block: "nearest" });
+      } catch (error) {
+        fill(shown, h("p", { class: "bad" }, signal.aborted ? "" : words(error)));
+      }
+    },
+  });
   task.addEventListener("change", draw);
   search.addEventListener("input", draw);
   draw();
-  return h("div", { class: "stack" }, h("div", { class: "bar" }, choice, task, h("div", { class: "searching" }, icon("search", 18), search), h("span", { class: "grow" }), verify()), told, body);
+  return h("div", { class: "stack" }, h("div", { class: "bar" }, choice, task, h("div", { class: "searching" }, icon("search", 18), search), h("span", { class: "grow" }), verify()), told, shown, body);
 }
 
-function ranked(task: string, entries: readonly Entry[], verdicts: ReadonlyMap<number, Verdict>, verify: (entry: Entry) => Child): Child {
+function ranked(task: string, entries: readonly Entry[], verdicts: ReadonlyMap<number, Verdict>, doing: (entry: Entry) => Child): Child {
   return entries.length > 0 && h("section", { class: "stack" }, h("h2", {}, task), h("div", { class: "table" }, h("table", {},
     h("thead", {}, h("tr", {}, h("th", { class: "number" }, "Rank"), h("th", {}, "Creature"), h("th", { class: "wide" }, "Author"), h("th", { class: "number" }, "Score"),
       h("th", { class: "number wide" }, "Recordings"), h("th", {}, "Proof"))),
@@ -105,7 +128,7 @@ function ranked(task: string, entries: readonly Entry[], verdicts: ReadonlyMap<n
       h("td", { class: "number" }, `${entry.score.toLocaleString("en", { maximumFractionDigits: 3 })}${entry.unit === "" ? "" : ` ${entry.unit}`}`,
         entry.spread > 0 && h("span", { class: "soft wide" }, ` ± ${entry.spread.toLocaleString("en", { maximumFractionDigits: 3 })}`)),
       h("td", { class: "number wide" }, entry.recordings.length),
-      h("td", {}, h("span", { class: "bar" }, proof(entry, verdicts.get(entry.id)), verify(entry)))))))));
+      h("td", {}, h("span", { class: "bar" }, proof(entry, verdicts.get(entry.id)), doing(entry)))))))));
 }
 
 function proof({ broken }: Entry, verdict: Verdict | undefined): Child {

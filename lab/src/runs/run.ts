@@ -1,5 +1,5 @@
 /** One run, as it goes on: its curve, its best, its archive, who comes from whom; and the champion in a world. */
-import { get, part, post, put, words } from "../api.js";
+import { get, kept, part, post, put, state, words } from "../api.js";
 import { action, done, line } from "../command.js";
 import type { Genome } from "../creature/genome.js";
 import { portrait } from "../creature/portrait.js";
@@ -64,6 +64,7 @@ export class RunView {
         h("div", { class: "stack" }, this.#best)));
     for (const card of [this.#archive, this.#family, this.#stage]) card.hidden = true;
     fill(this.#best, loading("the run"));
+    await state(); // which says where the folder is
     await this.#look();
   }
 
@@ -123,18 +124,25 @@ export class RunView {
   }
 
   #steering(run: Run): Child {
-    if (run.state === "finished") return undefined;
-    const steer = async (what: "pause" | "resume"): Promise<void> => {
-      const job = await post<{ id: number; command: string }>(`/runs/${part(this.name)}/${what}`);
+    const path = kept("runs", this.name);
+    const like = h("a", { class: "button", href: `#/evolve?like=${encodeURIComponent(this.name)}` }, "Begin another like it");
+    const steer = async (what: "pause" | "resume", more: { budget?: number } = {}): Promise<void> => {
+      const job = await post<{ id: number; command: string }>(`/runs/${part(this.name)}/${what}`, more);
       if (what === "resume") {
         this.#job = String(job.id);
         done(job.command);
       }
       await this.#look();
     };
-    return run.state === "running"
-      ? action({ label: "Pause", icon: "pause", run: () => steer("pause") })
-      : action({ label: "Resume", icon: "play", look: "primary", command: () => line("nmes", run.kind, "resume", this.name), run: () => steer("resume") });
+    if (run.state === "running") return action({ label: "Pause", icon: "pause", run: () => steer("pause") });
+    const resume = run.state === "paused" && action({ label: "Resume", icon: "play", look: "primary", command: () => line("nmes", run.kind, "resume", path), run: () => steer("resume") });
+    if (run.kind === "learn") return [resume, like];
+    const budget = h("input", { type: "number", class: "few", min: Math.max(run.told ?? 1, 1), max: 1_000_000_000, value: String(2 * (run.settings.budget ?? 1)), "aria-label": "Another budget, in candidates" });
+    const more = action({
+      label: "Go on to", icon: "play", command: () => line("nmes", "evolve", "resume", path, "--budget", budget.value),
+      run: () => steer("resume", { budget: Number(budget.value) }),
+    });
+    return [resume, more, budget, like];
   }
 
   #draw(run: Run): void {
