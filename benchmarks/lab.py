@@ -2,13 +2,16 @@
 
 `python benchmarks/lab.py` runs a lab of its own on this machine's loopback, and prints its figures as JSON: the part of
 a core that the process takes while 1,000 cubes fall, unwatched and watched in turns; how many frames came; and how long
-the first page of 10,000 recordings takes, in a folder that the lab has never seen.
+the first page of 10,000 recordings takes, in a folder that the lab has never seen. With Playwright and Chromium it also
+tells what a browser without a graphics processor makes of it: how many pictures of 300 cubes that turn it draws in a
+second, in windows of two sizes, and how long it takes until the page of 10,000 recordings, or runs, has been painted.
 """
 
 from __future__ import annotations
 
 import json
 import os
+import shutil
 import statistics
 import subprocess
 import sys
@@ -18,6 +21,7 @@ import time
 import urllib.request
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +33,9 @@ RECORDINGS = 10_000
 WATCH = 5.0  # s of each turn
 TURNS = 4
 PAGES = 20
+TURNING = 300  # cubes that a browser draws
+WINDOWS = ((1280, 720), (1920, 1080))
+SOFTWARE = ["--no-sandbox", "--use-gl=swiftshader", "--enable-unsafe-swiftshader", "--disable-gpu-sandbox"]
 
 
 class Lab:
@@ -37,6 +44,7 @@ class Lab:
     def __init__(self, process: subprocess.Popen[str], about: dict[str, Any]) -> None:
         self._process = process
         self.port: int = about["port"]
+        self.url: str = about["url"]
         self.headers = {"Authorization": f"Bearer {about['token']}"}
 
     @contextmanager
@@ -131,6 +139,63 @@ def listing(lab: Lab) -> dict[str, Any]:
     return {"recordings": page["count"], "first_ms": times[0], "then_ms": statistics.median(times[1:])}
 
 
+def turn(lab: Lab) -> None:
+    """Fills a world with cubes that turn for ever, each on an axis of its own."""
+    with lab.socket("/ws") as world:
+        ask(world, {"type": "auth", "create": {"world": "turning"}})
+    with lab.socket("/ws") as world:
+        ask(world, {"type": "auth", "world": "turning"})
+        ask(world, {"type": "spawn_cube", "cube_name": "hub", "position": [16, 30, 0], "frozen": True, "list": False})
+        for number in range(TURNING):
+            name, place = f"c{number}", [1.6 * (number % 20), 2 + 1.6 * (number // 20), 0]
+            ask(
+                world,
+                {"type": "spawn_cube", "cube_name": name, "position": place, "size": [1, 0.5, 0.5], "list": False},
+            )
+            motor = {"motor_enabled": True, "motor_target_velocity": 2.0, "motor_max_force": 100.0}
+            joint = {"type": "create_joint", "joint_type": "hinge", "cube1": "hub", "cube2": name, "axis": [0, 0, 1]}
+            ask(world, {**joint, "position": place, **motor})
+
+
+def browsing(lab: Lab) -> dict[str, Any]:
+    """Measures what a browser without a graphics processor makes of it."""
+    from playwright.sync_api import sync_playwright
+
+    turn(lab)
+    chromium = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    figures: dict[str, Any] = {"cubes": TURNING}
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=chromium, args=SOFTWARE)
+        for width, height in WINDOWS:
+            page = browser.new_page(viewport={"width": width, "height": height})
+            page.goto(lab.url)
+            page.goto(f"http://127.0.0.1:{lab.port}/#/worlds/turning")
+            page.wait_for_timeout(WATCH * 1000)
+            stage = page.locator(".stage")
+            first, began = int(stage.get_attribute("data-drawn") or 0), time.perf_counter()
+            page.wait_for_timeout(WATCH * 1000)
+            drawn = int(stage.get_attribute("data-drawn") or 0) - first
+            rate = drawn / (time.perf_counter() - began)
+            figures[f"pictures_a_second_{width}x{height}"] = rate
+            figures[f"ratio_{width}x{height}"] = float(stage.get_attribute("data-ratio") or 0)
+            page.close()
+        for path, rows in (("recordings", "tbody tr"), ("evolve", "tbody tr")):
+            times = []
+            for _ in range(3):
+                context = browser.new_context()
+                page = context.new_page()
+                page.goto(lab.url)
+                began = time.perf_counter()
+                page.goto(f"http://127.0.0.1:{lab.port}/health")
+                page.goto(f"http://127.0.0.1:{lab.port}/#/{path}")
+                page.locator(rows).first.wait_for()
+                times.append(time.perf_counter() - began)
+                context.close()
+            figures[f"list_of_{path}_s"] = statistics.median(times)
+        browser.close()
+    return figures
+
+
 def main() -> None:
     """Prints the figures."""
     with tempfile.TemporaryDirectory() as folder:
@@ -138,8 +203,13 @@ def main() -> None:
         recordings.mkdir()
         for number in range(RECORDINGS):
             (recordings / f"r{number}.mcap").write_bytes(b"\x89MCAP0\r\n")
+            run = Path(folder) / "runs" / f"r{number}"
+            run.mkdir(parents=True)
+            (run / "run.json").write_text('{"format": "nmes-run/1"}')
         with running(Path(folder)) as lab:
             figures = {"listing": listing(lab), "watching": watching(lab)}
+            if find_spec("playwright") is not None:
+                figures["browsing"] = browsing(lab)
     print(json.dumps(figures, indent=2))
 
 

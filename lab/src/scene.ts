@@ -45,7 +45,8 @@ const FLAT = new THREE.Matrix4().set(1, -LIGHT.x / LIGHT.y, 0, 0, 0, 0, 0, 0.002
 const HALF_TURN = Math.PI;
 const WATERY = 100; // kg/m3 from which on a medium is seen
 const SLOW = 30; // ms between two drawings from which on there are fewer pixels
-const FEWEST = 0.5; // pixels of the picture for one of the page, along a side
+const FEWEST = 0.35; // pixels of the picture for one of the page, along a side, while it moves
+const STILL = 300; // ms after which a picture that stands still is drawn with all pixels
 
 const SOFTWARE = software();
 
@@ -83,7 +84,9 @@ export class Stage {
   private chosen = -1;
   private requested = 0;
   private shaded = true; // whether the ground is level, so that bodies throw shadows on it
-  private ratio = Math.min(devicePixelRatio, 2); // pixels of the picture for one of the page, along a side
+  private readonly finest = SOFTWARE ? 1 : Math.min(devicePixelRatio, 2); // pixels of the picture for one of the page
+  private ratio = this.finest; // likewise, while it moves
+  private still = 0; // the timer
   private pace = 16; // ms between two drawings, about
   private last = 0;
   private framed = false; // whether the camera was set once
@@ -118,6 +121,7 @@ export class Stage {
     signal.addEventListener("abort", () => {
       watcher.disconnect();
       cancelAnimationFrame(this.requested);
+      clearTimeout(this.still);
       this.controls.dispose();
       this.renderer.dispose();
       this.renderer.forceContextLoss();
@@ -289,9 +293,21 @@ export class Stage {
     this.requested = 0;
     this.measure(now - this.last);
     this.last = now;
-    this.renderer.render(this.scene, this.camera);
+    this.render(this.ratio);
     this.drawn++;
+    clearTimeout(this.still);
+    if (this.ratio < this.finest) {
+      this.still = setTimeout(() => this.render(this.finest), STILL);
+    }
     this.element.dataset["drawn"] = String(this.drawn);
+  }
+
+  private render(ratio: number): void {
+    if (this.renderer.getPixelRatio() !== ratio) {
+      this.renderer.setPixelRatio(ratio);
+    }
+    this.renderer.render(this.scene, this.camera);
+    this.element.dataset["ratio"] = ratio.toFixed(2);
   }
 
   /** Draws fewer pixels where drawing falls behind. */
@@ -301,7 +317,6 @@ export class Stage {
       if (this.pace > SLOW && this.ratio > FEWEST) {
         this.ratio = Math.max(this.ratio * 0.8, FEWEST);
         this.pace = 16;
-        this.resize();
       }
     }
   }
@@ -309,7 +324,6 @@ export class Stage {
   private resize(): void {
     const { clientWidth: width, clientHeight: height } = this.element;
     if (width > 0 && height > 0) {
-      this.renderer.setPixelRatio(this.ratio);
       this.renderer.setSize(width, height, false);
       this.camera.aspect = width / height;
       this.camera.updateProjectionMatrix();

@@ -185,8 +185,8 @@ def test_a_leaderboard_is_listed_and_verified(lab: RunningLab) -> None:
     assert lab.ended(lab.good("/api/leaderboards/board/verify", {})["id"])["result"] == []
     job = lab.good("/api/leaderboards/board/verify", {"entry": 3})
     assert job["command"].endswith("board.sqlite 3 --json") and lab.ended(job["id"])["status"] == 2
-    for entry in (3, 0, "3", None):
-        assert lab.ask("/api/leaderboards/board/film", {"entry": entry})[0] == 404
+    for number in (3, 0, "3", None):
+        assert lab.ask("/api/leaderboards/board/film", {"entry": number})[0] == 404
     assert lab.ask("/api/films/board-3/file")[0] == 404
     for entry in (0, "3", [3], "--write", True, 1.5):
         status, told = lab.ask("/api/leaderboards/board/verify", {"entry": entry})
