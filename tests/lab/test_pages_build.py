@@ -123,6 +123,40 @@ def test_a_body_that_grows_is_shown_as_it_grows(browser: Browser, lab: Lab) -> N
         assert len(grown) < len(Genome.load("centipede").body.cubes)
 
 
+def test_a_joint_turns_about_any_axis_and_its_twin_likewise(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "build/walker") as page:
+        page.get_by_text("A good genome").wait_for()
+        page.get_by_role("button", name="rear_left_thigh", exact=True).click()
+        for name, value in (("x", "0.5"), ("y", "0.25"), ("z", "0"), ("z", "1")):
+            number = page.locator(".slide", has_text=f"Axis along {name}").locator("input[type=number]")
+            number.fill(value)
+            page.keyboard.press("Tab")
+        page.get_by_text("A good genome").wait_for()
+        page.get_by_label("Name", exact=True).fill("askew")
+        page.get_by_role("button", name="Save").click()
+        page.get_by_text(re.compile("^Saved as askew")).wait_for()
+    joints = {joint.cube2: joint for joint in Genome.load(lab.folder / "genomes" / "askew.json").body.joints}
+    left, right = joints["rear_left_thigh"].axis, joints["rear_right_thigh"].axis
+    assert [each / left[2] for each in left] == pytest.approx([0.5, 0.25, 1])
+    assert [each / right[2] for each in right] == pytest.approx([-0.5, -0.25, 1])
+
+
+def test_the_joint_of_a_part_that_grows_is_changed_on_all_that_grew_of_it(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "build/centipede") as page:
+        page.get_by_text("A good genome").wait_for()
+        page.locator(".part", has_text="leg").first.click()
+        with page.expect_response("**/api/genomes/check") as answer:
+            page.locator(".slide", has_text="Axis along y").locator("input[type=number]").fill("0.75")
+            page.keyboard.press("Tab")
+        sent = Genome(json.loads(answer.value.request.post_data or ""))
+        part = next(each for each in sent.document["body"]["graph"]["parts"] if each["id"].startswith("leg"))
+        assert part["joint"]["axis"][1] == 0.75 and answer.value.json()["problems"] == []
+        drawn = {joint["id"]: joint["axis"] for joint in answer.value.json()["body"]["joints"]}
+        before = {joint.id: joint.axis for joint in Genome.load("centipede").body.joints}
+        changed = [name for name, axis in drawn.items() if axis != pytest.approx(before[name])]
+        assert len(changed) > 3, drawn
+
+
 def test_names_with_markup_are_text(browser: Browser, lab: Lab) -> None:
     document = {**Genome.load("walker").document, "name": MARKUP}
     with opened(browser, lab, "build") as page:

@@ -2,8 +2,9 @@
 import { action } from "../command.js";
 import { h } from "../dom.js";
 import { choice, panel, slider, tick } from "./controls.js";
-import { edges, type Connection, type Face, type Vector } from "./genome.js";
+import { edges, type Connection, type Face, type Hold, type JointType, type Part, type Vector } from "./genome.js";
 import { changeConnection, changePart, graphOf, grow, partOf, prune } from "./graph.js";
+import { JOINTS, axisRows } from "./joints.js";
 import type { Shop } from "./panels.js";
 
 const FACES: readonly Face[] = ["+x", "-x", "+y", "-y", "+z", "-z"];
@@ -25,10 +26,35 @@ export function graphPanels(shop: Shop): HTMLElement[] {
       set: (value, final) => shape({ size: edges(graphOf(shop.genome).parts.find((each) => each.id === chosen.id) ?? chosen).map((edge, i) => (i === axis ? Math.min(Math.max(value, 0.01), 10) : edge)) as unknown as Vector }, final ? undefined : `grown ${axis}`) })),
     slider({ label: "Grown on one way", unit: "times", value: chosen.recursive_limit ?? 1, low: 1, high: 12, step: 1, set: (value, final) => shape({ recursive_limit: Math.min(Math.max(Math.round(value), 1), 64) }, final ? undefined : "times") }),
     action({ label: "Let a part grow on it", icon: "plus", run: () => shop.commit(grow(shop.genome, chosen.id, bare)) })));
+  if (chosen.id !== graph.root) panels.push(holdPanel(shop, chosen));
   (graph.connections ?? []).forEach((each, i) => {
     if (each.from === chosen.id || each.to === chosen.id) panels.push(connectionPanel(shop, each, i));
   });
   return panels;
+}
+
+/** How a part hangs on the one that it grew on. */
+function holdPanel(shop: Shop, { id, joint = { type: "fixed" } }: Part): HTMLElement {
+  const driven = joint.type === "hinge" || joint.type === "slide";
+  const now = (): Hold => partOf(shop.genome, id)?.joint ?? joint;
+  const set = (hold: Hold, step?: string): void => shop.commit(changePart(shop.genome, id, { joint: hold }), step);
+  const most = joint.type === "slide" ? 0.5 : 3.1;
+  const limit = (end: 0 | 1): HTMLElement => slider({
+    label: end === 0 ? "Lowest" : "Highest", unit: joint.type === "slide" ? "m" : "rad", value: joint.limits?.[end] ?? 0, low: end === 0 ? -most : 0, high: end === 0 ? 0 : most, step: 0.05,
+    set: (value, final) => {
+      const [low, high] = now().limits ?? [0, 0];
+      set({ ...now(), limits: end === 0 ? [Math.min(value, 0), high] : [low, Math.max(value, 0)] }, final ? undefined : `limit ${end} ${id}`);
+    },
+  });
+  const typed = (type: JointType): Hold => {
+    const { axis, limits, motor, ...rest } = now();
+    const moves = type === "hinge" || type === "slide";
+    return { ...rest, type, ...(moves && axis !== undefined ? { axis } : {}), ...(type === joint.type && limits !== undefined ? { limits } : {}), ...(moves && motor !== undefined ? { motor } : {}) };
+  };
+  return panel("Its joint", shop.memory, true,
+    choice("Type", JOINTS, joint.type, (type) => set(typed(type as JointType))),
+    ...(driven ? axisRows(joint, (axis, final) => set({ ...now(), axis }, final ? undefined : `axis ${id}`)) : []),
+    ...(joint.limits === undefined ? [] : [limit(0), limit(1)]));
 }
 
 function connectionPanel(shop: Shop, each: Connection, index: number): HTMLElement {

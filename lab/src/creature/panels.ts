@@ -4,6 +4,7 @@ import { fill, h, icon } from "../dom.js";
 import { cubeOf, cubesOf, depthOf, hangsBy, jointsOf, twinOf } from "./anatomy.js";
 import { entries, KINDS, type Kind, kindsFor, motorsOf, withBrain } from "./brains.js";
 import { choice, panel, slider, tick } from "./controls.js";
+import { JOINTS, axisRows } from "./joints.js";
 import { add, change, join, motorize, move, rejoin, remove, reshape, resize, sense, type Stamp } from "./creature.js";
 import { edges, type Face, fits, type Genome, type Joint, type JointType, type SensorEntry, type Shape, type Vector } from "./genome.js";
 import { color } from "./portrait.js";
@@ -27,10 +28,6 @@ const FACES: readonly (readonly [Face, string])[] = [
 const AXES = ["x", "y", "z"] as const;
 const EDGES = ["Length (x)", "Height (y)", "Width (z)"] as const;
 const SHAPES: readonly Shape[] = ["box", "sphere", "capsule", "cylinder"];
-const JOINTS: readonly (readonly [JointType, string])[] = [
-  ["fixed", "fixed"], ["hinge", "hinge: turns"], ["slide", "slide: shifts"],
-  ["pin", "pin: every way"], ["conetwist", "cone and twist"],
-];
 const BRAINS: Record<Kind, string> = {
   none: "It has no brain: it is driven from outside.",
   sine: "A wave for each motor.",
@@ -137,22 +134,13 @@ export function jointPanel(shop: Shop, id: string): HTMLElement | undefined {
   });
   return panel("Its joint", shop.memory, true,
     choice("Type", JOINTS, joint.type, (type) => set({ type: type as JointType })),
-    driven && axisRow(joint, (axis) => set({ axis })),
+    ...(driven ? axisRows(joint, (axis, final) => set({ axis }, final ? undefined : `axis ${joint.id}`)) : []),
     driven && tick("It has limits", joint.limits !== undefined, (on) => set({ limits: on ? [-most / 3, most / 3] : undefined })),
     joint.limits !== undefined && limit(0, "Lowest"),
     joint.limits !== undefined && limit(1, "Highest"),
     driven && tick("It has a motor", joint.motor !== undefined, (on) => (on ? shop.commit(motorize(shop.genome, joint.id, mirror)) : set({ motor: undefined }))),
     ...(joint.motor === undefined ? [] : motorRows(joint, now, unit, set)),
     ...waveRows(shop, joint));
-}
-
-function axisRow(joint: Joint, set: (axis: Vector) => void): HTMLElement {
-  const axis = joint.axis ?? (joint.type === "hinge" ? [0, 0, 1] : [1, 0, 0]);
-  const buttons = AXES.map((name, i) => {
-    const along = axis.every((value, j) => (Math.abs(value) > 1e-9) === (i === j));
-    return h("button", { class: "small", "aria-pressed": String(along), onclick: () => set(AXES.map((_, j) => (i === j ? 1 : 0)) as unknown as Vector) }, name);
-  });
-  return h("div", { class: "choice", role: "group", "aria-label": "Axis" }, h("span", { class: "label" }, "Axis"), h("div", { class: "row" }, ...buttons));
 }
 
 function motorRows(joint: Joint, now: () => Joint, unit: string, set: (fields: { motor: NonNullable<Joint["motor"]> }, step?: string) => void): HTMLElement[] {
