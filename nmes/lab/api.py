@@ -73,13 +73,14 @@ ROUTES: Final = {
     ("GET", "/api/jobs/{id:int}"): "job",
     ("POST", "/api/jobs/{id:int}/stop"): "stop_job",
 }
-"""What answers which question: a method of `_Api`."""
+"""What answers which question: a method of one of the classes below."""
 
 
 def routes(lab: Lab) -> list[Route]:
     """Returns the routes of a lab's API."""
-    api = _Api(lab)
-    return [Route(path, _written(getattr(api, name)), methods=[method]) for (method, path), name in ROUTES.items()]
+    parts = [part(lab) for part in (_Documents, _Runs, _Recordings, _Leaderboards)]
+    answers = {name: getattr(part, name) for part in parts for name in dir(part) if not name.startswith("_")}
+    return [Route(path, _written(answers[name]), methods=[method]) for (method, path), name in ROUTES.items()]
 
 
 def _written(answer: Answer) -> Callable[[Request], Awaitable[Response]]:
@@ -131,12 +132,23 @@ async def _object(request: Request) -> JsonObject:
     return value
 
 
-class _Api:
-    """The answers, by name."""
+class _Answers:
+    """What all answers are made with."""
 
     def __init__(self, lab: Lab) -> None:
         self._lab = lab
         self._folder: Folder = lab.folder
+
+    async def _page(self, kind: Any, request: Request) -> JsonObject:
+        query = request.query_params
+        return await self._lab.index.page(kind, query.get("after"), query.get("name", ""))
+
+    async def _start(self, command: list[str], about: str = "") -> JsonObject:
+        return (await self._lab.jobs.start(command, about)).to_json()
+
+
+class _Documents(_Answers):
+    """What the lab is, its genomes and tasks, and the commands that it has started."""
 
     async def state(self, _: Request) -> JsonObject:
         lab = self._lab
@@ -148,8 +160,6 @@ class _Api:
             "templates": lab.templates,
             "algorithms": {"evolve": list(ALGORITHMS), "learn": ["ppo", "reinforce", "clone"]},
         }
-
-    # -- genomes and tasks -----------------------------------------------------------------------------------------
 
     async def genomes(self, _: Request) -> JsonObject:
         own = [{"name": name, "ships": False} for name in self._folder.names("genomes")]
@@ -208,7 +218,20 @@ class _Api:
             found.append({"name": name, "ships": name not in own, **about, "seeds": list(task.seeds)})
         return found
 
-    # -- runs ------------------------------------------------------------------------------------------------------
+    async def jobs(self, _: Request) -> JsonObject:
+        return {"items": [{**job.to_json(), "result": None} for job in self._lab.jobs.all()[:100]], "next": None}
+
+    async def job(self, request: Request) -> JsonObject:
+        return self._lab.jobs.get(request.path_params["id"]).to_json()
+
+    async def stop_job(self, request: Request) -> JsonObject:
+        job = self._lab.jobs.get(request.path_params["id"])
+        job.interrupt()
+        return job.to_json()
+
+
+class _Runs(_Answers):
+    """Runs of evolution and learning, and scores."""
 
     async def runs(self, request: Request) -> JsonObject:
         page = await self._page("runs", request)
@@ -217,18 +240,11 @@ class _Api:
             item["job"] = None if job is None else job.id
         return page
 
-    async def _page(self, kind: Any, request: Request) -> JsonObject:
-        query = request.query_params
-        return await self._lab.index.page(kind, query.get("after"), query.get("name", ""))
-
     async def begin_run(self, request: Request) -> JsonObject:
         asked = await _object(request)
         name = asked.get("name")
         command = await self._lab.do(begin_command, self._folder, asked.get("kind"), name, asked.get("settings"))
         return await self._start(command, f"run {name}")
-
-    async def _start(self, command: list[str], about: str = "") -> JsonObject:
-        return (await self._lab.jobs.start(command, about)).to_json()
 
     async def run(self, request: Request) -> JsonObject:
         name = request.path_params["name"]
@@ -267,7 +283,9 @@ class _Api:
         task = task_source(self._folder, asked.get("task"))
         return await self._start(["eval", genome, "--task", task, "--json"])
 
-    # -- recordings ------------------------------------------------------------------------------------------------
+
+class _Recordings(_Answers):
+    """Recordings, and what is made of them."""
 
     async def recordings(self, request: Request) -> JsonObject:
         return await self._page("recordings", request)
@@ -303,7 +321,9 @@ class _Api:
         command = shlex.join(["nmes", "serve", "--resume", str(path), *at])
         return {"world": world, "frame": hosted.status.frame, "command": command}
 
-    # -- leaderboards ----------------------------------------------------------------------------------------------
+
+class _Leaderboards(_Answers):
+    """Leaderboards, their proofs and films."""
 
     async def leaderboards(self, _: Request) -> JsonObject:
         return {"items": [{"name": name} for name in self._folder.names("leaderboards")], "next": None}
@@ -354,16 +374,3 @@ class _Api:
 
     async def film_file(self, request: Request) -> Response:
         return FileResponse(self._folder.find("films", request.path_params["name"]), media_type="image/gif")
-
-    # -- jobs ------------------------------------------------------------------------------------------------------
-
-    async def jobs(self, _: Request) -> JsonObject:
-        return {"items": [{**job.to_json(), "result": None} for job in self._lab.jobs.all()[:100]], "next": None}
-
-    async def job(self, request: Request) -> JsonObject:
-        return self._lab.jobs.get(request.path_params["id"]).to_json()
-
-    async def stop_job(self, request: Request) -> JsonObject:
-        job = self._lab.jobs.get(request.path_params["id"])
-        job.interrupt()
-        return job.to_json()
