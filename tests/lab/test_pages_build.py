@@ -137,6 +137,7 @@ def test_a_joint_turns_about_any_axis_and_its_twin_likewise(browser: Browser, la
         page.get_by_text(re.compile("^Saved as askew")).wait_for()
     joints = {joint.cube2: joint for joint in Genome.load(lab.folder / "genomes" / "askew.json").body.joints}
     left, right = joints["rear_left_thigh"].axis, joints["rear_right_thigh"].axis
+    assert left is not None and right is not None
     assert [each / left[2] for each in left] == pytest.approx([0.5, 0.25, 1])
     assert [each / right[2] for each in right] == pytest.approx([-0.5, -0.25, 1])
 
