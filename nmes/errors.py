@@ -14,6 +14,7 @@ from itertools import islice
 __all__ = [
     "BackendNotFound",
     "CommandFailed",
+    "CorpusError",
     "Disconnected",
     "DocumentError",
     "FilmError",
@@ -122,6 +123,10 @@ class VariationError(NmesError):
 
 class RunError(NmesError):
     """A run of evolution or of learning that cannot be begun, read, gone on with, or written."""
+
+
+class CorpusError(NmesError):
+    """A corpus of creatures that cannot be read or added to, or a creature that is not in it."""
 
 
 class StudyError(NmesError):

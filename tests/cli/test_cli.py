@@ -358,6 +358,7 @@ def test_failures_exit_1_with_one_line(tmp_path: Path) -> None:
 
 
 QUIET = {
+    "corpus",
     "eval",
     "evolve",
     "info",
