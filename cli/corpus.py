@@ -157,7 +157,7 @@ def export(creature: str, file: Path, output: Path) -> None:
 
     \b
         nmes corpus export walk-0123456789ab -o walker.json
-        nmes play walker.json --task walk
+        nmes corpus export walk-0123 mine.jsonl.zst -o walker.json
     """
     corpus = _read(file)
     found = corpus.find(creature)
