@@ -1,7 +1,7 @@
 """Makes corpus/creatures.jsonl.zst and its gallery anew: short runs of evolution, and the best of each.
 
 The runs are `nmes evolve` commands, one after another, each as given in `RUNS`; one that is in the folder already is
-not run again. All of it takes about an hour of a core, and gives the same bytes wherever the numbers are the same.
+not run again. All of it gives the same bytes wherever the numbers are the same.
 
     .venv/bin/python tools/corpus.py runs/ [--jobs N]
 
