@@ -31,7 +31,7 @@ SUBCOMMANDS = {
     "completion": "Print what makes a shell complete.",
     "conform": "Judge a server by the protocol.",
     "conform-client": "Judge a client by the protocol.",
-    "corpus": "Keep evolved creatures whose scores anyone can compute again.",
+    "corpus": "Keep evolved creatures with the proofs of their scores.",
     "diff": "Compare two recordings.",
     "doctor": "See whether everything is as it must be.",
     "eval": "Score creatures on a task.",

@@ -33,7 +33,7 @@ _JOBS = click.option("--jobs", type=click.IntRange(1), help="How many processes.
 
 @click.group("corpus")
 def command() -> None:
-    """Keep evolved creatures whose scores anyone can compute again.
+    """Keep evolved creatures with the proofs of their scores.
 
     FILE is a corpus; without it, corpus/creatures.jsonl.zst, that of the repository.
     """
