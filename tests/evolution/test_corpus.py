@@ -211,7 +211,7 @@ def genome(rows: Rows) -> None:
 
 
 def body(rows: Rows) -> None:
-    rows[1]["genome"]["body"] = rows[2]["genome"]["body"]
+    rows[1]["genome"]["body"]["graph"]["parts"][0]["density"] *= 1.1
 
 
 def no_genome(rows: Rows) -> None:

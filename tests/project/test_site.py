@@ -45,7 +45,7 @@ class FetchedAddresses(HTMLParser):
 
 
 def test_the_site_has_every_page(site: Path) -> None:
-    pages = {path.stem for path in (ROOT / "docs").glob("*.md")}
+    pages = {path.stem for pattern in ("*.md", "*.html") for path in (ROOT / "docs").glob(pattern)}
     assert {path.stem for path in site.glob("*.html")} - {"404"} == pages
 
 
