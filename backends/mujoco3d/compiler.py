@@ -6,19 +6,23 @@ for and is welded to it. Splitting the mass instead of adding some keeps the str
 conditioned.
 
 Invariant: the model is a function of the scene, the bodies, the joints and the forest alone, never of the current
-poses (free roots are placed at the origin), so a restored simulation compiles the very same model.
+poses (free roots are placed at the origin), so a restored simulation compiles the very same model. So, too, small
+models are kept for whoever asks for the very same one: a world that wakes, is reset, or is like many others.
 """
 
 from __future__ import annotations
 
+import copy
 import warnings
-from collections import Counter
+from collections import Counter, OrderedDict
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 from math import log, pi, sqrt
+from threading import Lock
 
 import mujoco
+import orjson
 
 from nmes.backend import Medium, Quaternion, SceneSpec, Vector
 from nmes.backend.rotation import conjugate, rotate
@@ -42,6 +46,8 @@ _CONTACT_TIME = 0.02
 # Loops are closed as stiffly as the time step allows.
 _LOOP_SOLIMP = [0.95, 0.999, 0.0005, 0.5, 2.0]
 _KIBIBYTE = 1 << 10
+_SMALL, _MOST = 64, 64  # models of up to so many bodies are kept, the last so many: 30 KB each with ten bodies
+_KEY = orjson.OPT_NON_STR_KEYS | orjson.OPT_SERIALIZE_NUMPY
 
 # MuJoCo warns so of masses that are too unequal. A structure of them goes on, or its world faults and says why.
 warnings.filterwarnings("ignore", "Inertia matrix is too close to singular", UserWarning)
@@ -70,11 +76,63 @@ def compile_model(
     Raises:
         ValueError: MuJoCo refuses what was asked for; or `mujoco.FatalError`.
     """
+    if len(bodies) > _SMALL:
+        return _compile(scene, scenery, bodies, joints, forest, frozen_at, roots)
+    asked = (scene.timestep, scene.gravity, scene.passes, scene.medium, scene.options, len(scene.boxes))
+    parts = ([*bodies.values()], [*joints.values()], [*frozen_at.items()], roots)
+    key = scenery.identity, orjson.dumps((asked, parts), option=_KEY)
+    kept = _recent.find(key)
+    if kept is None:
+        kept = _compile(scene, scenery, bodies, joints, forest, frozen_at, roots)
+        _recent.keep(key, kept)
+    return _copy(kept, forest, bodies)
+
+
+def _compile(
+    scene: SceneSpec,
+    scenery: Scenery,
+    bodies: dict[int, Body],
+    joints: dict[int, Joint],
+    forest: Forest,
+    frozen_at: dict[int, tuple[Vector, Quaternion]],
+    roots: Sequence[int],
+) -> CompiledModel:
     compiled = _Builder(scene, bodies, joints, forest).build(scenery, frozen_at, roots)
     for index in compiled.spares:
         park(compiled.model, index)
     set_mean_inertia(compiled)
     return compiled
+
+
+def _copy(kept: CompiledModel, forest: Forest, bodies: dict[int, Body]) -> CompiledModel:
+    """Returns a model of its own, for whoever runs a model writes into it."""
+    places = {field.name: getattr(kept, field.name) for field in fields(kept)}
+    own = {name: value.copy() for name, value in places.items() if isinstance(value, (dict, list))}
+    return CompiledModel(**{**places, **own, "model": copy.copy(kept.model), "forest": forest, "bodies": bodies})
+
+
+class _Recent:
+    """The models that were asked for last, by all that they are made of; for many threads."""
+
+    def __init__(self, most: int) -> None:
+        self._most, self._models, self._lock = most, OrderedDict[object, CompiledModel](), Lock()
+
+    def find(self, key: object) -> CompiledModel | None:
+        with self._lock:
+            kept = self._models.get(key)
+            if kept is not None:
+                self._models.move_to_end(key)
+            return kept
+
+    def keep(self, key: object, compiled: CompiledModel) -> None:
+        bare = replace(compiled, forest=Forest(), bodies={})  # not the world for which it was compiled
+        with self._lock:
+            self._models[key] = bare
+            if len(self._models) > self._most:
+                self._models.popitem(last=False)
+
+
+_recent = _Recent(_MOST)
 
 
 def compile_lone_body(scene: SceneSpec, body: Body) -> mujoco.MjModel:

@@ -187,6 +187,7 @@ def test_cubes_spawned_at_one_point_come_apart_at_bounded_speed(count: int) -> N
 )
 def test_an_engine_out_of_memory_faults_its_world(room: int, code: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(compiler, "arena_bytes", lambda bodies: room << 10)
+    monkeypatch.setattr(compiler, "_SMALL", -1)  # neither models with more room from before, nor these for others
     monkeypatch.setattr("nmes.backends.mujoco3d.crowds._CROWD", 99)  # nobody glides away
     crowded, quiet = World({"mode": "lockstep"}), World({"mode": "lockstep"})
     client, other = crowded.join(), quiet.join()
@@ -325,6 +326,22 @@ def test_fresh_processes_reach_the_same_digests() -> None:
         ).stdout
 
     assert run(5, "1") == run(5, "2") != run(6, "1")
+
+
+# -- models that are kept --------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", range(200, 215))
+def test_worlds_of_kept_models_do_what_worlds_of_their_own_models_do(
+    number: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The same program with models compiled anew each time, and twice with those that were kept."""
+    program = programs.draw(number, 60)
+    with monkeypatch.context() as patch:
+        patch.setattr(compiler, "_SMALL", -1)
+        alone = programs.play(world(number), program)
+    for _ in range(2):
+        assert programs.play(world(number), program) == alone
 
 
 # -- parked bodies ---------------------------------------------------------------------------------------------------
