@@ -119,12 +119,21 @@ class Awake:
             if event["type"] == "tick":
                 self.heard.append((time.perf_counter(), event["frame"]))
 
-    def lateness(self, since: float) -> list[float]:
-        """Returns how late (ticks) each frame was heard of, behind the earliest, since a moment; ends listening."""
+    def lateness(self, since: float, until: float) -> list[float]:
+        """Returns how late (ticks) each frame was heard of between two moments, behind the earliest of all."""
+        shifts = [(at, at - frame / RATE) for at, frame in self.heard]
+        earliest = min(shift for _, shift in shifts)
+        return [RATE * (shift - earliest) for at, shift in shifts if since <= at < until]
+
+    def leave(self) -> None:
+        """Ends listening, and hangs up."""
         self._task.cancel()
         self.wire.close()
-        shifts = [at - frame / RATE for at, frame in self.heard if at >= since]
-        return [RATE * (shift - min(shifts)) for shift in shifts]
+
+
+def lateness(clients: list[Awake], since: float, until: float) -> dict[str, float]:
+    """Returns how late (ticks) all frames were that some clients heard of between two moments."""
+    return spread([late for client in clients for late in client.lateness(since, until)])
 
 
 async def entering(port: int, names: list[str]) -> list[float]:
@@ -214,13 +223,14 @@ async def load(host: Host, count: int, ticks: int, lanes: int) -> dict[str, Any]
     report.phase("woke_some")
     began = time.perf_counter()
     await asyncio.sleep(WATCH)
-    report.phase("awake")
+    middle = time.perf_counter()
+    report.phase("awake", late_ticks=lateness(awake, began, middle))
     middle = time.perf_counter()
     woken = await entering(port, chosen[AWAKE:])
-    report.phase("entered", ms=spread(woken))
-    late = [each for client in awake for each in client.lateness(began)]
-    heard = sum(len(client.heard) for client in awake)
-    report.phase("left", late_ticks=spread(late), heard=heard, watched_s=round(middle - began, 1))
+    report.phase("entered", ms=spread(woken), late_ticks=lateness(awake, middle, time.perf_counter()))
+    for client in awake:
+        client.leave()
+    report.phase("left", heard=sum(len(client.heard) for client in awake))
     return report.figures
 
 
