@@ -8,8 +8,9 @@ from __future__ import annotations
 import os
 import re
 import secrets
-import stat
+from contextlib import suppress
 from pathlib import Path
+from stat import S_ISDIR, S_ISREG
 from typing import Final, Literal
 
 from nmes.errors import NmesError
@@ -92,7 +93,7 @@ class Folder:
             mode = path.lstat().st_mode
         except OSError:
             mode = 0
-        if not (stat.S_ISDIR(mode) if kind == "runs" else stat.S_ISREG(mode)):
+        if not (S_ISDIR(mode) if kind == "runs" else S_ISREG(mode)):
             raise LabError("not_found", f"there is nothing called {name!r} among the {kind} here", "name")
         return path
 
@@ -107,9 +108,9 @@ class Folder:
                     continue
                 try:
                     if kind == "runs":
-                        if entry.is_dir(follow_symlinks=False) and (Path(entry.path) / "run.json").is_file():
-                            log = Path(entry.path) / "log.jsonl"
-                            found[name] = (log if log.is_file() else Path(entry.path) / "run.json").stat()
+                        status = _of_run(entry.path) if entry.is_dir(follow_symlinks=False) else None
+                        if status is not None:
+                            found[name] = status
                     elif entry.is_file(follow_symlinks=False):
                         found[name] = entry.stat(follow_symlinks=False)
                 except OSError:  # it went while we looked
@@ -135,3 +136,15 @@ class Folder:
             part.unlink(missing_ok=True)
             raise LabError("cannot_write", f"{path} cannot be written: {error.strerror}") from error
         return path
+
+
+def _of_run(path: str) -> os.stat_result | None:
+    """Returns size and times of a run's log, or of its settings before it has one; None where it is no run."""
+    # By plain strings: a list of 10,000 runs waits for this.
+    settings = os.stat(f"{path}/run.json")
+    if not S_ISREG(settings.st_mode):
+        return None
+    with suppress(FileNotFoundError):
+        log = os.stat(f"{path}/log.jsonl")
+        return log if S_ISREG(log.st_mode) else settings
+    return settings

@@ -7,8 +7,9 @@ from the folder: a file that is missing or of another version is made anew.
 from __future__ import annotations
 
 import asyncio
+import os
 import sqlite3
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from math import inf
@@ -124,9 +125,15 @@ class Index:
         return {"items": items, "next": None if last is None else f"{last[1]!r}:{last[0]}", "count": count}
 
     def _scan(self, kind: Kind) -> None:
-        """Looks through a folder: what is new or was changed is to be read again."""
+        """Looks through a folder, and takes up what is there."""
         began = monotonic()
-        there = {name: (status.st_mtime, status.st_size) for name, status in self._folder.scan(kind).items()}
+        self._take_up(kind, self._folder.scan(kind))
+        now = monotonic()
+        self._scanned[kind] = now, now - began
+
+    def _take_up(self, kind: Kind, found: Mapping[str, os.stat_result]) -> None:
+        """Notes what is in a folder: what is new or was changed is to be read again."""
+        there = {name: (status.st_mtime, status.st_size) for name, status in found.items()}
         rows = self._db.execute("SELECT name, time, size FROM things WHERE kind = ?", (kind,)).fetchall()
         known = {name: (time, size) for name, time, size in rows}
         with self._db:
@@ -138,8 +145,6 @@ class Index:
                 "INSERT OR REPLACE INTO things VALUES (?, ?, ?, ?, NULL)",
                 [(kind, name, *values) for name, values in there.items() if known.get(name) != values],
             )
-        now = monotonic()
-        self._scanned[kind] = now, now - began
 
     def _read_some(self) -> bool:
         """Reads what is there to know of some things, the newest first; returns whether there are more."""
@@ -164,8 +169,12 @@ class Index:
 
     async def _read(self) -> None:
         for kind, (scanned, cost) in list(self._scanned.items()):
-            if cost > _LONG and monotonic() > scanned + _AGAIN:
-                await self._do(self._scan, kind)
+            began = monotonic()
+            if cost > _LONG and began > scanned + _AGAIN:
+                found = await asyncio.to_thread(self._folder.scan, kind)  # lists are told meanwhile
+                await self._do(self._take_up, kind, found)
+                now = monotonic()
+                self._scanned[kind] = now, now - began
         while await self._do(self._read_some):
             pass
 

@@ -38,10 +38,15 @@ export async function open(view: View): Promise<void> {
   fill(view.root, heading("Evolve and learn", "Bodies and brains that nobody designed, in runs that anyone can repeat."), form, h("h2", {}, "Runs"), list);
   const another = view.query.get("like");
   const like = async (): Promise<Like | undefined> => (another === null ? undefined : { name: another, ...await get<Pick<Like, "kind" | "settings">>(`/runs/${part(another)}`) });
+  let asked: ReturnType<typeof runs> | undefined; // once, for the list and for names that are free, unless it fails
+  const newest = (): ReturnType<typeof runs> => (asked ??= runs("", view.signal).catch((error: unknown) => {
+    asked = undefined;
+    throw error;
+  }));
   await Promise.all([
-    load(form, "what there is to choose", async () => Promise.all([genomes(view.signal), tasks(view.signal), state(), runs(), like()]), ([known, all, { folder = "lab" }, existing, found]) =>
+    load(form, "what there is to choose", async () => Promise.all([genomes(view.signal), tasks(view.signal), state(), newest(), like()]), ([known, all, { folder = "lab" }, existing, found]) =>
       new Form(known, all, folder, existing.map((run) => run.name), view.query, found).element, view.signal),
-    load(list, "runs", () => runs("", view.signal), (items) => listed(items), view.signal),
+    load(list, "runs", newest, (items) => listed(items), view.signal),
   ]);
 }
 
