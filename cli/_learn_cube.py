@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
+from pathlib import Path
+
 import click
 
 from nmes.cli._json import print_json
+from nmes.cli._output import whole_file
 from nmes.cli._progress import QUIET, progress_bars
 
 __all__ = ["command"]
@@ -43,9 +47,15 @@ __all__ = ["command"]
     show_default=True,
     help="How much later than it is decided a push begins, in 60ths of a second.",
 )
+@click.option(
+    "-o",
+    "--output",
+    type=click.Path(dir_okay=False, path_type=Path),
+    help="Where to write the table that it learned, a .json file, which nmes lab shows.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print what came of it as JSON.")
 @QUIET
-def command(episodes: int, test: int, seed: int, delay: int, as_json: bool) -> None:
+def command(episodes: int, test: int, seed: int, delay: int, output: Path | None, as_json: bool) -> None:
     """Teach the paper's cube to reach a target, by Q-learning.
 
     A cube is pushed in one of four directions, five times a second, to a target that is elsewhere in each episode; what
@@ -57,19 +67,27 @@ def command(episodes: int, test: int, seed: int, delay: int, as_json: bool) -> N
     \b
         nmes learn cube
         nmes learn cube --seed 3 --delay 6 --json
+        nmes learn cube -o lab/tables/cube.json
     """
-    from nmes.learning.learners.cube import TargetCube, arrivals, learn_to_arrive
+    from nmes.learning.learners.cube import TargetCube, arrivals, learn_to_arrive, table_of_cube
+    from nmes.schemas.documents import write_json
 
     cube = TargetCube(seed, delay)
-    try:
-        with progress_bars() as progress:
-            learner = learn_to_arrive(cube, episodes, lambda done: progress("learning", done, episodes))
-        arrived = arrivals(cube, learner, range(episodes, episodes + test))
-    finally:
-        cube.close()
+    with nullcontext() if output is None else whole_file(output) as file:  # found before the work, not after it
+        try:
+            with progress_bars() as progress:
+                learner = learn_to_arrive(cube, episodes, lambda done: progress("learning", done, episodes))
+            arrived = arrivals(cube, learner, range(episodes, episodes + test))
+        finally:
+            cube.close()
+        if file is not None:
+            figures = {"episodes": episodes, "seed": seed, "delay": delay, "arrived": arrived, "of": test}
+            file.write_bytes(write_json(table_of_cube(learner, figures)))
     told = {"episodes": episodes, "delay": delay, "arrived": arrived, "of": test, "part": arrived / test}
     if as_json:
         print_json({**told, "digest": learner.digest})
     else:
         click.echo(f"it arrives in {arrived:,} of {test:,} episodes")
         click.echo(f"digest: {learner.digest}")
+        if output is not None:
+            click.echo(f"wrote {output}")

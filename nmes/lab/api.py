@@ -27,8 +27,17 @@ from nmes.lab.folder import Folder, LabError
 from nmes.lab.genomes import checked, mutated
 from nmes.lab.lab import KEYFRAMES, Lab
 from nmes.lab.recordings import about_recording
-from nmes.lab.runs import about_run, begin_command, candidate, genome_source, resume_command, task_source
+from nmes.lab.runs import (
+    about_run,
+    begin_command,
+    candidate,
+    genome_source,
+    resume_command,
+    table_command,
+    task_source,
+)
 from nmes.lab.staging import stage
+from nmes.learning.learners.q_table import read_q_table
 from nmes.recording import Recording
 from nmes.schemas.documents import JsonObject, parse_document, write_json
 
@@ -57,6 +66,9 @@ ROUTES: Final = {
     ("POST", "/api/runs/{name}/resume"): "resume_run",
     ("GET", "/api/runs/{name}/candidates/{number}/genome"): "candidate",
     ("POST", "/api/runs/{name}/candidates/{number}/world"): "stage",
+    ("GET", "/api/tables"): "tables",
+    ("POST", "/api/tables"): "learn_table",
+    ("GET", "/api/tables/{name}"): "table",
     ("GET", "/api/recordings"): "recordings",
     ("GET", "/api/recordings/{name}"): "recording",
     ("GET", "/api/recordings/{name}/file"): "recording_file",
@@ -276,6 +288,16 @@ class _Runs(_Answers):
         await self._lab.host.create({**staging.config, **KEYFRAMES})
         told = staging._asdict()
         return {"world": told.pop("config")["name"], **told}
+
+    async def tables(self, _: Request) -> JsonObject:
+        return {"items": [{"name": name} for name in self._folder.names("tables")], "next": None}
+
+    async def table(self, request: Request) -> JsonObject:
+        path = self._folder.find("tables", request.path_params["name"])
+        return await self._lab.do(lambda: read_q_table(path.read_bytes()))
+
+    async def learn_table(self, request: Request) -> JsonObject:
+        return await self._start(table_command(self._folder, await _object(request)))
 
     async def score(self, request: Request) -> JsonObject:
         asked = await _object(request)

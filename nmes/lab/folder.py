@@ -17,7 +17,7 @@ from nmes.errors import NmesError
 
 __all__ = ["Folder", "Kind", "LabError"]
 
-Kind = Literal["recordings", "runs", "genomes", "tasks", "leaderboards", "settings", "films"]
+Kind = Literal["recordings", "runs", "genomes", "tasks", "leaderboards", "settings", "films", "tables"]
 
 _NAME: Final = re.compile(r"\w[\w.-]{0,199}")
 _STATUSES: Final = {
@@ -42,6 +42,7 @@ _SUFFIXES: Final[dict[Kind, str]] = {
     "leaderboards": ".sqlite",
     "settings": ".json",
     "films": ".gif",
+    "tables": ".json",
 }
 
 

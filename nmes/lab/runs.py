@@ -28,12 +28,14 @@ __all__ = [
     "genome_source",
     "is_learning",
     "resume_command",
+    "table_command",
     "task_source",
 ]
 
 _LEARNING: Final = "nmes-learning/1"
 _LINEAGE: Final = 500  # ancestors that are told
 _BUDGET: Final = 1_000_000_000  # candidates
+_OF_TABLES: Final = {"episodes": (1, 100_000), "seed": (0, 1_000_000_000), "delay": (0, 12)}
 _ELITES: Final = 2500  # a grid of 50 x 50
 
 
@@ -125,6 +127,33 @@ def _learn(folder: Folder, settings: Mapping[str, Any]) -> list[str]:
         command += [f"--{name}", str(settings[name])]
     for name, value in options.items():
         command += ["--set", f"{name}={write_json(value).decode()}"]
+    return command
+
+
+def table_command(folder: Folder, asked: JsonObject) -> list[str]:
+    """Returns the command that teaches a cube by Q-learning and keeps its table.
+
+    Args:
+        folder: The lab's.
+        asked: The `name` of the table, and perhaps `episodes`, `seed` and `delay` as numbers.
+
+    Raises:
+        LabError: There is such a table, or a setting that there is not.
+    """
+    name = asked.get("name")
+    if not isinstance(name, str):
+        raise LabError("invalid", "a table has a name", "name")
+    target = folder.place("tables", name)
+    if target.exists():
+        raise LabError("name_taken", f"there is a table called {name!r}: choose another name", "name")
+    command = ["learn", "cube", "-o", str(target), "--json"]
+    for setting in sorted(asked.keys() - {"name"}):
+        low, high = _OF_TABLES.get(setting, (0, -1))
+        value = asked[setting]
+        if type(value) is not int or not low <= value <= high:
+            known = ", ".join(f"{each} ({least:,} to {most:,})" for each, (least, most) in _OF_TABLES.items())
+            raise LabError("invalid", f"settings are whole numbers: {known}", setting)
+        command += [f"--{setting}", str(value)]
     return command
 
 

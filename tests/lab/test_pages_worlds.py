@@ -14,6 +14,7 @@ import pytest
 
 import nmes
 from boards import DASH
+from command_line import run
 from creatures import SINE, cpg, snake
 from lab_browser import PASSWORD, PATIENCE, Lab, opened, running_browser, serious, served_lab
 from layout import ROOT
@@ -26,7 +27,16 @@ if TYPE_CHECKING:
 
 MARKUP = "<b>bold</b>"
 PHONE = {"width": 360, "height": 740}
-PAGES = ("worlds", "worlds/main", "recordings", "recordings/old", "brain", "brain/main/flea", "leaderboard")
+PAGES = (
+    "worlds",
+    "worlds/main",
+    "recordings",
+    "recordings/old",
+    "brain",
+    "brain/main/flea",
+    "brain/table",
+    "leaderboard",
+)
 FLEA: dict[str, Any] = {
     "format": "nmes-genome/1",
     "name": "<b>flea</b>",
@@ -63,6 +73,11 @@ def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Lab]:
     folder = tmp_path_factory.mktemp("lab")
     (folder / "recordings").mkdir()
     shutil.copy(sorted((ROOT / "replays").glob("*.mcap"))[0], folder / "recordings" / "old.mcap")
+    (folder / "tables").mkdir()
+    assert (
+        run("learn", "cube", "--episodes", "40", "--test", "1", "-q", "-o", folder / "tables" / "table.json").exit_code
+        == 0
+    )
     (folder / "leaderboards").mkdir()
     Leaderboard(folder / "leaderboards" / "board.sqlite", create=True).close()
     with served_lab(folder) as running:
@@ -242,6 +257,45 @@ def test_a_brain_with_a_memory_is_drawn_as_it_works(browser: Browser, lab: Lab) 
             until(page, lambda: motors.locator(".number").inner_text() != "")  # noqa: B023
             assert motors.get_by_text("hip").count() == 1
             assert serious(page) == []
+
+
+def test_a_table_of_q_learning_is_a_map_of_states(browser: Browser, lab: Lab) -> None:
+    table = json.loads((lab.folder / "tables" / "table.json").read_text())
+    with opened(browser, lab, "brain/table") as page:
+        page.get_by_role("heading", name=table["title"]).wait_for()
+        states = page.locator(".state")
+        assert states.count() == 7 * 7
+        middle = (3 * 7 + 3) * 25 + 12  # of 7 x 7 ranges of where the target is, and 5 x 5 of velocity
+        page.get_by_role("heading", name=f"State {middle:,}").wait_for()
+        states.nth(3 * 7 + 3).focus()
+        page.keyboard.press("ArrowRight")  # along the first dimension
+        page.get_by_role("heading", name=f"State {middle + 7 * 25:,}").wait_for()
+        page.get_by_label("velocity along z").select_option("0")
+        state = middle + 7 * 25 - 2
+        page.get_by_role("heading", name=f"State {state:,}").wait_for()
+        rows = page.locator("tbody tr")
+        shown = [
+            (float(row.locator("td").nth(1).inner_text()), int(row.locator("td").nth(2).inner_text()))
+            for row in rows.all()
+        ]
+        assert shown == [
+            (round(value, 3), count)
+            for value, count in zip(table["values"][state], table["visits"][state], strict=True)
+        ]
+        for place in range(49):
+            seen = sum(table["visits"][((place % 7) * 7 + place // 7) * 25 + 10])
+            assert ("never" in str(states.nth(place).get_attribute("class"))) == (seen == 0)
+        boxes = [state.bounding_box() for state in states.all()]  # all are there, in seven rows of seven
+        assert len({round(box["x"]) for box in boxes if box}) == len({round(box["y"]) for box in boxes if box}) == 7
+
+
+def test_a_cube_is_taught_from_the_page(browser: Browser, lab: Lab) -> None:
+    with opened(browser, lab, "brain") as page:
+        page.get_by_label("Episodes to learn from").fill("5")
+        page.get_by_role("button", name="Teach a cube").click()
+        page.get_by_role("heading", name="A cube that is pushed to a target").wait_for(timeout=60_000)
+        assert "learn cube -o" in page.locator("#command").inner_text()
+        assert json.loads((lab.folder / "tables" / "cube-1.json").read_text())["figures"]["episodes"] == 5
 
 
 def test_an_empty_leaderboard_says_how_to_fill_it(browser: Browser, lab: Lab) -> None:

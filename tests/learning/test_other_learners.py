@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from command_line import run
 from nmes.brain import load_brain
+from nmes.errors import DocumentError
 from nmes.learning.learners.cloning import Cloning, squares
 from nmes.learning.learners.cube import TargetCube, arrivals, learn_to_arrive
 from nmes.learning.learners.networks import Network
 from nmes.learning.learners.novelty import ForwardModel
 from nmes.learning.learners.pca import principal_components
 from nmes.learning.learners.q_learning import QLearning
+from nmes.learning.learners.q_table import read_q_table
 from nmes.learning.learners.rows import Spaces
 from nmes.variation.draw import Draw
 from slopes import slopes
@@ -187,6 +190,48 @@ def test_the_command_teaches_the_cube_as_the_library_does() -> None:
         run("learn", "cube", "--episodes", "3", "--test", "1", "--seed", "2", "--delay", "6", "--json").stdout
     )
     assert late["digest"] != told["digest"]
+
+
+def test_the_table_that_was_learned_is_written_and_read(tmp_path: Path) -> None:
+    file = tmp_path / "table.json"
+    told = json.loads(
+        run("learn", "cube", "--episodes", "3", "--test", "1", "--seed", "2", "--json", "-o", file).stdout
+    )
+    table = read_q_table(file.read_bytes())
+    cube = TargetCube(2)
+    try:
+        learner = learn_to_arrive(cube, 3)
+    finally:
+        cube.close()
+    assert (np.array(table["values"]) == learner.values).all() and (np.array(table["visits"]) == learner.visits).all()
+    assert table["digest"] == learner.digest == told["digest"]
+    assert table["figures"] == {"episodes": 3, "seed": 2, "delay": 0, "arrived": told["arrived"], "of": 1}
+    refused = run("learn", "cube", "--episodes", "3", "-o", tmp_path / "none" / "table.json")
+    assert refused.exit_code == 1 and "cannot write" in refused.output
+
+
+@pytest.mark.parametrize(
+    ("place", "value", "path"),
+    [
+        ("values", [], "values"),
+        ("dimensions", [{"name": "x", "unit": "", "edges": [1, 1]}], "dimensions/0/edges"),
+        ("dimensions", [{"name": "x", "unit": "", "edges": [1]}] * 8, "values"),
+        ("actions", [{"name": "a"}], "values/0"),
+        ("format", "nmes-q-table/2", "format"),
+        ("more", 1, "more"),
+        ("figures", {"a": "b"}, "figures/a"),
+    ],
+)
+def test_a_table_that_does_not_fit_together_is_refused(place: str, value: object, path: str) -> None:
+    document = {
+        **{"format": "nmes-q-table/1", "title": "", "dimensions": [{"name": "x", "unit": "m", "edges": [0]}]},
+        **{"actions": [{"name": "a"}, {"name": "b", "arrow": [0, 1]}], "values": [[0, 1], [2, 3]]},
+        **{"visits": [[0, 0], [1, 1]], "figures": {}, "digest": "0" * 32},
+    }
+    assert read_q_table(json.dumps(document).encode()) == document
+    with pytest.raises(DocumentError) as refused:
+        read_q_table(json.dumps({**document, place: value}).encode())
+    assert refused.value.path == path
 
 
 @pytest.mark.long

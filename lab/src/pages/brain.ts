@@ -1,12 +1,14 @@
 /** The brain of a creature in a world: its network with weights, what it senses, and what its units do meanwhile. */
-import { post, socketUrl, words } from "../api.js";
-import { done } from "../command.js";
+import { get, kept, post, socketUrl, words } from "../api.js";
+import { action, done, line } from "../command.js";
 import { Link } from "../connection.js";
-import { append, fill, h, icon, svg } from "../dom.js";
+import { append, field, fill, h, icon, svg } from "../dom.js";
+import { type Job, ended } from "../jobs.js";
 import { type Mind, type Network, network } from "../network.js";
 import type { Scene } from "../poses.js";
-import { type View, address, empty, heading, load } from "../shell.js";
+import { type View, address, empty, go, heading, load } from "../shell.js";
 import { Visit, allWorlds } from "../world.js";
+import { showTable } from "./table.js";
 
 const LOOK = 100; // ms between two looks at the sensors
 const WIDTH = 760;
@@ -27,6 +29,8 @@ export function open(view: View): void {
   const [world, creature] = view.params;
   if (world !== undefined && creature !== undefined) {
     show(view, world, creature);
+  } else if (world !== undefined) {
+    showTable(view, world); // of one part: a table, which is of no world
   } else {
     choose(view);
   }
@@ -35,7 +39,9 @@ export function open(view: View): void {
 /** All creatures of all worlds that run. */
 function choose({ root, signal }: View): void {
   const body = h("div", { class: "stack" });
-  append(root, [heading("Brain", "What a creature senses, and what its network makes of it while it lives."), body]);
+  const tables = h("section", { class: "card stack" });
+  append(root, [heading("Brain", "What a creature senses, and what its network makes of it while it lives."), body, tables]);
+  void load(tables, "tables", () => get<{ items: readonly { name: string }[] }>("/tables", {}, signal), ({ items }) => taught(items.map(({ name }) => name), signal), signal);
   void load(body, "worlds", () => allWorlds(50), (worlds) => {
     const awake = worlds.filter(({ frame }) => frame !== null);
     const cards = h("div", { class: "cards" });
@@ -56,6 +62,34 @@ function choose({ root, signal }: View): void {
     }
     return [none, cards];
   }, signal);
+}
+
+/** The tables of Q-learning that there are, and a cube that learns another. */
+function taught(names: readonly string[], signal: AbortSignal): HTMLElement[] {
+  let free = 1;
+  while (names.includes(`cube-${free}`)) free += 1;
+  const episodes = h("input", { type: "number", min: 1, max: 100_000, value: "1200", required: true });
+  const seed = h("input", { type: "number", min: 0, max: 1_000_000_000, value: String(free), required: true });
+  const note = h("p", { class: "hint", role: "status" });
+  const teach = action({
+    label: "Teach a cube", icon: "play", look: "primary",
+    command: () => line("nmes", "learn", "cube", "-o", kept("tables", `cube-${free}.json`), "--episodes", episodes.value, "--seed", seed.value),
+    run: async () => {
+      note.textContent = "It learns, which takes a quarter of a minute or so …";
+      const asked = { name: `cube-${free}`, episodes: Number(episodes.value), seed: Number(seed.value) };
+      const job = await ended(await post<Job>("/tables", asked), signal);
+      note.textContent = "";
+      if (job.status !== 0) throw new Error(job.lines.at(-1) ?? "it could not be taught");
+      go("brain", asked.name);
+    },
+  });
+  return [
+    h("h2", {}, "Tables of Q-learning"),
+    h("p", { class: "soft" }, "A cube learns to be pushed to a target; what it has learned is a table: what each push is worth in each state."),
+    h("ul", { class: "list" }, ...names.map((name) => h("li", {}, h("a", { href: address("brain", name) }, name)))),
+    h("div", { class: "form" }, field("Episodes to learn from", episodes), field("Seed of the cube", seed)),
+    h("div", { class: "actions" }, teach), note,
+  ];
 }
 
 function show({ root, signal }: View, world: string, creature: string): void {

@@ -11,17 +11,18 @@ so that there are 1,225 states. All goes through commands of the world, as for a
 from __future__ import annotations
 
 from bisect import bisect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from math import cos, hypot, pi, sin
 from typing import Final
 
 from nmes.errors import WorldError
 from nmes.learning.learners.q_learning import QLearning
+from nmes.learning.learners.q_table import Action, Dimension, q_table
 from nmes.schemas.documents import JsonObject
 from nmes.variation.draw import Draw
 from nmes.world import World
 
-__all__ = ["ACTIONS", "NEAR", "STATES", "TICKS", "TargetCube", "arrivals", "learn_to_arrive"]
+__all__ = ["ACTIONS", "NEAR", "STATES", "TICKS", "TargetCube", "arrivals", "learn_to_arrive", "table_of_cube"]
 
 NEAR: Final = 0.5
 """How near the cube must come to the target, m, along the ground."""
@@ -141,3 +142,19 @@ def arrivals(cube: TargetCube, learner: QLearning, episodes: Iterable[int]) -> i
             state, _, arrived, late = cube.push(learner.best(state))
         count += arrived
     return count
+
+
+def table_of_cube(learner: QLearning, figures: Mapping[str, float]) -> JsonObject:
+    """Returns what a learner has learned of the cube as a document.
+
+    Args:
+        learner: The learner.
+        figures: What else is to be known of it.
+    """
+    dimensions = [
+        *(Dimension(f"target along {axis}", "m", _AWAY) for axis in "xz"),
+        *(Dimension(f"velocity along {axis}", "m/s", _SPEEDS) for axis in "xz"),
+    ]
+    names = ("push along x", "push against x", "push along z", "push against z")
+    actions = [Action(name, push) for name, push in zip(names, _PUSHES, strict=True)]
+    return q_table("A cube that is pushed to a target", dimensions, actions, learner, figures)
