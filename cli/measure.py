@@ -167,30 +167,82 @@ def encodings(cubes: int, rounds: int, seed: int, as_json: bool) -> None:
 
 @command.command("peer")
 @click.argument("genome", default="walker")
-@click.option(
-    "--steps", metavar="N", type=click.IntRange(1), default=24_000, show_default=True, help="To learn from, of each."
-)
 @_rounds(9)
 @_SEED
 @_JSON
-def peer(genome: str, steps: int, rounds: int, seed: int, as_json: bool) -> None:
-    """Measure a body and a learner here and in Gymnasium.
+def peer(genome: str, rounds: int, seed: int, as_json: bool) -> None:
+    """Measure a body here and in Gymnasium.
 
     GENOME is a file, or the name of a genome that ships. The same model of MuJoCo is stepped by our environments, by a
-    plain environment of Gymnasium, and over a host; the same learner learns in both to get as far along x as it can.
-    Which other peers are installed is told too; none of them is measured.
+    plain environment of Gymnasium, and over a host. Which other peers are installed is told too; none of them is
+    measured.
 
     For example:
 
     \b
         nmes measure peer
-        nmes measure peer centipede --steps 100000 --json
+        nmes measure peer centipede --json
     """
-    if find_spec("gymnasium") is None:
-        raise MissingPackage("to measure beside Gymnasium takes it: pip install 'nmes[gym]'")
+    _need_gymnasium()
     from nmes.measure.peers import measure_peers
 
-    _tell(asdict(measure_peers(genome, steps, seed, rounds)), as_json)
+    _tell(asdict(measure_peers(genome, seed, rounds)), as_json)
+
+
+@command.command("learning")
+@click.argument("genome", default="roller")
+@click.option(
+    "--steps", metavar="N", type=click.IntRange(1), default=48_000, show_default=True, help="At most, of each."
+)
+@click.option(
+    "--goal", metavar="M", type=float, default=1.5, show_default=True, help="The score whose time is taken, m."
+)
+@_SEED
+@_JSON
+def learning(genome: str, steps: int, goal: float, seed: int, as_json: bool) -> None:
+    """Measure how long a learner takes to a score, here and in Gymnasium.
+
+    GENOME is a file, or the name of a genome that ships. The same learner, with the same seed, learns in our
+    environments and in plain ones of Gymnasium over the same model of MuJoCo to get along x, until the episodes of a
+    block come as far as the goal in the mean. The two take turns, block by block.
+
+    For example:
+
+    \b
+        nmes measure learning
+        nmes measure learning walker --steps 100000 --goal 2 --json
+    """
+    _need_gymnasium()
+    from nmes.measure.peers import measure_learning
+
+    _tell(asdict(measure_learning(genome, steps, goal, seed)), as_json)
+
+
+@command.command("install")
+@click.argument("packages", nargs=-1)
+@_JSON
+def install(packages: tuple[str, ...], as_json: bool) -> None:
+    """Measure what it takes to install packages.
+
+    PACKAGES are names of packages that are installed here; those with commas between them are installed together.
+    Without any it is Gymnasium with MuJoCo, and then NMES. Each is installed by pip in a fresh virtual
+    environment, from wheels that are packed again from what is installed here: no index is asked.
+
+    For example:
+
+    \b
+        nmes measure install
+        nmes measure install gymnasium,mujoco,pygame --json
+    """
+    from nmes.measure.installs import measure_installs
+
+    found = measure_installs(packages or ("gymnasium,mujoco", "nmes"))
+    _tell({"installs": [asdict(each) for each in found]}, as_json)
+
+
+def _need_gymnasium() -> None:
+    if find_spec("gymnasium") is None:
+        raise MissingPackage("to measure beside Gymnasium takes it: pip install 'nmes[gym]'")
 
 
 def _tell(found: dict[str, Any], as_json: bool) -> None:

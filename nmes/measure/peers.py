@@ -2,20 +2,19 @@
 
 Hides the plain environment, which is what anybody writes who has a model of MuJoCo: it steps the very model that our
 world compiled, from the state in which our episode begins; what is observed are the positions and velocities of
-the model, as in Gymnasium's own Ant. The task is the same in both: how far along x the centre of mass gets.
+the model, as in Gymnasium's own Ant. The task is the same in both: how far along x the centre of mass gets. Where
+something is learned, the plain environment observes what the body's sensors read, so that both learn alike.
 """
 
 from __future__ import annotations
 
-import re
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from hashlib import sha256
 from importlib.metadata import PackageNotFoundError, distribution
-from pathlib import Path
 from statistics import fmean
 from typing import Any, Final
 
@@ -25,8 +24,8 @@ import numpy as np
 from gymnasium.spaces import Box
 from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 
-from nmes.backend import Array
-from nmes.errors import SimulationFault
+from nmes.backend import Array, BodyState
+from nmes.errors import SimulationFault, WorldError
 from nmes.evaluation import Task
 from nmes.evaluation.driven import Scene
 from nmes.genome import Genome
@@ -42,15 +41,15 @@ from nmes.playback import replay
 from nmes.variation.draw import Draw
 from nmes.world import World
 
-__all__ = ["OTHERS", "PeerCosts", "StructuralChange", "measure_peers"]
+__all__ = ["OTHERS", "Learned", "LearningCosts", "PeerCosts", "StructuralChange", "measure_learning", "measure_peers"]
 
 OTHERS: Final = ("evogym", "playground", "godot-rl", "mlagents", "isaacgym")
 """Packages of other peers: Evolution Gym, MuJoCo Playground, Godot RL Agents, ML-Agents, Isaac Gym."""
-_NAME: Final = re.compile(r"[A-Za-z0-9._-]+")  # of a package, where a requirement begins
 _ROWS: Final = 8  # environments side by side, where there are several
 _TICKS: Final = 300  # of an episode
 _TRIAL: Final = 150  # steps of a round: less than an episode
-_OPTIONS: Final = Ppo.Options(rows=_ROWS, ticks=_TICKS)
+_UNREADABLE: Final = ("touch", "effort")  # sensors that a plain environment does not have
+_OPTIONS: Final = Ppo.Options(rows=_ROWS, ticks=_TICKS, rate=1e-3)
 _TASK: Final[Mapping[str, Any]] = {
     "format": "nmes-task/1",
     "name": "forward",
@@ -77,6 +76,40 @@ class StructuralChange:
 
 
 @dataclass(frozen=True, slots=True)
+class Learned:
+    """What came of learning.
+
+    Attributes:
+        steps: After how many steps the episodes of a block were worth the goal or more, in the mean; None: never.
+        seconds: How long that took by the clock, s; None likewise. The other learner's blocks are not in it.
+        score: What was learned: the mean of how far along x the policy then gets without chance, m.
+    """
+
+    steps: int | None
+    seconds: float | None
+    score: float
+
+
+@dataclass(frozen=True, slots=True)
+class LearningCosts:
+    """What it takes to learn here and in Gymnasium.
+
+    Attributes:
+        ours: What came of learning here.
+        plain: The same in the plain environment.
+        ratio: Our time to the goal over the other's; None where one did not come to it.
+        alike: Whether both have learned the same policy, to the last bit.
+        digest: Of both policies.
+    """
+
+    ours: Learned
+    plain: Learned
+    ratio: float | None
+    alike: bool
+    digest: str
+
+
+@dataclass(frozen=True, slots=True)
 class PeerCosts:
     """What is measured beside Gymnasium.
 
@@ -85,15 +118,9 @@ class PeerCosts:
         rate_rows: The same of eight side by side.
         rate_remote: Steps a second in a world of a host, over those in this process.
         steps_per_second: Of ours, one environment.
-        learning: What it takes to learn, our time over the other's.
-        score: What was learned here: the mean of how far along x the policy gets without chance, m.
-        score_plain: The same in the plain environment.
         exact: Whether the same actions lead to the same states again, and a recording replays to the last bit.
         exact_plain: Whether the same actions lead to the same states again in the plain environment.
         change: A part that comes and goes in mid-episode. The plain environment has no such thing.
-        megabytes: Of all files that NMES installs, with the packages that it needs. (What is installed for editing is
-            not counted.)
-        megabytes_plain: Of Gymnasium and MuJoCo likewise.
         others: How many of `OTHERS` are installed. None of them is measured.
         gymnasium_mujoco: Whether Gymnasium's own environments of MuJoCo can be made, which take more packages.
         digest: Of what both came to.
@@ -103,14 +130,9 @@ class PeerCosts:
     rate_rows: float
     rate_remote: float
     steps_per_second: float
-    learning: float
-    score: float
-    score_plain: float
     exact: bool
     exact_plain: bool
     change: StructuralChange
-    megabytes: float
-    megabytes_plain: float
     others: int
     gymnasium_mujoco: bool
     digest: str
@@ -120,24 +142,29 @@ class _Plain(gymnasium.Env[Array, Any]):
     """A body as a plain environment of Gymnasium."""
 
     def __init__(self, genome: Genome, task: Task) -> None:
-        row: Any = Scene.of(genome, task, task.seeds[0], touchy=False).row
+        self._scene = scene = Scene.of(genome, task, task.seeds[0], touchy=False)
+        row: Any = scene.row
+        if row is None:
+            raise WorldError("unsupported", f"{genome.name!r} is no single row of MuJoCo: take another body", "genome")
         motors = genome.body.motors
         self._model, self._substeps = row.model, task.substeps
         self._start = np.array(row.state)
         self._columns = [row.compiled.actuator[number] for number in sorted(row.compiled.actuator)]
         self._low, self._high = (np.array([getattr(motor, end) for motor in motors]) for end in ("low", "high"))
         self._data = mujoco.MjData(self._model)
-        self._mass = self._model.body_mass / self._model.body_mass.sum()
-        self._ticks, self._x = 0, 0.0
+        self._cubes = [row.compiled.body_index[body] for body in scene.watched.bodies]
+        masses = np.array([cube.mass for cube in genome.body.cubes])
+        self._shares = masses / np.add.accumulate(masses)[-1]
+        self._ticks, self._origin, self._paid = 0, 0.0, 0.0
         self.action_space = Box(-1.0, 1.0, (len(motors),), np.float32)
-        self.observation_space = Box(-np.inf, np.inf, self._observed().shape, np.float64)
+        self.observation_space = Box(-np.inf, np.inf, (self._model.nq - 2 + self._model.nv,), np.float64)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Array, dict[str, Any]]:
         """Begins an episode, which is always the same."""
         super().reset(seed=seed)
         mujoco.mj_setState(self._model, self._data, self._start, mujoco.mjtState.mjSTATE_INTEGRATION)
-        mujoco.mj_forward(self._model, self._data)
-        self._ticks, self._x = 0, self._along()
+        mujoco.mj_kinematics(self._model, self._data)
+        self._ticks, self._origin, self._paid = 0, self._along(), 0.0
         return self._observed(), {}
 
     def step(self, action: Array) -> tuple[Array, float, bool, bool, dict[str, Any]]:
@@ -146,53 +173,117 @@ class _Plain(gymnasium.Env[Array, Any]):
         self._data.ctrl[self._columns] = self._low + share * (self._high - self._low)
         mujoco.mj_step(self._model, self._data, self._substeps)
         mujoco.mj_kinematics(self._model, self._data)  # places are else those before the last engine step
-        before, self._x = self._x, self._along()
+        reward = self._along() - self._origin - self._paid
+        self._paid += reward
         self._ticks += 1
-        return self._observed(), self._x - before, False, self._ticks >= _TICKS, {}
+        return self._observed(), reward, False, self._ticks >= _TICKS, {}
 
     def _along(self) -> float:
-        return float(self._mass @ self._data.xipos[:, 0])
+        return float(np.add.accumulate(self._data.xpos[self._cubes, 0] * self._shares)[-1])
 
     def _observed(self) -> Array:
         return np.concatenate([self._data.qpos[2:], self._data.qvel])
 
 
-def measure_peers(genome: str, steps: int, seed: int, rounds: int) -> PeerCosts:
+class _Sensed(_Plain):
+    """A body as a plain environment of Gymnasium, which observes what the body's sensors read."""
+
+    def __init__(self, genome: Genome, task: Task) -> None:
+        super().__init__(genome, task)
+        compiled: Any = self._scene.row.compiled  # type: ignore[union-attr]
+        self._senses = senses = self._scene.creature.senses
+        slots = [compiled.joint[number] for number in senses.joint_numbers]
+        self._q, self._v = ([getattr(slot, name) for slot in slots] for name in "qv")
+        self._felt = [(read, compiled.body_index[body], rows, picked) for read, body, rows, picked in senses.felt]
+        self._count = len(genome.body.sensors)
+        self.observation_space = Box(-np.inf, np.inf, (self._count,), np.float64)
+
+    def _observed(self) -> Array:
+        senses, data, out = self._senses, self._data, np.zeros(self._count)  # of what is around it: nothing is
+        mujoco.mj_comPos(self._model, data)
+        mujoco.mj_comVel(self._model, data)
+        readings = np.zeros((len(self._q), 3))
+        readings[:, 0], readings[:, 1] = data.qpos[self._q], data.qvel[self._v]
+        out[senses.joint_rows] = readings.take(senses.joint_columns) * senses.joint_scale
+        for read, body, rows, picked in self._felt:
+            felt = read(self._state(body))
+            out[rows] = felt if picked is None else [felt[number] for number in picked]
+        return out
+
+    def _state(self, body: int) -> BodyState:
+        """Returns the pose of a body and the velocity of its centre: MuJoCo has that of the whole tree's centre."""
+        data = self._data
+        x, y, z = data.xpos[body].tolist()
+        qw, qx, qy, qz = data.xquat[body].tolist()
+        wx, wy, wz, vx, vy, vz = data.cvel[body].tolist()
+        cx, cy, cz = data.subtree_com[self._model.body_rootid[body]].tolist()
+        rx, ry, rz = x - cx, y - cy, z - cz
+        velocity = vx + (wy * rz - wz * ry), vy + (wz * rx - wx * rz), vz + (wx * ry - wy * rx)
+        return BodyState((x, y, z), (qx, qy, qz, qw), velocity, (wx, wy, wz))
+
+
+def measure_peers(genome: str, seed: int, rounds: int) -> PeerCosts:
     """Measures a body here and in a plain environment.
 
     Args:
         genome: The creature: its file, or the name of one that ships.
-        steps: To learn from.
-        seed: Of actions and learning.
+        seed: Of the actions.
         rounds: How often steps are measured.
 
     Raises:
-        DocumentError: It is no genome, or cannot be a row of MuJoCo.
+        DocumentError: It is no genome.
         MachineError: No host begins (`cannot_measure`).
         SimulationFault: A part cannot be joined to the body.
+        WorldError: It is no single row of MuJoCo (`unsupported`).
     """
     body, task = Genome.load(genome), Task(_TASK)
     rates, ours, plain = _rates(body, task, seed, rounds)
-    rows = TaskVectorEnv(body, task, _ROWS, autoreset_mode=AutoresetMode.SAME_STEP)
-    took, score, learned = _learned(rows, steps, seed)
-    plain_took, plain_score, plain_learned = _learned(_plain_rows(body, task), steps, seed)
     return PeerCosts(
         rate=ratio(rates, "plain", "ours"),
         rate_rows=ratio(rates, "plain rows", "rows"),
         rate_remote=ratio(rates, "ours", "remote"),
         steps_per_second=1.0 / sorted(rates["ours"])[rounds // 2],
-        learning=took / plain_took,
-        score=score,
-        score_plain=plain_score,
         exact=_comes_again(lambda: TaskEnv(body, task), seed) and _replays(body, task, seed),
         exact_plain=_comes_again(lambda: _Plain(body, task), seed),
         change=_change(body, task),
-        megabytes=_installed(["nmes"]),
-        megabytes_plain=_installed(["gymnasium", "mujoco"]),
         others=sum(_there(name) for name in OTHERS),
         gymnasium_mujoco=_there("imageio"),
-        digest=sha256(repr((ours, plain, learned, plain_learned, score, plain_score)).encode()).hexdigest()[:32],
+        digest=_digest(ours, plain),
     )
+
+
+def measure_learning(genome: str, steps: int, goal: float, seed: int) -> LearningCosts:
+    """Measures how long the same learner takes to a score here and in a plain environment.
+
+    Args:
+        genome: The creature: its file, or the name of one that ships.
+        steps: To learn from at most.
+        goal: How far along x the episodes of a block must get in the mean for the learning to end, m.
+        seed: Of the learning.
+
+    Raises:
+        DocumentError: It is no genome.
+        WorldError: It is no single row of MuJoCo, or has sensors that a plain environment cannot read (`unsupported`).
+    """
+    body, task = Genome.load(genome), Task(_TASK)
+    sensors = body.body.sensors
+    strange = sorted({sensor.type for sensor in sensors if sensor.solitary or sensor.type in _UNREADABLE})
+    if strange:
+        told = f"a plain environment cannot read {', '.join(strange)}: take a body without such sensors"
+        raise WorldError("unsupported", told, "genome")
+    learner, other = _learn(body, task, steps, goal, seed)
+    ours, plain = learner.ended(), other.ended()
+    return LearningCosts(
+        ours=ours,
+        plain=plain,
+        ratio=None if ours.seconds is None or plain.seconds is None else ours.seconds / plain.seconds,
+        alike=learner.policy == other.policy,
+        digest=_digest(learner.policy, other.policy),
+    )
+
+
+def _digest(*found: object) -> str:
+    return sha256(repr(found).encode()).hexdigest()[:32]
 
 
 # -- what is measured -------------------------------------------------------------------------------------------------
@@ -234,26 +325,57 @@ def _rates(body: Genome, task: Task, seed: int, rounds: int) -> tuple[dict[str, 
     return samples, seen["ours"], seen["plain"]
 
 
-def _plain_rows(body: Genome, task: Task) -> VectorEnv[Any, Any, Any]:
-    made = [lambda: _Plain(body, task)] * _ROWS
+def _plain_rows(body: Genome, task: Task, kind: type[_Plain] = _Plain) -> VectorEnv[Any, Any, Any]:
+    made = [lambda: kind(body, task)] * _ROWS
     return SyncVectorEnv(made, autoreset_mode=AutoresetMode.SAME_STEP)
 
 
-def _learned(envs: VectorEnv[Any, Any, Any], steps: int, seed: int) -> tuple[float, float, list[float]]:
-    """Learns; returns the seconds that it took, the mean return of the policy without chance, and its last weights."""
-    with closing(envs):
-        rows = GymnasiumRows(envs)
-        learner, collector = Ppo(rows.spaces, _OPTIONS, Draw(seed)), Collector(rows, seed)
-        blocks = max(1, steps // (_ROWS * _TICKS))
-        began = time.process_time()
-        for block in range(blocks):
-            learner.learn(collector, _TICKS, Draw(seed, block), 1.0 - block / blocks)
-        took = time.process_time() - began
-        observations, total = rows.reset(1000 + seed), np.zeros(_ROWS)
-        for _ in range(_TICKS):
-            observations, rewards, *_ = rows.step(learner.policy.act(learner.best(observations)))
-            total += rewards
-    return took, fmean(total.tolist()), learner.parameters[:8].tolist()
+class _Learner:
+    """A learner over rows of its own, which learns until it comes to the goal.
+
+    Attributes:
+        there: Whether it has come to the goal.
+    """
+
+    def __init__(self, envs: VectorEnv[Any, Any, Any], goal: float, seed: int) -> None:
+        self._envs, self._rows, self._goal, self._seed = envs, GymnasiumRows(envs), goal, seed
+        self._learner, self._collector = Ppo(self._rows.spaces, _OPTIONS, Draw(seed)), Collector(self._rows, seed)
+        self._steps, self._seconds, self.there = 0, 0.0, False
+
+    def learn(self, block: int, rest: float) -> None:
+        """Learns from a block of steps."""
+        began = time.perf_counter()
+        report = self._learner.learn(self._collector, _TICKS, Draw(self._seed, block), rest)
+        self._seconds += time.perf_counter() - began
+        self._steps += report.steps
+        self.there = fmean(report.returns) >= self._goal
+
+    @property
+    def policy(self) -> list[float]:
+        """All that was learned."""
+        return list(self._learner.parameters.tolist())
+
+    def ended(self) -> Learned:
+        """Tries what was learned, and ends the environments."""
+        with closing(self._envs):
+            observations, total = self._rows.reset(1000 + self._seed), np.zeros(_ROWS)
+            for _ in range(_TICKS):
+                observations, rewards, *_ = self._rows.step(self._learner.policy.act(self._learner.best(observations)))
+                total += rewards
+        score = fmean(total.tolist())
+        return Learned(self._steps, self._seconds, score) if self.there else Learned(None, None, score)
+
+
+def _learn(body: Genome, task: Task, steps: int, goal: float, seed: int) -> tuple[_Learner, _Learner]:
+    """Has two learners that are the same learn here and in the plain environment: they take turns, block by block."""
+    ours = TaskVectorEnv(body, task, _ROWS, autoreset_mode=AutoresetMode.SAME_STEP)
+    learner, other = (_Learner(envs, goal, seed) for envs in (ours, _plain_rows(body, task, _Sensed)))
+    blocks = max(1, steps // (_ROWS * _TICKS))
+    for block in range(blocks):
+        for each in (learner, other) if block % 2 == 0 else (other, learner):
+            if not each.there:
+                each.learn(block, 1.0 - block / blocks)
+    return learner, other
 
 
 def _comes_again(make: Callable[[], gymnasium.Env[Array, Any]], seed: int) -> bool:
@@ -315,30 +437,9 @@ def _change(body: Genome, task: Task) -> StructuralChange:
     return StructuralChange(grown, unmoved, 1e3 * took)
 
 
-# -- what is installed ------------------------------------------------------------------------------------------------
-
-
 def _there(name: str) -> bool:
     try:
         distribution(name)
     except PackageNotFoundError:
         return False
     return True
-
-
-def _installed(names: Sequence[str]) -> float:
-    """Returns the size (MB) of some packages as they are installed, with those that they need, extras left out."""
-    waiting, found, size = list(names), set[str](), 0
-    while waiting:
-        name = waiting.pop()
-        if name in found or not _there(name):
-            continue
-        found.add(name)
-        package = distribution(name)
-        for file in package.files or ():
-            path = Path(str(package.locate_file(file)))
-            size += path.stat().st_size if path.is_file() else 0
-        for needed in package.requires or ():
-            if "extra ==" not in needed:
-                waiting.append(_NAME.match(needed)[0])  # type: ignore[index]
-    return size / 1e6

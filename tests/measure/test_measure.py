@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import json
 import sys
-from math import isclose
+from importlib.metadata import distribution, files
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
 from command_line import run
+from nmes.errors import MachineError
 from nmes.evaluation import Task
 from nmes.genome import Genome
 from nmes.learning.environment import TaskEnv
-from nmes.measure import encodings, peers
+from nmes.measure import encodings, installs, peers
 from nmes.measure.encodings import measure_encodings
+from nmes.measure.installs import measure_installs
 from nmes.measure.turns import in_turns, ratio
 
 
@@ -148,20 +151,69 @@ def test_the_plain_environment_has_the_same_body() -> None:
     for _ in range(peers._TICKS):
         action = draw.uniform(-1.0, 1.0, plain.action_space.shape)
         (_, mine, _, over, _), (_, theirs, _, cut, _) = ours.step(action), plain.step(action)
-        assert isclose(mine, theirs, abs_tol=1e-9)
+        assert mine == theirs
         assert over == cut
         far += mine
     assert cut and abs(far) > 1e-3
 
 
-def test_a_body_and_a_learner_are_measured_beside_gymnasium() -> None:
-    asked = ("peer", "walker", "--steps", "2400", "--rounds", "2")
+@pytest.mark.parametrize("name", ["walker", "centipede", "galloper"])
+def test_where_something_is_learned_the_plain_environment_observes_the_same(name: str) -> None:
+    genome, task = Genome.load(name), Task(peers._TASK)
+    ours, plain = TaskEnv(genome, task), peers._Sensed(genome, task)
+    draw = np.random.Generator(np.random.PCG64(1))
+    for seed in (1, 2):
+        assert ours.reset(seed=seed)[0].tobytes() == plain.reset(seed=seed)[0].tobytes()
+        for _ in range(60):
+            action = draw.uniform(-1.0, 1.0, plain.action_space.shape)
+            assert ours.step(action)[0].tobytes() == plain.step(action)[0].tobytes()
+
+
+def test_a_body_is_measured_beside_gymnasium() -> None:
+    asked = ("peer", "walker", "--rounds", "2")
     found = measured(*asked)
-    assert all(found[name] > 0 for name in ("rate", "rate_rows", "rate_remote", "steps_per_second", "learning"))
+    assert all(found[name] > 0 for name in ("rate", "rate_rows", "rate_remote", "steps_per_second"))
     assert found["exact"] is found["exact_plain"] is True
     assert found["change"]["grown"] is found["change"]["unmoved"] is True and found["change"]["milliseconds"] > 0
-    assert found["megabytes"] > found["megabytes_plain"] > 10
     assert measured(*asked)["digest"] == found["digest"] != measured(*asked, "--seed", "1")["digest"]
+
+
+def test_a_learner_comes_to_a_score_after_as_many_steps_here_as_in_gymnasium() -> None:
+    asked = ("learning", "roller", "--goal", "0.2", "--steps", "24000")
+    found = measured(*asked)
+    ours, plain = found["ours"], found["plain"]
+    assert found["alike"] is True
+    assert ours["steps"] == plain["steps"] > 2400 and ours["score"] == plain["score"]
+    assert found["ratio"] == ours["seconds"] / plain["seconds"] > 0
+    again = measured(*asked)
+    assert again["digest"] == found["digest"] and again["ours"]["steps"] == ours["steps"]
+    assert measured(*asked, "--seed", "1")["digest"] != found["digest"]
+
+
+def test_a_score_that_is_not_reached_has_no_time() -> None:
+    found = measured("learning", "walker", "--steps", "2400", "--goal", "1000")
+    assert found["ratio"] is found["ours"]["steps"] is found["plain"]["seconds"] is None
+    assert found["alike"] is True
+
+
+def test_learners_that_do_not_learn_the_same_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    step = peers._Sensed.step
+
+    def windy(self: peers._Sensed, action: np.ndarray) -> Any:
+        self._data.qvel[0] += 1e-12
+        return step(self, action)
+
+    genome, task = Genome.load("walker"), Task(peers._TASK)
+    learner, other = peers._learn(genome, task, 2400, 1000.0, 1)
+    assert learner.policy == other.policy
+    monkeypatch.setattr(peers._Sensed, "step", windy)
+    learner, other = peers._learn(genome, task, 2400, 1000.0, 1)
+    assert learner.policy != other.policy
+
+
+def test_a_body_with_sensors_that_a_plain_environment_cannot_read_is_refused() -> None:
+    result = run("measure", "learning", "newt")
+    assert result.exit_code == 1 and "cannot read touch" in result.output
 
 
 def test_an_environment_that_does_not_come_again_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -179,5 +231,41 @@ def test_an_environment_that_does_not_come_again_is_found(monkeypatch: pytest.Mo
 
 def test_gymnasium_that_is_not_installed_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("nmes.cli.measure.find_spec", lambda name: None)
-    result = run("measure", "peer")
-    assert result.exit_code == 1 and "pip install 'nmes[gym]'" in result.output
+    for command in ("peer", "learning"):
+        result = run("measure", command)
+        assert result.exit_code == 1 and "pip install 'nmes[gym]'" in result.output
+
+
+# -- installs ---------------------------------------------------------------------------------------------------------
+
+
+def test_packages_are_installed_with_what_they_need() -> None:
+    found = measured("install", "rich", "click,mdurl")["installs"]
+    assert [(each["asked"], each["packages"]) for each in found] == [("rich", 4), ("click,mdurl", 2)]
+    size = sum(
+        Path(str(file.locate())).stat().st_size
+        for name in ("rich", "pygments", "markdown-it-py", "mdurl")
+        for file in files(name) or ()
+        if ".." not in file.parts and "__pycache__" not in file.parts
+    )
+    assert found[0]["megabytes"] > size / 1e6  # byte code comes to it
+    assert found[1]["megabytes_over_first"] == found[1]["megabytes"] / found[0]["megabytes"] < 1
+    assert found[1]["seconds_over_first"] == found[1]["seconds"] / found[0]["seconds"] > 0
+
+
+def test_a_package_that_lacks_what_it_needs_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(installs, "_needed", lambda names: [distribution(name) for name in names])
+    with pytest.raises(MachineError, match=r"pip failed: (?s:.*)mdurl"):
+        measure_installs(["markdown-it-py"])
+
+
+@pytest.mark.parametrize("name", ["nothing-of-the-kind", "", "--help", "../x"])
+def test_a_package_that_is_not_installed_is_told(name: str) -> None:
+    result = run("measure", "install", "--", name)
+    assert result.exit_code == 1 and "is not installed here" in result.output
+
+
+@pytest.mark.long
+def test_nmes_is_installed_from_its_source_or_as_it_is_here() -> None:
+    (found,) = measured("install", "nmes")["installs"]
+    assert found["packages"] > 20 and found["megabytes"] > 100
