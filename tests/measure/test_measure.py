@@ -253,6 +253,12 @@ def test_packages_are_installed_with_what_they_need() -> None:
     assert found[1]["seconds_over_first"] == found[1]["seconds"] / found[0]["seconds"] > 0
 
 
+def test_what_an_extra_of_a_package_needs_is_packed_where_that_is_asked_for() -> None:
+    assert "etils[epath]" in " ".join(distribution("mujoco").requires or ())
+    asked = {package.name for package in installs._needed(["mujoco"])}
+    assert "fsspec" in asked and "fsspec" not in {package.name for package in installs._needed(["etils"])}
+
+
 def test_a_package_that_lacks_what_it_needs_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(installs, "_needed", lambda names: [distribution(name) for name in names])
     with pytest.raises(MachineError, match=r"pip failed: (?s:.*)mdurl"):
