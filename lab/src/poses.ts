@@ -50,6 +50,9 @@ export type Contact = readonly [number, number, number, number, number, number, 
 /** A joint's place in the scene, and what its motor does (N m, of a slide N). */
 export type Effort = readonly [number, number];
 
+/** The place of a cube in the scene, where it was pushed (m), the force (N) and the torque (N m). */
+export type Push = readonly [number, number, number, number, number, number, number, number, number, number];
+
 export const STRIDE = 7; // numbers of a cube: position x y z, quaternion x y z w
 
 /** A binary frame. */

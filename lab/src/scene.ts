@@ -6,7 +6,7 @@ import * as THREE from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { Arrows } from "./arrows.js";
 import { h } from "./dom.js";
-import { type Contact, type Effort, type Frame, STRIDE, type Scene, type SceneCube, type SceneJoint } from "./poses.js";
+import { type Contact, type Effort, type Frame, type Push, STRIDE, type Scene, type SceneCube, type SceneJoint } from "./poses.js";
 import { color, onTheme } from "./theme.js";
 
 export type Point = readonly [number, number, number];
@@ -75,6 +75,7 @@ export class Stage {
   private readonly axes = new THREE.LineSegments(new THREE.BufferGeometry());
   private readonly contacts = new Arrows(true);
   private readonly motors = new Arrows(false);
+  private readonly pushes = new Arrows(true);
   private readonly rope = new THREE.Line(new THREE.BufferGeometry());
   private pieces: Piece[] = [];
   private described: Scene | undefined;
@@ -112,7 +113,7 @@ export class Stage {
       lines.renderOrder = 2;
       lines.visible = false;
     }
-    this.scene.add(this.sky, this.sun, this.fixed, this.outline, this.axes, this.rope, this.contacts.group, this.motors.group);
+    this.scene.add(this.sky, this.sun, this.fixed, this.outline, this.axes, this.rope, this.contacts.group, this.motors.group, this.pushes.group);
     this.paint();
     onTheme(() => this.paint(), signal);
     const watcher = new ResizeObserver(() => this.resize());
@@ -193,6 +194,15 @@ export class Stage {
     this.contacts.show(contacts.map(([, , x, y, z, nx, ny, nz, force]) =>
       ({ at: new THREE.Vector3(x, y, z), along: new THREE.Vector3(nx, ny, nz).normalize(), strength: force })));
     this.element.dataset["contacts"] = String(this.contacts.count);
+    this.request();
+  }
+
+  /** Shows what clients push: an arrow along each force, and one along the axis of each torque. */
+  push(pushes: readonly Push[]): void {
+    this.pushes.show(pushes.flatMap(([, x, y, z, fx, fy, fz, tx, ty, tz]) =>
+      [new THREE.Vector3(fx, fy, fz), new THREE.Vector3(tx, ty, tz)].filter((vector) => vector.lengthSq() > 0)
+        .map((vector) => ({ at: new THREE.Vector3(x, y, z), strength: vector.length(), along: vector.normalize() }))));
+    this.element.dataset["pushes"] = String(this.pushes.count);
     this.request();
   }
 
@@ -338,6 +348,7 @@ export class Stage {
     this.axes.material = new THREE.LineBasicMaterial({ color: color("joint"), depthTest: false });
     this.contacts.paint(color("contact"));
     this.motors.paint(color("series-3"));
+    this.pushes.paint(color("series-2"));
     this.rope.material = new THREE.LineBasicMaterial({ color: color("accent"), depthTest: false });
     if (this.described !== undefined) {
       this.furnish(this.described);

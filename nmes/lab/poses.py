@@ -15,7 +15,7 @@ from typing import Final
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from nmes.errors import WorldError
-from nmes.lab.scene import contacts_text, frame_bytes, mind_text, motors_text, scene_text
+from nmes.lab.scene import contacts_text, frame_bytes, mind_text, motors_text, pushes_text, scene_text
 from nmes.server import Host
 from nmes.server.hosted_world import HostedWorld
 from nmes.world import World
@@ -26,11 +26,15 @@ logger = logging.getLogger(__name__)
 
 INTERVAL: Final = 1 / 60  # s between two looks
 SCENES: Final = 0.1  # s between two scenes of a world whose cubes come and go
-FORCES: Final = 0.1  # s between two accounts of contacts, and of motors
-MANY: Final = 2000  # cubes of a world of which neither is told any more
+FORCES: Final = 0.1  # s between two accounts of contacts, of motors, and of pushes
+MANY: Final = 2000  # cubes of a world of which none of these is told any more
 PAUSE: Final = 10.0  # s after which a world that could not be looked at is looked at again
 MOST: Final = 64  # that may watch at once
-_FORCES: Final[dict[str, Callable[[World, int], str]]] = {"contacts": contacts_text, "motors": motors_text}
+_FORCES: Final[dict[str, Callable[[World, int], str]]] = {
+    "contacts": contacts_text,
+    "motors": motors_text,
+    "pushes": pushes_text,
+}
 UNKNOWN_WORLD, TOO_MANY = 4404, 4429  # codes with which a WebSocket is closed
 
 

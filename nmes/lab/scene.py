@@ -6,6 +6,7 @@ Hides how a world is read in one go. Neither changes the world nor is recorded.
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -13,14 +14,16 @@ import numpy as np
 from nmes.backend.rotation import conjugate, rotate
 from nmes.schemas.documents import JsonObject, write_json
 from nmes.world import World
+from nmes.world.fields import FieldReader
 from nmes.world.scenery import scene_spec
 
-__all__ = ["contacts_text", "frame_bytes", "mind_text", "motors_text", "scene_text"]
+__all__ = ["contacts_text", "frame_bytes", "mind_text", "motors_text", "pushes_text", "scene_text"]
 
 _HEAD: Final = struct.Struct("<II")
 _MOST: Final = 4000  # contacts that are told
 _UNITS: Final = 1000  # units of a brain that are told
 _DRIVEN: Final = frozenset({"hinge", "slide"})  # joints that may have motors
+_RECENT: Final = 0.1  # s of the world: how long a push, which lasts a tick, is told
 _FINEST: Final = 129  # heights along each side of a landscape that are told
 
 
@@ -114,6 +117,34 @@ def motors_text(world: World, number: int) -> str:
     efforts = world.simulation.joint_readings(tuple(joint for _, joint in driven))[:, 2].tolist()
     motors = [[place, round(effort, 4)] for (place, _), effort in zip(driven, efforts, strict=True) if effort]
     return _text("motors", world, number, motors)
+
+
+def pushes_text(world: World, number: int) -> str:
+    """Returns what clients pushed just now, by the places of cubes in the scene, as a text frame.
+
+    Each row has where a cube was pushed, the force (N) and the torque (N m); an impulse counts as what gives as much
+    in one tick.
+    """
+    places = {name: place for place, name in enumerate(world.cubes())}
+    rate, pushes, states = world.config["tick_rate"], world.pushes, world.entities.states()
+    recent = 0 <= world.frame - pushes.frame <= max(1, _RECENT * rate)
+    rows = []
+    for name, command in pushes.commands.items() if recent else ():
+        if name in places:
+            push = _push(world.entities.fields, command, rate)
+            at = world.entities.fields.position(command["at"]) if "at" in command else states[places[name], :3].tolist()
+            rows.append([places[name], *(round(value, 4) for value in (*at, *push))])
+    return _text("pushes", world, number, rows)
+
+
+def _push(fields: FieldReader, command: JsonObject, rate: float) -> list[float]:
+    """Returns force and torque of an `apply_physics` command; of its impulses what gives as much in one tick."""
+
+    def acting(read: Callable[[Any], Sequence[float]], lasting: str, sudden: str) -> list[float]:
+        one, other = (read(command[field]) if field in command else (0.0, 0.0, 0.0) for field in (lasting, sudden))
+        return [force + rate * impulse for force, impulse in zip(one, other, strict=True)]
+
+    return [*acting(fields.position, "force", "impulse"), *acting(fields.turn, "torque", "angular_impulse")]
 
 
 def mind_text(world: World, number: int, name: str) -> str | None:

@@ -36,6 +36,7 @@ from nmes.world.entities import Entities
 from nmes.world.journal import Journal
 from nmes.world.keyframes import KeyframeSchedule
 from nmes.world.life import Life
+from nmes.world.pushes import Pushes
 from nmes.world.queries import WorldQueries
 from nmes.world.roles import OWNER, read_roles
 from nmes.world.snapshot import pack, unpack
@@ -62,6 +63,7 @@ class World(WorldQueries):
             that it raises counts as the journal's; with a BaseException that is no Exception it ends the world's
             history in the middle of the command, and the world must only be closed then.
         in_batch: Whether the command that is being executed is part of a batch.
+        pushes: What clients pushed last, for whoever watches.
 
     Raises:
         RejectedMessage: The config is not valid, or asks for what the engine cannot do; `path` names the field.
@@ -80,6 +82,7 @@ class World(WorldQueries):
         self.emit = emit
         self.between: Callable[[], None] | None = None
         self.in_batch = False
+        self.pushes = Pushes()
         self.backend = load_backend(self.config["backend"])
         self.mode = self.config["mode"]
         self.rate = float(self.config["rate"])

@@ -121,6 +121,38 @@ def test_forces_are_told_to_those_alone_who_ask_for_them(lab: RunningLab) -> Non
                     assert isinstance(message, bytes) or json.loads(message)["type"] == "scene"
 
 
+def test_pushes_are_told_while_they_are_new(lab: RunningLab) -> None:
+    with lab.socket() as maker:
+        maker.ask({"type": "auth", "create": {"world": "pushed"}})
+    with lab.world(world="pushed") as world:
+        world.ask({"type": "set_mode", "mode": "lockstep"})
+        for place in range(3):
+            world.ask({"type": "spawn_cube", "cube_name": f"c{place}", "position": [3 * place, 2, 0], "list": False})
+
+        def pushes() -> list[list[float]]:
+            with lab.socket("/ws/poses?world=pushed&pushes=1") as curious:
+                while True:
+                    message = curious.hear()
+                    if not isinstance(message, bytes) and message["type"] == "pushes":
+                        rows: list[list[float]] = message["pushes"]
+                        return rows
+
+        assert pushes() == []
+        lasting = {"force": [1, 2, 3], "torque": [0, 0, 5], "at": [3.5, 2.5, 0]}
+        world.ask({"type": "apply_physics", "cube_name": "c1", **lasting})
+        world.ask({"type": "apply_force", "cube_name": "c2", "force": [9, 0, 0]})
+        world.ask({"type": "apply_physics", "cube_name": "c2", "impulse": [0, 0.5, 0]})
+        both = [[1, 3.5, 2.5, 0, 1, 2, 3, 0, 0, 5], [2, 6, 2, 0, 0, 30, 0, 0, 0, 0]]  # of several the last
+        assert pushes() == both
+        world.ask({"type": "step", "ticks": 6})
+        assert [row[0] for row in pushes()] == [1, 2]
+        world.ask({"type": "step", "ticks": 1})
+        assert pushes() == []
+        world.ask({"type": "apply_physics", "cube_name": "c0", "force": [1, 0, 0]})
+        world.ask({"type": "despawn_cube", "cube_name": "c0"})
+        assert pushes() == []
+
+
 LOOP = {
     "kind": "graph",
     "nodes": [{"id": "out", "motor": "*"}, {"id": "hidden", "bias": 0.5}],

@@ -170,13 +170,18 @@ def test_a_cube_is_inspected_and_pushed_with_the_mouse(browser: Browser, lab: La
         position = page.locator(".facts dt", has_text="Position").locator("+ dd")
         position.wait_for()
         before = position.inner_text()
+        page.get_by_label("Pushes").check()
+        assert page.locator("#command").inner_text().endswith("pushed-*.mcap --to jsonl")
         page.get_by_role("button", name="Push by dragging").click()
         page.mouse.move(x, y)
         page.mouse.down()
         page.mouse.move(x + 60, y - 40, steps=4)
+        stage = page.locator(".stage")
+        until(page, lambda: int(stage.get_attribute("data-pushes") or 0) > 0)
         page.wait_for_timeout(600)
         page.mouse.move(x + 90, y - 40, steps=4)
         page.mouse.up()
+        until(page, lambda: stage.get_attribute("data-pushes") == "0")
         position.filter(has_not_text=before).wait_for()
         assert json.loads(page.locator("#command").inner_text())["type"] == "apply_force"
 

@@ -1,10 +1,10 @@
 /** One world, live: drawn as it moves, with its clock, what can be put into it, and an inspector of what is clicked. */
 import type { CubeInfo, SpawnCreature, WorldInfo } from "nmes-client";
-import { get, part, socketUrl, words } from "../api.js";
-import { type Command as Shown, action, done, preview } from "../command.js";
+import { get, kept, part, socketUrl, words } from "../api.js";
+import { type Command as Shown, action, done, line, preview } from "../command.js";
 import { Link } from "../connection.js";
 import { type Child, fill, h, icon, select } from "../dom.js";
-import { type Contact, type Effort, type Scene, frame } from "../poses.js";
+import { type Contact, type Effort, type Push, type Scene, frame } from "../poses.js";
 import { type Pull, Stage } from "../scene.js";
 import { address, attempt, notify } from "../shell.js";
 import { Visit } from "../world.js";
@@ -31,6 +31,7 @@ class Pane {
   private readonly mode: HTMLSelectElement;
   private readonly contacts: HTMLInputElement;
   private readonly motors: HTMLInputElement;
+  private readonly pushes: HTMLInputElement;
   private link: Link | undefined;
   private linked: AbortController | undefined;
   private readonly banner = h("div");
@@ -58,17 +59,18 @@ class Pane {
       done(this.message(message));
       await this.learn();
     }));
-    const forces = (tells: () => object): HTMLInputElement => {
+    const forces = (tells: () => Shown): HTMLInputElement => {
       const box = h("input", { type: "checkbox", onchange: () => {
         this.connect();
         if (box.checked) {
-          done(this.message(tells()));
+          done(tells());
         }
       } });
       return box;
     };
-    this.contacts = forces(() => ({ type: "get_world_state", sensors: true }));
-    this.motors = forces(() => ({ type: "batch", commands: (this.scene?.joints ?? []).slice(0, 100).map(({ name }) => ({ type: "get_joint_info", joint_name: name })) }));
+    this.contacts = forces(() => this.message({ type: "get_world_state", sensors: true }));
+    this.motors = forces(() => this.message({ type: "batch", commands: (this.scene?.joints ?? []).slice(0, 100).map(({ name }) => ({ type: "get_joint_info", joint_name: name })) }));
+    this.pushes = forces(() => `${line("nmes", "export", kept("recordings", `${this.world}-`))}*.mcap --to jsonl`);
     this.following.addEventListener("change", () => this.follow());
     this.element = this.layout(close);
     this.connect();
@@ -107,6 +109,7 @@ class Pane {
           h("div", { class: "bar options" },
             h("label", { class: "check" }, joints, "Joints"), h("label", { class: "check", title: "Where cubes touch, and the force along the normal" }, this.contacts, "Contacts"),
             h("label", { class: "check", title: "What motors do: torque or force along the axis of the joint" }, this.motors, "Motors"),
+            h("label", { class: "check", title: "What clients push, while they do: force, and torque along its axis" }, this.pushes, "Pushes"),
             push, h("span", { class: "hint" }, "Click a cube to inspect it."), h("span", { class: "grow" }), reset)),
         h("div", { class: "stack side" }, this.arrivals(), h("div", { class: "card" }, this.inspector),
           h("p", { class: "hint" }, "All that happens here is recorded. ", h("a", { href: `#/recordings?name=${encodeURIComponent(this.world)}` }, "Its recordings")))));
@@ -161,11 +164,11 @@ class Pane {
     return [Math.round(x * 100) / 100, 3, Math.round(z * 100) / 100];
   }
 
-  /** Watches, with contacts and motors or without; anew when that changes. */
+  /** Watches, with contacts, motors and pushes or without; anew when that changes. */
   private connect(): void {
     this.linked?.abort();
     this.linked = new AbortController();
-    const query = { world: this.world, ...(this.contacts.checked ? { contacts: "1" } : {}), ...(this.motors.checked ? { motors: "1" } : {}) };
+    const query = { world: this.world, ...(this.contacts.checked ? { contacts: "1" } : {}), ...(this.motors.checked ? { motors: "1" } : {}), ...(this.pushes.checked ? { pushes: "1" } : {}) };
     this.link = new Link(socketUrl("/ws/poses", query), {
       open: () => void this.enter(),
       message: (message) => this.read(message),
@@ -178,6 +181,9 @@ class Pane {
     if (!this.motors.checked) {
       this.stage.strain([]);
     }
+    if (!this.pushes.checked) {
+      this.stage.push([]);
+    }
   }
 
   private read(message: Record<string, unknown>): void {
@@ -189,6 +195,8 @@ class Pane {
       this.stage.touch((message as { contacts?: readonly Contact[] }).contacts ?? []);
     } else if (message["type"] === "motors") {
       this.stage.strain((message as { motors?: readonly Effort[] }).motors ?? []);
+    } else if (message["type"] === "pushes") {
+      this.stage.push((message as { pushes?: readonly Push[] }).pushes ?? []);
     }
   }
 

@@ -64,6 +64,7 @@ def apply_physics(world: World, client: Client, command: JsonObject) -> JsonObje
     if _ACTING.isdisjoint(command):
         raise WorldError("invalid", "nothing acts: give a force, torque, impulse or angular_impulse")
     world.entities.apply(cube, command)
+    world.pushes.note(world.frame, cube.name, command)
     return {"type": "physics_applied", "cube_name": cube.name}
 
 
