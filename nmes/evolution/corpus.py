@@ -268,7 +268,8 @@ def _unpacked(path: str | os.PathLike[str]) -> bytes:
         with open(path, "rb") as file:
             packed = file.read(_LARGEST + 1)
     except OSError as error:
-        raise CorpusError("no_corpus", f"cannot read {os.fspath(path)}: {error.strerror}") from error
+        where = ". That of NMES itself is corpus/creatures.jsonl.zst in its repository"
+        raise CorpusError("no_corpus", f"cannot read {os.fspath(path)}: {error.strerror}{where}") from error
     if len(packed) > _LARGEST:
         raise _refused(path, f"it has over {_LARGEST >> 20} MiB")
     try:
