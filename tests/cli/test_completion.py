@@ -88,6 +88,7 @@ def test_every_first_argument_is_completed_but_addresses() -> None:
         "HOST:PORT",
         "[HOST:PORT|ws://HOST:PORT]",
         "[HOST[:PORT]...]",
+        "[PACKAGES]...",  # whatever there is in the world
     }
 
 
