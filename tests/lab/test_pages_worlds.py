@@ -239,7 +239,8 @@ def test_a_recording_is_scrubbed_judged_and_gone_on_from(browser: Browser, lab: 
 def test_a_brain_is_drawn_and_does_something(browser: Browser, lab: Lab) -> None:
     with opened(browser, lab, "brain/main/flea") as page:
         page.get_by_role("heading", name="A brain of kind mlp").wait_for()
-        until(page, lambda: page.locator(".network .unit").last.evaluate("unit => Number(unit.style.fillOpacity)") > 0.5)
+        unit = page.locator(".network .unit").last
+        until(page, lambda: unit.evaluate("unit => Number(unit.style.fillOpacity)") > 0.5)
         assert page.locator(".bars li").count() == 2  # a sensor and a motor
         assert page.locator(".wire title").first.text_content() == "0.500"
 
