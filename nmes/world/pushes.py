@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+
 from nmes.schemas.documents import JsonObject
 
 __all__ = ["Pushes"]
 
 
+@dataclass(slots=True)
 class Pushes:
     """The `apply_physics` commands of the last frame in which there was one.
 
@@ -15,15 +18,5 @@ class Pushes:
         commands: The last of them for each cube, by the cube's name.
     """
 
-    __slots__ = ("commands", "frame")
-
-    def __init__(self) -> None:
-        self.frame = -1
-        self.commands: dict[str, JsonObject] = {}
-
-    def note(self, frame: int, cube: str, command: JsonObject) -> None:
-        """Notes a command that was carried out."""
-        if frame != self.frame:  # so there are never more than there are cubes
-            self.frame = frame
-            self.commands.clear()
-        self.commands[cube] = command
+    frame: int = -1
+    commands: dict[str, JsonObject] = field(default_factory=dict)
