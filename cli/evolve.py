@@ -92,8 +92,9 @@ def begin(context: click.Context, /, settings: Path | None, output: Path | None,
     With a task that has roles, populations are bred side by side, one a role, and a candidate's score is that of
     matches against the others' best, of late and of old. Then there is one WHAT for all of them, or one a population.
 
-    The algorithms: random, ga, afpo, nsga2 (several objectives) and map-elites (an archive by measures) are for bodies
-    and brains; cma, es, cma-me (an archive) and neat (the network's shape too) for the brain of one creature.
+    The algorithms: random, ga, afpo, islands (a race of populations), nsga2 (several objectives) and map-elites (an
+    archive by measures) are for bodies and brains; cma, es, cma-me (an archive) and neat (the network's shape too) for
+    the brain of one creature.
 
     Ctrl-C leaves a run that `nmes evolve resume` goes on with, and says so.
 

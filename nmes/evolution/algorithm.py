@@ -116,6 +116,7 @@ class Problem:
         objectives: The expressions to be maximised, for algorithms with several objectives.
         measures: The measures of an archive, for algorithms that have one.
         role: The role of the candidates, where the task has roles; empty where it has none.
+        island: The island of the candidates, from 0, where an algorithm has such; None where it has none.
     """
 
     task: Task | MatchTask
@@ -124,6 +125,7 @@ class Problem:
     objectives: tuple[str, ...] = ()
     measures: tuple[Measure, ...] = field(default=())
     role: str = ""
+    island: int | None = None
 
     @property
     def requirements(self) -> Requirements:
@@ -131,8 +133,9 @@ class Problem:
         return self.task.requirements(self.role) if isinstance(self.task, MatchTask) else self.task.requirements
 
     def draw(self, *path: str | int) -> Draw:
-        """Returns the stream of choices for a purpose, such as `"candidate", 12`; each role has its own."""
-        return Draw(self.seed, "run", *([self.role] if self.role else []), *path)
+        """Returns the stream of choices for a purpose, such as `"candidate", 12`; each role and island has its own."""
+        island = ("island", self.island) if self.island is not None else ()
+        return Draw(self.seed, "run", *([self.role] if self.role else []), *island, *path)
 
 
 class Algorithm(ABC):

@@ -14,7 +14,7 @@ from nmes.evolution.algorithms import ALGORITHMS, algorithm_options, load_algori
 from nmes.genome import Genome
 
 LENGTH = 40
-SMALL = {"founders": 8, "population": 8, "window": 4, "initial": 8, "batch": 4, "emitters": 2}
+SMALL = {"founders": 8, "population": 8, "window": 4, "initial": 8, "batch": 4, "emitters": 2, "islands": 3, "rung": 4}
 """Options that let an algorithm go through several generations in so many candidates, where it has them."""
 STARTS = {"neat": "roller", "es": "inchworm", "cma": "inchworm", "cma-me": "inchworm"}
 """Start genomes of the algorithms that need one."""

@@ -11,6 +11,7 @@ import { address, empty, heading, load, type View } from "../shell.js";
 const EVOLVE: readonly (readonly [string, string])[] = [
   ["ga", "ga: bodies and brains, by tournaments"],
   ["afpo", "afpo: the same, with room for the young"],
+  ["islands", "islands: several populations, the better ones go on"],
   ["map-elites", "map-elites: the best of every kind"],
   ["nsga2", "nsga2: several objectives"],
   ["random", "random: what others must be better than"],

@@ -18,6 +18,7 @@ _PLACES: Final[Mapping[str, str]] = {
     "random": "random_search.RandomSearch",
     "ga": "genetic.Genetic",
     "afpo": "genetic.AgeFitness",
+    "islands": "islands.Islands",
     "neat": "neat.Neat",
     "es": "evolution_strategy.EvolutionStrategy",
     "cma": "cma_es.CmaEs",
