@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import fsum
 
 from nmes.evolution.algorithm import Algorithm, Candidate, Problem, Score
 from nmes.evolution.algorithms.bounds import within_bounds
@@ -133,7 +134,7 @@ class Islands(Algorithm):
     def figures(self) -> Mapping[str, float]:
         """Returns how many islands go on, and how many bodies there are on them."""
         going = self._going[-1]
-        return {"islands": len(going), "bodies": sum(self._islands[island].figures()["bodies"] for island in going)}
+        return {"islands": len(going), "bodies": fsum(self._islands[island].figures()["bodies"] for island in going)}
 
 
 def _rungs(islands: int, length: int) -> Iterator[_Rung]:
