@@ -70,6 +70,7 @@ def begin(output: Path | None, threads: int | None, as_json: bool, **options: An
     For example:
 
     \b
+        nmes learn eel --task swim --steps 100000 --seed 1 -o runs/swim
         nmes learn walker --task walk --steps 1000000 --seed 1 -o runs/walk
         nmes learn walker --set rows=64 --set rate=0.001 --reward 'velocity.x - 0.1 * abs(velocity.z)'
         nmes learn runs/walk/genome.json --task stairs --steps 2000000

@@ -36,6 +36,7 @@ _LEARNING: Final = "nmes-learning/1"
 _LINEAGE: Final = 500  # ancestors that are told
 _BUDGET: Final = 1_000_000_000  # candidates
 _OF_TABLES: Final = {"episodes": (1, 100_000), "seed": (0, 1_000_000_000), "delay": (0, 12)}
+_LESSONS: Final = 100  # recordings that are learned from
 _ELITES: Final = 2500  # a grid of 50 x 50
 
 
@@ -71,7 +72,8 @@ def begin_command(folder: Folder, kind: Any, name: Any, settings: Any) -> list[s
         kind: `evolve` or `learn`.
         name: The run's.
         settings: Of evolution a document as `schemas/run.json` has it, its task and genomes by name or whole; of
-            learning `genome`, `task`, `algorithm`, `options`, `steps`, `seed`, `reward` and `every`.
+            learning `genome` and `task`, or for `clone` the names of `recordings`, and `algorithm`, `options`,
+            `steps`, `seed`, `reward` and `every`.
 
     Raises:
         LabError: There is such a run, or a name that means nothing.
@@ -114,20 +116,36 @@ def _document(source: str) -> Any:
 
 def _learn(folder: Folder, settings: Mapping[str, Any]) -> list[str]:
     """Returns the command that begins a run of learning."""
-    genome, task = genome_source(folder, settings.get("genome")), task_source(folder, settings.get("task", "walk"))
+    cloning = settings.get("algorithm") == "clone"
     known = {"algorithm", "steps", "seed", "every", "reward"}
-    if unknown := settings.keys() - known - {"genome", "task", "options"}:
+    if unknown := settings.keys() - known - {"options"} - ({"recordings"} if cloning else {"genome", "task"}):
         raise LabError("invalid", f"there is no setting {sorted(unknown)[0]!r}", "settings")
     options = settings.get("options", {})
-    document = {"format": _LEARNING, "genome": genome, "task": task, "options": options}
-    document |= {"algorithm": "ppo", "steps": 1_000_000, "seed": 0, "every": 5}
-    LearningSettings.read(document | {name: settings[name] for name in known if name in settings})
-    command = ["learn", genome, "--task", task]
+    document = {"format": _LEARNING, "algorithm": "ppo", "steps": 1_000_000, "seed": 0, "every": 5, "options": options}
+    document |= {name: settings[name] for name in known if name in settings}
+    if (
+        cloning
+    ):  # creature and task are those of the recordings, which the command runs again: here others stand for them
+        paths = _episodes(folder, settings.get("recordings"))
+        stand_ins = {"genome": "walker", "task": "walk", "episodes": "0" * 32}
+        LearningSettings.read(document | stand_ins | {"recordings": paths})
+        command = ["learn", *paths]
+    else:
+        genome, task = genome_source(folder, settings.get("genome")), task_source(folder, settings.get("task", "walk"))
+        LearningSettings.read(document | {"genome": genome, "task": task})
+        command = ["learn", genome, "--task", task]
     for name in sorted(known & settings.keys()):
         command += [f"--{name}", str(settings[name])]
     for name, value in options.items():
         command += ["--set", f"{name}={write_json(value).decode()}"]
     return command
+
+
+def _episodes(folder: Folder, names: Any) -> list[str]:
+    """Returns the paths of recordings that are learned from."""
+    if not isinstance(names, list) or not 1 <= len(names) <= _LESSONS or not all(isinstance(one, str) for one in names):
+        raise LabError("invalid", f"name from 1 to {_LESSONS} recordings to learn from", "recordings")
+    return [str(folder.find("recordings", name)) for name in names]
 
 
 def table_command(folder: Folder, asked: JsonObject) -> list[str]:

@@ -138,8 +138,15 @@ def test_settings_that_are_none_start_nothing(lab: RunningLab) -> None:
         {"genome": "walker", "steps": 0},
         {"genome": "x"},
         {"a": 1},
+        {"algorithm": "clone"},
+        {"algorithm": "clone", "recordings": []},
+        {"algorithm": "clone", "recordings": ["x"] * 101},
+        {"algorithm": "clone", "recordings": "x"},
+        {"algorithm": "clone", "recordings": ["x"], "genome": "walker"},
     ):
         assert lab.ask("/api/runs", {"kind": "learn", "name": "none", "settings": learn})[0] == 422
+    missing = {"kind": "learn", "name": "none", "settings": {"algorithm": "clone", "recordings": ["../x"]}}
+    assert lab.ask("/api/runs", missing)[0] in (400, 404)
     for asked in ({"kind": "rm", "name": "x", "settings": {}}, {"kind": "evolve", "name": 1, "settings": {}}, {}):
         assert lab.ask("/api/runs", asked)[0] == 422
     assert lab.ask("/api/runs", {"kind": "evolve", "name": "../x", "settings": SETTINGS})[0] == 400

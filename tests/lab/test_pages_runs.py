@@ -113,3 +113,29 @@ def test_a_learning_is_begun_again_with_its_settings_changed(browser: Browser, l
     before, after = settings_of(lab, "taught"), settings_of(lab, "taught-again")
     changed = {name for name in before.keys() | after.keys() if before.get(name) != after.get(name)}
     assert changed == {"seed", "options"} and after["options"]["rate"] == 0.001
+
+
+def test_a_brain_learns_from_recordings_that_are_chosen(browser: Browser, lab: Lab) -> None:
+    recorded = ["--task", "walk", "--seeds", "1", "--record", str(lab.folder / "recordings"), "--quiet"]
+    subprocess.run([NMES, "eval", "walker", *recorded], check=True)
+    with opened(browser, lab, "evolve") as page:
+        page.get_by_role("button", name="Learn", exact=True).click()
+        assert page.get_by_label("Begin with").input_value() == "eel"  # who learns something in half a minute
+        assert page.get_by_label("Task").input_value() == "swim"
+        page.get_by_label("Algorithm").select_option("clone")
+        assert not page.get_by_label("Begin with").is_visible() and not page.get_by_label("Task").is_visible()
+        choice = page.get_by_label("Recordings to learn from")
+        episode = choice.locator("option", has_text="walker-")
+        episode.wait_for(state="attached")
+        page.get_by_label("Steps to learn from").fill("600")
+        page.get_by_label("Name of the run").fill("copy")
+        page.get_by_role("button", name="Start").click()  # nothing is chosen yet: the page says so, and stays
+        assert page.evaluate("() => document.querySelector('select[multiple]').matches(':invalid')")
+        choice.select_option(episode.inner_text())
+        assert re.search(
+            r"nmes learn \S+walker-\S+mcap --algorithm clone --steps 600", page.inner_text("code.as-command")
+        )
+        assert serious(page) == []
+        page.get_by_role("button", name="Start").click()
+        page.get_by_text(re.compile("[1-9][0-9,]* of 600 steps")).wait_for(timeout=4 * PATIENCE)
+    assert settings_of(lab, "copy")["algorithm"] == "clone"

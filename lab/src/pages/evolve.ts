@@ -20,11 +20,13 @@ const EVOLVE: readonly (readonly [string, string])[] = [
   ["cma-me", "cma-me: brains, the best of every kind"],
   ["neat", "neat: a network that grows"],
 ];
-const LEARN: readonly (readonly [string, string])[] = [["ppo", "ppo: proximal policy optimisation"], ["reinforce", "reinforce: plain policy gradients"]];
+const CLONE = "clone";
+const LEARN: readonly (readonly [string, string])[] = [["ppo", "ppo: proximal policy optimisation"], ["reinforce", "reinforce: plain policy gradients"], [CLONE, "clone: what was done in recordings"]];
 const OF_BRAINS = new Set(["cma", "es", "cma-me", "neat"]);
 const ARCHIVES = new Set(["map-elites", "cma-me"]);
 const MEASURES = [{ expression: "legs", low: 0, high: 10, cells: 10 }, { expression: "mass", low: 0, high: 50, cells: 10 }];
 const OBJECTIVES = ["distance", "-energy"];
+const [PUPIL, LESSON] = ["eel", "swim"]; // on which learning shows soonest
 const RANDOM = "";
 const SAME = "="; // which no name is: what the run has that another is begun like
 
@@ -76,6 +78,7 @@ interface Settings {
   readonly budget?: number;
   readonly starts?: readonly { readonly name: string }[];
   readonly genome?: object;
+  readonly recordings?: readonly string[];
   readonly steps?: number;
   readonly every?: number;
   readonly reward?: string;
@@ -94,8 +97,12 @@ class Form {
   readonly #about = h("p", { class: "soft" });
   readonly #amount = h("span", {}, "Budget, in candidates");
   readonly #picture = h("div", {});
+  readonly #recordings = h("select", { multiple: true, size: 6, required: true });
+  readonly #lessons = field("Recordings to learn from", this.#recordings, "Of episodes of one creature on one task, such as scores leave. Several with Ctrl or Shift.");
   readonly #options = h("textarea", { rows: 4, spellcheck: "false", class: "mono" });
+  readonly #creature: readonly HTMLElement[]; // who begins, and on what: recordings say it themselves
   #kind: "evolve" | "learn" = "evolve";
+  #offered = false; // whether recordings were asked for
   #fitted: string | undefined; // the algorithm whose options are shown
   #named = false; // by a person: then it stays
 
@@ -107,6 +114,7 @@ class Form {
     const alone = all.filter((task) => (task.roles ?? []).length === 0).map((task) => [task.name, task.name] as const);
     this.#task = select([...(like?.kind === "evolve" ? [[SAME, `${like.settings.task.name}, as in ${like.name}`] as const] : []), ...alone],
       like === undefined ? query.get("task") ?? "walk" : like.kind === "evolve" ? SAME : like.settings.task.name);
+    this.#creature = [field("Begin with", this.#start), field("Task", this.#task)];
     this.#kind = like?.kind ?? "evolve";
     if (like !== undefined) {
       this.#budget.value = String(like.settings.budget ?? like.settings.steps ?? 1);
@@ -119,6 +127,7 @@ class Form {
       this.#kind = i === 0 ? "evolve" : "learn";
       for (const each of kinds) each.setAttribute("aria-pressed", String(each === button));
       this.#budget.value = this.#kind === "evolve" ? "200" : "100000";
+      if (this.#kind === "learn" && this.#start.value === RANDOM) this.#easy();
       this.#update();
     }));
     const budget = field("", this.#budget);
@@ -126,7 +135,8 @@ class Form {
     const begin = action({ label: "Start", icon: "play", look: "primary", run: () => this.#begin() });
     fill(this.element,
       h("div", { class: "run-head" }, like === undefined && h("div", { class: "choices", role: "group", "aria-label": "What is done" }, ...kinds), this.#picture),
-      h("div", { class: "form" }, field("Begin with", this.#start), field("Task", this.#task), field("Algorithm", this.#algorithm), budget, field("Seed", this.#seed), field("Name of the run", this.#name)),
+      h("div", { class: "form" }, ...this.#creature, field("Algorithm", this.#algorithm), budget, field("Seed", this.#seed), field("Name of the run", this.#name)),
+      this.#lessons,
       like !== undefined && field("Options of the algorithm, as JSON", this.#options, "Those of another algorithm are other ones: {} takes its defaults."),
       this.#about, this.#command, h("div", { class: "actions" }, begin));
     this.element.addEventListener("submit", (event) => {
@@ -149,14 +159,43 @@ class Form {
       fill(this.#algorithm, ...fitting.map(([value, text]) => h("option", { value, selected: value === chosen }, text)));
     }
     if (learning && random && this.#start.options.length > 1) this.#start.selectedIndex = 1;
+    const cloning = chosen === CLONE;
+    for (const each of this.#creature) each.hidden = cloning;
+    this.#lessons.hidden = this.#recordings.disabled = !cloning;
+    this.#picture.hidden = cloning;
+    if (cloning) void this.#offer();
     if (this.like !== undefined && chosen !== this.#fitted) this.#options.value = JSON.stringify(chosen === this.like.settings.algorithm ? this.like.settings.options ?? {} : {}, null, 1);
     this.#fitted = chosen;
     this.#amount.textContent = learning ? "Steps to learn from" : "Budget, in candidates";
-    if (!this.#named) this.#name.value = this.#free(`${this.#taskName()}-${chosen}-${this.#seed.value}`);
+    if (!this.#named) this.#name.value = this.#free(`${cloning ? "recordings" : this.#taskName()}-${chosen}-${this.#seed.value}`);
     const task = this.all.find((each) => each.name === this.#taskName());
-    fill(this.#about, task?.description ?? "");
+    fill(this.#about, cloning ? "A network learns to do what the creature did in them, whoever drove it." : task?.description ?? "");
     this.#command.textContent = this.#line();
     void this.#draw();
+  }
+
+  /** Offers recordings to learn from, once they are asked for. */
+  async #offer(): Promise<void> {
+    if (this.#offered) return;
+    this.#offered = true;
+    try {
+      const { items } = await get<{ items: readonly { name: string }[] }>("/recordings");
+      fill(this.#recordings, ...items.map(({ name }) => h("option", { value: name }, name)));
+    } catch {
+      this.#offered = false; // the next change of the form asks again
+    }
+  }
+
+  #chosen(): string[] {
+    return [...this.#recordings.selectedOptions].map((option) => option.value);
+  }
+
+  /** Chooses a creature that learns something in half a minute, on its task. */
+  #easy(): void {
+    const has = (choice: HTMLSelectElement, name: string): boolean => [...choice.options].some((option) => option.value === name);
+    if (!has(this.#start, PUPIL) || !has(this.#task, LESSON)) return;
+    this.#start.value = PUPIL;
+    this.#task.value = LESSON;
   }
 
   #taskName(): string {
@@ -189,6 +228,10 @@ class Form {
     const start = this.#start.value === RANDOM ? "random" : this.#kept();
     const from = this.#start.selectedOptions[0]?.text.endsWith("(ships)") || start === "random" ? start : `${this.folder}/genomes/${start}.json`;
     const algorithm = this.#algorithm.value;
+    if (algorithm === CLONE) {
+      return line("nmes", "learn", ...this.#chosen().map((name) => `${this.folder}/recordings/${name}.mcap`), "--algorithm", CLONE, "--steps", this.#budget.value,
+        "--seed", this.#seed.value, "-o", `${this.folder}/runs/${this.#name.value}`);
+    }
     const archive = ARCHIVES.has(algorithm) ? MEASURES.flatMap((each) => ["--measure", `${each.expression} from ${each.low} to ${each.high} in ${each.cells}`]) : [];
     const objectives = algorithm === "nsga2" ? OBJECTIVES.flatMap((each) => ["--objective", each]) : [];
     return line("nmes", this.#kind, from, "--task", this.#taskName(), "--algorithm", algorithm, this.#kind === "evolve" ? "--budget" : "--steps", this.#budget.value,
@@ -222,12 +265,13 @@ class Form {
   /** Settings of learning; the genome of a run that it is to be like is kept among the genomes. */
   async #lesson(): Promise<object> {
     const before = this.like?.kind === "learn" ? this.like.settings : undefined;
+    const amounts = { algorithm: this.#algorithm.value, steps: Number(this.#budget.value), seed: Number(this.#seed.value), ...(before === undefined ? {} : { options: this.#given(), every: before.every }) };
+    if (this.#algorithm.value === CLONE) return { recordings: this.#chosen(), ...amounts };
     const genome = this.#kept();
     if (this.#start.value === SAME) await put(`/genomes/${part(genome)}`, before?.genome);
     const same = before !== undefined && this.#algorithm.value === before.algorithm;
     return {
-      genome, task: this.#taskName(), algorithm: this.#algorithm.value, steps: Number(this.#budget.value), seed: Number(this.#seed.value),
-      ...(before === undefined ? {} : { options: this.#given(), every: before.every }),
+      genome, task: this.#taskName(), ...amounts,
       ...(same && before.reward !== undefined ? { reward: before.reward } : {}),
     };
   }
