@@ -103,7 +103,7 @@ def _discussion(plan: Plan, values: Mapping[str, Estimate], found: Mapping[str, 
     Raises:
         StudyError: It has a number of its own, or names a value that there is none of (`bad_discussion`).
     """
-    path = plan.study.folder / "discussion.md"
+    path = plan.folder / "discussion.md"
     if not path.exists():
         return
     try:

@@ -175,7 +175,7 @@ def test_a_document_beside_cannot_be_changed_after_the_run(copied: Path) -> None
     ],
 )
 def test_a_discussion_has_no_numbers_but_those_of_the_results(discussion: str, words: str, copied: Path) -> None:
-    (copied / "discussion.md").write_text(discussion)
+    (copied / "small/discussion.md").write_text(discussion)
     for command in (("report",), ("verify", "--sample", "0")):
         result = run("study", command[0], copied, *command[1:])
         assert result.exit_code == 1 and words in result.output
@@ -187,7 +187,7 @@ def test_how_long_it_may_take_can_be_told_anew_after_the_run(copied: Path) -> No
 
 
 def test_a_discussion_may_change_after_the_run(copied: Path) -> None:
-    (copied / "discussion.md").write_text(DISCUSSION + "More words, and `code 66`.\n")
+    (copied / "small/discussion.md").write_text(DISCUSSION + "More words, and `code 66`.\n")
     assert verify(copied, "--sample", "0")[0] == 1
     assert run("study", "report", copied).exit_code == 0
     assert verify(copied, "--sample", "0")[0] == 0

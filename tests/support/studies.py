@@ -74,7 +74,8 @@ def make_study(folder: Path) -> Path:
     """Writes the study with its documents to a new folder."""
     folder.mkdir(parents=True)
     (folder / "study.toml").write_text(STUDY)
-    (folder / "discussion.md").write_text(DISCUSSION)
+    (folder / "small").mkdir()
+    (folder / "small/discussion.md").write_text(DISCUSSION)
     task = {
         "format": "nmes-task/1",
         "name": "slide",
