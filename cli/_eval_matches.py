@@ -98,7 +98,7 @@ def _play(bouts: Sequence[Bout], jobs: int | None, ray: str | None) -> dict[int,
 
 
 def score_recorded_matches(recordings: Sequence[Path]) -> list[Evaluation]:
-    """Returns what recordings of matches prove of each creature on each task, in the order in which they come up."""
+    """Returns the evaluation of each creature on each task by recordings of matches, in their order of coming up."""
     played: dict[tuple[str, str], tuple[Genome, MatchTask, list[tuple[str, MatchResult]]]] = {}
     proofs: list[MatchProof] = []
     for path in recordings:

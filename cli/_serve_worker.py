@@ -15,7 +15,7 @@ __all__ = ["command_of_worker"]
 
 
 def command_of_worker(log_format: str, max_worlds: int) -> list[str]:
-    """Returns what starts a worker; files of the working folder are not in its way."""
+    """Returns the command that starts a worker; files of the working folder are not in its way."""
     return [sys.executable, "-P", "-m", __name__, log_format, str(max_worlds)]
 
 

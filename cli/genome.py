@@ -514,7 +514,7 @@ def from_sb3(model: Path, file: str, statistics: Path | None, output: Path | Non
 
 
 def _load_requirements(name: str | None) -> Requirements:
-    """Returns what a body must be like to take part in a task, if one is named."""
+    """Returns the requirements of bodies that take part in a task; none where no task is named."""
     from nmes.evaluation import Task
     from nmes.variation import ANY
 

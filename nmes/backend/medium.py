@@ -161,7 +161,7 @@ class Immersion:
 
 
 def _moments_below(depth: Array, extents: Array) -> tuple[Array, Array, Array]:
-    """Returns what is below a level of even boxes whose edges reach so far in height: their part and its mean depth.
+    """Returns the part of boxes below a level, whose edges reach so far in height, and its mean depth.
 
     Args:
         depth: How far beneath the level the middles are, m, array (k, n).

@@ -228,11 +228,11 @@ class Kernel(ABC):
         raise ValueError("this brain needs its sensors: only step by step can it be known what it does")
 
     def memory(self) -> Array:
-        """Returns what it remembers of its steps, (*lead, k): with `recall` it goes on bit for bit."""
+        """Returns its state after its steps, (*lead, k): with `recall` it goes on bit for bit."""
         return np.empty((*self._lead, 0))
 
     def activity(self) -> Array:
-        """Returns what its units did in the last step, (*lead, k); none where that follows from what was sensed."""
+        """Returns the activity of its units in the last step, (*lead, k); none where inputs decide it."""
         return np.empty((*self._lead, 0))
 
     def recall(self, memory: Array) -> None:
@@ -267,14 +267,14 @@ class OpenLoop(Kernel):
 
     @abstractmethod
     def _moment(self) -> Array:
-        """Returns what the next `_more` follows from, (*lead, k)."""
+        """Returns the state from which the next `_more` follows, (*lead, k)."""
 
     @abstractmethod
     def _go_to(self, moment: Array) -> None:
         """Goes to where `_moment` was asked."""
 
     def memory(self) -> Array:
-        """Returns what it remembers: where its block began, and how much of that is done."""
+        """Returns its state: the beginning of its block, and how much of that is done."""
         begun, done = (self._moment(), 0) if self._next == len(self._block) else (self._begun, self._next)
         return np.concatenate([begun, np.full((*self._lead, 1), float(done))], axis=-1)
 
@@ -438,11 +438,11 @@ class Brain(ABC):
         return self._running().controls(ticks)
 
     def memory(self) -> Array:
-        """Returns what it remembers of its steps since `reset`, shape (k,): where `recall` goes on bit for bit."""
+        """Returns its state after its steps since `reset`, shape (k,): with `recall` it goes on bit for bit."""
         return self._running().memory()
 
     def activity(self) -> Array:
-        """Returns what its units did in the last step, in the order of the document, shape (k,), mostly from -1 to 1.
+        """Returns the activity of its units in the last step, in the document's order, shape (k,), mostly from -1 to 1.
 
         They are the neurons of a `ctrnn`, each tanh((y + bias) / 2), and the nodes of a `graph`; of other kinds there
         are none, since what those do is what motors are told, or follows from what was sensed alone.

@@ -308,7 +308,7 @@ class GraphKernel(Kernel):
         self._now[...] = 0.0
 
     def memory(self) -> Array:
-        """Returns what the nodes were in the last step."""
+        """Returns the values of the nodes in the last step."""
         return self._now.copy()
 
     def activity(self) -> Array:

@@ -92,7 +92,7 @@ class WebSocketSocket:
     # -- in --------------------------------------------------------------------------------------------------------
 
     def recv(self, count: int, flags: int = 0) -> bytes:
-        """Returns what was received, a delimiter behind each message; nothing when the server has hung up."""
+        """Returns the bytes received, a delimiter behind each message; nothing when the server has hung up."""
         while not self._received and not self._over:
             self._read()
         data = bytes(self._received[:count])

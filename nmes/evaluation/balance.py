@@ -101,7 +101,7 @@ class Balance:
         return Excess(row / self.bodies.tick_rate, float(gain[row]), float(allowed[row]))
 
     def gains(self, states: Array, powers: Array, positions: Array) -> tuple[Array, Array]:
-        """Returns what the body had gained beyond its motors' work at each row, and what it may, each (k,), J.
+        """Returns the energy that the body gained beyond its motors' work at each row, and the bound, each (k,), J.
 
         The arguments are those of `excess`.
         """

@@ -123,7 +123,7 @@ class ChangingObserver(Observer):
         self._follow()
 
     def _bodies(self, columns: Sequence[int]) -> ObservedBodies:
-        """Returns what is in some columns of all that may be there, in the sizes that it has now."""
+        """Returns the bodies in some columns of all that may be there, with their sizes of now."""
         cubes, props = self.creature.form.cubes, self._props
         body = [cubes[column] for column in columns if column < len(cubes)]
         others = [props[column - len(cubes)] for column in columns if column >= len(cubes)]

@@ -154,7 +154,7 @@ def _rounded(value: Any) -> Any:
 
 @cache
 def shipped_task(name: str) -> Task | MatchTask:
-    """Returns the shipped task of a name, of which there must be one, with roles or without."""
+    """Returns the shipped task of a name, with roles or without; there must be one."""
     # Not Task.load, to which a file of that name comes first.
     place = MATCHES if name in MATCHES.names() else SHIPPED
     document = parse_document((files(place.package) / place.folder / f"{name}.json").read_bytes())

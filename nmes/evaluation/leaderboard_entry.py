@@ -234,7 +234,7 @@ def told(path: str | os.PathLike[str]) -> tuple[Task | MatchTask, tuple[Genome, 
 
 
 def group(proof: AnyProof) -> tuple[str, ...]:
-    """Returns what the proofs of one entry have in common: the hashes of the task and of the creatures."""
+    """Returns the hashes that the proofs of one entry have in common: of the task and of the creatures."""
     if isinstance(proof, MatchProof):
         return (proof.task.hash, *(genome.hash for genome in _cast(proof)))
     return (proof.task.hash, proof.genome.hash)
@@ -282,7 +282,7 @@ def _facts_of_episodes(proofs: Sequence[Proof]) -> dict[str, Any]:
 
 
 def _common(proofs: Sequence[AnyProof], scores: Sequence[float]) -> dict[str, Any]:
-    """Returns what is said alike of one creature and of several; the proofs are in order, each with its score."""
+    """Returns the fields of an entry, of one creature or several; the proofs are in order, each with its score."""
     keys = {signer(Recording(proof.path)) for proof in proofs}
     return {
         "task": proofs[0].task.name,

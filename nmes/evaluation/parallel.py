@@ -474,7 +474,7 @@ class Cluster(Pool):
             self._idle.append(actor)
 
     def _taken(self, done: Any) -> list[tuple[int, Any]]:
-        """Returns what came of an item with its number; nothing where it is to be done again."""
+        """Returns the result of an item with its number; nothing where it is to be done again."""
         given = self._busy.pop(done)
         try:
             error, result = self._ray.get(done)

@@ -340,7 +340,7 @@ class _Checker(Generic[R]):
             self._log.note(world)
 
     def finished(self) -> R:
-        """Returns what was followed.
+        """Returns the result.
 
         Raises:
             ProofError: The recording ends before it does (`damaged`).

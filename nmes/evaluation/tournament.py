@@ -224,7 +224,7 @@ class Tournament:
     # -- the table ---------------------------------------------------------------------------------------------------
 
     def standings(self) -> list[Standing]:
-        """Returns what the matches that are played say of each creature, the best first."""
+        """Returns the table of the matches that are played, the best creature first."""
         played = [(self.pairings[number], self.results[number]) for number in sorted(self.results)]
         ranked = [(pairing, places(result.results, self.task.margin), result) for pairing, result in played]
         ratings = rate(
@@ -259,7 +259,7 @@ class _Tally:
         self.draws += role in first and len(first) > 1
 
     def standing(self, genome: Genome, rating: Rating) -> Standing:
-        """Returns what the matches say of it."""
+        """Returns its row of the table."""
         counts = self.matches, self.wins, self.draws, self._means(), self.void
         return Standing(genome.name, genome.hash, rating, *counts)
 

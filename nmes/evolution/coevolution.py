@@ -69,7 +69,7 @@ def default_roles(task: MatchTask) -> tuple[str, ...]:
 
 
 def role_problems(task: MatchTask, roles: Sequence[str]) -> list[tuple[int, str]]:
-    """Returns what is wrong with some roles as those that have populations, each with its place among them."""
+    """Returns the problems of some roles as those that have populations, each with its place among them."""
     if len(task.roles) == 1:
         return [(0, f"{task.name} has one role: there is nobody to meet")]
     problems = []
@@ -123,13 +123,13 @@ class _Population:
             self.champions += self.best()[:1]
 
     def best(self) -> list[Opponent]:
-        """Returns those who were told last and have a score, the best first; of equals, the first that was told."""
+        """Returns the candidates told last that have a score, the best first; of equals, the first that was told."""
         scored = [(-member.score, member.opponent.index) for member in self._recent if member.score is not None]
         by_index = {member.opponent.index: member.opponent for member in self._recent}
         return [by_index[index] for _, index in sorted(scored)]
 
     def panel(self, era: int) -> tuple[Opponent, ...]:
-        """Returns those whom others meet in an era; none where nobody has a score."""
+        """Returns the opponents of others in an era; none where nobody has a score."""
         best, most = self.best(), self._options.latest + self._options.famous
         chosen = {opponent.index: opponent for opponent in best[: self._options.latest]}
         others = [champion for champion in self.champions if champion.index not in chosen]
@@ -212,7 +212,7 @@ class Coevolution(Algorithm):
             self._panels.append([panel or self._substitutes(place) for place, panel in enumerate(panels)])
 
     def _substitutes(self, place: int) -> tuple[Opponent, ...]:
-        """Returns whom others meet of a population of which nobody has a score: those of the era before, or founders.
+        """Returns the opponents of a population of which nobody has a score: those of the era before, or founders.
 
         Founders may be asked for at any time before anybody is told; then they are the opponents of the first era.
         """
@@ -223,7 +223,7 @@ class Coevolution(Algorithm):
         return tuple(Opponent(number * count + place, algorithm.ask(number).genome) for number in numbers)
 
     def _lineups(self, place: int, era: int) -> tuple[tuple[Opponent, ...], ...]:
-        """Returns whom the candidates of a population meet in an era: in each match one for each other role."""
+        """Returns the opponents of a population's candidates in an era: in each match one for each other role."""
         names = [each.role for each in self._populations]
         others = [role for role in self._roles if role != names[place]]
         panels = [self._panels[era][names.index(role) if role in names else 0] for role in others]

@@ -224,7 +224,7 @@ class Corpus:
         path.write_bytes(zstandard.ZstdCompressor(level=_LEVEL).compress(self.content()))
 
     def name_of(self, creature: CorpusCreature) -> str:
-        """Returns what a creature is called on the command line: its task, and the first digits of its hash."""
+        """Returns a creature's name on the command line: its task, and the first digits of its hash."""
         known = self.tasks.get(creature.task)
         return f"{creature.task[:_DIGITS] if known is None else known.task.name}-{creature.creature[:_DIGITS]}"
 
@@ -263,7 +263,7 @@ def settings_of(document: JsonObject, shipped_task: bool) -> JsonObject:
 
 
 def _unpacked(path: str | os.PathLike[str]) -> bytes:
-    """Returns what is in a file, which ends with a line."""
+    """Returns the unpacked content of a file, which ends with a line."""
     try:
         with open(path, "rb") as file:
             packed = file.read(_LARGEST + 1)

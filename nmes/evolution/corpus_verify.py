@@ -120,7 +120,7 @@ def _episode(genome: Genome, brain: Brain | None, task: Task, seed: int, record:
 
 
 def fingerprint_of(task: Task) -> dict[str, str]:
-    """Returns what the last bits of a task's episodes depend on here, without what is there for people alone."""
+    """Returns the parts of the fingerprint that decide the last bits of a task's episodes here."""
     return decisive(fingerprint(load_backend(task.world_config(0)["backend"])))
 
 

@@ -162,7 +162,7 @@ class Run:
             return self.entry(index).genome
 
     def rivals(self, index: int) -> Rivals | None:
-        """Returns whom a candidate met, as the log has it; None where it met nobody.
+        """Returns the opponents that a candidate met, as the log has it; None where it met nobody.
 
         Raises:
             RunError: It met somebody whom it cannot have met (`log_damaged`).

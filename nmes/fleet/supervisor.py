@@ -150,7 +150,7 @@ class Supervisor(Reception):
     # -- worlds ----------------------------------------------------------------------------------------------------
 
     def recording(self, name: str) -> Path | None:
-        """Returns what a world comes back from; None: it was never brought up."""
+        """Returns the recording from which a world comes back; None: it was never brought up."""
         place = self._places.get(name)
         return None if place is None else place.recording
 

@@ -103,7 +103,7 @@ class SurveySettings:
         return cls(document)
 
     def fingerprint(self) -> dict[str, str]:
-        """Returns what would compute the survey here: the engines, and the draws of random creatures."""
+        """Returns the fingerprint of this machine: of the engines, and of the draws of random creatures."""
         items: dict[str, str] = {}
         for name in sorted({task.world_config(0)["backend"] for task in self.tasks}):
             items.update(fingerprint(load_backend(name)))
@@ -170,7 +170,7 @@ class SurveyedWorld:
         return cls(record["world"], record["genome_hash"], result, record["error"], line.end, line.digest)
 
     def record(self) -> JsonObject:
-        """Returns what the log says of it."""
+        """Returns its record in the log."""
         result = None if self.result is None else self.result.to_json()
         return {"world": self.world, "genome_hash": self.genome_hash, "result": result, "error": self.error}
 

@@ -40,7 +40,7 @@ MOST = 1 << 30  # worlds: it is the supervisor that counts them
 
 
 def moved(name: str) -> WorldError:
-    """Returns what the clients of a world are told that goes on in another process."""
+    """Returns the error for clients of a world that goes on in another process."""
     return WorldError("world_moved", f"the world {name!r} goes on in another process of this host: connect again")
 
 

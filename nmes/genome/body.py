@@ -192,7 +192,7 @@ def read_body(
     later: Sequence[str] = (),
     development: Sequence[JsonObject] = (),
 ) -> tuple[list[tuple[str, str]], Body]:
-    """Reads the `body`, `sensors` and `voices` of a document, of which the schema has accepted at least what is given.
+    """Reads the `body`, `sensors` and `voices` of a document, which its schema has accepted so far as they are given.
 
     Args:
         body: Its `cubes` and `joints`.

@@ -139,7 +139,7 @@ def _listed(entry: JsonObject, name: str) -> list[tuple[int, Any]]:
 
 
 def deeds(rule: JsonObject) -> str:
-    """Returns what a rule of a document does, in words: `shed tail; grow leg, leg.2; enter stage 2`."""
+    """Returns the actions of a rule of a document in words: `shed tail; grow leg, leg.2; enter stage 2`."""
     done = [f"{kind} {', '.join(rule[kind])}" for kind in ("shed", "adopt", "grow") if kind in rule]
     if "resize" in rule:
         sizes = [f"{each['part']} to {each['scale']:g} times its size" for each in rule["resize"]]

@@ -237,7 +237,7 @@ def _meet(cube: BodyCube, origins: Array, direction: Array) -> tuple[Array, Arra
 
 
 def _meet_round(cube: BodyCube, start: Array, slope: Array) -> tuple[Array, Array, Array, Array]:
-    """Returns what `_meet` does of a round shape, and in place of the light the direction in which its surface looks.
+    """Returns the depths, face and normals at which rays meet a round shape; see `_meet`.
 
     Args:
         cube: Of a round shape.
@@ -272,7 +272,7 @@ def _meet_round(cube: BodyCube, start: Array, slope: Array) -> tuple[Array, Arra
 
 
 def _cut(start: Array, slope: Array, radius: float) -> tuple[Array, Array]:
-    """Returns where lines enter and leave a ball about the origin, or a cylinder of which they lack the axis."""
+    """Returns the depths at which lines enter and leave a ball about the origin, or a cylinder without its axis."""
     a, b = float((slope * slope).sum()), (start * slope).sum(axis=-1)
     square = b * b - a * ((start * start).sum(axis=-1) - radius * radius)
     root = np.sqrt(np.maximum(square, 0.0))

@@ -180,7 +180,7 @@ class Index:
 
 
 def _recording(folder: Folder, name: str) -> JsonObject:
-    """Returns what a list tells of a recording."""
+    """Returns the entry of a recording in a list."""
     try:
         recording = Recording(folder.find("recordings", name))
         config = recording.config
@@ -194,7 +194,7 @@ def _recording(folder: Folder, name: str) -> JsonObject:
 
 
 def _run(folder: Folder, name: str) -> JsonObject:
-    """Returns what a list tells of a run."""
+    """Returns the entry of a run in a list."""
     try:
         path = folder.find("runs", name)
         settings = read_settings(path / SETTINGS)

@@ -57,7 +57,7 @@ class Lab:
         return await asyncio.get_running_loop().run_in_executor(self._threads, work, *arguments)
 
     async def close(self) -> None:
-        """Ends what works for pages, of which none may be there any more."""
+        """Ends all work for pages; no page may be open any more."""
         await self.index.close()
         await asyncio.to_thread(self._threads.shutdown)
 

@@ -38,7 +38,7 @@ _EVERYDAY: Final = ("get_", "ping", "step", "subscribe", "unsubscribe", "compute
 
 
 def about_recording(path: Path) -> JsonObject:
-    """Returns what a recording is of, its frames, its keyframes, and marks of what happened in it.
+    """Returns a recording's world, frames and keyframes, and marks of its commands, faults and births.
 
     Raises:
         RecordingError: It is none.
@@ -119,7 +119,7 @@ class _Player:
         self.scene = ""  # the newest one
 
     def header(self) -> str:
-        """Returns what a page is told first."""
+        """Returns the frame that a page is sent first."""
         config = self._recording.config
         about = {"type": "recording", "first": self._first, "last": self._last, "tick_rate": config["tick_rate"]}
         return write_json({**about, "world": config["name"]}).decode()
@@ -221,7 +221,7 @@ async def _play(lab: Lab, websocket: WebSocket, player: _Player, wanted: asyncio
 
 
 def _failure(error: Exception) -> str:
-    """Returns what a page is told where something fails."""
+    """Returns the frame in which a page is told of a failure."""
     code, message = "recording_unreadable", str(error)
     if isinstance(error, NmesError):
         code, message = error.code, error.message

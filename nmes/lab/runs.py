@@ -41,7 +41,7 @@ _ELITES: Final = 2500  # a grid of 50 x 50
 
 
 def genome_source(folder: Folder, name: Any) -> str:
-    """Returns what means a genome on the command line: its file in the lab's folder, or a name that ships.
+    """Returns a genome's argument for the command line: its file in the lab's folder, or a name that ships.
 
     Raises:
         LabError: There is none of that name.
@@ -50,7 +50,7 @@ def genome_source(folder: Folder, name: Any) -> str:
 
 
 def task_source(folder: Folder, name: Any) -> str:
-    """Returns what means a task on the command line, as `genome_source`."""
+    """Returns a task's argument for the command line, as `genome_source`."""
     return _source(folder, "tasks", name, (*Task.names(), *MatchTask.names()))
 
 
@@ -207,7 +207,7 @@ def is_learning(path: Path) -> bool:
 
 
 def about_run(folder: Folder, name: str) -> JsonObject:
-    """Returns what a run has come to.
+    """Returns the state and the results of a run.
 
     Raises:
         LabError: There is none of that name.

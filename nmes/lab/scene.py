@@ -71,7 +71,7 @@ def _joints(world: World, places: dict[str, int]) -> list[JsonObject]:
 
 
 def _scenery(world: World) -> JsonObject:
-    """Returns what never moves."""
+    """Returns the parts of the scene that never move."""
     spec = scene_spec(world.config, world.seed)
     boxes = [
         {"size": box.size, "position": box.position, "quaternion": box.quaternion, "shape": box.shape}
@@ -110,7 +110,7 @@ def contacts_text(world: World, number: int) -> str:
 
 
 def motors_text(world: World, number: int) -> str:
-    """Returns what motors do (N m, of slides N), by the places of their joints in the scene, as a text frame."""
+    """Returns the efforts of motors (N m, of slides N), by the places of their joints in the scene, as a text frame."""
     driven = [
         (place, joint.number) for place, joint in enumerate(world.entities.joints.values()) if joint.kind in _DRIVEN
     ]
@@ -120,7 +120,7 @@ def motors_text(world: World, number: int) -> str:
 
 
 def pushes_text(world: World, number: int) -> str:
-    """Returns what clients pushed just now, by the places of cubes in the scene, as a text frame.
+    """Returns the latest pushes of clients, by the places of cubes in the scene, as a text frame.
 
     Each row has where a cube was pushed, the force (N) and the torque (N m); an impulse counts as what gives as much
     in one tick.
@@ -148,7 +148,7 @@ def _push(fields: FieldReader, command: JsonObject, rate: float) -> list[float]:
 
 
 def mind_text(world: World, number: int, name: str) -> str | None:
-    """Returns what a creature's brain does, as a text frame; None where there is no such creature.
+    """Returns the activity of a creature's brain as a text frame; None where there is no such creature.
 
     `units` are those of a brain with a memory that the world runs, `controls` what it was driven with last.
     """

@@ -48,7 +48,7 @@ class Staging(NamedTuple):
 
 
 def stage(folder: Folder, name: str, number: str, world: object, seed: object) -> Staging:
-    """Returns what puts a candidate of a run into a world of its task.
+    """Returns the world, the messages and the command by which a candidate of a run is put into a world of its task.
 
     Args:
         folder: The lab's.

@@ -76,7 +76,7 @@ class Cast:
     props: tuple[str, ...] = ()
 
     def quantities(self, role: str) -> dict[str, tuple[str, str]]:
-        """Returns what may be asked of a role's whole body: each name with its meaning and unit."""
+        """Returns the quantities of a role's whole body: each name with its meaning and unit."""
         others = [other for other in (*self.roles, *self.props) if other != role]
         pairs = ((name, other) for other in others for name in MEETING_QUANTITIES)
         return {**QUANTITIES, **{meeting_name(name, other): MEETING_QUANTITIES[name] for name, other in pairs}}

@@ -229,7 +229,7 @@ class Writer:
         return self._size_at_rest is not None
 
     def rest(self) -> None:
-        """Closes the file, all of which is flushed, until there is more to write: so many a writer needs no file."""
+        """Closes the flushed file until there is more to write, so that a writer at rest takes no descriptor."""
         try:
             self._size_at_rest = os.fstat(self._file.fileno()).st_size
             self._file.close()

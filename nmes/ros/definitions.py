@@ -131,7 +131,7 @@ def parts(kind: str) -> tuple[str, ...]:
 
 
 def typedefs(kind: str, half: str = "") -> list[JsonObject]:
-    """Returns what /rosapi tells of a type: rosapi/TypeDef of it and of all that it is made of.
+    """Returns the rosapi/TypeDef of a type and of all that it is made of.
 
     Args:
         kind: The type, as ROS 1 or ROS 2 writes it.

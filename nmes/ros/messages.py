@@ -142,7 +142,7 @@ def transforms(world: World, ros2: bool) -> JsonObject:
 
 
 def joint_targets(message: Mapping[str, Any]) -> list[tuple[str, JsonObject]]:
-    """Returns what sensor_msgs/JointState asks of joints: each name, and the parameters of `set_joint_params`.
+    """Returns the joints that a sensor_msgs/JointState names, each with the parameters of `set_joint_params`.
 
     `position` is what a servo aims at, `velocity` what a motor aims at, `effort` the most that it may give. An array
     that is empty asks nothing.

@@ -233,7 +233,7 @@ def check_args(name: str, args: Args) -> None:
 
 
 def look_up(name: str, asked: Asked) -> JsonObject:
-    """Returns what a service under /rosapi tells.
+    """Returns the answer of a service under /rosapi.
 
     Raises:
         RosError: The arguments are not those that it takes.

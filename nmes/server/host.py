@@ -271,7 +271,7 @@ class Host(Reception):
         return self._world_list(port, page, following, self.states(offer.name for offer in page))
 
     def states(self, names: Iterable[str]) -> dict[str, dict[str, Any]]:
-        """Returns what a list tells of those of the worlds that are live, by name."""
+        """Returns the entries of live worlds in a list of worlds, by name."""
         return {
             name: _state(self.worlds[name]) if name in self.worlds else {"asleep": True}
             for name in names

@@ -76,7 +76,7 @@ class Keys:
         self._by_role: defaultdict[str, dict[str, None]] = defaultdict(dict)  # and by each of their roles
 
     def shared(self) -> dict[str, Any]:
-        """Returns what another process of the host needs to know the same passwords; of no world."""
+        """Returns digests and key by which another process of the host knows the same passwords; of no world."""
         return {
             "key": self._key.hex(),
             "password": self._password.hex(),
@@ -94,7 +94,7 @@ class Keys:
         return keys
 
     def share_world(self, world: str) -> dict[str, Any]:
-        """Returns what opens a world, and the key of its tokens, for another process of the host."""
+        """Returns the roles, password and token key of a world, for another process of the host."""
         about = self._worlds[world]
         own = None if about.password is None else about.password.hex()
         return {"roles": about.roles, "password": own, "key": about.key.hex()}

@@ -182,7 +182,7 @@ class Carrier(asyncio.Transport):
     # -- what a connection asks of a socket ------------------------------------------------------------------------
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:
-        """Returns what is known of the socket beneath."""
+        """Returns information about the socket beneath."""
         return self._socket.get_extra_info(name, default)
 
     def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:

@@ -125,7 +125,7 @@ def _true(text: str, values: Mapping[str, Estimate]) -> bool:
 
 
 def _number(quantity: Quantity, values: Mapping[str, Estimate]) -> float:
-    """Returns what a name of a condition stands for: a value, or an end of its interval."""
+    """Returns the number of a name in a condition: a value, or an end of its interval."""
     if quantity.cube is None:
         return values[quantity.name].value
     found = values[quantity.cube]

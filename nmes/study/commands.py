@@ -170,7 +170,7 @@ def _columns(study: Study, name: str, status: int, folder: Path, blame: str) -> 
 
 
 def _printed(name: str, commands: Iterable[str], folder: Path, blame: str) -> dict[str, Setting | list[Setting]]:
-    """Returns what placeholders such as `{record/0/recordings/0}` of later commands stand for."""
+    """Returns the values of placeholders such as `{record/0/recordings/0}` of later commands."""
     names = [place for command in commands for place in PLACE.findall(command) if place.startswith(f"{name}/")]
     printed = _read(folder / f"{name}.out", blame) if names else None
     return {place: str(_at(printed, place.removeprefix(name), blame)) for place in names}
@@ -187,7 +187,7 @@ def _read(path: Path, blame: str) -> Any:
 
 
 def _at(value: Any, pointer: str, blame: str) -> str | float | bool | None:
-    """Returns what is at a place of what a command has printed: a single value, numbers as doubles."""
+    """Returns the value at a place of a command's output: a single value, numbers as doubles."""
     for key in pointer.split("/")[1:]:
         try:
             value = _in_list(value, key) if isinstance(value, list) else value[key]

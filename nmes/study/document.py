@@ -165,7 +165,7 @@ class Study:
         return {name: fewer.get(name, values) for name, values in self.document["factors"].items()}
 
     def scale(self, cell: Mapping[str, Setting]) -> float:
-        """Returns what numbers of a cell are divided by before cells are put together."""
+        """Returns the number by which values of a cell are divided before cells are put together."""
         scales: Mapping[str, Mapping[str, float]] = self.document["scales"]
         return math.prod(values[str(cell[factor])] for factor, values in scales.items())
 

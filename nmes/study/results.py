@@ -136,7 +136,7 @@ def write_file(path: Path, content: bytes) -> None:
 
 
 def _about(run: PlannedRun) -> JsonObject:
-    """Returns what a row says of its run besides the columns."""
+    """Returns the columns of a row that say which run it is of."""
     cell = {name: float(value) if isinstance(value, int) else value for name, value in run.cell.items()}
     return {"arm": run.arm["name"], **cell, "seed": run.seed, "measured": run.arm["measured"]}
 

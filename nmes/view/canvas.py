@@ -270,7 +270,7 @@ def _bytes(color: Sequence[float]) -> tuple[int, ...]:
 
 
 def _solids(rr: Any, kind: str, sizes: Sequence[Vector], poses: Array, moved: bool = False, **looks: Any) -> Any:
-    """Returns what Rerun draws of things of one shape: all of it, or where they are alone where they only `moved`.
+    """Returns the Rerun archetype of things of one shape: all of it, or its poses alone where they only `moved`.
 
     Args:
         rr: Rerun.

@@ -65,7 +65,7 @@ def _section(corpus: Corpus, digest: str, cards: Sequence[str]) -> str:
 
 
 def _card(corpus: Corpus, each: CorpusCreature, rank: int) -> str:
-    """Returns what the page shows of a creature."""
+    """Returns the card of a creature on the page."""
     pixels = render_cutout(Genome(each.genome).body, round(_FINE * _WIDE), round(_FINE * _HIGH))
     name = text(corpus.name_of(each))
     image = f'<img width="{_WIDE}" height="{_HIGH}" alt="{name}" src="{png_source(pixels, _COLORS)}">'

@@ -120,6 +120,6 @@ class RunSummary:
 
 
 def _begins(starts: Sequence[Genome]) -> str:
-    """Returns what a population begins with, in words."""
+    """Returns the beginning of a population in words."""
     more = f", and {len(starts) - _TOP:,} other genomes" if len(starts) > _TOP else ""
     return (", ".join(genome.name for genome in starts[:_TOP]) or "random") + more

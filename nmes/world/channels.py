@@ -42,7 +42,7 @@ class Channel:
         return cls(entry.get("size", 1), float(entry.get("range", inf)), entry.get("fades", False))
 
     def from_afar(self, values: Values, distance: float) -> Values:
-        """Returns what is heard of a voice at a distance (m) within the range."""
+        """Returns the values that are heard of a voice at a distance (m) within the range."""
         if not self.fades:
             return values
         part = 1.0 - distance / self.range
@@ -135,7 +135,7 @@ class Channels:
         return [self._voice(name, near) for near in self._near[name].all(place, channel.range, but)[:most]]
 
     def nearest(self, name: str, place: Vector, but: Iterable[int]) -> Values | None:
-        """Returns what the nearest voice says that is heard at a place, as `hear`; None where nothing is heard."""
+        """Returns the words of the nearest voice that is heard at a place, as `hear`; None where nothing is heard."""
         if not self._heard.get(name):
             return None
         near = self._near[name].nearest(place, self.channels[name].range, but)
@@ -169,7 +169,7 @@ class Channels:
         return self._packed
 
     def snapshot(self) -> JsonObject:
-        """Returns what is said and heard as one entry of a snapshot; nothing where there are no channels."""
+        """Returns all words that are said and heard as an entry of a snapshot; nothing where there are no channels."""
         if not self.channels:
             return {}
         self._forget_gone()

@@ -205,7 +205,7 @@ class Creature:
         return [{"count": self._grown, **others}]
 
     def _disturbance(self) -> Disturbance | None:
-        """Returns what its flaws do: of each of the genome's and of all the worse."""
+        """Returns the disturbance by flaws: of each part the worse of its own and of those that all share."""
         every = {name: Flaws.read((self.flaws or {}).get(name)) for name in ("sensors", "motors")}
         sensors = [Flaws.worse(sensor.flaws, every["sensors"]) for sensor in self.sensors]
         motors = [Flaws.worse(motor.flaws, every["motors"]) for motor in self.motors]

@@ -134,7 +134,7 @@ class Creatures:
         return any(body in creature.bodies for creature in self._creatures.values())
 
     def memory(self) -> bytes:
-        """Returns what brains that the world runs, flaws and development remember, and who lost what, as bytes."""
+        """Returns the state of brains that the world runs, of flaws and development, and lost parts, as bytes."""
         if self._creatures and self._version != self._entities.version:
             self._forget_dissolved()
         lost = [orjson.dumps([each.name, *each.lost, *each.added]) for each in self._lessened]
@@ -216,7 +216,7 @@ class Creatures:
         return creature
 
     def _beginning(self, cubes: dict[str, Cube]) -> tuple[int, int, float]:
-        """Returns what the brain of a creature of these cubes begins with: seed, number, and length of a tick (s)."""
+        """Returns the seed, number, and length of a tick (s) of the brain of a creature of these cubes."""
         return self._entities.seed, next(iter(cubes.values())).body, 1.0 / self._entities.tick_rate
 
     def place(self, body: Body, position: Vector) -> Vector:

@@ -53,7 +53,7 @@ class Disturbance:
         self._motors.past = [rest[self._motors.columns]] * self._motors.longest
 
     def sensed(self, values: Array) -> Array:
-        """Returns what is sensed where sensors without flaws would read `values`, shape (s,)."""
+        """Returns the disturbed readings where sensors without flaws would read `values`, shape (s,)."""
         flawed = self._sensors
         if len(flawed.columns):
             noisy, failed = self._disturbed(flawed, _SENSORS, values)
@@ -97,12 +97,12 @@ class Disturbance:
     # -- state ------------------------------------------------------------------------------------------------------
 
     def memory(self) -> bytes:
-        """Returns what it remembers, as bytes."""
+        """Returns its state as bytes."""
         driven = [] if self._asked is None else [self._asked, self._aimed]
         return np.concatenate([[float(self._age)], *self._sensors.past, *driven, *self._motors.past]).tobytes()
 
     def state(self) -> JsonObject:
-        """Returns what it remembers as plain JSON data."""
+        """Returns its state as plain JSON data."""
         driven = None if self._asked is None else pack_array(np.array([self._asked, self._aimed]))
         past = {name: pack_array(np.array(flawed.past)) for name, flawed in self._named()}
         return {"age": self._age, "driven": driven, **past}

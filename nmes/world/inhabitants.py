@@ -56,7 +56,7 @@ class Inhabitant:
 
 
 def traits_of(bodies: Sequence[Body]) -> dict[str, Array]:
-    """Returns what bodies are by name, each an array (n,), in the units of the rules."""
+    """Returns traits of bodies by name, each an array (n,), in the units of the rules."""
     return {
         "mass": np.array([body.mass for body in bodies]),
         "size": np.array([_longest_edge(body) for body in bodies]),

@@ -261,7 +261,7 @@ class Life:
             return None
 
     def _enter(self, creature: Creature, frame: int, cause: str, parents: list[Inhabitant] | None = None) -> JsonObject:
-        """Counts a creature among the living; of whom it is born is told by its parents."""
+        """Counts a creature among the living; one that is born has parents."""
         parents = parents or []
         birth = self._rules["birth"]
         species = self._species_of(creature.genome, parents[0].species if parents else None)

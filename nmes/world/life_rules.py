@@ -68,7 +68,7 @@ class Price:
 
 
 def requirements(rules: JsonObject, backend: Backend) -> Requirements:
-    """Returns what a body that is born into a world must be like; `rules` are `life` of its complete config."""
+    """Returns the requirements of a body that is born into a world; `rules` are `life` of its complete config."""
     return Requirements(Limits(**rules["limits"]), backend.dims == 2, senses=OF_FOOD)
 
 

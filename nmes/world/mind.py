@@ -52,11 +52,11 @@ class Mind:
         creature.drive(self._brain.step(creature.sense() if self._blind is None else self._blind))
 
     def memory(self) -> Array:
-        """Returns what it remembers, shape (k,)."""
+        """Returns the state of the brain, shape (k,)."""
         return self._brain.memory()
 
     def activity(self) -> Array:
-        """Returns what its units did last, shape (k,), as `Brain.activity`."""
+        """Returns the last activity of the brain's units, shape (k,), as `Brain.activity`."""
         return self._brain.activity()
 
     def state(self) -> str:

@@ -46,7 +46,7 @@ def everything(world: World, client: Client, command: JsonObject) -> Touched:
 
 
 def named(*fields: str) -> Touches:
-    """Returns what touches the cubes whose names stand in these fields."""
+    """Returns a function that names the cubes a command touches: those whose names stand in these fields."""
 
     def touches(world: World, client: Client, command: JsonObject) -> Touched:
         return [world.entities.cube(command[field], field) for field in fields]

@@ -72,7 +72,7 @@ def looks_around(sensor: Sensor) -> bool:
 
 
 def look_around(sensors: Iterable[tuple[int, Sensor]], cubes: Mapping[str, Cube], around: Surroundings) -> list[Reader]:
-    """Returns what reads sensors of cubes that are about what rays meet, single faces touch, or noses smell.
+    """Returns readers of those sensors of cubes that are about rays, touch of single faces, or smell.
 
     Args:
         sensors: Sensors with their places among all.
@@ -124,7 +124,7 @@ class _Rays:
         self._x, self._y, self._z = np.array(directions).reshape(-1, 3).T[:, :, np.newaxis]
 
     def hits(self) -> list[Hit | None]:
-        """Returns what each meets."""
+        """Returns the hits, one for each ray; None where it meets nothing."""
         turn = self._simulation.body_state(self._body).quaternion
         x, y, z = (np.array(rotate(turn, axis)) for axis in ((1.0, 0.0, 0.0), _UP, (0.0, 0.0, 1.0)))
         ways = self._x * x + self._y * y + self._z * z  # products and sums alone, in one order

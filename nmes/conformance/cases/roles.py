@@ -54,7 +54,7 @@ def a_role_that_there_is_not(t: Trial) -> None:
 
 
 def looks(t: Trial, wire: Wire, name: str) -> list[Any]:
-    """Returns what of a cube a command could have changed."""
+    """Returns the fields of a cube that a command could have changed."""
     info = t.info(wire, name)
     return [info[field] for field in ("position", "color", "frozen", "player")]
 

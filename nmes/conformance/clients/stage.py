@@ -223,7 +223,7 @@ class Stage:
         return peer
 
     def welcome(self) -> dict[str, Any]:
-        """Returns what lets a client in."""
+        """Returns the reply that lets a client in."""
         return dict(_WELCOME)
 
     def opened(self, world: str) -> None:
@@ -277,7 +277,7 @@ class Stage:
         self.tell("pipeline", commands=commands)
 
     def outcomes(self, what: str, count: int) -> list[Any]:
-        """Returns what became of the commands of a pipeline or a batch."""
+        """Returns the outcomes of the commands of a pipeline or a batch."""
         answer = self.hear(what).get("outcomes")
         if not isinstance(answer, list) or len(answer) != count:
             raise Finding(f"outcomes, {count} of them", clip(answer), "a wrong number of outcomes")

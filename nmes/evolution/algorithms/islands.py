@@ -120,7 +120,7 @@ class Islands(Algorithm):
             self._going.append(sorted(ranked[: self._rungs[place + 1].islands]))
 
     def _rank(self, island: int) -> tuple[bool, float, int]:
-        """Returns what islands are sorted by, the best first; one without a score is the last."""
+        """Returns the key by which islands are sorted, the best first; one without a score is the last."""
         best = self._best[island]
         return best is None, -(best or 0.0), island
 

@@ -145,7 +145,7 @@ def arrivals(cube: TargetCube, learner: QLearning, episodes: Iterable[int]) -> i
 
 
 def table_of_cube(learner: QLearning, figures: Mapping[str, float]) -> JsonObject:
-    """Returns what a learner has learned of the cube as a document.
+    """Returns the table that a learner of the cube has made, as a document.
 
     Args:
         learner: The learner.

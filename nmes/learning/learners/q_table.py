@@ -53,7 +53,7 @@ def q_table(
     learner: QLearning,
     figures: Mapping[str, float],
 ) -> JsonObject:
-    """Returns what was learned as a document.
+    """Returns a table of Q-learning as a document.
 
     Args:
         title: What for.
