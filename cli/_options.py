@@ -63,8 +63,24 @@ MOMENT = _MomentType()
 """The type of options that name a moment: a frame, or seconds with their unit."""
 
 
+class _Context(click.Context):
+    """A context that is called as one types it, also where the last command has no name."""
+
+    @property
+    def command_path(self) -> str:
+        return super().command_path.rstrip()
+
+
+class _Command(click.Command):
+    """A subcommand, or the nameless one."""
+
+    context_class = _Context
+
+
 class BeginningGroup(click.Group):
     """A group in which what is no subcommand begins a run."""
+
+    command_class = _Command
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]

@@ -400,3 +400,10 @@ def parameters(name: str) -> list[click.Parameter]:
 
 def commands_in(command: click.Command) -> list[click.Command]:
     return list(commands(command)) if isinstance(command, click.Group) else []
+
+
+@pytest.mark.parametrize("command", ["evolve", "learn"])
+def test_a_command_that_begins_runs_is_called_in_errors_as_one_types_it(command: str) -> None:
+    result = CliRunner().invoke(main, [command, "--no-such-option"], prog_name="nmes")
+    assert result.exit_code == 2
+    assert f"Usage: nmes {command} [OPTIONS] WHAT" in result.output and f"'nmes {command} --help'" in result.output
