@@ -34,6 +34,7 @@ from nmes.recording import Recording
 from nmes.server import Host
 from nmes.server.access_log import AccessLog
 from nmes.server.catalog import Catalog
+from nmes.server.kept_worlds import maker_of
 from nmes.server.keys import Keys
 from nmes.server.metrics import Metrics
 from nmes.server.reception import drain
@@ -393,6 +394,17 @@ def _make_host(settings: Settings, log_format: str, catalog: Catalog) -> Host | 
     )
 
 
+def _maker_of(kept: Recording, settings: Settings) -> str | None:
+    """Returns the maker whose world goes on; None: the host's own, as is one whose maker is not known here."""
+    maker = maker_of(kept)
+    if maker is None or maker in settings.makers:
+        return maker
+    logger.warning(
+        "%s is of a world that %r created, who is none of --makers: it is the host's own now", kept.path, maker
+    )
+    return None
+
+
 async def _start(host: Host | Supervisor, settings: Settings) -> Running:
     """Listens on the ports and adds the worlds: no recording is begun where a port is taken.
 
@@ -405,7 +417,8 @@ async def _start(host: Host | Supervisor, settings: Settings) -> Running:
         for name in names:
             password = settings.world_passwords.get(name)
             if name in settings.kept:
-                host.offer(settings.kept[name].config, password, settings.kept[name].path)
+                kept = settings.kept[name]
+                host.offer(kept.config, password, kept.path, _maker_of(kept, settings))
             else:
                 host.offer({**settings.config, "name": name}, password)
         with _free_port_hint("--metrics-port"):

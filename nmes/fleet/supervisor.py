@@ -207,6 +207,7 @@ class Supervisor(Reception):
             "host",
             world=name,
             config=offer.config,
+            maker=offer.maker,
             keys=self.keys.share_world(name),
             recording=None if place.recording is None else str(place.recording),
         )

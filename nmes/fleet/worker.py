@@ -86,9 +86,9 @@ class _WorkerHost(Host):
         """Refuses to close a world."""
         connection.hang_up(_elsewhere("close"))
 
-    def take(self, name: str, keys: Mapping[str, Any], config: Mapping[str, Any]) -> None:
+    def take(self, name: str, keys: Mapping[str, Any], config: Mapping[str, Any], maker: str | None) -> None:
         """Offers a world that the supervisor has let in."""
-        self._catalog.add(config)
+        self._catalog.add(config, maker, new=False)
         self.keys.take_world(name, keys)
 
     def forget_world(self, name: str) -> None:
@@ -201,7 +201,7 @@ class _Worker:
     async def _host_world(self, message: Message) -> None:
         """Hosts a world: a new one, or one that goes on from where a recording ends."""
         name, path = message.body["world"], message.body["recording"]
-        self._host.take(name, message.body["keys"], message.body["config"])
+        self._host.take(name, message.body["keys"], message.body["config"], message.body["maker"])
         failure = await (self._host.open(name) if path is None else self._host.bring(name, Path(path)))
         if failure is not None:
             self._host.forget_world(name)

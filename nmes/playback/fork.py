@@ -7,6 +7,7 @@ world again, and is recorded in the fork too. Either way the fork replays by its
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping
 from typing import Any
 
 from nmes.errors import NmesError
@@ -19,7 +20,13 @@ __all__ = ["fork"]
 
 
 def fork(
-    recording: Recording, world: World, path: str | os.PathLike[str], frame: int | None = None, **options: Any
+    recording: Recording,
+    world: World,
+    path: str | os.PathLike[str],
+    frame: int | None = None,
+    *,
+    about: Mapping[str, Mapping[str, str]] | None = None,
+    **options: Any,
 ) -> Recorder:
     """Brings a world to a frame of a recording, and begins a new recording there as its journal.
 
@@ -30,14 +37,15 @@ def fork(
         world: A new world of the parent's config.
         path: The new recording, a file that does not exist yet.
         frame: The frame, counted on through resets; None: where the parent ends.
-        options: Further arguments of the `Recorder`.
+        about: Further metadata of the new recording, as of the `Recorder`.
+        options: Further arguments of it.
 
     Raises:
         RecordingError: There is no such frame (`no_such_frame`), a tick on the way does not come out as recorded
             (`diverged`), the world has stopped there, or the new file cannot be written (`recording_failed`).
     """
     frame = recording.last_frame if frame is None else frame
-    about = {PARENT: recording.lineage(frame)}
+    about = {**(about or {}), PARENT: recording.lineage(frame)}
     if "snapshot" in world.backend.capabilities:
         restore_into(world, recording, frame)
         world.journal = recorder = Recorder(path, world, about=about, **options)

@@ -93,8 +93,13 @@ class Catalog:
             raise WorldError("template_not_found", f"this host has no template {template!r}{guess}", "create/template")
         return {**self._templates[template], "name": name, **({} if seed is None else {"seed": seed})}
 
-    def add(self, config: Mapping[str, Any], maker: str | None = None) -> Offer:
+    def add(self, config: Mapping[str, Any], maker: str | None = None, *, new: bool = True) -> Offer:
         """Adds a world.
+
+        Args:
+            config: Its config.
+            maker: Who created it over the wire; None: the host.
+            new: Whether it is created now, for which its maker must not have too many.
 
         Raises:
             RejectedMessage: The config is not valid.
@@ -108,7 +113,7 @@ class Catalog:
             raise WorldError(
                 "limit_reached", f"this host has {self._most:,} worlds, as many as it may: close some first"
             )
-        if maker is not None and self._made[maker] >= self._most_each:
+        if new and maker is not None and self._made[maker] >= self._most_each:
             message = f"{maker} has {self._most_each:,} worlds here, as many as one maker may: close some first"
             raise WorldError("limit_reached", message)
         offer = self._offers[name] = Offer(name, complete, self._next, maker)

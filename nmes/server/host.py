@@ -160,8 +160,9 @@ class Host(Reception):
         return hosted
 
     def _make(self, name: str, origin: Origin | None = None) -> HostedWorld:
-        config = self._catalog[name].config
-        return HostedWorld(config, self._pool, self.record_to, self._flush_interval, self._metrics, origin)
+        offer = self._catalog[name]
+        about = self.record_to, self._flush_interval, self._metrics, origin, offer.maker
+        return HostedWorld(offer.config, self._pool, *about)
 
     def find(self, name: str, connection: Connection) -> HostedWorld | None:
         """Returns a world, or None while it is being created, in a thread."""

@@ -79,15 +79,17 @@ class HostedWorld:
         flush_interval: float = 1.0,
         metrics: Metrics | None = None,
         origin: Origin | None = None,
+        maker: str | None = None,
     ) -> None:
         """Creates the world and begins its recording, a new file in the directory `record_to`, if one is given.
 
-        The world is a new one, or goes on from its origin, a frame of a recording, whose config is `config` then.
+        The world is a new one, or goes on from its origin, a frame of a recording, whose config is `config` then. Its
+        maker is who created it over the wire, if anybody did.
         """
         self._spent = Spent()
         self.world = World(config) if metrics is None else metrics.world(config, self._spent)
         self.name: str = self.world.config["name"]
-        self._recorder = _begin(self.world, record_to, flush_interval, origin)
+        self._recorder = _begin(self.world, record_to, flush_interval, origin, maker)
         self.durable = self._recorder is not None and flush_interval == 0  # whether output waits for the disk
         self._peers = Peers()
         self.world.emit = self._peers.send
@@ -483,11 +485,13 @@ def _save(world: World) -> bool:
     return world.asleep
 
 
-def _begin(world: World, record_to: Path | None, flush_interval: float, origin: Origin | None) -> WorldRecorder | None:
+def _begin(
+    world: World, record_to: Path | None, flush_interval: float, origin: Origin | None, maker: str | None
+) -> WorldRecorder | None:
     """Brings a new world to where it begins; returns the recorder of what follows, if it is to be recorded."""
     recorder = None
     if record_to is not None:
-        recorder = WorldRecorder(world, record_to, flush_interval, origin)
+        recorder = WorldRecorder(world, record_to, flush_interval, origin, maker)
     elif origin is not None:
         restore_into(world, origin.recording, origin.frame)
     for client in world.clients():  # their connections are gone

@@ -15,12 +15,13 @@ from pathlib import Path
 from nmes.errors import NmesError
 from nmes.recording import Recording
 
-__all__ = ["CLOSED", "kept_worlds", "new_recording_path", "note_closed"]
+__all__ = ["CLOSED", "about_maker", "kept_worlds", "maker_of", "new_recording_path", "note_closed"]
 
 logger = logging.getLogger(__name__)
 
 CLOSED = "closed-worlds.txt"
 """The file that lists the last recordings of worlds that were closed for good, a name a line."""
+_MAKER = "nmes.maker"  # the metadata of a recording that say who created its world
 _NAME = re.compile(r"(.+)-[0-9]{8}T[0-9]{6}\.[0-9]{6}Z\.mcap", re.DOTALL)
 _LONGEST = 200  # bytes of a world's name, of the 255 that the name of a file may have
 
@@ -67,6 +68,16 @@ def kept_worlds(folder: Path) -> dict[str, Recording]:
             if alone:
                 break
     return dict(sorted(found.items()))
+
+
+def about_maker(maker: str | None) -> dict[str, dict[str, str]]:
+    """Returns the metadata of a recording by which its world has the same maker when a host goes on with it."""
+    return {} if maker is None else {_MAKER: {"name": maker}}
+
+
+def maker_of(recording: Recording) -> str | None:
+    """Returns the maker who created the world of a recording; None: the host did."""
+    return recording.metadata.get(_MAKER, {}).get("name")
 
 
 def note_closed(recording: Path) -> None:

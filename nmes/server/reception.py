@@ -75,20 +75,27 @@ class Reception(ABC):
 
     # -- worlds ----------------------------------------------------------------------------------------------------
 
-    def offer(self, config: Mapping[str, Any], password: str | None = None, kept: Path | None = None) -> str:
+    def offer(
+        self,
+        config: Mapping[str, Any],
+        password: str | None = None,
+        kept: Path | None = None,
+        maker: str | None = None,
+    ) -> str:
         """Hosts a world that is created when a client first joins it; returns its name.
 
         Args:
             config: Its config.
             password: What opens this world alone; None: only the host's does.
             kept: The recording of that config from whose end it goes on, without those who were in it; None: it is new.
+            maker: Who created that over the wire, one of the host's makers; None: the host.
 
         Raises:
             RejectedMessage: The config is not valid. Whether its engine can do it is seen when the world is created.
             WorldError: There is a world of that name (`world_exists`), or as many as there may be (`limit_reached`).
         """
-        offer = self._catalog.add(config)
-        self.keys.add(offer.name, offer.config.get("roles", {}), password)
+        offer = self._catalog.add(config, maker, new=kept is None)
+        self.keys.add(offer.name, offer.config.get("roles", {}), password, maker)
         if kept is not None:
             self._kept[offer.name] = kept
         return offer.name

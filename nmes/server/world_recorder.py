@@ -9,7 +9,7 @@ from typing import NamedTuple, Self
 from nmes.errors import RecordingError
 from nmes.playback.fork import fork
 from nmes.recording import Recorder, Recording
-from nmes.server.kept_worlds import new_recording_path
+from nmes.server.kept_worlds import about_maker, new_recording_path
 from nmes.world import World
 
 __all__ = ["Origin", "WorldRecorder"]
@@ -43,7 +43,9 @@ class WorldRecorder:
         path: The recording, a new file that is named after the world and the time.
     """
 
-    def __init__(self, world: World, directory: Path, flush_interval: float, origin: Origin | None) -> None:
+    def __init__(
+        self, world: World, directory: Path, flush_interval: float, origin: Origin | None, maker: str | None = None
+    ) -> None:
         """Begins a recording in the directory, which is made if need be.
 
         Args:
@@ -51,6 +53,7 @@ class WorldRecorder:
             directory: Where the file is to be.
             flush_interval: How much (s) of the recording a crash may lose; 0: nothing that was committed.
             origin: Where the world is brought to first; None: it is new.
+            maker: Who created the world over the wire; None: the host.
 
         Raises:
             RecordingError: The file cannot be written, or the world cannot be brought to that frame.
@@ -63,10 +66,19 @@ class WorldRecorder:
         self.path = new_recording_path(directory, world.config["name"])
         if origin is None:
             pose_rate = _POSES if world.life is None else _POSES_OF_LIFE
-            self._recorder = Recorder(self.path, world, pose_rate=pose_rate, flush_interval=flush_interval)
+            self._recorder = Recorder(
+                self.path, world, pose_rate=pose_rate, flush_interval=flush_interval, about=about_maker(maker)
+            )
             world.journal = self._recorder
         else:
-            self._recorder = fork(origin.recording, world, self.path, origin.frame, flush_interval=flush_interval)
+            self._recorder = fork(
+                origin.recording,
+                world,
+                self.path,
+                origin.frame,
+                about=about_maker(maker),
+                flush_interval=flush_interval,
+            )
         self._flushed = monotonic()
 
     @property

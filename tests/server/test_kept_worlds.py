@@ -106,6 +106,49 @@ def test_worlds_that_were_closed_for_good_stay_closed(workers: tuple[str, ...], 
     assert list(kept_worlds(tmp_path)) == ["green"]
 
 
+@ALONE_AND_SHARED
+def test_worlds_stay_those_of_their_makers_and_of_nobody_else(workers: tuple[str, ...], tmp_path: Path) -> None:
+    folder, makers = tmp_path / "recordings", tmp_path / "makers"
+    makers.mkdir()
+    for maker in ("ann", "bob"):
+        (makers / maker).write_text(f"of {maker}")
+    options = [*workers, *DURABLE, "--makers", str(makers)]
+
+    def worlds_of(host: Fleet, maker: str) -> list[str]:
+        return [world["world"] for world in host.client(password=f"of {maker}").worlds()]
+
+    with serving(folder, *options, "--worlds", "main") as host:
+        for maker, names in (("ann", ("red", "green")), ("bob", ("blue",))):
+            for name in names:
+                host.client(password=f"of {maker}").create_world(name)
+        for name in ("red", "main"):
+            Twin(name).drive(host, 2)
+        end(host)
+    (makers / "bob").unlink()
+    again = [*options, "--resume", str(folder), "--max-worlds-each", "1"]  # of which ann has two already
+    for frame in (2, 3):  # the second time from recordings that go on from others
+        with serving(folder, *again) as host:
+            assert list(host.worlds()) == ["blue", "green", "main", "red"]
+            assert worlds_of(host, "ann") == ["green", "red"]
+            with host.client("red", password="of ann") as client:
+                assert client.get_world_info()["frame"] == frame
+                client.step()
+            for name, password in (("main", "of ann"), ("blue", "of ann"), ("blue", "of bob")):
+                with pytest.raises(CommandFailed) as refused:
+                    host.client(name, password=password).connect()
+                assert refused.value.code == "auth_failed"
+            with pytest.raises(CommandFailed) as refused:
+                host.client(password="of ann").create_world("pink")
+            assert refused.value.code == "limit_reached"
+            host.server.terminate()
+            _, err = host.server.communicate(timeout=PATIENCE)
+        assert "of a world that 'bob' created, who is none of --makers" in err
+    (makers / "bob").write_text("of bob")
+    with serving(folder, *again) as host:
+        assert worlds_of(host, "bob") == ["blue"]  # nobody was in it meanwhile
+        assert [world["world"] for world in host.client(password="of ann").close_world("red")] == ["green"]
+
+
 def test_a_world_whose_recording_is_damaged_is_told_of_and_others_go_on(tmp_path: Path) -> None:
     with serving(tmp_path, *DURABLE, "--worlds", "red,green") as host:
         for name in ("red", "green"):
