@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Collection
+from collections.abc import Collection
 from time import monotonic
 from typing import Final
 
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from nmes.errors import WorldError
-from nmes.lab.scene import contacts_text, frame_bytes, mind_text, motors_text, pushes_text, scene_text
+from nmes.lab.scene import FORCES, force_text, frame_bytes, mind_text, scene_text
 from nmes.server import Host
 from nmes.server.hosted_world import HostedWorld
 from nmes.world import World
@@ -26,15 +26,9 @@ logger = logging.getLogger(__name__)
 
 INTERVAL: Final = 1 / 60  # s between two looks
 SCENES: Final = 0.1  # s between two scenes of a world whose cubes come and go
-FORCES: Final = 0.1  # s between two accounts of contacts, of motors, and of pushes
-MANY: Final = 2000  # cubes of a world of which none of these is told any more
+ACCOUNTS: Final = 0.1  # s between two accounts of contacts, of motors, and of pushes
 PAUSE: Final = 10.0  # s after which a world that could not be looked at is looked at again
 MOST: Final = 64  # that may watch at once
-_FORCES: Final[dict[str, Callable[[World, int], str]]] = {
-    "contacts": contacts_text,
-    "motors": motors_text,
-    "pushes": pushes_text,
-}
 UNKNOWN_WORLD, TOO_MANY = 4404, 4429  # codes with which a WebSocket is closed
 
 
@@ -125,7 +119,7 @@ class Watchers:
             return
         watched = self._watched.setdefault(name, _Watched(self._host, name))
         asked = websocket.query_params
-        reader = Reader({kind for kind in _FORCES if asked.get(kind) == "1"}, asked.get("mind"))
+        reader = Reader({kind for kind in FORCES if asked.get(kind) == "1"}, asked.get("mind"))
         watched.add(reader)
         try:
             await send_until_gone(websocket, reader)
@@ -217,17 +211,17 @@ class _Watched:
             self._frame = frame
             for reader in self.readers:
                 reader.show(frame)
-        if now >= self._told + FORCES and world.fault is None:
+        if now >= self._told + ACCOUNTS and world.fault is None:
             self._told = now
             self._tell_more(world)
 
     def _tell_more(self, world: World) -> None:
         """Tells forces and minds to those who asked for them."""
-        for kind, text_of in _FORCES.items() if len(world.entities.cubes) <= MANY else ():
+        for kind in FORCES:
             curious = [reader for reader in self.readers if kind in reader.wants]
-            text = text_of(world, self._number) if curious else ""
-            for reader in curious:
-                reader.tell(kind, text)
+            if curious and (text := force_text(kind, world, self._number)) is not None:
+                for reader in curious:
+                    reader.tell(kind, text)
         for reader in self.readers:
             mind = None if reader.mind is None else mind_text(world, self._number, reader.mind)
             if mind is not None:

@@ -7,7 +7,7 @@ the last answer left it, in a thread. Invariant: what a page asks for costs no m
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 from time import monotonic
@@ -18,7 +18,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from nmes.errors import NmesError, RejectedMessage
 from nmes.lab.folder import LabError
 from nmes.lab.lab import Lab
-from nmes.lab.scene import frame_bytes, scene_text
+from nmes.lab.scene import FORCES, force_text, frame_bytes, scene_text
 from nmes.playback.restore import world_at
 from nmes.playback.watch import watch
 from nmes.protocol import parse
@@ -99,11 +99,19 @@ def _marks(kind: Kind, record: Any) -> Iterator[JsonObject]:
 
 
 class _Sight(NamedTuple):
-    """A moment of a recording: its frame, its scene by number, and where the cubes are."""
+    """A moment of a recording: its frame, its scene by number, where the cubes are, and the forces asked for."""
 
     frame: int
     scene: int
     poses: bytes
+    forces: Sequence[str]
+
+
+class _Wanted(NamedTuple):
+    """What a page asks for: a frame, and kinds of forces."""
+
+    frame: int
+    forces: Sequence[str]
 
 
 class _Player:
@@ -116,6 +124,7 @@ class _Player:
         self._sights: Generator[_Sight, None, None] | None = None
         self._at = -1  # the frame to which it was run
         self._number, self._version = 0, -1
+        self._wanted = _Wanted(0, ())
         self.scene = ""  # the newest one
 
     def header(self) -> str:
@@ -124,13 +133,14 @@ class _Player:
         about = {"type": "recording", "first": self._first, "last": self._last, "tick_rate": config["tick_rate"]}
         return write_json({**about, "world": config["name"]}).decode()
 
-    def seek(self, frame: int) -> _Sight | None:
+    def seek(self, wanted: _Wanted) -> _Sight | None:
         """Returns the moment of a frame; None where that takes too long: who asks again goes on from there.
 
         Raises:
             RecordingError: A tick on the way does not come out as recorded.
         """
-        frame = min(max(frame, self._first), self._last)
+        frame = min(max(wanted.frame, self._first), self._last)
+        self._wanted = wanted._replace(frame=frame)
         if frame == self._first:
             with closing(world_at(self._recording, frame)) as world:
                 return self._look(world)
@@ -153,7 +163,9 @@ class _Player:
         if world.structure_version != self._version:  # of one history: equal numbers, equal cubes
             self._version, self._number = world.structure_version, self._number + 1
             self.scene = scene_text(world, self._number)
-        return _Sight(world.ticks, self._number, frame_bytes(world, self._number, world.ticks))
+        kinds = self._wanted.forces if world.ticks >= self._wanted.frame else ()
+        forces = [text for kind in kinds if (text := force_text(kind, world, self._number)) is not None]
+        return _Sight(world.ticks, self._number, frame_bytes(world, self._number, world.ticks), forces)
 
     def close(self) -> None:
         """Ends what is run."""
@@ -163,7 +175,10 @@ class _Player:
 
 
 async def show_recording(lab: Lab, websocket: WebSocket) -> None:
-    """Answers `{"frame": N}` with the poses of that frame, the last of those that wait, until the page hangs up."""
+    """Answers `{"frame": N}` with the poses of that frame, the last of those that wait, until the page hangs up.
+
+    With `"show": ["contacts"]`, of `FORCES`, these come before the poses.
+    """
     await websocket.accept()
     try:
         player = await lab.do(_Player, lab.folder.find("recordings", websocket.query_params.get("name", "")))
@@ -171,7 +186,7 @@ async def show_recording(lab: Lab, websocket: WebSocket) -> None:
         await websocket.send_text(_failure(error))
         await websocket.close(_NOT_FOUND)
         return
-    wanted: asyncio.Queue[int | None] = asyncio.Queue()
+    wanted: asyncio.Queue[_Wanted | None] = asyncio.Queue()
     listener = asyncio.create_task(_listen(websocket, wanted))
     try:
         await websocket.send_text(player.header())
@@ -184,39 +199,44 @@ async def show_recording(lab: Lab, websocket: WebSocket) -> None:
         await lab.do(player.close)
 
 
-async def _listen(websocket: WebSocket, wanted: asyncio.Queue[int | None]) -> None:
-    """Puts the frames that a page asks for into a queue, and None when it has hung up."""
+async def _listen(websocket: WebSocket, wanted: asyncio.Queue[_Wanted | None]) -> None:
+    """Puts whatever a page asks for into a queue, and None when it has hung up."""
     while (message := await websocket.receive())["type"] != "websocket.disconnect":
         try:
             asked = parse_json((message.get("text") or "").encode())
         except RejectedMessage:
             asked = None
-        frame = asked.get("frame") if isinstance(asked, dict) else None
-        if isinstance(frame, int) and not isinstance(frame, bool):
-            wanted.put_nowait(max(0, min(frame, _FURTHEST)))
-        else:
+        frame, show = (asked.get("frame"), asked.get("show", [])) if isinstance(asked, dict) else (None, [])
+        if not isinstance(frame, int) or isinstance(frame, bool):
             await websocket.send_text(_failure(LabError("invalid", 'say {"frame": N}', "frame")))
+        elif not isinstance(show, list) or not all(kind in FORCES for kind in show):
+            reason = f"there is nothing else to show than {', '.join(FORCES)}"
+            await websocket.send_text(_failure(LabError("invalid", reason, "show")))
+        else:
+            wanted.put_nowait(_Wanted(max(0, min(frame, _FURTHEST)), [kind for kind in FORCES if kind in show]))
     wanted.put_nowait(None)
 
 
-async def _play(lab: Lab, websocket: WebSocket, player: _Player, wanted: asyncio.Queue[int | None]) -> None:
+async def _play(lab: Lab, websocket: WebSocket, player: _Player, wanted: asyncio.Queue[_Wanted | None]) -> None:
     """Answers the last of the frames that wait, again and again."""
     told = 0
-    while (frame := await wanted.get()) is not None:
+    while (asked := await wanted.get()) is not None:
         if not wanted.empty():
             continue
         try:
-            sight = await lab.do(player.seek, frame)
+            sight = await lab.do(player.seek, asked)
         except NmesError as error:
             await websocket.send_text(_failure(error))
             continue
         if sight is None:
-            reason = f"frame {frame} is far behind the last keyframe: ask again to go on"
+            reason = f"frame {asked.frame} is far behind the last keyframe: ask again to go on"
             await websocket.send_text(_failure(LabError("not_yet", reason, "frame")))
             continue
         if sight.scene != told:
             told = sight.scene
             await websocket.send_text(player.scene)
+        for text in sight.forces:
+            await websocket.send_text(text)
         await websocket.send_bytes(sight.poses)
 
 

@@ -6,7 +6,7 @@ Hides how a world is read in one go. Neither changes the world nor is recorded.
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -17,7 +17,7 @@ from nmes.world import World
 from nmes.world.fields import FieldReader
 from nmes.world.scenery import scene_spec
 
-__all__ = ["contacts_text", "frame_bytes", "mind_text", "motors_text", "pushes_text", "scene_text"]
+__all__ = ["FORCES", "force_text", "frame_bytes", "mind_text", "scene_text"]
 
 _HEAD: Final = struct.Struct("<II")
 _MOST: Final = 4000  # contacts that are told
@@ -94,7 +94,7 @@ def frame_bytes(world: World, number: int, frame: int) -> bytes:
     return _HEAD.pack(number, frame & 0xFFFFFFFF) + world.entities.states()[:, :7].astype("<f4").tobytes()
 
 
-def contacts_text(world: World, number: int) -> str:
+def _contacts(world: World, number: int) -> str:
     """Returns where cubes touch, and with what force (N), as a text frame; of very many contacts the strongest."""
     bodies = {body: place for place, body in enumerate(world.entities.body_names)}
     simulation = world.simulation
@@ -109,7 +109,7 @@ def contacts_text(world: World, number: int) -> str:
     return _text("contacts", world, number, contacts)
 
 
-def motors_text(world: World, number: int) -> str:
+def _motors(world: World, number: int) -> str:
     """Returns the efforts of motors (N m, of slides N), by the places of their joints in the scene, as a text frame."""
     driven = [
         (place, joint.number) for place, joint in enumerate(world.entities.joints.values()) if joint.kind in _DRIVEN
@@ -119,7 +119,7 @@ def motors_text(world: World, number: int) -> str:
     return _text("motors", world, number, motors)
 
 
-def pushes_text(world: World, number: int) -> str:
+def _pushes(world: World, number: int) -> str:
     """Returns the latest pushes of clients, by the places of cubes in the scene, as a text frame.
 
     Each row has where a cube was pushed, the force (N) and the torque (N m); an impulse counts as what gives as much
@@ -145,6 +145,23 @@ def _push(fields: FieldReader, command: JsonObject, rate: float) -> list[float]:
         return [force + rate * impulse for force, impulse in zip(one, other, strict=True)]
 
     return [*acting(fields.position, "force", "impulse"), *acting(fields.turn, "torque", "angular_impulse")]
+
+
+_FORCES: Final[Mapping[str, Callable[[World, int], str]]] = {
+    "contacts": _contacts,
+    "motors": _motors,
+    "pushes": _pushes,
+}
+FORCES: Final = tuple(_FORCES)
+"""The kinds of forces that are told to those who ask for them."""
+_MANY: Final = 2000  # cubes of a world of which none of these is told any more
+
+
+def force_text(kind: str, world: World, number: int) -> str | None:
+    """Returns the forces of a kind in a world as a text frame; None where it has very many cubes, or has stopped."""
+    if len(world.entities.cubes) > _MANY or world.fault is not None:
+        return None
+    return _FORCES[kind](world, number)
 
 
 def mind_text(world: World, number: int, name: str) -> str | None:

@@ -15,7 +15,14 @@ from browsers import Socket
 from creatures import SINE, snake
 from labs import Frame, RunningLab, running_lab
 from nmes.genome import Genome
+from nmes.lab.scene import FORCES
 from servers import until
+
+NONSENSE: list[str | bytes] = [
+    *("{", '{"frame":"x"}', '{"frame":true}', "[]", b"\xff", '{"frame":1e999}'),
+    *(f'{{"frame":1,"show":{show}}}' for show in ('"contacts"', '["scenes"]', "[[]]", "[null]", "{}", "1")),
+]
+"""What a page may not ask a recording for."""
 
 
 @pytest.fixture(scope="module")
@@ -45,6 +52,12 @@ def newest(watcher: Socket, frame: int, scene: Any = None) -> tuple[Any, Frame]:
             scene = message if message["type"] == "scene" else scene
         elif Frame.read(message).frame >= frame:
             return scene, Frame.read(message)
+
+
+def iter_texts(player: Socket) -> Iterator[Any]:
+    """Yields what comes before the next frame."""
+    while not isinstance(message := player.hear(), bytes):
+        yield message
 
 
 def test_a_lockstep_world_is_shown_as_get_world_state_tells_it(lab: RunningLab) -> None:
@@ -265,7 +278,19 @@ def test_a_recording_is_shown_at_any_moment_and_a_world_goes_on_from_there(lab: 
             assert (frame.frame, frame.scene) == (min(number, 900), scene["scene"])
             if frame.frame in states:
                 assert same(states[frame.frame], scene, frame)
-        for nonsense in ("{", '{"frame":"x"}', '{"frame":true}', "[]", b"\xff", '{"frame":1e999}'):
+        lying: Any = None
+        for kinds in (["contacts"], ["pushes", "contacts"], ["contacts", "motors", "pushes", "contacts"], []):
+            player.say({"frame": 599, "show": kinds})
+            texts = list(iter_texts(player))
+            scene = next((text for text in texts if text["type"] == "scene"), scene)
+            forces = [text for text in texts if text["type"] != "scene"]
+            assert [text["type"] for text in forces] == [kind for kind in FORCES if kind in kinds]
+            lying = lying or forces[0]["contacts"]
+            assert not kinds or forces[0]["contacts"] == lying
+        assert {row[0] for row in lying} == set(range(len(scene["cubes"])))  # all lie on the ground
+        player.say({"frame": 0})
+        assert [text["type"] for text in iter_texts(player)] == ["scene"]
+        for nonsense in NONSENSE:
             player.say(nonsense)
             assert player.hear()["type"] == "error"
         player.say({"frame": -1})

@@ -115,3 +115,26 @@ def test_recordings_that_are_the_same_are_said_to_be(browser: Browser, lab: Lab)
         page.get_by_text("the same", exact=True).wait_for(timeout=2 * PATIENCE)
         assert page.locator(".ticks .parted").count() == 0
         assert page.evaluate("document.documentElement.scrollWidth") <= 360
+
+
+def test_forces_of_a_recording_are_drawn_for_those_who_ask(browser: Browser, lab: Lab) -> None:
+    def drawn(kind: str) -> int:
+        return int(page.locator(".stage").get_attribute(f"data-{kind}") or 0)
+
+    with opened(browser, lab, "recordings/soft") as page:
+        line = page.get_by_label("Frame", exact=True)
+        page.wait_for_function("() => document.querySelector('[aria-label=Frame]').max === '150'")
+        line.fill("140")
+        page.locator(".pane[data-frame='140']").wait_for()
+        assert [drawn(kind) for kind in ("contacts", "motors", "pushes")] == [0, 0, 0]
+        for kind in ("Contacts", "Motors"):
+            page.get_by_label(kind).check()
+            page.wait_for_function(f"() => Number(document.querySelector('.stage').dataset.{kind.lower()}) > 0")
+        line.fill(str(PUSHED + 1))  # when the push has acted, which is drawn until others are due
+        page.get_by_label("Pushes").check()
+        page.wait_for_function("() => document.querySelector('.stage').dataset.pushes === '1'")
+        page.get_by_label("Contacts").uncheck()
+        assert drawn("contacts") == 0
+        line.fill("141")
+        page.locator(".pane[data-frame='141']").wait_for()
+        assert drawn("contacts") == 0 and drawn("motors") > 0 and drawn("pushes") == 0

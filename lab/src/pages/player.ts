@@ -1,10 +1,10 @@
 /** One recording, played: a time line that scrubs, marks of what happened, and what can be done with it. */
 import { get, kept, part, post, socketUrl, state, words } from "../api.js";
-import { action, line } from "../command.js";
+import { action, done, line } from "../command.js";
 import { Link } from "../connection.js";
 import { type Child, fill, h, icon, select } from "../dom.js";
 import { type Job, ended } from "../jobs.js";
-import { type Frame, type Scene, frame } from "../poses.js";
+import { type Contact, type Effort, type Frame, type Push, type Scene, frame } from "../poses.js";
 import { Stage } from "../scene.js";
 import { failure, go } from "../shell.js";
 
@@ -43,6 +43,12 @@ interface Verdict {
 }
 
 export const SPEEDS = ["0.1", "0.25", "0.5", "1", "2", "4", "8"].map((speed) => [speed, `${speed} ×`] as const);
+/** Forces that can be shown: kind, title, what they are. */
+const FORCES = [
+  ["contacts", "Contacts", "Where cubes touch, and the force along the normal"],
+  ["motors", "Motors", "What motors do: torque or force along the axis of the joint"],
+  ["pushes", "Pushes", "What clients push, while they do: force, and torque along its axis"],
+] as const;
 const LISTED = 200; // marks in the list
 
 export class Player {
@@ -68,6 +74,8 @@ export class Player {
   private other: Player | undefined;
   private wanted = 0; // the frame that is to be shown
   private asked: number | undefined; // the one that was asked for and has not come
+  private readonly forces: Readonly<Record<string, HTMLInputElement>>; // kinds, and whether they are shown
+  private fewer = false; // whether other forces are wanted than were asked for
   private clocked: { since: number; from: number } | undefined;
 
   constructor(private readonly name: string, private readonly signal: AbortSignal) {
@@ -76,6 +84,7 @@ export class Player {
     this.range.addEventListener("input", () => { this.go(Number(this.range.value)); });
     this.speed.addEventListener("change", () => { if (this.playing) { this.start(); } });
     this.following.addEventListener("change", () => this.follow());
+    this.forces = Object.fromEntries(FORCES.map(([kind]) => [kind, h("input", { type: "checkbox", onchange: () => this.exert(kind) })]));
     this.button();
     this.link = new Link(socketUrl("/ws/recording", { name }), {
       open: () => { this.asked = undefined; this.ask(); },
@@ -92,7 +101,8 @@ export class Player {
         h("div", { class: "bar controls" }, this.play,
           h("button", { class: "square", title: "One frame back", "aria-label": "One frame back", onclick: () => this.nudge(-1) }, icon("back", 18)),
           h("button", { class: "square flipped", title: "One frame on", "aria-label": "One frame on", onclick: () => this.nudge(1) }, icon("back", 18)),
-          this.speed, h("label", { class: "check" }, this.following, "Follow"))),
+          this.speed, h("label", { class: "check" }, this.following, "Follow")),
+        h("div", { class: "bar options" }, ...FORCES.map(([kind, title, text]) => h("label", { class: "check", title: text }, this.forces[kind], title)))),
       this.side));
     void this.learn();
     const step = (): void => {
@@ -272,9 +282,37 @@ export class Player {
     this.range.setAttribute("aria-valuetext", `${(this.wanted / rate).toFixed(2)} s`);
   }
 
+  /** The kinds of forces that are to be shown. */
+  private shown(): string[] {
+    return FORCES.flatMap(([kind]) => (this.forces[kind]?.checked === true ? [kind] : []));
+  }
+
+  /** Shows forces of a kind, or no longer. */
+  private exert(kind: string): void {
+    if (this.forces[kind]?.checked === true) {
+      done(line("nmes", "view", kept("recordings", `${this.name}.mcap`)));
+    } else {
+      this.draw({ type: kind });
+    }
+    this.fewer = true;
+    this.ask();
+  }
+
+  private draw(told: { type?: unknown; contacts?: readonly Contact[]; motors?: readonly Effort[]; pushes?: readonly Push[] }): void {
+    if (told.type === "contacts") {
+      this.stage.touch(told.contacts ?? []);
+    } else if (told.type === "motors") {
+      this.stage.strain(told.motors ?? []);
+    } else {
+      this.stage.push(told.pushes ?? []);
+    }
+  }
+
   private ask(): void {
-    if (this.asked === undefined && this.about !== undefined && this.link.send({ frame: this.wanted })) {
+    const show = this.shown();
+    if (this.asked === undefined && this.about !== undefined && this.link.send({ frame: this.wanted, ...(show.length > 0 ? { show } : {}) })) {
       this.asked = this.wanted;
+      this.fewer = false;
     }
   }
 
@@ -284,6 +322,8 @@ export class Player {
       this.stage.describe(this.scene);
       this.point(this.marked);
       this.follow();
+    } else if (this.shown().includes(String(message["type"]))) {
+      this.draw(message);
     } else if (message["type"] === "error") {
       const again = message["code"] === "not_yet";
       this.busy.hidden = false;
@@ -302,7 +342,7 @@ export class Player {
     this.element.dataset["frame"] = String(shown.frame);
     const { asked } = this;
     this.asked = undefined;
-    if (asked !== this.wanted) {
+    if (asked !== this.wanted || this.fewer) {
       this.ask();
     }
   }
