@@ -395,7 +395,7 @@ def _make_host(settings: Settings, log_format: str, catalog: Catalog) -> Host | 
 
 
 def _maker_of(kept: Recording, settings: Settings) -> str | None:
-    """Returns the maker whose world goes on; None: the host's own, as is one whose maker is not known here."""
+    """Returns the maker of a recorded world, or None: it is the host's own, or its maker is not known here."""
     maker = maker_of(kept)
     if maker is None or maker in settings.makers:
         return maker

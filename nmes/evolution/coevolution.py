@@ -212,7 +212,7 @@ class Coevolution(Algorithm):
             self._panels.append([panel or self._substitutes(place) for place, panel in enumerate(panels)])
 
     def _substitutes(self, place: int) -> tuple[Opponent, ...]:
-        """Returns the opponents of a population of which nobody has a score: those of the era before, or founders.
+        """Returns opponents where nobody of a population has a score: those of the era before, or founders.
 
         Founders may be asked for at any time before anybody is told; then they are the opponents of the first era.
         """
