@@ -204,6 +204,13 @@ class Door:
                 self._pause(listener, protocol, error)
                 return
             peer.setblocking(False)
+            try:
+                # asyncio does this to sockets that it has made itself. Without it an event that follows a reply waits
+                # for the other side to acknowledge the reply, which it does after 40 ms if it has nothing to say.
+                peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            except OSError:  # some systems say so where it is gone already
+                peer.close()
+                continue
             task = asyncio.get_running_loop().create_task(self._open(peer, address_of(address), protocol))
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)

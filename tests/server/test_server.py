@@ -15,6 +15,7 @@ from nmes import protocol
 from nmes.errors import NmesError, WorldError
 from nmes.protocol import DELIMITER, Limits
 from nmes.server import Host
+from nmes.server.door import Door
 from servers import PASSWORD, PATIENCE, Peer, Served, served, types, until
 
 PING = json.dumps({"type": "ping"}).encode() + DELIMITER
@@ -133,6 +134,20 @@ def test_a_client_may_name_its_world() -> None:
             peer.say({"type": "auth", "password": PASSWORD, "world": "three"})
             (answer,) = peer.rest()
             assert json.loads(answer)["code"] == "world_not_found"
+
+
+async def test_what_is_sent_does_not_wait_until_what_was_sent_before_is_acknowledged() -> None:
+    held_up: asyncio.Future[bool] = asyncio.get_running_loop().create_future()
+
+    class Came(asyncio.Protocol):
+        def connection_made(self, transport: asyncio.BaseTransport) -> None:
+            held_up.set_result(not transport.get_extra_info("socket").getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+
+    door = Door(4, None, 5.0, 2.0)
+    _, port = await door.listen("127.0.0.1", 0, Came)
+    with socket.create_connection(("127.0.0.1", port)):
+        assert not await held_up
+    await door.close()
 
 
 def test_commands_right_behind_the_password_are_executed(server: Served) -> None:
