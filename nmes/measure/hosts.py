@@ -119,10 +119,19 @@ class RunningHost:
 
 
 @contextmanager
-def running_host(mode: str) -> Iterator[RunningHost]:
-    """Runs a host of one world."""
+def running_host(mode: str, rate: float = 1.0) -> Iterator[RunningHost]:
+    """Runs a host of one world.
+
+    Args:
+        mode: How the world ticks.
+        rate: How many seconds of the world there are in one of the clock, in real time.
+
+    Raises:
+        MachineError: It does not begin (`cannot_measure`).
+    """
     password = secrets.token_hex(16)
-    command = [sys.executable, "-m", "nmes", "serve", "--port", "0", "--no-record", "--mode", mode, "--json"]
+    ticks = ["--mode", mode, "--rate", f"{rate:g}"]
+    command = [sys.executable, "-m", "nmes", "serve", "--port", "0", "--no-record", *ticks, "--json"]
     environment = {**os.environ, "NMES_PASSWORD": password}
     with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
         try:

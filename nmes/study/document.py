@@ -143,12 +143,10 @@ class Study:
         budgets = self.document["budgets"]
         if budget not in budgets:
             raise StudyError("no_study", f"{self.name} has no budget {budget}: there is {', '.join(budgets)}")
-        cells = list(self._cells(budget))
+        cells = ((arm, cell) for arm in self.document["arms"] for cell in self._cells(budget, arm))
         runs = [
-            PlannedRun(number, arm, dict(cell), seed, self._values(budget, arm, cell) | {"seed": seed})
-            for number, (arm, cell, seed) in enumerate(
-                product(self.document["arms"], cells, budgets[budget]["seeds"]),
-            )
+            PlannedRun(number, arm, cell, seed, self._values(budget, arm, cell) | {"seed": seed})
+            for number, ((arm, cell), seed) in enumerate(product(cells, budgets[budget]["seeds"]))
         ]
         kept = {name: value for name, value in self.given["budgets"][budget].items() if name != "minutes"}
         asked = canonical_hash({"study": {**self.given, "budgets": {budget: kept}}, "files": self._files()})
@@ -169,10 +167,13 @@ class Study:
         scales: Mapping[str, Mapping[str, float]] = self.document["scales"]
         return math.prod(values[str(cell[factor])] for factor, values in scales.items())
 
-    def _cells(self, budget: str) -> Iterator[dict[str, Setting]]:
-        factors = self.factors(budget)
+    def _cells(self, budget: str, arm: JsonObject) -> Iterator[dict[str, Setting]]:
+        """Yields the cells that an arm has: a value of each factor."""
+        factors, own = self.factors(budget), arm.get("factors", {})
         for values in product(*factors.values()):
-            yield dict(zip(factors, values, strict=True))
+            cell = dict(zip(factors, values, strict=True))
+            if all(cell[name] in chosen for name, chosen in own.items()):
+                yield cell
 
     def _values(self, budget: str, arm: JsonObject, cell: Mapping[str, Setting]) -> dict[str, Setting | list[Setting]]:
         own = self.document["budgets"][budget].get("settings", {})
@@ -220,6 +221,7 @@ class Study:
         for place, arm in enumerate(document["arms"]):
             for name in arm.get("commands", ()):
                 yield from _unknown(f"arms/{place}/commands", name, document["commands"], "command")
+            yield from self._factor_problems(f"arms/{place}/factors", arm.get("factors", {}))
         for path in ("missing", "measured"):
             for name in document[path]:
                 yield from _unknown(path, name, document["columns"], "column")
@@ -254,17 +256,22 @@ class Study:
                 if chosen not in document["factors"].get(factor, [chosen]):
                     yield f"{path}/where/{factor}", f"there is no value {chosen}"
 
-    def _budget_problems(self, budget: str, document: JsonObject) -> Iterator[tuple[str, str]]:
-        path = f"budgets/{budget}"
-        for factor, values in document.get("factors", {}).items():
-            yield from _unknown(f"{path}/factors", factor, self.document["factors"], "factor")
+    def _factor_problems(self, path: str, fewer: Mapping[str, list[Setting]]) -> Iterator[tuple[str, str]]:
+        """Yields what is wrong with some of the values of some factors."""
+        for factor, values in fewer.items():
+            yield from _unknown(path, factor, self.document["factors"], "factor")
             for value in values:
                 if value not in self.document["factors"].get(factor, values):
-                    yield f"{path}/factors/{factor}", f"there is no value {value}"
+                    yield f"{path}/{factor}", f"there is no value {value}"
+
+    def _budget_problems(self, budget: str, document: JsonObject) -> Iterator[tuple[str, str]]:
+        path = f"budgets/{budget}"
+        yield from self._factor_problems(f"{path}/factors", document.get("factors", {}))
         cells = math.prod(map(len, self.factors(budget).values()))
         if cells * len(self.document["arms"]) * len(document["seeds"]) > _RUNS:
             yield path, f"it has over {_RUNS:,} runs"
             return
+        yield from self._cell_problems(budget)
         for place, arm in enumerate(self.document["arms"]):
             values = self._values(budget, arm, self.document["factors"])
             known = {*values, *_OWN}
@@ -280,6 +287,23 @@ class Study:
                     if name not in known and not told:
                         yield f"arms/{place}", f"there is nothing that {{{name}}} stands for{did_you_mean(name, known)}"
                 before += [] if command is None else [command]
+
+    def _cell_problems(self, budget: str) -> Iterator[tuple[str, str]]:
+        """Yields the values that would be of no runs of a budget, or compare arms that have not the same cells."""
+        cells = {arm["name"]: list(self._cells(budget, arm)) for arm in self.document["arms"]}
+        yield from ((f"budgets/{budget}", f"arm {name} has no runs") for name, found in cells.items() if not found)
+        for name, value in self.document["values"].items():
+            where = value.get("where", {}).items()
+            found = [
+                [cell for cell in cells.get(value[role], ()) if where <= cell.items()]
+                for role in ("arm", "over")
+                if role in value
+            ]
+            if not found[0]:
+                yield f"values/{name}", f"arm {value['arm']} has no such runs with budget {budget}"
+            elif found[1:] not in ([], [found[0]]):
+                what = f"arms {value['arm']} and {value['over']} have not the same cells with budget {budget}"
+                yield f"values/{name}", f"{what}: say `where` both have"
 
 
 def condition(text: str, values: Mapping[str, object]) -> Condition:

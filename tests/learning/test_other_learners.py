@@ -10,15 +10,17 @@ import pytest
 
 from command_line import run
 from nmes.brain import load_brain
-from nmes.errors import DocumentError
+from nmes.errors import CommandFailed, DocumentError, MachineError
 from nmes.learning.learners.cloning import Cloning, squares
-from nmes.learning.learners.cube import TargetCube, arrivals, learn_to_arrive
+from nmes.learning.learners.cube import ACTIONS, STATES, TICKS, TargetCube, arrivals, learn_to_arrive
 from nmes.learning.learners.networks import Network
 from nmes.learning.learners.novelty import ForwardModel
 from nmes.learning.learners.pca import principal_components
 from nmes.learning.learners.q_learning import QLearning
 from nmes.learning.learners.q_table import read_q_table
 from nmes.learning.learners.rows import Spaces
+from nmes.measure.clock import ClockWorld, clock_world
+from nmes.measure.hosts import running_host
 from nmes.variation.draw import Draw
 from slopes import slopes
 
@@ -172,6 +174,51 @@ def test_a_push_that_is_late_begins_later_and_the_one_before_goes_on() -> None:
     nothing, whole = 0.0, ways(0, 0)[0]
     assert nothing < abs(ways(6, 0)[0]) < abs(whole)
     assert ways(6, 0, 0) != ways(6, 0, 1)
+
+
+class Steering(QLearning):
+    """Pushes along the axis on which more is to be done to be at rest on the target."""
+
+    def best(self, state: int) -> int:
+        along_x, along_z, speed_x, speed_z = np.unravel_index(state, (7, 7, 5, 5))
+        x, z = int(along_x) - 3 - (int(speed_x) - 2), int(along_z) - 3 - (int(speed_z) - 2)
+        return (0 if x > 0 else 1) if abs(x) >= abs(z) else (2 if z > 0 else 3)
+
+
+def test_the_cube_arrives_in_a_world_that_waits_for_nobody() -> None:
+    steering = Steering(STATES, ACTIONS, QLearning.Options())
+    waiting = TargetCube(1)
+    try:
+        assert arrivals(waiting, steering, range(3)) == 3 and waiting.late == 0
+    finally:
+        waiting.close()
+    with clock_world(5.0) as world:
+        began = world.frame
+        cube = TargetCube(1, world=world)
+        assert arrivals(cube, steering, range(3)) >= 1  # all, but where the machine is held up for long
+        assert world.frame - began >= cube.pushes * TICKS + cube.late > 0
+        with pytest.raises(CommandFailed, match="nobody"):
+            world.do({"type": "get_cube_state", "cube_name": "nobody"})
+
+
+def test_a_world_that_waits_for_nobody_is_told_from_one_that_has_ended() -> None:
+    with running_host("realtime", 5.0) as host, host.connect() as client:
+        world = ClockWorld(client)
+        world.tick()
+        client.set_mode("lockstep")
+        client.timeout = 0.2
+        with pytest.raises(MachineError, match="the world ticks no more"):
+            for _ in range(100):
+                world.tick()
+
+
+def test_what_was_learned_is_judged_by_the_clock() -> None:
+    command = ["learn", "cube", "--episodes", "3", "--test", "1", "--seed", "2", "--json"]
+    waiting, judged = (json.loads(run(*command, *more).stdout) for more in ((), ("--real-time", "50")))
+    assert judged["digest"] == waiting["digest"] and judged["rate"] == 50
+    assert judged["late"] >= 0 and judged["part"] in (0, 1)
+    refused = run(*command, "--real-time", "0")
+    assert refused.exit_code == 2 and "0 is not in the range 0.01<=x<=100" in refused.output
 
 
 def test_the_command_teaches_the_cube_as_the_library_does() -> None:

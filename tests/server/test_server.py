@@ -141,7 +141,9 @@ async def test_what_is_sent_does_not_wait_until_what_was_sent_before_is_acknowle
 
     class Came(asyncio.Protocol):
         def connection_made(self, transport: asyncio.BaseTransport) -> None:
-            held_up.set_result(not transport.get_extra_info("socket").getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY))
+            held_up.set_result(
+                not transport.get_extra_info("socket").getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+            )
 
     door = Door(4, None, 5.0, 2.0)
     _, port = await door.listen("127.0.0.1", 0, Came)

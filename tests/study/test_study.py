@@ -360,6 +360,27 @@ def test_a_command_that_fails_is_told_with_what_it_said(tmp_path: Path) -> None:
     assert "nobody.json" in result.output
 
 
+def test_an_arm_may_be_run_in_some_cells_alone_and_is_compared_where_both_are(tmp_path: Path) -> None:
+    folder = make_study(tmp_path / "fewer")
+    edit(folder / "study.toml", "[settings]", "[factors]\nsize = [1, 2]\n\n[settings]")
+    edit(folder / "study.toml", '{ genome = "still" }', '{ genome = "still" }\nfactors = { size = [2] }')
+    result = run("study", "run", folder)
+    told = "arms swinging and still have not the same cells with budget small: say `where` both have"
+    assert result.exit_code == 1 and f"values/gain: {told}" in result.output and "values/alike" in result.output
+    text = (folder / "study.toml").read_text().replace('over = "still" }', 'over = "still", where = { size = 2 } }')
+    (folder / "study.toml").write_text(text)
+    runs = Study.load(folder).plan("small").runs
+    cells = [("swinging", {"size": 1}), ("swinging", {"size": 2}), ("still", {"size": 2})]
+    assert [(each.arm["name"], each.cell, each.seed) for each in runs] == [
+        (*cell, seed) for cell in cells for seed in (1, 2, 3)
+    ]
+    assert [each.number for each in runs] == list(range(9))
+    (folder / "study.toml").write_text(text.replace("size = [2]", "size = [3]"))
+    refused = run("study", "run", folder).output
+    assert "arms/1/factors/size: there is no value 3" in refused
+    assert "budgets/small: arm still has no runs" in refused
+
+
 # -- what is no study -------------------------------------------------------------------------------------------------
 
 

@@ -6,6 +6,9 @@
 
 What is seen is the cube's velocity and where the target is from it; each of the four numbers is one of a few ranges,
 so that there are 1,225 states. All goes through commands of the world, as for a client.
+
+    with clock_world(rate=4.0) as world:  # of nmes.measure.clock: it ticks by the clock, and waits for nobody
+        arrivals(TargetCube(seed=1, world=world), learner, range(1200, 1230))
 """
 
 from __future__ import annotations
@@ -13,7 +16,7 @@ from __future__ import annotations
 from bisect import bisect
 from collections.abc import Callable, Iterable, Mapping
 from math import cos, hypot, pi, sin
-from typing import Final
+from typing import Final, Protocol
 
 from nmes.errors import WorldError
 from nmes.learning.learners.q_learning import QLearning
@@ -22,7 +25,17 @@ from nmes.schemas.documents import JsonObject
 from nmes.variation.draw import Draw
 from nmes.world import World
 
-__all__ = ["ACTIONS", "NEAR", "STATES", "TICKS", "TargetCube", "arrivals", "learn_to_arrive", "table_of_cube"]
+__all__ = [
+    "ACTIONS",
+    "NEAR",
+    "STATES",
+    "TICKS",
+    "CubeWorld",
+    "TargetCube",
+    "arrivals",
+    "learn_to_arrive",
+    "table_of_cube",
+]
 
 NEAR: Final = 0.5
 """How near the cube must come to the target, m, along the ground."""
@@ -44,30 +57,75 @@ _CHANCE, _LEAST, _SETTLED = 0.5, 0.02, 0.8  # of any action: at first, at last, 
 _NAME: Final = "cube"
 
 
+class CubeWorld(Protocol):
+    """Where the cube is."""
+
+    @property
+    def frame(self) -> int:
+        """How many ticks it has made, as far as is known."""
+
+    def do(self, command: JsonObject) -> JsonObject:
+        """Carries out a command, and returns the reply.
+
+        Raises:
+            WorldError: It refuses the command.
+        """
+
+    def tick(self) -> None:
+        """Goes on by a tick, or waits until it has."""
+
+    def close(self) -> None:
+        """Leaves it."""
+
+
+class _OwnWorld:
+    """A world in this process, which waits for whoever pushes."""
+
+    def __init__(self, seed: int) -> None:
+        self._world = World({"mode": "lockstep", "seed": seed})
+        self._client = self._world.join()
+        self.tick, self.close = self._world.tick, self._world.close
+
+    @property
+    def frame(self) -> int:
+        return self._world.frame
+
+    def do(self, command: JsonObject) -> JsonObject:
+        reply = self._world.execute(self._client, command)
+        if reply["type"] == "error":
+            raise WorldError(reply["code"], reply["message"], reply.get("field"))
+        return reply
+
+
 class TargetCube:
-    """A cube in a world of its own, and a target that is elsewhere in each episode.
+    """A cube in a world, and a target that is elsewhere in each episode.
 
     Args:
         seed: Of the world and of where targets are.
         delay: How many ticks later than it is decided a push begins, at most `TICKS`: as with a client far away, to
             whom the world does not wait. Until then the push before goes on, if there was one.
+        world: Where; in a world of its own, in lockstep, if left out.
 
     Attributes:
         seed: The same.
         distance: From the cube to the target, m, along the ground.
+        pushes: How many there were.
+        late: How many ticks the world was on when it was looked at again, over those that pushes should last, of all
+            pushes together: 0 where it waits.
     """
 
-    def __init__(self, seed: int, delay: int = 0) -> None:
-        self._world = World({"mode": "lockstep", "seed": seed})
-        self._client, self.seed, self.distance = self._world.join(), seed, 0.0
+    def __init__(self, seed: int, delay: int = 0, world: CubeWorld | None = None) -> None:
+        self._world: CubeWorld = _OwnWorld(seed) if world is None else world
+        self.seed, self.distance, self.pushes, self.late = seed, 0.0, 0, 0
         self._do("spawn_cube", cube_name=_NAME, position=[0, 0.5, 0], size=[1, 1, 1], mass=1.0, friction=0.05)
-        self._target, self._pushes, self._delay, self._before = (0.0, 0.0), 0, delay, (0.0, 0.0)
+        self._target, self._left, self._delay, self._before = (0.0, 0.0), 0, delay, (0.0, 0.0)
 
     def begin(self, episode: int) -> int:
         """Puts the cube back to where it began, and the target to where it is in this episode; returns the state."""
         draw = Draw(self.seed, "target", episode)
         far, bearing = draw.uniform(*_DISTANCE), draw.uniform(-pi, pi)
-        self._target, self._pushes, self._before = (far * cos(bearing), far * sin(bearing)), 0, (0.0, 0.0)
+        self._target, self._before = (far * cos(bearing), far * sin(bearing)), (0.0, 0.0)
+        self._left = _PUSHES_AT_MOST
         still = {name: [0, 0, 0] for name in ("linear_velocity", "angular_velocity")}
         self._do("set_cube_state", cube_name=_NAME, position=[0, 0.5, 0], rotation=[0, 0, 0, 1], **still)
         self._look()
@@ -81,15 +139,16 @@ class TargetCube:
             and whether it is too late to go on.
         """
         before = self.distance
-        for tick in range(TICKS):
+        began = self._world.frame
+        while (tick := self._world.frame - began) < TICKS:
             x, z = self._before if tick < self._delay else _PUSHES[action]
             self._do("apply_physics", cube_name=_NAME, force=[_FORCE * x, 0.0, _FORCE * z])
             self._world.tick()
         self._before = _PUSHES[action]
         self._look()
-        self._pushes += 1
+        self.pushes, self.late, self._left = self.pushes + 1, self.late + tick - TICKS, self._left - 1
         arrived = self.distance < NEAR
-        return self._state, before - self.distance + arrived, arrived, self._pushes == _PUSHES_AT_MOST
+        return self._state, before - self.distance + arrived, arrived, not self._left
 
     def close(self) -> None:
         """Ends the world."""
@@ -106,10 +165,7 @@ class TargetCube:
             self._state = self._state * count + place
 
     def _do(self, kind: str, **fields: object) -> JsonObject:
-        reply = self._world.execute(self._client, {"type": kind, **fields})
-        if reply["type"] == "error":
-            raise WorldError(reply["code"], reply["message"], reply.get("field"))
-        return reply
+        return self._world.do({"type": kind, **fields})
 
 
 def learn_to_arrive(cube: TargetCube, episodes: int, tell: Callable[[int], None] = lambda _: None) -> QLearning:
