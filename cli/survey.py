@@ -8,7 +8,6 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
-from math import fsum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +24,7 @@ from nmes.cli._output import whole_file
 from nmes.cli._pictures import write_picture
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.errors import DocumentError, RunError, visible
+from nmes.objective.means import mean
 
 if TYPE_CHECKING:
     from nmes.evaluation.parallel import Cluster, Workers
@@ -373,8 +373,8 @@ def _summary(survey: Survey) -> dict[str, Any]:
     tasks = []
     for task, block in zip(settings.tasks, _by_task(survey), strict=True):
         scores = [score for score in block if score is not None]
-        mean = fsum(scores) / len(scores) if scores else None
-        tasks.append({"task": task.name, "worlds": len(block), "scored": len(scores), "mean": mean})
+        found = mean(scores) if scores else None
+        tasks.append({"task": task.name, "worlds": len(block), "scored": len(scores), "mean": found})
     return {
         "survey": str(survey.folder),
         "worlds": len(survey),

@@ -30,6 +30,7 @@ from nmes.schemas import Schema, describe, load, load_all
 __all__ = [
     "CONTAINERS",
     "NESTING",
+    "VALUES",
     "CompiledSchema",
     "JsonObject",
     "Problem",
@@ -59,6 +60,8 @@ NESTING: Final = 200
 """How deep JSON may be nested."""
 CONTAINERS: Final = 1 << 16
 """How many arrays and objects JSON may hold: what one costs does not show in the length of its text."""
+VALUES: Final = 1 << 22
+"""How many values JSON may hold: a digit and a comma become a hundred times as many bytes."""
 _FILE: Final = 80 << 20  # bytes of a document's file: the largest model of a brain, and as much again as a body
 _EXCERPT: Final = 80  # characters of somebody's value that a message repeats
 _COMPARED, _KNOWN, _CLOSE = 24, 256, 4  # characters of a name, names it is compared with roughly, and closely
@@ -72,11 +75,13 @@ _WHOLE: Final = 2.0**53  # beyond this not every whole number is a float
 
 
 def parse_json(text: bytes) -> Any:
-    """Reads strict JSON: no duplicate keys, no number that is infinite as a double, within `NESTING` and `CONTAINERS`.
+    """Reads strict JSON within `NESTING`, `CONTAINERS` and `VALUES`: no key twice, no number infinite as a double.
 
     Raises:
         RejectedMessage: It is not UTF-8 (`bad_frame`), or not strict JSON (`bad_json`).
     """
+    if text.count(b",") > VALUES:  # those in strings count, as below
+        raise RejectedMessage("bad_json", f"more than {VALUES:,} values")
     brackets = text.count(b"[") + text.count(b"{") if len(text) > 2 * NESTING else 0
     if brackets > CONTAINERS:  # those in strings count, which are too few to matter
         raise RejectedMessage("bad_json", f"more than {CONTAINERS:,} arrays and objects")
@@ -311,8 +316,12 @@ def _too_long(schema: Schema, value: Any, keys: tuple[str | int, ...]) -> Iterat
 def _abridged(schema: Schema, value: Any) -> Any:
     """Returns a value with each of its arrays cut off behind the last unsound item that is to be looked at."""
     if isinstance(value, dict):
-        parts = schema.get("properties", {})
-        return {name: _abridged(parts.get(name, {}), item) for name, item in value.items()}
+        parts, more = schema.get("properties", {}), schema.get("additionalProperties", {})
+        return {
+            # what is in a field that there must not be, nobody asks
+            name: None if more is False and name not in parts else _abridged(parts.get(name, {}), item)
+            for name, item in value.items()
+        }
     if not isinstance(value, list) or "items" not in schema:
         return value
     items, unsound = schema["items"], 0
@@ -398,8 +407,13 @@ def _completed(schema: Schema, value: Any) -> Any:
         return complete(schema, value)
     if kind == "integer":
         return int(value)  # to JSON Schema 1.0 is an integer too
-    items = schema.get("items", {})
-    return [complete(items, item) for item in value] if items.get("type") == "object" else value
+    if kind == "array":
+        items = schema.get("items", {})
+        inner = items.get("type") in ("object", "integer", "array")
+        return [_completed(items, item) for item in value] if inner else value
+    if isinstance(value, dict) and isinstance(kind, list) and "object" in kind:
+        return complete(schema, value)
+    return int(value) if isinstance(value, float) and isinstance(kind, list) and "integer" in kind else value
 
 
 # -- names ------------------------------------------------------------------------------------------------------------
@@ -461,6 +475,8 @@ class ShippedDocuments:
             raise DocumentError([("", message)]) from error
         except OSError as error:
             raise DocumentError([("", f"cannot read {name}: {error.strerror}")]) from error
+        except ValueError as error:  # a path with NUL
+            raise DocumentError([("", f"there is no {self.kind} {str(name)!r}: {error}")]) from error
         if len(text) > _FILE:
             raise DocumentError([("", f"{name} has over {_FILE >> 20} MiB, more than a {self.kind} may have")])
         return text

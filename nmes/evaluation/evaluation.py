@@ -12,6 +12,7 @@ from nmes.evaluation.judge import Result
 from nmes.evaluation.population import Outcome
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
+from nmes.objective.means import mean_of_all
 from nmes.schemas.notebook import card
 
 if TYPE_CHECKING:
@@ -94,7 +95,7 @@ class Evaluation:
     @property
     def score(self) -> float | None:
         """The mean over the seeds; None where one of them has no score."""
-        return _mean([result.score for result in self.results])
+        return mean_of_all([result.score for result in self.results])
 
     @property
     def spread(self) -> float | None:
@@ -105,17 +106,17 @@ class Evaluation:
     @property
     def energy(self) -> float | None:
         """Mean work of the motors in an episode, J."""
-        return _mean([result.energy for result in self.results])
+        return mean_of_all([result.energy for result in self.results])
 
     @property
     def distance(self) -> float | None:
         """Mean distance over the ground, m."""
-        return _mean([result.distance for result in self.results])
+        return mean_of_all([result.distance for result in self.results])
 
     @property
     def duty(self) -> float | None:
         """Mean duty factor; None where it was not asked for, see `Task.with_duty`."""
-        return _mean([result.duty for result in self.results])
+        return mean_of_all([result.duty for result in self.results])
 
     @property
     def faults(self) -> int:
@@ -179,8 +180,3 @@ def check_types(value: Evaluation | Result, fields: Mapping[str, Any]) -> None:
     for name, field_value in fields.items():
         if not isinstance(field_value, kinds[name] | None):
             raise TypeError(f"{name} is a {type(field_value).__name__}")
-
-
-def _mean(values: Sequence[float | None]) -> float | None:
-    known = [value for value in values if value is not None]
-    return fsum(known) / len(known) if known and len(known) == len(values) else None

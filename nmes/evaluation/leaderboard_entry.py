@@ -17,7 +17,6 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from hashlib import file_digest, sha256
-from math import fsum
 from pathlib import Path
 from statistics import pstdev
 from typing import Any, Final, Literal, TypeAlias
@@ -32,6 +31,7 @@ from nmes.evaluation.proof import Proof, prove, recorded_episode
 from nmes.evaluation.ratings import places
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
+from nmes.objective.means import mean
 from nmes.recording import Recording
 from nmes.recording.signing import signer
 
@@ -288,7 +288,7 @@ def _common(proofs: Sequence[AnyProof], scores: Sequence[float]) -> dict[str, An
         "task": proofs[0].task.name,
         "task_hash": proofs[0].task.hash,
         "key": keys.pop() if len(keys) == 1 else "",
-        "score": fsum(scores) / len(scores),
+        "score": mean(scores),
         "spread": pstdev(scores),
         "recordings": tuple(proof.recording_hash for proof in proofs),
         "recorded": max(proof.recorded for proof in proofs),
@@ -320,13 +320,13 @@ def _facts_of_matches(proofs: Sequence[MatchProof]) -> dict[str, Any]:
             genome.name,
             genome.hash,
             creature_hash(genome),
-            fsum(own) / len(own),
+            mean(own),
             pstdev(own),
             tuple(placed),
         )
         for role, genome, own, placed in zip(task.roles, cast, scores, ranks, strict=True)
     )
-    means = [fsum(match) / len(match) for match in zip(*scores, strict=True)]
+    means = [mean(match) for match in zip(*scores, strict=True)]
     return {
         "name": ", ".join(player.name for player in players),
         "genome_hash": _over(player.genome_hash for player in players),

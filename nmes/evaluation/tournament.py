@@ -16,7 +16,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from hashlib import sha256
-from math import fsum
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -34,6 +33,7 @@ from nmes.evaluation.parallel import Pool
 from nmes.evaluation.proof import digest
 from nmes.evaluation.ratings import Rating, places, rate
 from nmes.genome import Genome
+from nmes.objective.means import mean_of_all
 
 __all__ = ["LOG", "Pairing", "Standing", "Tournament"]
 
@@ -264,10 +264,7 @@ class _Tally:
         return Standing(genome.name, genome.hash, rating, *counts)
 
     def _means(self) -> dict[str, float | None]:
-        return {
-            role: None if not scores or None in scores else fsum(filter(None, scores)) / len(scores)
-            for role, scores in self._scores.items()
-        }
+        return {role: mean_of_all(scores) for role, scores in self._scores.items()}
 
 
 def _pairings(task: MatchTask, count: int, seeds: Sequence[int]) -> list[Pairing]:

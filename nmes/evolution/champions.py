@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from math import fsum
 from pathlib import Path
 from typing import TypeVar
 
@@ -12,6 +11,7 @@ from nmes.evaluation import MatchTask
 from nmes.evaluation.contest import pairings, play_pairing
 from nmes.evolution.run import Run
 from nmes.evolution.run_index import Record
+from nmes.objective.means import mean_of_all
 
 __all__ = ["Champion", "Meeting", "evenly", "halls_of_fame", "meet", "meet_all"]
 
@@ -83,12 +83,7 @@ def meet(run: Run, first: Record, second: Record, record: Path | None = None) ->
         for place, column in enumerate(scores):
             column.append(match.results[pairing.role(place)].score)
     ticks = match.results[first.group].ticks
-    return Meeting((_mean(scores[0]), _mean(scores[1])), match.recording, ticks)
-
-
-def _mean(scores: Sequence[float | None]) -> float | None:
-    known = [score for score in scores if score is not None]
-    return fsum(known) / len(known) if len(known) == len(scores) else None
+    return Meeting((mean_of_all(scores[0]), mean_of_all(scores[1])), match.recording, ticks)
 
 
 def meet_all(

@@ -14,7 +14,6 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
-from math import fsum
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,7 +23,8 @@ from nmes.errors import CorpusError, DocumentError
 from nmes.evaluation.judge import Result
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
-from nmes.schemas.documents import JsonObject, check, compile_schema, parse_document, write_json
+from nmes.objective.means import mean_of_all
+from nmes.schemas.documents import JsonObject, check, compile_schema, complete, parse_document, write_json
 
 __all__ = [
     "Corpus",
@@ -41,6 +41,7 @@ _HEAD: Final = compile_schema("corpus.json")
 _CREATURE: Final = compile_schema("corpus_creature.json")
 _RUN: Final = compile_schema("run.json")
 _LARGEST: Final = 64 << 20  # bytes of a file
+_LINE: Final = 4 << 20  # bytes of a creature
 _UNPACKED: Final = 256 << 20  # bytes of what is in it
 _MOST: Final = 100_000  # creatures
 _LEVEL: Final = 19
@@ -130,6 +131,7 @@ class CorpusCreature:
             DocumentError: It is not as schemas/corpus_creature.json says.
         """
         check(_CREATURE, data)
+        data = complete(_CREATURE.schema, data)
         episodes = tuple(
             CorpusEpisode(Result(**{name: value for name, value in each.items() if name != "digest"}), each["digest"])
             for each in data["episodes"]
@@ -196,6 +198,8 @@ class Corpus:
                 check(_RUN, each["settings"])
             creatures = []
             for number, line in enumerate(lines[1:-1], start=2):  # noqa: B007 - where it ends is told
+                if len(line) > _LINE:
+                    raise DocumentError([("", f"it has over {_LINE >> 20} MiB")])
                 creatures.append(CorpusCreature.from_json(parse_document(line)))
         except DocumentError as error:
             raise _refused(path, f"line {number}: {error.message}") from error
@@ -244,9 +248,7 @@ class Corpus:
 
 def mean_score(episodes: Sequence[CorpusEpisode]) -> float | None:
     """Returns the mean score of episodes; None where one has none."""
-    scores = [episode.result.score for episode in episodes]
-    known = [score for score in scores if score is not None]
-    return fsum(known) / len(known) if known and len(known) == len(scores) else None
+    return mean_of_all([episode.result.score for episode in episodes])
 
 
 def settings_of(document: JsonObject, shipped_task: bool) -> JsonObject:

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import frexp, fsum
+from math import frexp
 from typing import Final
 
 from nmes.evaluation.judge import Result
 from nmes.fleet.survey import Survey
+from nmes.objective.means import mean
 from nmes.variation.draw import Draw
 
 __all__ = ["Growth", "Size", "behaviour", "survey_growth"]
@@ -121,4 +122,4 @@ def _ends(values: Sequence[float]) -> tuple[float, float, float]:
     """Returns the mean of some numbers, and between which two of them 95 of 100 lie."""
     ordered = sorted(values)
     cut = int(_TAIL * len(ordered))
-    return fsum(ordered) / len(ordered), ordered[cut], ordered[-1 - cut]
+    return mean(ordered), ordered[cut], ordered[-1 - cut]

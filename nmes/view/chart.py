@@ -21,6 +21,7 @@ __all__ = ["STYLE", "Chart", "Picture", "number", "png_source", "round_numbers",
 WIDTH = 980
 LEFT, RIGHT, TOP, BOTTOM = 72, 24, 16, 48  # round the plane of a chart, pixels
 _LINE = 15  # of text, pixels
+_FARTHEST = 1e300  # on an axis: the distance of numbers beyond may be greater than any number
 _LETTER = 0.56  # mean width of a letter, of its size
 SERIES = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b8860b", "#56b4e9", "#7a5195", "#8a8d91")
 _DARK_SERIES = ("#4aa8e0", "#ff8a4c", "#3cc79a", "#e29ac4", "#e2b84a", "#8fd0f5", "#b48ad0", "#a4a8ae")
@@ -103,6 +104,7 @@ class Chart:
         right: float = RIGHT,
         widened: bool = True,
     ) -> None:
+        across, upward = ((max(least, -_FARTHEST), min(most, _FARTHEST)) for least, most in (across, upward))
         self._steps = round_numbers(*upward)
         numbers = round_numbers(*across)
         self._across = across if across[1] > across[0] else (numbers[0], numbers[-1])

@@ -11,6 +11,7 @@ from statistics import quantiles
 
 from nmes.evolution.champions import Champion
 from nmes.evolution.history import Origin
+from nmes.objective.means import mean
 from nmes.view.chart import LEFT, SERIES, TOP, WIDTH, Chart, Picture, number, short, text
 
 __all__ = ["ancestors_map", "era_curves"]
@@ -131,15 +132,15 @@ def _story(
 ) -> str:
     """Returns how the first and the last champion fare against all that are shown, in words."""
 
-    def mean(champion: Champion) -> float | None:
+    def fares(champion: Champion) -> float | None:
         values = [scores[champion.record.index, other.record.index] for other in upward]
         known = [value for value in values if value is not None]
-        return sum(known) / len(known) if known else None
+        return mean(known) if known else None
 
     first, last = across[0], across[-1]
     return (
         f"Each field is a match, and its colour the score of {own}. Against all that are shown, the champion of era "
-        f"{first.era} has {number(mean(first))} in the mean, and that of era {last.era} {number(mean(last))}."
+        f"{first.era} has {number(fares(first))} in the mean, and that of era {last.era} {number(fares(last))}."
     )
 
 

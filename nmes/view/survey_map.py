@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from math import ceil, fsum, sqrt
+from math import ceil, sqrt
 
 import numpy as np
 
 from nmes.backend import Image as Pixels
+from nmes.objective.means import mean
 from nmes.view.chart import Picture, number, png_source, text
 
 __all__ = ["Block", "survey_map"]
@@ -103,7 +104,7 @@ def _told(block: Block, unit: str) -> str:
     scored = [score for score in block if score is not None]
     if not scored:
         return "no scores" if block else "no worlds"
-    return f"mean {number(fsum(scored) / len(scored))}{_of(unit)}"
+    return f"mean {number(mean(scored))}{_of(unit)}"
 
 
 def _of(unit: str) -> str:

@@ -1,0 +1,49 @@
+"""Scores as great as numbers get: their sum is greater than any number, and their mean is not."""
+
+from __future__ import annotations
+
+import json
+from math import fsum, inf, isfinite, nextafter
+from pathlib import Path
+from sys import float_info
+
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from command_line import run
+from nmes.objective.means import mean, mean_of_all
+from nmes.schemas.documents import write_json
+
+TASK = {
+    **{"format": "nmes-task/1", "name": "great", "description": "Have as great a score as there is."},
+    **{"duration": 0.1, "seeds": [1, 2], "objective": "1.7e308", "settle": 0, "settle_limit": 2},
+}
+
+
+@example([float_info.max] * 3)
+@example([-float_info.max] * 7)
+@given(st.lists(st.floats(allow_nan=False, allow_infinity=False), min_size=1, max_size=20))
+def test_a_mean_is_between_the_least_and_the_greatest_in_whatever_order(values: list[float]) -> None:
+    found = mean(values)
+    assert nextafter(min(values), -inf) <= found <= nextafter(max(values), inf)  # the sum is rounded before the mean
+    assert isfinite(found)
+    assert mean(values[::-1]) == mean(sorted(values)) == found
+    if all(abs(value) < 1e300 for value in values):
+        assert found == fsum(values) / len(values)
+    assert mean_of_all([*values, None]) is None and mean_of_all(values) == found
+
+
+def test_the_greatest_scores_have_a_mean_wherever_there_is_one(tmp_path: Path) -> None:
+    (file := tmp_path / "great.json").write_bytes(write_json(TASK))
+    proofs, board = tmp_path / "proofs", tmp_path / "board.sqlite"
+    told = json.loads(run("eval", "walker", "--task", file, "--record", proofs, "--json").stdout)
+    assert told[0]["score"] == 1.7e308
+    recordings = sorted(proofs.iterdir())
+    assert run("eval", "--from-recording", *recordings).exit_code == 0
+    assert run("leaderboard", "tasks", board, "--allow", file).exit_code == 0
+    assert "score 1.7e+308" in run("leaderboard", "add", board, *recordings).output
+    assert run("leaderboard", "verify", board).output == "1 of 1 entries hold\n"
+    survey = run("survey", "walker", "--task", file, "--worlds", "4", "-o", tmp_path / "survey", "--jobs", "1")
+    assert survey.exit_code == 0 and "1.7e+308" in survey.output
+    assert run("survey", "show", tmp_path / "survey", "-o", tmp_path / "map").exit_code == 0
+    assert run("survey", "growth", tmp_path / "survey").exit_code == 0
