@@ -9,7 +9,7 @@ import click
 
 from nmes.cli._columns import columns
 from nmes.cli._json import print_json
-from nmes.cli._output import whole_file
+from nmes.cli._output import check_output, whole_file
 from nmes.cli._pictures import write_picture
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.errors import visible
@@ -90,6 +90,7 @@ def _draw(run: Run, summary: RunSummary, output: Path) -> None:
 
     single = output.suffix == ".html"
     page = output if single else output / "index.html"
+    check_output(page, *run.folder.iterdir())
     with progress_bars() as progress:
         portraits = Portraits(run)
         pictures = list(draw_run(run, summary, portraits, progress))

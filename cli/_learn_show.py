@@ -9,7 +9,7 @@ import click
 
 from nmes.cli._columns import columns
 from nmes.cli._json import print_json
-from nmes.cli._output import whole_file
+from nmes.cli._output import check_output, whole_file
 from nmes.cli._pictures import write_picture
 from nmes.errors import visible
 
@@ -63,6 +63,7 @@ def _draw(run: LearningRun, output: Path) -> None:
 
     single = output.suffix == ".html"
     page = output if single else output / "index.html"
+    check_output(page, *run.folder.iterdir())
     pictures = list(curves(run))
     if not single:
         output.mkdir(parents=True, exist_ok=True)

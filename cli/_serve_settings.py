@@ -23,6 +23,7 @@ from nmes.fleet.agones import PORT, VARIABLE
 from nmes.protocol import complete_config, parse_json
 from nmes.recording import Recording
 from nmes.schemas.documents import ShippedDocuments
+from nmes.schemas.files import read_regular
 from nmes.server.catalog import DEFAULT
 from nmes.server.kept_worlds import kept_worlds
 from nmes.server.retention import Retention
@@ -34,6 +35,7 @@ MOST_WORLDS = 100_000
 MOST_WORKERS = 256
 MANY_WORLDS = 10_000  # that there may be unless told otherwise
 SHIPPED = ShippedDocuments("world config", "nmes.world", "shipped")
+_IMAGE = 64 << 20  # bytes of the image of a landscape
 KEYFRAMES = 10.0  # s of a world's time
 MADE_UP = "generated"  # the source of a password that was not given
 DIALECTS: Mapping[str, Mapping[str, Any]] = {
@@ -232,8 +234,8 @@ def _embed_image(config: dict[str, Any], path: Path) -> None:
     if isinstance(landscape, dict) and isinstance(landscape.get("image_file"), str):
         image = path.parent / landscape.pop("image_file")
         try:
-            landscape["image"] = base64.b64encode(image.read_bytes()).decode()
-        except OSError as error:
+            landscape["image"] = base64.b64encode(read_regular(image, _IMAGE)).decode()
+        except (OSError, ValueError) as error:
             raise click.UsageError(f"{path}: scene/heightfield/image_file: {error}") from error
 
 

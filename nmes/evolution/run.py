@@ -332,10 +332,8 @@ class Run:
             if self._document["budget"] != self.settings.budget:
                 self._document = {**self._document, "budget": self.settings.budget}
                 write_whole(self.folder / SETTINGS, text_of(self._document))
-            if self.records:
-                writer.resume(self.records[-1].end, self.records[-1].digest)
-            else:
-                writer.resume(0, self._log.origin)
+            end, digest = (self.records[-1].end, self.records[-1].digest) if self.records else (0, self._log.origin)
+            writer.resume(end, digest, f'{{"index":{len(self)},'.encode())
             index = self._index.write(anew=not self._indexed)
             try:
                 yield from self._advance(pool, writer, index, telling)

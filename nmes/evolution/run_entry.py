@@ -24,7 +24,7 @@ from nmes.evolution.run_log import Line
 from nmes.evolution.run_settings import RunSettings
 from nmes.genome import Genome
 from nmes.objective import Objective
-from nmes.schemas.documents import JsonObject, check, compile_schema, write_json
+from nmes.schemas.documents import JsonObject, check, compile_schema, complete, write_json
 
 __all__ = ["Entry", "told"]
 
@@ -58,6 +58,7 @@ class Entry:
         except orjson.JSONDecodeError as error:
             raise DocumentError([("", f"not strict JSON: {error}")]) from error
         check(_RECORD, content)
+        content = complete(_RECORD.schema, content)
         if content["index"] != index:
             raise DocumentError([("index", f"must be {index}, not {content['index']}")])
         if not all(parent < index for parent in content["parents"]):

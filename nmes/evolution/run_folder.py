@@ -15,8 +15,9 @@ import orjson
 from nmes.errors import DocumentError, RunError
 from nmes.evolution.run_log import write_whole
 from nmes.schemas.documents import JsonObject, parse_document
+from nmes.schemas.files import read_regular
 
-__all__ = ["SETTINGS", "begin_run", "open_run", "read_settings", "require_no_run", "text_of"]
+__all__ = ["SETTINGS", "begin_run", "open_run", "read_settings", "require_documents", "require_no_run", "text_of"]
 
 SETTINGS: Final = "run.json"
 _LARGEST: Final = 1 << 30  # bytes of a file of settings, which may hold many genomes
@@ -84,15 +85,26 @@ def _hint(run_format: str) -> str:
     return "go on with it in the version of NMES that began it" + (f", by `nmes {command}`" if command else "")
 
 
+def require_documents(settings: JsonObject) -> None:
+    """Raises DocumentError where the settings of a run that is there name a task or a genome, instead of holding it.
+
+    A name would stand for whatever it is called on the machine of whoever opens the folder.
+    """
+    places: list[tuple[str, Any]] = [(name, settings.get(name)) for name in ("task", "genome")]
+    places += [(f"starts/{number}", start) for number, start in enumerate(settings.get("starts", ()))]
+    for number, each in enumerate(settings.get("populations", ())):
+        starts = enumerate(each.get("starts", ()))
+        places += [(f"populations/{number}/starts/{which}", start) for which, start in starts]
+    problems = [(place, "must be the document itself") for place, value in places if isinstance(value, str)]
+    if problems:
+        raise DocumentError(problems)
+
+
 def read_settings(path: Path) -> Any:
     """Reads the document in a file of settings, which nobody has judged yet.
 
     Raises:
         OSError: The file cannot be read.
-        DocumentError: It is not strict JSON, or too large.
+        DocumentError: It is not strict JSON.
     """
-    with path.open("rb") as file:
-        text = file.read(_LARGEST + 1)
-    if len(text) > _LARGEST:
-        raise DocumentError([("", f"{path} has over {_LARGEST >> 30} GiB, more than settings may have")])
-    return parse_document(text)
+    return parse_document(read_regular(path, _LARGEST))

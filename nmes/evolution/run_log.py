@@ -20,6 +20,7 @@ from typing import Any, Final
 
 from nmes.errors import RunError
 from nmes.schemas.documents import write_json
+from nmes.schemas.files import open_regular
 
 __all__ = ["Line", "RunLog", "RunWriter", "write_whole"]
 
@@ -28,6 +29,7 @@ _DIGITS: Final = 32
 _TAIL: Final = len(_BEFORE) + _DIGITS + len(_AFTER)
 _LONGEST: Final = 160 << 20  # bytes of a line: a genome's file may have half of that
 _SYNC: Final = 1.0  # s; what a machine that fails may lose, and a kill never does
+_WRITING: Final = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
 _FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 
 
@@ -72,7 +74,7 @@ class RunLog:
         """
         digest = self.origin if digest is None else digest
         try:
-            with self.path.open("rb") as file:
+            with open_regular(self.path) as file:
                 file.seek(begin)
                 while (text := file.readline(_LONGEST)).endswith(b"\n"):
                     number += 1
@@ -90,7 +92,7 @@ class RunLog:
 
     def content(self, begin: int, end: int) -> bytes:
         """Returns the record of the line between two places."""
-        with self.path.open("rb") as file:
+        with open_regular(self.path) as file:
             file.seek(begin)
             return _content(file.read(end - begin))
 
@@ -112,8 +114,11 @@ class RunWriter:
     def __init__(self, log: RunLog) -> None:
         self._log = log
         try:
-            self._file = os.open(log.path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
+            self._file = os.open(log.path, _WRITING, 0o666)
         except OSError as error:
+            if error.errno == errno.ELOOP:  # a stranger's folder may name any file of whoever goes on with it
+                what = "it is a link, not a file of the run"
+                raise RunError("cannot_write", f"cannot write {log.path}: {what}") from error
             raise _unwritten(log.path, error) from error
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -123,10 +128,25 @@ class RunWriter:
         self.end, self.digest = 0, log.origin
         self._synced = time.monotonic()
 
-    def resume(self, end: int, digest: str) -> None:
-        """Goes on where the last whole line ends, which has this digest; what was torn behind it is cut off."""
-        self.end, self.digest = end, digest
-        self._cut()
+    def resume(self, end: int, digest: str, head: bytes) -> None:
+        """Goes on behind the last whole line; a torn one behind it, which a kill left there, is cut off.
+
+        Args:
+            end: Where that line ends, bytes.
+            digest: Of all lines up to it.
+            head: What the next line begins with, by which a torn one is known.
+
+        Raises:
+            RunError: What is behind it is no torn line (`log_damaged`), or it cannot be cut off (`cannot_write`).
+        """
+        try:
+            if not os.pread(self._file, len(head), end).startswith(head[: os.fstat(self._file).st_size - end]):
+                what = f"what is behind byte {end:,} is no line of a run; restore the file, or begin a new run"
+                raise RunError("log_damaged", f"{self._log.path}: {what}")
+            self.end, self.digest = end, digest
+            self._cut()
+        except OSError as error:
+            raise _unwritten(self._log.path, error) from error
 
     def append(self, records: Sequence[Mapping[str, Any]]) -> list[Line]:
         """Appends records, and returns their lines; about once a second all is synced to the disk.

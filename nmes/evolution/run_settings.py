@@ -24,6 +24,7 @@ from nmes.evolution.algorithm import Algorithm, Measure, Problem
 from nmes.evolution.algorithms import algorithm_options, load_algorithm
 from nmes.evolution.coevolution import Coevolution, coevolution_options, default_roles, role_problems
 from nmes.evolution.quantities import read_expressions
+from nmes.evolution.run_folder import require_documents
 from nmes.genome import Genome
 from nmes.objective import Objective
 from nmes.schemas.documents import (
@@ -93,7 +94,7 @@ class RunSettings:
             DocumentError: It is not such a document, or what it says cannot be run, with all that is wrong.
             MissingPackage: The algorithm needs a package that is not installed.
         """
-        found = cls.reopen(document)
+        found = cls._of(document)
         known = coevolution_options if found.populations else algorithm_options
         settings = replace(found, options={**known(found.algorithm), **found.options})
         if problems := list(settings._refusals()):
@@ -113,6 +114,14 @@ class RunSettings:
         Raises:
             DocumentError: It is no such document.
         """
+        given = plain(document)
+        check(_RUN, given)
+        require_documents(given)
+        return cls._of(given)
+
+    @classmethod
+    def _of(cls, document: Mapping[str, Any]) -> RunSettings:
+        """Reads a document whose task and genomes may be names or files."""
         given = plain(document)
         check(_RUN, given)
         full = complete(_RUN.schema, given)

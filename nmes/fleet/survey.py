@@ -31,7 +31,7 @@ from nmes.evolution.run_folder import begin_run, open_run
 from nmes.evolution.run_log import Line, RunLog, RunWriter
 from nmes.fleet.atlas import GRAVITIES, HEIGHTS, atlas
 from nmes.genome import Genome
-from nmes.schemas.documents import JsonObject, canonical_hash, check, compile_schema, write_json
+from nmes.schemas.documents import JsonObject, canonical_hash, check, compile_schema, complete, write_json
 from nmes.variation.draw import Draw
 from nmes.variation.random_genomes import random_genome
 
@@ -166,6 +166,7 @@ class SurveyedWorld:
         except orjson.JSONDecodeError as error:
             raise DocumentError([("", f"not strict JSON: {error}")]) from error
         check(_RECORD, record)
+        record = complete(_RECORD.schema, record)
         result = None if record["result"] is None else Result(**record["result"])
         return cls(record["world"], record["genome_hash"], result, record["error"], line.end, line.digest)
 
@@ -188,6 +189,7 @@ class Survey:
     def __init__(self, folder: Path, document: JsonObject) -> None:
         """Reads what is there; `document` is what the folder's `run.json` holds."""
         check(_SURVEY, document)
+        document = complete(_SURVEY.schema, document)
         self.folder = folder
         self.settings = SurveySettings({name: value for name, value in document.items() if name != "fingerprint"})
         self.fingerprint: dict[str, str] = document["fingerprint"]
@@ -282,7 +284,8 @@ class Survey:
         try:
             self._read()  # another process may have gone on since
             last = self.worlds[-1] if self.worlds else None
-            writer.resume(0 if last is None else last.end, self._log.origin if last is None else last.digest)
+            end, digest = (0, self._log.origin) if last is None else (last.end, last.digest)
+            writer.resume(end, digest, f'{{"world":{len(self)},'.encode())
             while not self.finished:
                 begin = len(self)
                 numbers = range(begin, min(begin + _CHUNK, self.settings.worlds))

@@ -6,6 +6,7 @@ starts a command answers with its command line.
 
 from __future__ import annotations
 
+import re
 import shlex
 from collections.abc import Awaitable, Callable
 from importlib.metadata import version
@@ -82,8 +83,8 @@ ROUTES: Final = {
     ("POST", "/api/leaderboards/{name}/film"): "film",
     ("GET", "/api/films/{name}/file"): "film_file",
     ("GET", "/api/jobs"): "jobs",
-    ("GET", "/api/jobs/{id:int}"): "job",
-    ("POST", "/api/jobs/{id:int}/stop"): "stop_job",
+    ("GET", "/api/jobs/{id}"): "job",
+    ("POST", "/api/jobs/{id}/stop"): "stop_job",
 }
 """What answers which question: a method of one of the classes below."""
 
@@ -133,6 +134,12 @@ async def _body(request: Request) -> bytes:
         if len(data) > _BODY:
             raise LabError("request_too_large", f"a request has at most {_BODY:,} bytes")
     return bytes(data)
+
+
+def _number(request: Request) -> int:
+    """Returns the number of a job in a path; -1, which none has, where there is no number."""
+    text = request.path_params["id"]
+    return int(text) if re.fullmatch(r"[0-9]{1,12}", text) else -1
 
 
 async def _object(request: Request) -> JsonObject:
@@ -234,10 +241,10 @@ class _Documents(_Answers):
         return {"items": [{**job.to_json(), "result": None} for job in self._lab.jobs.all()[:100]], "next": None}
 
     async def job(self, request: Request) -> JsonObject:
-        return self._lab.jobs.get(request.path_params["id"]).to_json()
+        return self._lab.jobs.get(_number(request)).to_json()
 
     async def stop_job(self, request: Request) -> JsonObject:
-        job = self._lab.jobs.get(request.path_params["id"])
+        job = self._lab.jobs.get(_number(request))
         job.interrupt()
         return job.to_json()
 

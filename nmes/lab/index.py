@@ -23,6 +23,7 @@ from nmes.evolution.run_folder import SETTINGS, read_settings
 from nmes.lab.folder import Folder, Kind
 from nmes.recording import Recording
 from nmes.schemas.documents import JsonObject
+from nmes.schemas.files import open_regular
 
 __all__ = ["PAGE", "Index"]
 
@@ -32,6 +33,8 @@ _AGAIN: Final = 2.0  # s after which a folder is looked through again where that
 _LONG: Final = 0.02  # s that looking through a folder may take before a list waits for it no more
 _STEP: Final = 0.05  # s of reading before others have their turn
 _LARGEST: Final = 64 << 20  # bytes of a file that is read for a list
+_LONGEST: Final = 200  # characters of what is shown of settings
+_GREATEST: Final = 2**53  # whole number of these
 _TABLE: Final = (
     "CREATE TABLE IF NOT EXISTS things (kind TEXT NOT NULL, name TEXT NOT NULL, time REAL NOT NULL, "
     "size INTEGER NOT NULL, details TEXT, PRIMARY KEY (kind, name)) STRICT, WITHOUT ROWID",
@@ -203,15 +206,22 @@ def _run(folder: Folder, name: str) -> JsonObject:
         task = settings.get("task")
         told = {
             "kind": "learn" if str(settings.get("format")).startswith("nmes-learning") else "evolve",
-            "task": task.get("name") if isinstance(task, dict) else None,
-            **{field: settings.get(field) for field in ("algorithm", "seed", "budget", "steps")},
+            "task": _shown(task.get("name") if isinstance(task, dict) else None),
+            **{field: _shown(settings.get(field)) for field in ("algorithm", "seed", "budget", "steps")},
         }
-        log = path / "log.jsonl"
-        if log.is_file() and log.stat().st_size <= _LARGEST:
-            told["told"] = log.read_bytes().count(b"\n")
+        with suppress(FileNotFoundError), open_regular(path / "log.jsonl") as log:
+            if os.fstat(log.fileno()).st_size <= _LARGEST:
+                told["told"] = log.read().count(b"\n")
     except (NmesError, OSError) as error:
         return {"error": str(error)}
     return told
 
 
 _DETAILS: Final[dict[str, Callable[[Folder, str], JsonObject]]] = {"recordings": _recording, "runs": _run}
+
+
+def _shown(value: Any) -> str | int | None:
+    """Returns a value of settings that nobody has judged yet, where a list can show it."""
+    if isinstance(value, str):
+        return value[:_LONGEST]
+    return value if isinstance(value, int) and abs(value) <= _GREATEST else None

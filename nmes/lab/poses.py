@@ -27,6 +27,7 @@ logger = logging.getLogger(__name__)
 INTERVAL: Final = 1 / 60  # s between two looks
 SCENES: Final = 0.1  # s between two scenes of a world whose cubes come and go
 ACCOUNTS: Final = 0.1  # s between two accounts of contacts, of motors, and of pushes
+_PART: Final = 0.1  # of the time that scenes or accounts of a large world may take
 PAUSE: Final = 10.0  # s after which a world that could not be looked at is looked at again
 MOST: Final = 64  # that may watch at once
 UNKNOWN_WORLD, TOO_MANY = 4404, 4429  # codes with which a WebSocket is closed
@@ -129,6 +130,11 @@ class Watchers:
                 del self._watched[name]
 
 
+def _next(began: float, interval: float) -> float:
+    """Returns when something is due again, so that of a large world it takes no more than a part of the time."""
+    return began + max(interval, (monotonic() - began) / _PART)
+
+
 class _Watched:
     """A world that is watched."""
 
@@ -140,7 +146,7 @@ class _Watched:
         self._version = -1  # of the structure that it tells
         self._scene: str | None = None
         self._frame = b""
-        self._due = self._described = self._told = 0.0  # when
+        self._due = self._described = self._told = 0.0  # when there is more to look at, or to tell
         self._task: asyncio.Task[None] | None = None
 
     def add(self, reader: Reader) -> None:
@@ -199,11 +205,12 @@ class _Watched:
 
     def _tell(self, world: World, now: float) -> None:
         if world.structure_version != self._version:
-            if now < self._described + SCENES:
+            if now < self._described:
                 return
-            self._version, self._described = world.structure_version, now
+            self._version = world.structure_version
             self._number += 1
             self._scene, self._frame = scene_text(world, self._number), b""
+            self._described = _next(now, SCENES)
             for reader in self.readers:
                 reader.tell("scene", self._scene)
         frame = frame_bytes(world, self._number, world.frame)
@@ -211,9 +218,9 @@ class _Watched:
             self._frame = frame
             for reader in self.readers:
                 reader.show(frame)
-        if now >= self._told + ACCOUNTS and world.fault is None:
-            self._told = now
+        if now >= self._told and world.fault is None:
             self._tell_more(world)
+            self._told = _next(now, ACCOUNTS)
 
     def _tell_more(self, world: World) -> None:
         """Tells forces and minds to those who asked for them."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -33,6 +34,7 @@ __all__ = [
 ]
 
 _LEARNING: Final = "nmes-learning/1"
+_INDEX: Final = re.compile(r"[0-9]{1,12}")
 _LINEAGE: Final = 500  # ancestors that are told
 _BUDGET: Final = 1_000_000_000  # candidates
 _OF_TABLES: Final = {"episodes": (1, 100_000), "seed": (0, 1_000_000_000), "delay": (0, 12)}
@@ -281,7 +283,7 @@ def candidate_index(folder: Folder, name: str, number: str) -> int:
         return 0
     run = Run.open(path)
     best = run.best
-    index = best.index if number == "best" and best is not None else int(number) if number.isdecimal() else -1
+    index = best.index if number == "best" and best is not None else int(number) if _INDEX.fullmatch(number) else -1
     if not 0 <= index < len(run):
         raise LabError("not_found", f"the run has no candidate {number}", "candidate")
     return index

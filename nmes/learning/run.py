@@ -33,12 +33,14 @@ from nmes.genome import Genome
 from nmes.learning.legs import Learning
 from nmes.learning.settings import FORMAT, LearningSettings
 from nmes.learning.state import State, read_state, state_digest, write_state
-from nmes.schemas.documents import JsonObject, canonical_hash, check, compile_schema
+from nmes.schemas.documents import JsonObject, canonical_hash, check, compile_schema, complete
+from nmes.schemas.files import read_regular
 
 __all__ = ["LearningRun", "Leg"]
 
 _RECORD: Final = compile_schema("learning_record.json")
 _KEPT: Final = 16  # states beside the last: from each of them the run can be proved
+_LARGEST: Final = 1 << 30  # bytes of a state, or of the best creature
 _STATE: Final = re.compile(r"(\d{1,12})\.state")
 
 
@@ -76,6 +78,7 @@ class Leg:
         except orjson.JSONDecodeError as error:
             raise DocumentError([("", f"not strict JSON: {error}")]) from error
         check(_RECORD, content)
+        content = complete(_RECORD.schema, content)
         leg, steps, returned, score = (content[name] for name in ("leg", "steps", "return", "score"))
         return cls(leg, steps, returned, score, content, line.end, line.digest)
 
@@ -153,7 +156,7 @@ class LearningRun:
             return None
         path = self.folder / "genome.json"
         try:
-            genome = Genome.parse(path.read_bytes())
+            genome = Genome.parse(read_regular(path, _LARGEST))
         except (OSError, DocumentError) as error:
             raise RunError("log_damaged", f"{path} is missing or damaged: resume the run, which writes it") from error
         if genome.hash != best.content["genome_hash"]:
@@ -186,7 +189,7 @@ class LearningRun:
     def state(self, leg: int) -> State | None:
         """Returns the state after a leg that the log has; None where it is not kept, or is not that of the log."""
         try:
-            state = read_state(self._state_path(leg).read_bytes())
+            state = read_state(read_regular(self._state_path(leg), _LARGEST))
         except (OSError, ValueError):
             return None  # what it was can be computed again
         return state if state_digest(state) == self.legs[leg - 1].content["state"] else None
@@ -248,7 +251,8 @@ class LearningRun:
         try:
             self._read()  # another process may have gone on since
             last = self.legs[-1] if self.legs else None
-            writer.resume(0 if last is None else last.end, self._log.origin if last is None else last.digest)
+            end, digest = (0, self._log.origin) if last is None else (last.end, last.digest)
+            writer.resume(end, digest, f'{{"leg":{len(self.legs) + 1},'.encode())
             learning = Learning(self.settings, threads)
             try:
                 yield from self._advance(learning, writer)

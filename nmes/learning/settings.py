@@ -19,6 +19,7 @@ from nmes.errors import DocumentError, NmesError
 from nmes.evaluation import Task
 from nmes.evaluation.progress import read_reward
 from nmes.evolution.algorithms.bounds import read_options
+from nmes.evolution.run_folder import require_documents
 from nmes.genome import Genome
 from nmes.learning.episodes import read_episodes
 from nmes.learning.learners.cloning import Cloning
@@ -111,7 +112,7 @@ class LearningSettings:
         Raises:
             DocumentError: It is not such a document, or what it says cannot be run, with all that is wrong.
         """
-        settings = cls.reopen(document)
+        settings = cls._of(document)
         if problems := list(settings._problems()):
             raise DocumentError(problems)
         return replace(settings, options=asdict(settings.algorithm_options()))
@@ -123,6 +124,14 @@ class LearningSettings:
         Raises:
             DocumentError: It is no such document.
         """
+        given = plain(document)
+        check(_LEARNING, given)
+        require_documents(given)
+        return cls._of(given)
+
+    @classmethod
+    def _of(cls, document: Mapping[str, Any]) -> LearningSettings:
+        """Reads a document whose task and genomes may be names or files."""
         given = plain(document)
         check(_LEARNING, given)
         full = complete(_LEARNING.schema, given)

@@ -14,6 +14,7 @@ from pathlib import Path
 
 from nmes.errors import NmesError
 from nmes.recording import Recording
+from nmes.schemas.files import read_regular
 
 __all__ = ["CLOSED", "about_maker", "kept_worlds", "maker_of", "new_recording_path", "note_closed"]
 
@@ -23,6 +24,7 @@ CLOSED = "closed-worlds.txt"
 """The file that lists the last recordings of worlds that were closed for good, a name a line."""
 _MAKER = "nmes.maker"  # the metadata of a recording that say who created its world
 _NAME = re.compile(r"(.+)-[0-9]{8}T[0-9]{6}\.[0-9]{6}Z\.mcap", re.DOTALL)
+_LISTED = 64 << 20  # bytes of the names of closed worlds
 _LONGEST = 200  # bytes of a world's name, of the 255 that the name of a file may have
 
 
@@ -48,8 +50,7 @@ def kept_worlds(folder: Path) -> dict[str, Recording]:
     for path in sorted(folder.iterdir(), reverse=True):  # the newest of a world comes first
         if match := _NAME.fullmatch(path.name):
             by_stem[match[1]].append(path)
-    listed = folder / CLOSED
-    closed = set(listed.read_text().split("\n")) if listed.exists() else set()
+    closed = set(_lines(folder / CLOSED))
     found: dict[str, Recording] = {}
     ended: set[str] = set()
     for stem, paths in by_stem.items():
@@ -68,6 +69,18 @@ def kept_worlds(folder: Path) -> dict[str, Recording]:
             if alone:
                 break
     return dict(sorted(found.items()))
+
+
+def _lines(path: Path) -> list[str]:
+    """Returns the lines of a file of names; none where there is no file.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    try:
+        return read_regular(path, _LISTED).decode(errors="replace").split("\n")
+    except FileNotFoundError:
+        return []
 
 
 def about_maker(maker: str | None) -> dict[str, dict[str, str]]:

@@ -1,0 +1,44 @@
+"""Files in folders that strangers may have made, where a name may stand for a pipe that never ends or a device.
+
+A file that somebody names on a command line may be a pipe; one that a folder names may not.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+from typing import BinaryIO
+
+__all__ = ["open_regular", "read_regular"]
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Opens a file for reading, without waiting for anybody.
+
+    Raises:
+        OSError: It cannot be read, or is no regular file.
+    """
+    file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
+    if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+        file.close()
+        raise OSError(errno.EINVAL, "it is no regular file", str(path))
+    return file
+
+
+def read_regular(path: Path, most: int) -> bytes:
+    """Returns what is in a file.
+
+    Args:
+        path: The file.
+        most: How many bytes it may have.
+
+    Raises:
+        OSError: It cannot be read, is no regular file, or is larger.
+    """
+    with open_regular(path) as file:
+        text = file.read(most + 1)
+    if len(text) > most:
+        raise OSError(errno.EFBIG, f"it has over {most:,} bytes", str(path))
+    return text
