@@ -100,6 +100,8 @@ class _Group(click.Group):
         except NmesError as error:
             failure = _NotComparable if error.code == "not_comparable" else click.ClickException
             raise failure(visible(error.message, keep="\n")) from error
+        except TimeoutError as error:  # of a server that does not answer
+            raise click.ClickException(visible(str(error))) from error
         except OSError as error:
             if error.errno in _FULL:
                 with suppress(OSError):

@@ -11,7 +11,9 @@ def split_address(context: click.Context, parameter: click.Parameter, value: str
     """Returns host and port of HOST:PORT; None for None."""
     if value is None:
         return None
-    host, _, port = value.rpartition(":")
-    if not host or not port.isdecimal() or not 0 < int(port) <= 65535:
-        raise click.BadParameter("expected HOST:PORT, such as 127.0.0.1:14000", context, parameter)
-    return host.removeprefix("[").removesuffix("]"), int(port)
+    from nmes.client.address import read_address
+
+    try:
+        return read_address(value)
+    except ValueError as error:
+        raise click.BadParameter(f"expected HOST:PORT, such as 127.0.0.1:14000: {error}", context, parameter) from error

@@ -17,7 +17,10 @@ _OTHERS = re.compile(r"[^\n -~]+")
 
 def print_json(value: Any) -> None:
     """Prints plain data as JSON, indented; characters that do not print are escaped."""
-    text = orjson.dumps(value, option=orjson.OPT_INDENT_2).decode()
+    try:
+        text = orjson.dumps(value, option=orjson.OPT_INDENT_2).decode()
+    except TypeError:  # an integer of more than 64 bits, as a stranger's server may have one
+        text = json.dumps(value, ensure_ascii=False, allow_nan=False, indent=2)
     click.echo(_OTHERS.sub(lambda run: _escaped(run[0]), text))
 
 

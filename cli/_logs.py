@@ -9,6 +9,8 @@ import json
 import logging
 from datetime import UTC, datetime
 
+from nmes.errors import visible
+
 __all__ = ["Seldom", "set_up"]
 
 AT_ONCE = 20  # lines of a kind
@@ -26,6 +28,13 @@ class _Json(logging.Formatter):
         if record.exc_info:
             entry["exception"] = self.formatException(record.exc_info)
         return json.dumps(entry, ensure_ascii=False)
+
+
+class _Text(logging.Formatter):
+    def formatMessage(self, record: logging.LogRecord) -> str:
+        """Returns the line, in which names of strangers cannot begin another one or command the terminal."""
+        record.message = visible(record.message)
+        return super().formatMessage(record)
 
 
 class Seldom(logging.Filter):
@@ -53,8 +62,6 @@ class Seldom(logging.Filter):
 def set_up(style: str) -> None:
     """Writes the log of this process to standard error, as `text` or `json`."""
     handler = logging.StreamHandler()
-    handler.setFormatter(
-        _Json() if style == "json" else logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s")
-    )
+    handler.setFormatter(_Json() if style == "json" else _Text("%(asctime)s %(levelname)s %(name)s: %(message)s"))
     handler.addFilter(Seldom())
     logging.basicConfig(handlers=[handler], level=logging.INFO)

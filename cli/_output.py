@@ -11,6 +11,8 @@ from pathlib import Path
 
 import click
 
+from nmes.errors import NmesError
+
 __all__ = ["check_output", "whole_file", "whole_folder"]
 
 
@@ -55,6 +57,8 @@ def whole_file(output: Path, *inputs: str | os.PathLike[str]) -> Iterator[Path]:
                 shutil.copymode(target, unfinished)
             unfinished.replace(target)
     except OSError as error:
+        if isinstance(error, NmesError | TimeoutError):  # of a server that the content comes from
+            raise
         raise click.ClickException(f"cannot write {output}: {error.strerror or error}") from error
     finally:
         if unfinished != target:

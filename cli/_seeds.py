@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import click
 
 __all__ = ["read_seeds"]
+
+_MOST: Final = 100_000
 
 
 def read_seeds(_: click.Context, parameter: click.Parameter, value: str | None) -> tuple[int, ...] | None:
@@ -15,7 +19,10 @@ def read_seeds(_: click.Context, parameter: click.Parameter, value: str | None) 
     try:
         for part in value.split(","):
             first, _dash, last = part.strip().partition("-")
-            seeds += range(int(first), int(last or first) + 1)
+            begin, end = int(first), int(last or first) + 1
+            if end - begin > _MOST - len(seeds):
+                raise click.BadParameter(f"these are over {_MOST:,} seeds", param=parameter)
+            seeds += range(begin, end)
     except ValueError:
         raise click.BadParameter(
             f"{value!r} is no list of seeds; expected such as 1,2,3 or 0-9", param=parameter

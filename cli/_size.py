@@ -14,7 +14,7 @@ _PIXELS = 4096
 
 
 def _size(_: click.Context, parameter: click.Parameter, value: str) -> tuple[int, int]:
-    match = re.fullmatch(r"(\d+)x(\d+)", value)
+    match = re.fullmatch(r"(\d{1,4})x(\d{1,4})", value)
     if match is None or not all(16 <= int(number) <= _PIXELS for number in match.groups()):
         raise click.BadParameter(f"expected WIDTHxHEIGHT, each from 16 to {_PIXELS}: 640x480", param=parameter)
     return int(match[1]), int(match[2])

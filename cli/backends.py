@@ -5,11 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import click
-import orjson
 from rich.console import Console
 from rich.table import Table
 
 from nmes.backend import entry_points_by_name, load_backend
+from nmes.cli._json import print_json
 from nmes.errors import BackendNotFound
 
 __all__ = ["command"]
@@ -30,7 +30,7 @@ def command(as_json: bool) -> None:
     """
     about = [_about(name) for name in entry_points_by_name()]
     if as_json:
-        click.echo(orjson.dumps(about, option=orjson.OPT_INDENT_2))
+        print_json(about)
         return
     table = Table("backend", "version", "dims", "capabilities", "package", box=None, pad_edge=False)
     for row in about:

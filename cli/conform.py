@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import click
-import orjson
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from nmes.cli._address import split_address
+from nmes.cli._json import print_json
 from nmes.cli._output import whole_file
 from nmes.cli._password import PASSWORD_VARIABLE, choose_password, password_options
 from nmes.conformance import (
@@ -145,7 +145,7 @@ def command(
     if junit is not None:
         _write(junit, to_junit(report))
     if as_json:
-        click.echo(orjson.dumps(to_json(report), option=orjson.OPT_INDENT_2))
+        print_json(to_json(report))
     else:
         _print(report, scripts)
     sys.exit(report.exit_status)
@@ -177,7 +177,7 @@ def _list(cases: Any, as_json: bool) -> None:
             }
             for case in cases
         ]
-        click.echo(orjson.dumps(rows, option=orjson.OPT_INDENT_2))
+        print_json(rows)
         return
     for case in cases:
         click.echo(f"{case.number:<28} {case.level:<6} {case.clause:<20} {case.title}")

@@ -7,11 +7,13 @@ from pathlib import Path
 from typing import Any
 
 import click
-import orjson
 
 from nmes.cli._connection import async_connector, connection_options
+from nmes.cli._json import print_json
+from nmes.client.address import read_address
 from nmes.errors import visible
 from nmes.fleet.status import HostStatus, ask_hosts
+from nmes.schemas.documents import excerpt
 
 __all__ = ["command"]
 
@@ -68,7 +70,7 @@ def status(hosts: tuple[str, ...], file: Path | None, timeout: float, as_json: b
     connect = async_connector(timeout=timeout, **connection)
     found = asyncio.run(ask_hosts([connect(address) for address in addresses], timeout))
     if as_json:
-        click.echo(orjson.dumps([each._asdict() for each in found], option=orjson.OPT_INDENT_2))
+        print_json([each._asdict() for each in found])
     else:
         _print(found)
     if any(each.error is not None for each in found):
@@ -86,13 +88,11 @@ def _read(file: Path) -> list[tuple[str, int]]:
 
 def _address(text: str, where: str) -> tuple[str, int]:
     """Returns host and port of HOST or HOST:PORT, where HOST may be an IPv6 address in brackets."""
-    host, colon, port = (text, "", "") if text.endswith("]") or ":" not in text else text.rpartition(":")
-    bare = host.removeprefix("[").removesuffix("]")
-    if not bare or (":" in bare and host == bare) or any(character.isspace() for character in bare):
-        raise click.UsageError(f"{where}expected HOST or HOST:PORT, such as 10.0.0.5 or [::1]:14000, got {text!r}")
-    if colon and not (port.isdecimal() and 0 < int(port) <= 65535):
-        raise click.UsageError(f"{where}a port is from 1 to 65535, got {text!r}")
-    return bare, int(port) if colon else PORT
+    try:
+        return read_address(text, PORT)
+    except ValueError as error:
+        what = f"expected HOST or HOST:PORT, such as 10.0.0.5 or [::1]:14000, got {excerpt(text)}: {error}"
+        raise click.UsageError(f"{where}{what}") from error
 
 
 def _print(found: list[HostStatus]) -> None:

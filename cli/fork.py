@@ -5,8 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import click
-import orjson
 
+from nmes.cli._json import print_json
 from nmes.cli._options import MOMENT, Moment
 from nmes.cli.info import open_recording
 from nmes.errors import RecordingError
@@ -46,7 +46,7 @@ def command(recording: Recording, moment: Moment | None, output: Path, as_json: 
     finally:
         world.close()
     if as_json:
-        click.echo(orjson.dumps(done, option=orjson.OPT_INDENT_2))
+        print_json(done)
     else:
         click.echo(f"frame {done['frame']:,} of {recording.path}, {done['cubes']:,} cubes: {output}")
 

@@ -71,7 +71,7 @@ def command(
             address = split_address(context, argument, what[0])
             assert address is not None
             client = connector(address, world=world, **connection)()
-            with client, show(f"{client.welcome['world']} at {what[0]}") as display:
+            with client, show(f"{client.welcome.get('world', 'a world')} at {what[0]}") as display:
                 _announce(display, save)
                 try:
                     show_live(client, display.stream, fps)

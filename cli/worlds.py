@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import click
-import orjson
 
 from nmes.cli._address import split_address
 from nmes.cli._connection import connection_options, connector
+from nmes.cli._json import print_json
 from nmes.client import Client
 from nmes.errors import CommandFailed, RejectedMessage
 from nmes.protocol import validate_reply
@@ -87,7 +87,7 @@ def command(
 
 def _print(worlds: list[Any], as_json: bool) -> None:
     if as_json:
-        click.echo(orjson.dumps(worlds, option=orjson.OPT_INDENT_2))
+        print_json(worlds)
         return
     rows = [("WORLD", "PORT", "ENGINE", "MODE", "FRAME", "CLIENTS")]
     rows += [_row(world) for world in worlds]

@@ -12,7 +12,7 @@ from types import TracebackType
 from typing import Any, Self, cast
 
 from nmes.client.commands import AsyncCommands, Pipeline
-from nmes.client.conversation import READ, ClientBase, Conversation, world_list
+from nmes.client.conversation import READ, ClientBase, Conversation, created, world_list
 from nmes.client.declaration import Pending
 from nmes.client.replies import Event, WorldSummary
 from nmes.errors import Disconnected
@@ -86,7 +86,7 @@ class AsyncClient(ClientBase, AsyncCommands):
         """
         asked = {"world": name, "template": template, "seed": seed}
         worlds = await self._ask_host("create", {key: value for key, value in asked.items() if value is not None})
-        return worlds[0]
+        return created(worlds, name)
 
     async def close_world(self, name: str) -> list[WorldSummary]:
         """Closes a world of the server for good, over another connection; returns the worlds that are left.
@@ -135,7 +135,7 @@ class AsyncClient(ClientBase, AsyncCommands):
                 )
         except TimeoutError as error:
             raise self._late() from error
-        except OSError as error:
+        except (OSError, UnicodeError) as error:  # a name that cannot be looked up is the latter
             raise self._unreachable(error) from error
         self._conversation = conversation
         data, answer = conversation.authenticate(self._password, **options)

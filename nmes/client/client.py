@@ -16,7 +16,7 @@ from types import TracebackType
 from typing import Any, Self
 
 from nmes.client.commands import BlockingCommands, Pipeline
-from nmes.client.conversation import READ, ClientBase, world_list
+from nmes.client.conversation import READ, ClientBase, created, world_list
 from nmes.client.declaration import Pending
 from nmes.client.replies import Event, WorldSummary
 from nmes.errors import Disconnected
@@ -98,7 +98,7 @@ class Client(ClientBase, BlockingCommands):
         """
         asked = {"world": name, "template": template, "seed": seed}
         worlds = self._ask_host("create", {key: value for key, value in asked.items() if value is not None})
-        return worlds[0]
+        return created(worlds, name)
 
     def close_world(self, name: str) -> list[WorldSummary]:
         """Closes a world of the server for good, over another connection; returns the worlds that are left.
@@ -141,7 +141,7 @@ class Client(ClientBase, BlockingCommands):
         try:
             connection = socket.create_connection((self.host, self.port), self.timeout)
             self._socket = self._tls.wrap_socket(connection, server_hostname=self.host) if self._tls else connection
-        except OSError as error:
+        except (OSError, UnicodeError) as error:  # a name that cannot be looked up is the latter
             raise self._unreachable(error) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setblocking(False)

@@ -12,7 +12,8 @@ from __future__ import annotations
 import os
 import ssl
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from typing import Any, cast
 
 import orjson
@@ -23,7 +24,7 @@ from nmes.errors import CommandFailed, Disconnected, RejectedMessage
 from nmes.protocol import DELIMITER, PASSWORD_VARIABLE, FrameSplitter, encode
 from nmes.schemas.documents import unwritable_number
 
-__all__ = ["EVENT_BACKLOG", "READ", "ClientBase", "Conversation", "world_list"]
+__all__ = ["EVENT_BACKLOG", "READ", "ClientBase", "Conversation", "created", "understood", "world_list"]
 
 # Bytes. A world of 10,000 cubes is a reply of some megabytes; a server is trusted more than its clients are.
 REPLY_LIMIT = 256 << 20
@@ -207,7 +208,7 @@ class ClientBase:
         while self.on_event is not None and self._queue:
             self.on_event(self._queue.popleft())
 
-    def _unreachable(self, error: OSError) -> Disconnected:
+    def _unreachable(self, error: Exception) -> Disconnected:
         plain = isinstance(error, ssl.SSLError) and error.reason in ("WRONG_VERSION_NUMBER", "RECORD_LAYER_FAILURE")
         hint = "; it may speak no TLS" if plain else ""
         return Disconnected("unreachable", f"cannot connect to {self.host}:{self.port}: {error}{hint}")
@@ -253,3 +254,25 @@ def world_list(answer: Any, verb: str) -> tuple[list[WorldSummary], int | None]:
     if answer["type"] != "world_list" or "worlds" not in answer:
         raise CommandFailed("unsupported", f"this server does not {verb} its worlds")
     return cast(list[WorldSummary], answer["worlds"]), answer.get("next")
+
+
+def created(worlds: list[WorldSummary], name: str) -> WorldSummary:
+    """Returns the world of a name of a server's answer to an `auth` that asks it to create that.
+
+    Raises:
+        CommandFailed: `unsupported`: it is not there.
+    """
+    for world in worlds:
+        if world["world"] == name:
+            return world
+    raise CommandFailed("unsupported", f"this server did not create {name!r}: its answer does not tell of it")
+
+
+@contextmanager
+def understood() -> Iterator[None]:
+    """Raises Disconnected (`bad_reply`) where what a server answers is not what the protocol says."""
+    try:
+        yield
+    except (LookupError, TypeError, ValueError) as error:
+        what = f"{type(error).__name__}: {error}"
+        raise Disconnected("bad_reply", f"the server sent what is no answer: {what}") from error

@@ -16,8 +16,8 @@ from __future__ import annotations
 
 import os
 import ssl
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 import numpy as np
@@ -26,6 +26,8 @@ from nmes import protocol
 from nmes.backend import Array
 from nmes.backend.arrays import ArrayLike
 from nmes.client import Client
+from nmes.client.address import read_address
+from nmes.client.conversation import understood
 from nmes.errors import CommandFailed, Disconnected, WorldError
 from nmes.evaluation.environments import AUTORESET, Autoreset
 from nmes.evaluation.judge import Result
@@ -80,7 +82,7 @@ class RemoteWorld:
         if self._mode is not None:
             return
         self._client.connect()
-        with _understood():
+        with understood():
             info = self._client.get_world_info()
             require_world(info, self._task)
             self._client.set_mode("lockstep")
@@ -102,7 +104,7 @@ class RemoteWorld:
             CommandFailed: It refuses the creature, or another command.
             WorldError: The creature does not come to rest; or `unsupported`.
         """
-        with _understood():
+        with understood():
             return self._begin(seed)
 
     def _begin(self, seed: int) -> Moment:
@@ -153,7 +155,7 @@ class RemoteWorld:
             CommandFailed: It refuses a command.
             WorldError: `disturbed`: somebody else steps or resets the world.
         """
-        with _understood():
+        with understood():
             return self._take(call)
 
     def _take(self, call: Pending[Any]) -> Moment | str:
@@ -170,16 +172,6 @@ class RemoteWorld:
             if reply["type"] == "error":
                 raise CommandFailed(reply["code"], reply["message"], reply.get("field"))
         return self._scene.moment(*replies[2:])
-
-
-@contextmanager
-def _understood() -> Iterator[None]:
-    """Raises Disconnected (`bad_reply`) where what a server answers is not what the protocol says."""
-    try:
-        yield
-    except (LookupError, TypeError, ValueError) as error:
-        what = f"{type(error).__name__}: {error}"
-        raise Disconnected("bad_reply", f"the server sent what is no answer: {what}") from error
 
 
 class RemoteEnvironments:
@@ -412,10 +404,10 @@ class _Row:
 
 def _host_and_port(address: str) -> tuple[str, int]:
     """Reads an address; raises ValueError where it is none."""
-    host, _, port = address.rpartition(":")
-    if not host or not port.isdecimal() or not 0 < int(port) < 65536:
-        raise ValueError(f"an address is HOST:PORT, such as 127.0.0.1:14000, not {address!r}")
-    return host.removeprefix("[").removesuffix("]"), int(port)
+    try:
+        return read_address(address)
+    except ValueError as error:
+        raise ValueError(f"an address is HOST:PORT, such as 127.0.0.1:14000, not {address!r}: {error}") from error
 
 
 def _worlds(client: Client, count: int, names: Sequence[str] | None) -> Sequence[str | None]:

@@ -127,12 +127,15 @@ class Log:
         if not isinstance(row, dict):
             raise self.wrong(number, "is no JSON object")
         if "kind" in row and "message" in row:
-            client, shape = row.get("client"), _SHAPES.get(row["kind"])
+            client, kind = row.get("client"), row["kind"]
+            if not isinstance(kind, str):
+                raise self.wrong(number, "has a kind that is no text")
+            shape = _SHAPES.get(kind)
             if shape is not None and not shape.is_valid(row["message"]):
-                raise self.wrong(number, f"does not have the shape of {row['kind']}")
+                raise self.wrong(number, f"does not have the shape of {kind}")
             if client is not None and (not isinstance(client, int) or client < 1):
                 raise self.wrong(number, f"has no number of a client: {client!r}")
-            return Line(number, str(row["kind"]), client or 1, row["message"])
+            return Line(number, kind, client or 1, row["message"])
         kind = row.get("type")
         if not isinstance(kind, str):
             raise self.wrong(number, "is neither a message, which has a type, nor a row, which has a kind")

@@ -50,6 +50,7 @@ LONG_COMMANDS = frozenset(  # those that may take long: of these the world is as
         "link_body_cubes",
         "link_cube_chains",
         "reset",
+        "sense",
         "set_cube_state",
         "set_objective",
         "spawn_creature",

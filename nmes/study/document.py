@@ -28,6 +28,7 @@ COMPARISONS: Final = ("improvement", "difference", "equal")
 """The statistics of two arms."""
 _SCHEMA: Final = compile_schema("study.json")
 _LARGEST: Final = 1 << 20  # bytes of `study.toml`
+_POINTS: Final = 200  # in a line of it: what a key of many parts costs grows with their square
 _FILE: Final = 64 << 20  # bytes of another document of a study
 _RUNS: Final = 100_000  # of a plan
 _WRITTEN: Final = {*BUDGETS, "work", "study.toml"}  # what does not decide what a run comes to
@@ -124,8 +125,12 @@ class Study:
             folder = Path("studies") / folder
         path = folder / "study.toml"
         try:
-            text = _bounded(path, _LARGEST)
-            document = tomllib.loads(text.decode(), parse_float=_finite)
+            text = _bounded(path, _LARGEST).decode()
+            if any(line.count(".") > _POINTS for line in text.splitlines()):
+                raise StudyError(
+                    "no_study", f"{path}: a line has over {_POINTS} points: a key may be of that many parts"
+                )
+            document = tomllib.loads(text, parse_float=_finite)
             return cls(folder.resolve(), document)
         except OSError as error:
             raise StudyError("no_study", f"there is no study in {folder}: {path}: {error.strerror}") from error

@@ -17,6 +17,7 @@ import numpy as np
 from nmes import protocol
 from nmes.backend.rotation import conjugate, multiply, rotate
 from nmes.client import Client
+from nmes.client.conversation import understood
 from nmes.errors import CommandFailed, Disconnected, NmesError
 from nmes.recording.viewer_messages import Shape
 from nmes.view.canvas import Canvas
@@ -50,6 +51,11 @@ def show_live(client: Client, stream: rr.RecordingStream, fps: float) -> None:
         CommandFailed: The server does not offer what is needed.
         Disconnected: The connection was lost.
     """
+    with understood():
+        _show(client, stream, fps)
+
+
+def _show(client: Client, stream: rr.RecordingStream, fps: float) -> None:
     info = client.get_world_info()
     canvas = Canvas(stream, info["world"], info["dims"] == 2)
     canvas.at(info["t"])

@@ -15,12 +15,13 @@ import pytest
 import nmes.server.threads
 from nmes.errors import RecordingError
 from nmes.playback import replay
-from nmes.protocol import Limits
+from nmes.protocol import Limits, Request
 from nmes.recording import Kind, Recorder, Recording
 from nmes.recording.mcap_writer import Writer
 from nmes.server.connection import Connection
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.threads import Worker
+from nmes.world import World
 from servers import PASSWORD, PATIENCE, Peer, Served, served, until
 
 LONG = {"type": "step", "ticks": 10_000}
@@ -84,6 +85,26 @@ def frames(path: Path) -> list[str]:
 
 
 # -- nobody waits for it ----------------------------------------------------------------------------------------------
+
+
+def test_sensing_with_many_rays_is_done_away_from_the_event_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = {"type": "camera", "cube": "a", "width": 16, "height": 16, "direction": [1, 0, 0]}
+    eyes = {
+        **{"format": "nmes-genome/1", "name": "eyes"},
+        "body": {"cubes": [{"id": "a", "size": 0.4, "mass": 1, "position": [0, 0.2, 0]}]},
+        "sensors": [{**camera, "id": f"eye-{number}"} for number in range(4)],
+    }
+    handle, threads = World.handle, []
+
+    def watched(world: World, client: int, request: Request) -> bytes:
+        threads.append(threading.current_thread())
+        return handle(world, client, request)
+
+    with served({"backend": "mujoco"}) as server, server.peer() as peer:
+        assert peer.ask({"type": "spawn_creature", "genome": eyes, "name": "eyes"})["type"] == "creature_spawned"
+        monkeypatch.setattr(World, "handle", watched)
+        assert peer.ask({"type": "sense", "creature": "eyes"})["type"] == "senses"
+        assert len(threads) == 1 and threads[0] is not server.call(threading.current_thread)
 
 
 @pytest.mark.parametrize(
