@@ -24,6 +24,7 @@ import trustme
 from hosting import PASSWORD, bystander, served
 from measure import Figure
 from nmes import Client
+from nmes.errors import NmesError
 from nmes.protocol import DELIMITER
 
 SECONDS = 4.0  # of each attack
@@ -47,6 +48,10 @@ class Attack:
     def stop(self) -> None:
         """Ends it soon."""
         self._stop.set()
+
+    def wait(self) -> None:
+        """Does nothing until it is to end."""
+        self._stop.wait()
 
     def victim(self) -> Client:
         """Returns a client of the attacked world."""
@@ -152,7 +157,9 @@ def big_build(attack: Attack) -> None:
     """A step after 3,000 spawns, again and again."""
     while attack.going:
         _spawned(attack, 3000, 3.0)
-        attack.again(say(type="step"), say(type="reset"), *[say(type="spawn_cube", position=[0, 9, 0])] * 3)
+        with attack.victim() as client:
+            client.step()
+            client.reset()
 
 
 def pile(attack: Attack) -> None:
@@ -170,6 +177,54 @@ def big_state(attack: Attack) -> None:
 def resets(attack: Attack) -> None:
     """Resets."""
     attack.again(say(type="reset"))
+
+
+def _grown(count: int, **connection: Any) -> bytes:
+    """Returns what spawns so many parts, each of which grows on the one before, round and round."""
+    joint = {"type": "slide", "motor": {"mode": "position", "range": [-1, 1], "max_effort": 10}}
+    names = [f"p{number}" for number in range(max(count // 64, 2))]
+    parts = [{"id": name, "size": 0.5, "joint": joint, "recursive_limit": count // len(names)} for name in names]
+    ends = zip(names, [*names[1:], names[0]], strict=True)
+    connections = [{"from": one, "to": other, "face": "+x", **connection} for one, other in ends]
+    body = {"graph": {"root": names[0], "parts": parts, "connections": connections}}
+    return say(type="spawn_creature", genome={"format": "nmes-genome/1", "name": "x", "body": body})
+
+
+def growth(attack: Attack) -> None:
+    """A graph of two parts that grows ten times as large with each of 128."""
+    attack.again(_grown(128, scale=10))
+
+
+def chain(attack: Attack) -> None:
+    """A graph of a few hundred bytes that grows to a chain of 256 cubes, and a reset."""
+    attack.again(_grown(256), say(type="step"), say(type="reset"))
+
+
+def patterns(attack: Attack) -> None:
+    """Names with as many wildcards as they may have."""
+    cubes = [
+        {"id": "a" * 60 + f"{number:04}", "size": 0.1, "mass": 1, "position": [number, 0.05, 0]}
+        for number in range(256)
+    ]
+    sensors = [{"type": "up", "cube": "*a" * 28 + f"*{number}*b"} for number in range(1024)]
+    genome = {"format": "nmes-genome/1", "name": "x", "body": {"cubes": cubes}, "sensors": sensors}
+    attack.again(say(type="spawn_creature", genome=genome))
+
+
+def nothings(attack: Attack) -> None:
+    """An objective that has no value, asked for again and again."""
+    cube = say(type="spawn_cube", cube_name="a", position=[-1, 0.5, 0])
+    objective = say(type="set_objective", expression="height < sqrt(position.x) ? 1.0 : 2.0", cubes=["a"])
+    attack.again(cube, objective, say(type="step"), say(type="compute_reward"))
+
+
+def joints(attack: Attack) -> None:
+    """A chain of joints, one after another, beyond the 1,024 that there may be."""
+    with attack.victim() as client, client.pipeline() as many:
+        for number in range(1200):
+            many.spawn_cube(position=[1.0 * number, 0.5, 0.0], cube_name=f"c{number}", list=False)
+        for number in range(1199):
+            many.create_joint(f"c{number}", f"c{number + 1}", "hinge")
 
 
 def guesses(attack: Attack) -> None:
@@ -269,10 +324,15 @@ def drips(attack: Attack) -> None:
 
 
 ATTACKS: dict[str, Callable[[Attack], None]] = {
-    "nothing": lambda attack: None,
+    "nothing": Attack.wait,
     "200,000 empty cubes": empty_genome,
     "genomes and resets": small_genome,
     "one name 100,000 times": one_name,
+    "growth without end": growth,
+    "a chain of 256 cubes": chain,
+    "names with wildcards": patterns,
+    "an objective without a value": nothings,
+    "1,200 joints in a row": joints,
     "330,000 empty objects": empty_objects,
     "batches of 10,000": pings,
     "a step after 3,000 spawns": big_build,
@@ -285,7 +345,7 @@ ATTACKS: dict[str, Callable[[Attack], None]] = {
 }
 
 TLS_ATTACKS: dict[str, Callable[[Attack], None]] = {
-    "nothing, over TLS": lambda attack: None,
+    "nothing, over TLS": Attack.wait,
     "half handshakes": half_handshakes,
     "handshakes without end": whole_handshakes,
     "records of one byte": small_records,
@@ -297,10 +357,17 @@ TLS_ATTACKS: dict[str, Callable[[Attack], None]] = {
 @contextmanager
 def under(attack: Attack, act: Callable[[Attack], None]) -> Iterator[None]:
     """Attacks in a thread."""
+    mistakes: list[Exception] = []
 
     def run() -> None:
-        with suppress(Exception):  # a host that hangs up on an attacker is right
-            act(attack)
+        while attack.going:  # one that was over begins anew
+            try:
+                act(attack)
+            except (OSError, NmesError):
+                time.sleep(0.01)  # a host that hangs up on an attacker is right
+            except Exception as error:
+                mistakes.append(error)
+                return
 
     thread = threading.Thread(target=run, daemon=True)
     thread.start()
@@ -309,6 +376,8 @@ def under(attack: Attack, act: Callable[[Attack], None]) -> Iterator[None]:
     finally:
         attack.stop()
         thread.join(10)
+    if mistakes:
+        raise mistakes[0]  # else it would count as an attack that does no harm
 
 
 def figures() -> Iterator[Figure]:
