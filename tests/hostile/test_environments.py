@@ -22,8 +22,10 @@ from nmes.backend import load_backend
 from nmes.backend.fingerprint import fingerprint
 from nmes.backend.probe import probe
 from nmes.evaluation import Job
+from nmes.recording import Recording
 from nmes.world import World
 from processes import NMES
+from recordings import rewrite
 
 # -- what no module may call ------------------------------------------------------------------------------------------
 
@@ -252,6 +254,23 @@ def test_a_proof_that_comes_out_otherwise_beside_another_probe_is_not_comparable
     assert code == 3 and "recorded with another probe" in output
     code, output = nmes("leaderboard", "add", str(tmp_path / "board"), str(proof), **UNLIKE)
     assert code != 0 and "diverge" not in output
+
+
+def test_a_board_lists_what_comes_out_the_same_beside_another_probe(tmp_path: Path) -> None:
+    (task := tmp_path / "task.json").write_text(json.dumps({**TASK, "world": {"backend": "pymunk"}}))
+    assert nmes("eval", "inchworm", "--task", str(task), "--record", str(tmp_path))[0] == 0
+    (proof,) = tmp_path.glob("*.mcap")
+    about = {"nmes.fingerprint": {**Recording(proof).fingerprint, "probe": "0" * 32, "nmes": "9.9"}}
+    closed = "2026-01-01T00:00:00+00:00"
+    afar = str(rewrite(proof, tmp_path / "afar.mcap", lambda messages: messages, about=about, closed=closed))
+    code, output = nmes("replay", afar)
+    assert code == 0 and output.startswith("reproduced, on another machine: ")
+    assert nmes("eval", "--from-recording", afar)[0] == 0
+    board = str(tmp_path / "board")
+    assert nmes("leaderboard", "tasks", board, "--allow", str(task))[0] == 0
+    code, output = nmes("leaderboard", "add", board, afar)
+    assert code == 0 and output.startswith("listed: inchworm ")
+    assert nmes("leaderboard", "verify", board) == (0, "1 of 1 entries hold\n")
 
 
 def test_a_program_that_raises_where_numbers_underflow_has_the_same_probe() -> None:
