@@ -39,7 +39,12 @@ def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs") / "made"
     records = candidates(200, objectives=2, measures=2, groups=3)
     best = [index for index, record in enumerate(records) if record["score"] is not None][-7:]
-    settings = {"measures": MEASURES, "objectives": ["distance", "-energy"], "starts": ["walker"], "seed": 5}
+    settings = {
+        "measures": MEASURES,
+        "objectives": ["distance", "-energy"],
+        "starts": [Genome.load("walker").document],
+        "seed": 5,
+    }
     make_run(folder, records, elites=best, algorithm="map-elites", options={"window": 16}, **settings)
     return folder
 

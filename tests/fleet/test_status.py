@@ -151,6 +151,7 @@ def test_a_wrong_line_of_a_file_is_named(tmp_path: Path) -> None:
     file = tmp_path / "hosts"
     file.write_text("127.0.0.1\n127.0.0.1:port\n")
     result = status("--hosts", file)
-    assert result.exit_code == 2 and "line 2: a port is from 1 to 65535" in result.output
+    assert result.exit_code == 2 and "line 2: expected HOST or HOST:PORT" in result.output
+    assert "a port is from 1 to 65535" in result.output
     file.write_bytes(b"\xff\xfe")
     assert "not a text in UTF-8" in status("--hosts", file).output

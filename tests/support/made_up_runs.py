@@ -91,7 +91,7 @@ def make_run(
         records: Of its candidates; those without a genome get one.
         elites: The indices of the algorithm's elites.
         fingerprint: Of what has computed it; None: of nothing that is known.
-        task: The task's document or name; None: `SHORT`.
+        task: The task's document; None: `SHORT`.
         settings: Others than the budget's 1,000, the algorithm `random`, and so on.
     """
     document = {"format": "nmes-run/1", "task": task or SHORT, "algorithm": "random", "budget": 1000, **settings}
