@@ -31,6 +31,7 @@ _CSV = (
     "error",
     "wall_seconds",
 )
+_WIDE = 1e9  # beyond which a number is written with its power of ten, so that the table stays one
 
 
 def print_results(evaluations: Sequence[Evaluation]) -> None:
@@ -108,4 +109,6 @@ def format_seeds(seeds: Iterable[int]) -> str:
 
 
 def _number(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
+    if value is None:
+        return "-"
+    return f"{value:.{digits}f}" if abs(value) < _WIDE else f"{value:.4g}"

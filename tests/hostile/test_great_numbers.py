@@ -38,6 +38,7 @@ def test_the_greatest_scores_have_a_mean_wherever_there_is_one(tmp_path: Path) -
     proofs, board = tmp_path / "proofs", tmp_path / "board.sqlite"
     told = json.loads(run("eval", "walker", "--task", file, "--record", proofs, "--json").stdout)
     assert told[0]["score"] == 1.7e308
+    assert "  1.7e+308  " in run("eval", "walker", "--task", file).output
     recordings = sorted(proofs.iterdir())
     assert run("eval", "--from-recording", *recordings).exit_code == 0
     assert run("leaderboard", "tasks", board, "--allow", file).exit_code == 0
