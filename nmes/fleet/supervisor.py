@@ -248,17 +248,20 @@ class Supervisor(Reception):
         states: dict[str, Mapping[str, Any]] = {}
         for name in names:
             place = self._places.get(name)
-            if place is not None and place.worker is not None:
-                by_worker.setdefault(place.worker, []).append(name)
-            elif name in self._kept:
+            if name in self._kept:
                 states[name] = {"asleep": True}
-            elif place is not None:
+            elif place is not None:  # as it is in no worker, also where one dies before it has answered
                 states[name] = {"fault": place.failure, "asleep": place.recording is not None and not place.failure}
+                if place.worker is not None:
+                    by_worker.setdefault(place.worker, []).append(name)
 
         async def ask(worker: WorkerProcess, worlds: list[str]) -> None:
             with contextlib.suppress(LineEnded):
                 told: dict[str, dict[str, Any]] = (await worker.line.ask("states", worlds=worlds)).body["states"]
                 states.update({name: {**state, "worker_port": worker.port} for name, state in told.items()})
+                for name, state in told.items():
+                    if state["asleep"]:  # sooner than the worker's next report
+                        worker.awake.pop(name, None)
 
         await asyncio.gather(*(ask(worker, worlds) for worker, worlds in by_worker.items()))
         return states

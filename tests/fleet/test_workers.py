@@ -232,7 +232,6 @@ def test_a_world_that_slept_in_a_worker_that_died_wakes_in_another(tmp_path: Pat
             client.spawn_cube("a", position=[0, 3, 0])
             client.step(5)
         settle(lambda: bool(host.worlds()["main"]["asleep"]))
-        time.sleep(1.0)  # until the worker has told so
         for worker in host.workers():
             kill(worker)
         settle(lambda: len(host.workers()) == 2)
