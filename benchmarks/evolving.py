@@ -1,0 +1,96 @@
+"""How far evolution comes from random bodies, beside as many random creatures: some minutes for each seed.
+
+    python benchmarks/evolving.py walk stairs                # `islands`, seeds 1 to 5
+    python benchmarks/evolving.py walk --random              # and as many random creatures, with the same seeds
+    python benchmarks/evolving.py walk --seeds 1 2 --jobs 1 -o runs/bars
+
+The runs are those of `nmes evolve`, with the commands that are printed: one on a single seed of the task, and a short
+one on all of its seeds from the winner. They are kept in a folder: what is finished is not done again, and what was
+interrupted goes on. CPU times are of this machine, and only of what was done now.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import resource
+import shlex
+import statistics
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+CANDIDATES, FINISH = 8000, 500
+RACE = "--algorithm islands --seeds 1"
+LAST = "--algorithm afpo --set founders=100 --set population=50 --set tournament=3 --set newcomers=0"
+RANDOM = "--algorithm random --seeds 1"
+
+
+def nmes(*words: str) -> Any:
+    """Runs a command of NMES, says which, and returns the object that it prints."""
+    print(f"  nmes {shlex.join(words)}", file=sys.stderr, flush=True)
+    command = [sys.executable, "-m", "nmes", *words, "--json"]
+    return json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
+
+
+def evolved(what: str, folder: Path, options: str, budget: int, jobs: str) -> Any:
+    """Runs evolution, or goes on where it was, and returns what it comes to."""
+    if folder.exists():
+        return nmes("evolve", "resume", str(folder), "--jobs", jobs, "--quiet")
+    return nmes("evolve", what, *options.split(), "--budget", str(budget), "--jobs", jobs, "--quiet", "-o", str(folder))
+
+
+def champion(task: str, seed: int, folder: Path, jobs: str) -> tuple[float, float]:
+    """Returns the best score on one seed, and the best of the run from that winner on all seeds of the task."""
+    race, last = (folder / f"{task}-{seed}-{part}" for part in ("race", "last"))
+    first = evolved("random", race, f"--task {task} --seed {seed} {RACE}", CANDIDATES, jobs)
+    genome = race / "winner" / "genome.json"
+    if not genome.exists():
+        nmes("evolve", "best", str(race), "-o", str(genome.parent))
+    then = evolved(str(genome), last, f"--task {task} --seed {seed} {LAST}", FINISH, jobs)
+    return first["best"]["score"], then["best"]["score"]
+
+
+def luck(task: str, seed: int, folder: Path, jobs: str) -> float:
+    """Returns the best score, on one seed, of as many random creatures."""
+    options = f"--task {task} --seed {seed} {RANDOM}"
+    return float(
+        evolved("random", folder / f"{task}-{seed}-random", options, CANDIDATES + FINISH, jobs)["best"]["score"]
+    )
+
+
+def spent() -> float:
+    """Returns the CPU time of all that was run, in minutes."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return (used.ru_utime + used.ru_stime) / 60.0
+
+
+def main() -> None:
+    """Prints a line for each seed, and the medians."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("tasks", nargs="+")
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2, 3, 4, 5])
+    parser.add_argument("--random", action="store_true", help="as many random creatures, too")
+    parser.add_argument("--jobs", default=str(os.cpu_count()))
+    parser.add_argument("-o", "--output", type=Path, default=Path("runs/bars"))
+    asked = parser.parse_args()
+    asked.output.mkdir(parents=True, exist_ok=True)
+    for task in asked.tasks:
+        scores = []
+        for seed in asked.seeds:
+            before = spent()
+            one, all_of_them = champion(task, seed, asked.output, asked.jobs)
+            scores.append(all_of_them)
+            line = f"{task} seed {seed}: {one:.4g} on one seed, {all_of_them:.4g} on all, {spent() - before:.1f} min"
+            if asked.random:
+                before = spent()
+                best = luck(task, seed, asked.output, asked.jobs)
+                line += f"; random {best:.4g} on one seed, {spent() - before:.1f} min"
+            print(line, flush=True)
+        print(f"{task}: median {statistics.median(scores):.4g} of {len(scores)} seeds", flush=True)
+
+
+if __name__ == "__main__":
+    main()
