@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import secrets
 import signal
 import sys
 from collections.abc import Mapping
@@ -99,18 +100,22 @@ def report(name: str, budget: str) -> None:
 @_BUDGET
 @click.option("--sample", metavar="N", type=click.IntRange(0), default=3, show_default=True, help="How many runs.")
 @click.option("--all", "everything", is_flag=True, help="Do all runs again.")
+@click.option("--seed", type=click.IntRange(0), help="Of the draw of these.  [default: another each time]")
 @_JOBS
 @click.option("--json", "as_json", is_flag=True, help="Print the verdict as JSON.")
 @QUIET
-def verify(name: str, budget: str, sample: int, everything: bool, jobs: int | None, as_json: bool) -> None:
+def verify(
+    name: str, budget: str, sample: int, everything: bool, seed: int | None, jobs: int | None, as_json: bool
+) -> None:
     """Prove a study: its report says what its results say, and its runs come out again.
 
     STUDY is its folder, or the name of one in `studies`. The report and its figures are made again, and must have the
-    same bytes. Some runs, which the digest of the results draws, are done again: every column must be the same to the
-    last bit. Arms and columns in which clocks have a part are not judged, and it is told which these are.
+    same bytes. Some runs, drawn anew each time, are done again: every column must be the same to the last bit. Arms and
+    columns in which clocks have a part are not judged, and it is told which these are; with --all these runs are done
+    again too, and every claim must get the same verdict by what comes of it.
 
     Exit status: 0 it holds, 1 it is broken, 2 wrong usage, 3 runs do not come out the same here, where other numbers
-    come out than where the results were made.
+    come out than where the results were made, or what is measured here leads to another verdict.
 
     For example:
 
@@ -128,14 +133,16 @@ def verify(name: str, budget: str, sample: int, everything: bool, jobs: int | No
             if interrupted():
                 raise KeyboardInterrupt
 
-        found = verify_study(plan, None if everything else sample, jobs or os.cpu_count() or 1, tell)
+        drawn = secrets.randbits(32) if seed is None else seed
+        found = verify_study(plan, None if everything else sample, jobs or os.cpu_count() or 1, tell, drawn)
     if as_json:
         print_json(asdict(found))
     else:
         for finding in found.findings:
             click.echo(visible(finding))
         _tell(found.verdicts)
-        click.echo(f"{_WORDS[found.verdict]}: {found.again:,} of {found.runs:,} runs done again")
+        drawn_by = f", drawn by --seed {found.seed}" if 0 < found.again < found.runs else ""
+        click.echo(f"{_WORDS[found.verdict]}: {found.again:,} of {found.runs:,} runs done again{drawn_by}")
         if found.measured:
             click.echo(f"not judged: {found.measured:,} runs in which clocks have a part")
         if found.not_judged:

@@ -378,7 +378,7 @@ def _misplaced(schema: Schema, value: Mapping[str, Any], keys: tuple[str | int, 
 
 def _at(value: Any, keys: Iterable[str | int]) -> Any:
     for key in keys:
-        value = value[key]
+        value = value[str(key) if isinstance(value, Mapping) else key]  # paths have names such as "1" as numbers
     return value
 
 

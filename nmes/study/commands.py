@@ -21,6 +21,7 @@ from typing import IO, Any, Final
 from nmes.errors import StudyError, visible
 from nmes.schemas.documents import JsonObject
 from nmes.study.document import PLACE, PlannedRun, Setting, Study, fill
+from nmes.study.results import GREATEST
 
 __all__ = ["Stopped", "Stopper", "perform"]
 
@@ -195,11 +196,11 @@ def _at(value: Any, pointer: str, blame: str) -> str | float | bool | None:
             raise StudyError("command_failed", f"{blame}printed nothing at {pointer}") from None
     if isinstance(value, bool) or value is None:
         return value
-    if isinstance(value, int | float):
+    if isinstance(value, int | float) and abs(value) <= GREATEST:  # which NaN is not
         return float(value)
     if isinstance(value, str) and len(value) <= _LONGEST:
         return value
-    raise StudyError("command_failed", f"{blame}printed no single value at {pointer}")
+    raise StudyError("command_failed", f"{blame}printed no text and no number up to {GREATEST:g} at {pointer}")
 
 
 def _in_list(values: list[Any], key: str) -> Any:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import os
 import re
+import shlex
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -31,6 +32,7 @@ _LARGEST: Final = 1 << 20  # bytes of `study.toml`
 _POINTS: Final = 200  # in a line of it: what a key of many parts costs grows with their square
 _FILE: Final = 64 << 20  # bytes of another document of a study
 _RUNS: Final = 100_000  # of a plan
+_INTEGER: Final = 1 << 53  # beyond it doubles have gaps
 _WRITTEN: Final = {*BUDGETS, "work", "study.toml"}  # what does not decide what a run comes to
 _OWN: Final = ("run", "study", "seed")  # placeholders that every command has
 _RESERVED: Final = ("arm", "seed", "measured")  # columns of all results
@@ -71,8 +73,8 @@ class Plan:
         study: The study.
         budget: `small` or `full`.
         runs: The runs, in the order of the results.
-        asked: The hash of what is asked: of `study.toml` without the other budget and without how many minutes it may
-            take, and of the documents beside it.
+        asked: The hash of what is asked: of `study.toml` without the other budget, how many minutes it may take and
+            which criteria were changed, and of the documents beside it.
     """
 
     study: Study
@@ -102,6 +104,9 @@ class Study:
         Raises:
             DocumentError: It is no study.
         """
+        unusable = list(_unusable("", document))
+        if unusable:
+            raise DocumentError(unusable)
         check(_SCHEMA, document)
         self.folder, self.name, self.given = folder, folder.name, document
         self.document = complete(_SCHEMA.schema, document)
@@ -154,7 +159,9 @@ class Study:
             for number, ((arm, cell), seed) in enumerate(product(cells, budgets[budget]["seeds"]))
         ]
         kept = {name: value for name, value in self.given["budgets"][budget].items() if name != "minutes"}
-        asked = canonical_hash({"study": {**self.given, "budgets": {budget: kept}}, "files": self._files()})
+        claims = [{name: each for name, each in claim.items() if name != "changed"} for claim in self.given["claims"]]
+        judged = {**self.given, "claims": claims, "budgets": {budget: kept}}
+        asked = canonical_hash({"study": judged, "files": self._files()})
         return Plan(self, budget, tuple(runs), asked)
 
     def arm_commands(self, arm: JsonObject) -> dict[str, str]:
@@ -185,9 +192,10 @@ class Study:
         return {**self.document["settings"], **own, **arm.get("settings", {}), **cell}
 
     def _files(self) -> dict[str, str]:
-        """Returns the digest of each document beside `study.toml`, which commands may read."""
+        """Returns the digest of each document beside `study.toml`, which commands may read; hidden files are none."""
         try:
-            found = sorted(path for path in self.folder.iterdir() if path.name not in _WRITTEN)
+            names = sorted(path.name for path in self.folder.iterdir() if path.name not in _WRITTEN)
+            found = [self.folder / name for name in names if not name.startswith(".")]
             return {path.name: sha256(_bounded(path, _FILE)).hexdigest() for path in found if path.is_file()}
         except OSError as error:
             raise StudyError("no_study", f"cannot read {error.filename}: {error.strerror}") from error
@@ -206,6 +214,7 @@ class Study:
         for name, values in document["factors"].items():
             if len({isinstance(value, str) for value in values}) > 1:
                 yield f"factors/{name}", "its values must be all numbers or all words"
+        yield from self._command_problems()
         yield from self._column_problems()
         yield from self._value_problems()
         for place, claim in enumerate(document["claims"]):
@@ -216,6 +225,22 @@ class Study:
                     yield f"claims/{place}/{name}", error.message.partition(": ")[2]
         for name, each in document["budgets"].items():
             yield from self._budget_problems(name, each)
+
+    def _command_problems(self) -> Iterator[tuple[str, str]]:
+        """Yields what would keep a command from being begun."""
+        document = self.document
+        commands = {f"commands/{name}": command for name, command in document["commands"].items()}
+        for place, arm in enumerate(document["arms"]):
+            beside: Mapping[str, str] = arm.get("beside", {})
+            commands |= {f"arms/{place}/beside/{name}": command for name, command in beside.items()}
+            for name in arm.get("environment", {}):
+                if not name or "=" in name:
+                    yield f"arms/{place}/environment", f"{name!r} cannot be the name of a variable"
+        for path, command in commands.items():
+            try:
+                shlex.split(command)
+            except ValueError as error:
+                yield path, f"it is no command line: {str(error).lower()}"
 
     def _column_problems(self) -> Iterator[tuple[str, str]]:
         document = self.document
@@ -232,6 +257,7 @@ class Study:
                 yield from _unknown(path, name, document["columns"], "column")
         for place, figure in enumerate(document["figures"]):
             yield from _unknown(f"figures/{place}/column", figure["column"], document["columns"], "column")
+            yield from self._where_problems(f"figures/{place}/where", figure)
         for factor, scales in document["scales"].items():
             yield from _unknown("scales", factor, document["factors"], "factor")
             for value in document["factors"].get(factor, ()):
@@ -256,10 +282,11 @@ class Study:
                     yield from _unknown(f"{path}/{role}", arm, arms, "arm")
                     if arm in arms and source in document["commands"] and source not in self.arm_commands(arms[arm]):
                         yield f"{path}/{role}", f"arm {arm} does without the command of the column"
-            for factor, chosen in value.get("where", {}).items():
-                yield from _unknown(f"{path}/where", factor, document["factors"], "factor")
-                if chosen not in document["factors"].get(factor, [chosen]):
-                    yield f"{path}/where/{factor}", f"there is no value {chosen}"
+            yield from self._where_problems(f"{path}/where", value)
+
+    def _where_problems(self, path: str, document: JsonObject) -> Iterator[tuple[str, str]]:
+        """Yields what is wrong with the cells that a value or a figure is of."""
+        yield from self._factor_problems(path, {factor: [value] for factor, value in document.get("where", {}).items()})
 
     def _factor_problems(self, path: str, fewer: Mapping[str, list[Setting]]) -> Iterator[tuple[str, str]]:
         """Yields what is wrong with some of the values of some factors."""
@@ -297,6 +324,11 @@ class Study:
         """Yields the values that would be of no runs of a budget, or compare arms that have not the same cells."""
         cells = {arm["name"]: list(self._cells(budget, arm)) for arm in self.document["arms"]}
         yield from ((f"budgets/{budget}", f"arm {name} has no runs") for name, found in cells.items() if not found)
+        for place, figure in enumerate(self.document["figures"]):
+            source = self.document["columns"].get(figure["column"], "").partition(" ")[0]
+            shown = [cells[arm["name"]] for arm in self.document["arms"] if source in self.arm_commands(arm)]
+            if not any(figure.get("where", {}).items() <= cell.items() for each in shown for cell in each):
+                yield f"figures/{place}", f"no arm has such runs with budget {budget}"
         for name, value in self.document["values"].items():
             where = value.get("where", {}).items()
             found = [
@@ -354,6 +386,21 @@ def _text(value: Any) -> str:
 def _unknown(path: str, name: str, known: Mapping[str, object], what: str) -> Iterator[tuple[str, str]]:
     if name not in known:
         yield path, f"there is no {what} {name}{did_you_mean(name, known)}"
+
+
+def _unusable(path: str, value: object) -> Iterator[tuple[str, str]]:
+    """Yields what TOML can say and neither a table nor a command line can hold."""
+    if isinstance(value, dict):
+        for name, each in value.items():
+            yield from _unusable(path, name)
+            yield from _unusable(f"{path}/{name}".removeprefix("/"), each)
+    elif isinstance(value, list):
+        for place, each in enumerate(value):
+            yield from _unusable(f"{path}/{place}", each)
+    elif isinstance(value, str) and "\0" in value:
+        yield path, "it has a character of the code 0"
+    elif isinstance(value, int) and abs(value) > _INTEGER:
+        yield path, f"whole numbers go to {_INTEGER:,} here: beyond it doubles have gaps"
 
 
 def _finite(text: str) -> float:

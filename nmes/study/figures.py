@@ -29,10 +29,14 @@ def draw_figures(plan: Plan, results: Results) -> list[Picture]:
     for figure in plan.study.document["figures"]:
         source = plan.study.document["columns"][figure["column"]].partition(" ")[0]
         arms = [arm for arm in plan.study.document["arms"] if source in plan.study.arm_commands(arm)]
+        where = figure.get("where", {})
         rows = []
         for arm in arms:
-            strata = arm_numbers(plan, results, figure["column"], arm["name"])
+            strata = arm_numbers(plan, results, figure["column"], arm["name"], where)
+            if not strata:
+                continue  # the arm has no such cells
             asked = {"statistic": "iqm", "column": figure["column"], "arm": arm["name"]}
+            asked |= {"where": where} if where else {}
             found = estimate(iqm, [strata], ("study", canonical_hash(asked)))
             rows.append((str(arm["name"]), np.concatenate(strata), found))
         pictures.append(_intervals(figure["name"], figure["title"], figure["unit"], rows))

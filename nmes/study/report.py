@@ -24,7 +24,8 @@ __all__ = ["REPORT", "verdicts", "write_report", "written"]
 REPORT: Final = "REPORT.md"
 _LARGEST: Final = 1 << 20  # bytes of a discussion
 _PLACE: Final = re.compile(r"\{\{ *([a-z0-9_.]+) *\}\}")
-_CODE: Final = re.compile(r"`[^`]*`")
+_CODE: Final = re.compile(r"`([^`]*)`")
+_NUMBER: Final = re.compile(r"\d[\d.,]*\d|\d")
 _SAID: Final = {
     "iqm": "interquartile mean of {column}, {arm}",
     "mean": "mean of {column}, {arm}",
@@ -116,8 +117,9 @@ def _discussion(plan: Plan, values: Mapping[str, Estimate], found: Mapping[str, 
         known |= {f"{name}{part}": number(each) for part, each in parts.items()}
         known[f"{name}.percent"] = f"{100.0 * value.value:.3g} %"
     for place, line in enumerate(text.splitlines(), 1):
-        for digit in re.findall(r"\d", _CODE.sub("", _PLACE.sub("", line)))[:1]:
-            hint = "put {{value}} there, so that the results say it, or `code` around what is no result"
+        words = _CODE.sub(lambda code: "" if _asked(plan, code[1]) else code[1], _PLACE.sub("", line))
+        for digit in re.findall(r"\d", words)[:1]:
+            hint = "put {{value}} there, so that the results say it, or `code` around what study.toml says"
             raise StudyError("bad_discussion", f"{path}, line {place}: it has the digit {digit}: {hint}")
         for name in _PLACE.findall(line):
             if name not in known:
@@ -126,18 +128,42 @@ def _discussion(plan: Plan, values: Mapping[str, Estimate], found: Mapping[str, 
     yield ""
 
 
+def _asked(plan: Plan, code: str) -> bool:
+    """Returns whether code has no number but those that a study names, or the names of its documents."""
+    known = {number for text in _texts(plan.study.given) for number in _NUMBER.findall(text)}
+    known |= {number for path in plan.study.folder.iterdir() for number in _NUMBER.findall(path.name)}
+    return known.issuperset(_NUMBER.findall(code))
+
+
+def _texts(value: object) -> Iterator[str]:
+    """Yields all texts and numbers of a document, as text; whole numbers with and without commas."""
+    if isinstance(value, dict):
+        for name, each in value.items():
+            yield name
+            yield from _texts(each)
+    elif isinstance(value, list):
+        for each in value:
+            yield from _texts(each)
+    else:
+        yield str(value)
+        if isinstance(value, int):
+            yield f"{value:,}"
+
+
 def _text(path: Path) -> str:
     with path.open("rb") as file:
         return file.read(_LARGEST).decode()
 
 
 def _criteria(plan: Plan, found: Mapping[str, Verdict]) -> Iterator[str]:
-    yield from ("## What would count", "", "Written before the run.", "")
+    yield from ("## What would count", "", "Written before the run, but for what is said to be changed.", "")
     for claim in plan.study.document["claims"]:
         yield from (f"- `{claim['name']}`: **{found[claim['name']]}**", f"  - for: {claim['for']} `{claim['holds']}`")
         yield f"  - against: {claim['against']} `{claim['refuted']}`"
         if "partly" in claim:
             yield f"  - in part: `{claim['partly']}`"
+        if "changed" in claim:
+            yield f"  - changed: {claim['changed']}"
     yield ""
 
 

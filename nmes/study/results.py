@@ -10,6 +10,7 @@ import secrets
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any, Final
@@ -22,11 +23,13 @@ from nmes.errors import MissingPackage, StudyError
 from nmes.schemas.documents import JsonObject, canonical_hash
 from nmes.study.document import Plan, PlannedRun
 
-__all__ = ["FILE", "Results", "row_of", "write_file"]
+__all__ = ["FILE", "GREATEST", "Results", "is_row", "row_of", "write_file"]
 
 FILE: Final = "results.parquet"
 _KEY: Final = b"nmes.study"
 _ROWS: Final = 1_000_000
+GREATEST: Final = 1e100
+"""The greatest number in a column, so that sums and squares of many are finite."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,8 +95,8 @@ class Results:
                 raise StudyError("bad_results", f"{path} has over {_ROWS:,} rows")
             table = file.read()
             about = orjson.loads((table.schema.metadata or {})[_KEY])
-            results = cls(about["asked"], about["fingerprint"], table.to_pylist())
-            digest = about["digest"]
+            results = cls(_text(about["asked"]), _texts(about["fingerprint"]), table.to_pylist())
+            digest = _text(about["digest"])
         except FileNotFoundError:
             hint = f"nmes study run {plan.study.name} --budget {plan.budget}"
             raise StudyError("no_results", f"there are no results in {plan.folder}: {hint}") from None
@@ -102,14 +105,19 @@ class Results:
         if results.asked != plan.asked:
             changed = "study.toml, or a document beside it, is not what these results answer: it was changed since"
             raise StudyError("bad_results", f"{path}: {changed}")
+        if len(results.rows) != len(plan.runs) or not all(map(partial(is_row, plan), plan.runs, results.rows)):
+            raise StudyError("bad_results", f"{path}: the rows are not those that the study plans")
         if results.digest != digest:
             raise StudyError("bad_results", f"{path}: the rows do not have the digest that the file names")
-        planned = [_about(run) for run in plan.runs]
-        names = {*planned[0], *plan.study.document["columns"]}
-        told = [{name: row.get(name) for name in planned[0]} for row in results.rows]
-        if told != planned or any(row.keys() != names for row in results.rows):
-            raise StudyError("bad_results", f"{path}: the rows are not those that the study plans")
         return results
+
+
+def is_row(plan: Plan, run: PlannedRun, row: object) -> bool:
+    """Returns whether something is a row of a run: its columns, each with text, a number, a truth or null."""
+    about = _about(run)
+    if not isinstance(row, dict) or row.keys() != {*about, *plan.study.document["columns"]}:
+        return False
+    return {name: row[name] for name in about} == about and all(map(_is_value, row.values()))
 
 
 def row_of(run: PlannedRun, columns: JsonObject) -> JsonObject:
@@ -139,6 +147,34 @@ def _about(run: PlannedRun) -> JsonObject:
     """Returns the columns of a row that say which run it is of."""
     cell = {name: float(value) if isinstance(value, int) else value for name, value in run.cell.items()}
     return {"arm": run.arm["name"], **cell, "seed": run.seed, "measured": run.arm["measured"]}
+
+
+def _is_value(value: object) -> bool:
+    if isinstance(value, int | float):
+        return abs(value) <= GREATEST  # which NaN is not
+    return value is None or isinstance(value, str)
+
+
+def _text(value: object) -> str:
+    """Returns what is text.
+
+    Raises:
+        TypeError: It is none.
+    """
+    if not isinstance(value, str):
+        raise TypeError(f"{value!r} is no text")
+    return value
+
+
+def _texts(value: object) -> Mapping[str, str]:
+    """Returns an object of texts.
+
+    Raises:
+        TypeError: It is none.
+    """
+    if not isinstance(value, dict):
+        raise TypeError(f"{value!r} is no fingerprint")
+    return {name: _text(each) for name, each in value.items()}
 
 
 def _kind(arrow: ModuleType, values: Sequence[Any]) -> Any:

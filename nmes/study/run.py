@@ -1,7 +1,8 @@
 """All runs of a study: several at once, each kept whole as soon as it is done.
 
-Hides the folder in which they are kept, one for each hash of what is asked. A kill costs what was under way: whoever
-comes next does that again, and since runs depend on nothing but the study, nobody sees that there was a kill.
+Hides the folder in which they are kept, one for each hash of what is asked and of what computes alike. A kill costs
+what was under way: whoever comes next does that again, and since runs depend on nothing but the study, nobody sees that
+there was a kill.
 """
 
 from __future__ import annotations
@@ -18,11 +19,13 @@ from typing import Final
 
 import orjson
 
+from nmes.backend import load_backend
+from nmes.backend.fingerprint import decisive, fingerprint
 from nmes.errors import StudyError
-from nmes.schemas.documents import JsonObject
+from nmes.schemas.documents import JsonObject, canonical_hash
 from nmes.study.commands import Stopped, Stopper, perform
 from nmes.study.document import Plan, PlannedRun
-from nmes.study.results import Results, row_of, write_file
+from nmes.study.results import Results, is_row, row_of, write_file
 
 __all__ = ["Progress", "count_done", "do_runs", "run_study"]
 
@@ -46,7 +49,7 @@ def run_study(plan: Plan, jobs: int, progress: Progress) -> Results:
     """
     work = _work(plan)
     with _locked(work):
-        done = {run.number: row for run in plan.runs if (row := _kept(work, run)) is not None}
+        done = {run.number: row for run in plan.runs if (row := _kept(plan, work, run)) is not None}
         missing = [run for run in plan.runs if run.number not in done]
         before = len(done)
 
@@ -117,30 +120,32 @@ def do_runs(
 
 
 def count_done(plan: Plan) -> int:
-    """Counts the runs of a plan that are done, and kept."""
+    """Counts the runs of a plan that are done here, and kept."""
     work = _work(plan)
     return sum(_place(work, run).exists() for run in plan.runs)
 
 
 def _work(plan: Plan) -> Path:
-    return plan.study.folder / "work" / f"{plan.budget}-{plan.asked[:16]}"
+    """Returns where runs are kept: those of this very plan, and of what computes alike."""
+    here = canonical_hash(decisive(fingerprint(load_backend("mujoco"))))
+    return plan.study.folder / "work" / f"{plan.budget}-{plan.asked[:16]}-{here[:8]}"
 
 
 def _place(work: Path, run: PlannedRun) -> Path:
     return work / "done" / f"{run.number:06}.json"
 
 
-def _kept(work: Path, run: PlannedRun) -> JsonObject | None:
+def _kept(plan: Plan, work: Path, run: PlannedRun) -> JsonObject | None:
     """Returns the row of a run that was done before; None if there is none."""
     path = _place(work, run)
     try:
-        row = orjson.loads(path.read_bytes())
+        row: JsonObject = orjson.loads(path.read_bytes())
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:
         raise StudyError("no_results", f"cannot read {path}: {error}; remove it, and that run is done again") from error
-    if not isinstance(row, dict):
-        raise StudyError("no_results", f"{path} is no row: remove it, and that run is done again")
+    if not is_row(plan, run, row):
+        raise StudyError("no_results", f"{path} is no row of {run}: remove it, and that run is done again")
     return row
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Collection
+from collections import Counter
+from collections.abc import Collection, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,7 +13,7 @@ from typing import Any, Final, Literal
 from nmes.errors import StudyError
 from nmes.schemas.documents import JsonObject
 from nmes.study.claims import evaluate
-from nmes.study.document import Plan
+from nmes.study.document import Plan, PlannedRun
 from nmes.study.report import REPORT, verdicts, written
 from nmes.study.results import Results, row_of
 from nmes.study.run import Progress, do_runs
@@ -30,13 +31,16 @@ class StudyVerdict:
 
     Attributes:
         verdict: Whether everything came out again, or something did not; `not_comparable`: runs came out otherwise,
-            but other numbers come out here than where the results were made.
+            but other numbers come out here than where the results were made; or all was done again, and what is
+            measured leads to another verdict on a claim here.
         findings: What did not, the first of them, in words.
         runs: How many rows there are.
         again: How many runs were done again.
-        measured: How many rows are of measured arms, which do not come out again and are not done again.
+        seed: Of the draw by which these were chosen.
+        measured: How many rows are of measured arms, which do not come out again.
         not_judged: The columns that are measured, which do not come out again in the runs that are done again.
         verdicts: The verdict on each claim, by its name, as the results have it.
+        verdicts_here: The same by the runs that were done again, if all were; else empty.
         digest: Of the results.
     """
 
@@ -44,20 +48,23 @@ class StudyVerdict:
     findings: tuple[str, ...]
     runs: int
     again: int
+    seed: int
     measured: int
     not_judged: tuple[str, ...]
     verdicts: dict[str, str]
+    verdicts_here: dict[str, str]
     digest: str
 
 
-def verify_study(plan: Plan, sample: int | None, jobs: int, progress: Progress) -> StudyVerdict:
+def verify_study(plan: Plan, sample: int | None, jobs: int, progress: Progress, seed: int = 0) -> StudyVerdict:
     """Makes report and figures again, does some runs again, and compares.
 
     Args:
         plan: Of which study and budget.
-        sample: How many runs, drawn by the digest of the results; None: all that are not measured.
+        sample: How many runs that are not measured, drawn from all arms in turn; None: all runs, the measured ones too.
         jobs: How many at once.
         progress: Called now and then with how many are done, and how many there are.
+        seed: Of the draw. Whoever made the results must not know it beforehand.
 
     Raises:
         StudyError: There are no results (`no_results`), or a command fails (`command_failed`).
@@ -70,24 +77,47 @@ def verify_study(plan: Plan, sample: int | None, jobs: int, progress: Progress) 
     except StudyError as error:
         if error.code not in ("bad_results", "bad_discussion"):
             raise
-        return StudyVerdict("broken", (error.message,), 0, 0, 0, (), {}, "")
+        return StudyVerdict("broken", (error.message,), 0, 0, seed, 0, (), {}, {}, "")
     exact = [run for run in plan.runs if not run.arm["measured"]]
     measured, not_judged = len(plan.runs) - len(exact), tuple(plan.study.document["measured"])
-    if sample is not None and sample < len(exact):
-        order = Draw(0, "study", "verify", results.digest).order(len(exact))[:sample]
-        exact = [exact[place] for place in sorted(order.tolist())]
+    chosen = list(plan.runs) if sample is None else _drawn(exact, sample, Draw(seed, "study", "verify", results.digest))
     again: list[str] = []
+    rows: dict[int, JsonObject] = {}
     with (
         tempfile.TemporaryDirectory(prefix="nmes-study-") as folder,
-        closing(do_runs(plan, exact, jobs, Path(folder, "runs"), lambda count: progress(count, len(exact)))) as done,
+        closing(do_runs(plan, chosen, jobs, Path(folder, "runs"), lambda count: progress(count, len(chosen)))) as done,
     ):
         for run, columns in done:
-            again += _differences(str(run), results.rows[run.number], row_of(run, columns), not_judged)
+            rows[run.number] = row_of(run, columns)
+            if not run.arm["measured"]:
+                again += _differences(str(run), results.rows[run.number], rows[run.number], not_judged)
+    here: dict[str, str] = {}
+    if sample is None:
+        here |= verdicts(plan, evaluate(plan, Results.here(plan, [rows[run.number] for run in plan.runs])))
+    other = [
+        f"claim {name}: {verdict} here, where the results say {found[name]}"
+        for name, verdict in here.items()
+        if verdict != found[name]
+    ]
     verdict: Any = "broken" if findings else "holds"
-    if again and not findings:
-        verdict = "not_comparable" if results.differences() else "broken"
-    every = tuple([*findings, *sorted(again)][:_MOST])
-    return StudyVerdict(verdict, every, len(plan.runs), len(exact), measured, not_judged, found, results.digest)
+    if (again or other) and not findings:
+        verdict = "broken" if again and not results.differences() else "not_comparable"
+    every = tuple([*findings, *sorted(again), *other][:_MOST])
+    return StudyVerdict(
+        verdict, every, len(plan.runs), len(chosen), seed, measured, not_judged, found, here, results.digest
+    )
+
+
+def _drawn(runs: Sequence[PlannedRun], count: int, draw: Draw) -> list[PlannedRun]:
+    """Returns so many runs: one of each arm, another of each arm, and so on, in their order."""
+    seen = Counter[str]()
+    turns = list[tuple[int, PlannedRun]]()
+    for place in draw.order(len(runs)).tolist():
+        arm = str(runs[place].arm["name"])
+        turns.append((seen[arm], runs[place]))
+        seen[arm] += 1
+    chosen = sorted(turns, key=lambda turn: turn[0])[:count]
+    return sorted((run for _, run in chosen), key=lambda run: run.number)
 
 
 def _compare_files(folder: Path, expected: dict[str, bytes]) -> list[str]:

@@ -73,9 +73,9 @@ def test_what_a_run_comes_to_follows_from_its_settings_and_its_seed() -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("folder", DONE, ids=lambda folder: f"{folder.parent.name}-{folder.name}")
 def test_runs_come_out_again(folder: Path) -> None:
-    found = verify_study(plan_of(folder), 3, 2, nothing)
+    found = verify_study(plan_of(folder), None if folder.name == "small" else 3, 2, nothing)
     if found.verdict == "not_comparable":
-        pytest.skip("other numbers come out here than where the results were made")
+        pytest.skip("other numbers come out here than where the results were made: " + "; ".join(found.findings))
     assert (found.verdict, found.findings) == ("holds", ())
 
 

@@ -16,9 +16,11 @@ import pyarrow.parquet
 import pytest
 
 from command_line import run
+from nmes.errors import StudyError
 from nmes.schemas.documents import canonical_hash
 from nmes.study import Results, Study, run_study, verify_study
 from nmes.study.claims import evaluate
+from nmes.study.document import PlannedRun
 from processes import NMES
 from studies import DISCUSSION, STUDY, make_study
 
@@ -78,9 +80,32 @@ def test_a_report_has_verdicts_numbers_and_the_discussion(whole: Path) -> None:
 
 
 def test_a_study_that_is_as_it_was_holds(whole: Path) -> None:
-    status, output = verify(whole, "--sample", "2")
+    status, output = verify(whole, "--sample", "2", "--seed", "7")
     assert status == 0
-    assert "farther: holds\nopen: undecided at this budget\nholds: 2 of 6 runs done again\n" in output
+    told = "holds: 2 of 6 runs done again, drawn by --seed 7\n"
+    assert f"farther: holds\nopen: undecided at this budget\n{told}" in output
+
+
+def test_the_runs_that_are_done_again_are_drawn_from_all_arms_and_otherwise_each_time(
+    whole: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plan, found = Study.load(whole).plan("small"), rows(whole)
+    chosen: list[tuple[object, int]] = []
+
+    def perform(study: Study, run: PlannedRun, *others: object) -> dict[str, object]:
+        chosen.append((run.arm["name"], run.seed))
+        return {name: found[run.number][name] for name in study.document["columns"]}
+
+    monkeypatch.setattr("nmes.study.run.perform", perform)
+    draws = set()
+    for seed in range(20):
+        chosen.clear()
+        assert verify_study(plan, 2, 1, nothing, seed).verdict == "holds"
+        assert [arm for arm, _ in sorted(chosen, reverse=True)] == ["swinging", "still"]
+        draws.add(tuple(sorted(chosen)))
+    assert len(draws) > 5
+    told = {json.loads(run("study", "verify", whole, "--sample", "0", "--json").stdout)["seed"] for _ in range(2)}
+    assert len(told) == 2
 
 
 # -- what a proof finds -----------------------------------------------------------------------------------------------
@@ -187,10 +212,29 @@ def test_how_long_it_may_take_can_be_told_anew_after_the_run(copied: Path) -> No
 
 
 def test_a_discussion_may_change_after_the_run(copied: Path) -> None:
-    (copied / "small/discussion.md").write_text(DISCUSSION + "More words, and `code 66`.\n")
+    (copied / "small/discussion.md").write_text(DISCUSSION + "More words, and `seeds = [1, 2, 3]`.\n")
     assert verify(copied, "--sample", "0")[0] == 1
     assert run("study", "report", copied).exit_code == 0
     assert verify(copied, "--sample", "0")[0] == 0
+    (copied / "small/discussion.md").write_text(DISCUSSION + "More words, and `66 %` of the runs.\n")
+    result = run("study", "report", copied)
+    assert result.exit_code == 1 and "line 2: it has the digit 6" in result.output
+
+
+def test_that_a_criterion_was_changed_can_be_told_after_the_run_and_is_in_the_report(copied: Path) -> None:
+    edit(copied / "study.toml", "partly = 'gain < -1'", "partly = 'gain < -1'\nchanged = \"It asked for less.\"")
+    status, output = verify(copied, "--sample", "0")
+    assert status == 1 and "REPORT.md, line " in output
+    assert run("study", "report", copied).exit_code == 0
+    assert "  - in part: `gain < -1`\n  - changed: It asked for less.\n" in (copied / "small/REPORT.md").read_text()
+    assert verify(copied, "--sample", "0")[0] == 0
+
+
+def test_a_hidden_file_is_no_document_of_a_study(copied: Path) -> None:
+    (copied / ".DS_Store").write_bytes(b"\0")
+    assert verify(copied, "--sample", "0")[0] == 0
+    (copied / "other.json").write_text("{}")
+    assert verify(copied, "--sample", "0")[0] == 1
 
 
 # -- kills ------------------------------------------------------------------------------------------------------------
@@ -224,6 +268,31 @@ def test_kills_and_ctrl_c_leave_what_is_done_and_do_not_show(whole: Path, tmp_pa
         assert text.replace("verify killed", "verify whole") == (whole / "small" / name).read_text()
 
 
+def test_what_was_done_where_other_numbers_come_out_is_done_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = make_study(tmp_path / "moved")
+    monkeypatch.setattr("nmes.study.run.fingerprint", lambda backend: {"probe": "another"})
+    done: list[int] = []
+
+    def perform(study: Study, run: PlannedRun, *others: object) -> dict[str, object]:
+        done.append(run.number)
+        return {"score": float(len(done)), "hash": ""}
+
+    monkeypatch.setattr("nmes.study.run.perform", perform)
+    plan = Study.load(folder).plan("small")
+    assert [row["score"] for row in run_study(plan, 1, nothing).rows] == [1, 2, 3, 4, 5, 6]
+    assert len(run_study(plan, 1, nothing).rows) == len(done) == 6  # what is kept is not done again
+    monkeypatch.setattr("nmes.study.run.fingerprint", lambda backend: {"probe": "this one"})
+    assert [row["score"] for row in run_study(plan, 1, nothing).rows] == [7, 8, 9, 10, 11, 12]
+    (kept, *_) = sorted(folder.glob("work/*/done/*.json"))
+    for content in (b"{}", b"[]", b"{", kept.read_bytes().replace(b'"score":', b'"points":')):
+        for path in folder.glob("work/*/done/000000.json"):
+            path.write_bytes(content)
+        with pytest.raises(StudyError, match="that run is done again"):
+            run_study(plan, 1, nothing)
+
+
 # -- what is measured -------------------------------------------------------------------------------------------------
 
 
@@ -253,6 +322,21 @@ def test_measured_columns_are_results_that_need_not_come_out_again(tmp_path: Pat
     assert run("study", "report", folder).exit_code == 0
     status, output = verify(folder, "--all")
     assert status == 1 and "run 0 (arm swinging, seed 1): score is " in output and "wall is " not in output
+
+
+def test_what_is_measured_is_judged_anew_where_all_is_done_again(tmp_path: Path) -> None:
+    folder = with_clocks(tmp_path / "timed", 'measured = ["wall"]')
+    edit(folder / "study.toml", "[values]", '[values]\nwall = { statistic = "iqm", column = "wall", arm = "still" }')
+    edit(folder / "study.toml", "holds = 'gain > 2'", "holds = 'wall > 1000'")
+    assert run("study", "run", folder).exit_code == 0
+    assert verify(folder, "--all")[0] == 0
+    plan = Study.load(folder).plan("small")
+    Results.here(plan, [{**row, "wall": 2000.0} for row in rows(folder)]).write(plan)
+    assert run("study", "report", folder).exit_code == 0
+    assert verify(folder)[0] == 0
+    status, output = verify(folder, "--all")
+    assert status == 3
+    assert "claim open: undecided at this budget here, where the results say holds\n" in output
 
 
 def test_a_column_of_clocks_that_is_not_said_to_be_measured_is_found(tmp_path: Path) -> None:
@@ -349,6 +433,8 @@ minutes = 0.1
     edit(folder / "study.toml", "/world=blue/port", "/world=green/port")
     status, output = verify(folder)
     assert status == 0 and "holds: 0 of 3 runs done again\nnot judged: 3 runs in which clocks have a part\n" in output
+    status, output = verify(folder, "--all")
+    assert status == 0 and "holds: 3 of 3 runs done again\nnot judged: 3 runs in which clocks have a part\n" in output
 
 
 def test_a_command_that_fails_is_told_with_what_it_said(tmp_path: Path) -> None:
@@ -378,6 +464,8 @@ def test_an_arm_may_be_run_in_some_cells_alone_and_is_compared_where_both_are(tm
     (folder / "study.toml").write_text(text.replace("size = [2]", "size = [3]"))
     refused = run("study", "run", folder).output
     assert "arms/1/factors/size: there is no value 3" in refused
+    (folder / "study.toml").write_text(text.replace('unit = "m"', 'unit = "m"\nwhere = { size = 3 }'))
+    assert "figures/0/where/size: there is no value 3" in run("study", "run", folder).output
     assert "budgets/small: arm still has no runs" in refused
 
 
@@ -404,6 +492,12 @@ def test_an_arm_may_be_run_in_some_cells_alone_and_is_compared_where_both_are(tm
             "measured: there is no column scor; did you mean",
         ),
         ("minutes = 0.1", "minutes = nan", "is no TOML: nan is no finite number"),
+        ("minutes = 0.1", f"minutes = 1{26 * '0'}", "budgets/small/minutes: whole numbers go to 9,007,199,254,740,992"),
+        ('"m"', '"m"\nwhere = { size = 1 }', "figures/0/where: there is no factor size"),
+        ('about = "It swings."', 'about = "\\u0000"', "arms/0/about: it has a character of the code 0"),
+        ('"It swings."', '"."\nenvironment = { "A=B" = "" }', "arms/0/environment: 'A=B' cannot be the name of a"),
+        ("nmes eval", "nmes eval '", "commands/score: it is no command line: no closing quotation"),
+        ("[settings]", "[scales.f]\n1 = 0\n[settings]", "scales/f/1"),
         ("[settings]", "[settings", "is no TOML"),
         ('format = "nmes-study/1"', 'format = "nmes-study/9"', "format"),
     ],
