@@ -23,11 +23,12 @@ PAGE = ROOT / "docs" / "paper.md"
 _HEAD = """\
 # The paper's claims
 
-Each claim of the paper that can be tested, in its order, with the verdict of the [study](studies.md) that tests it:
+Claims of the paper that can be tested, in its order, with the verdict of the [study](studies.md) that tests them:
 `holds`, `holds in part`, `refuted`, or `undecided at this budget`. The figure is the value that the verdict rests on,
 with its interval of 95 %. The command proves it: report and figures follow from the results, and runs that are done
-again come out the same, but for times and memory, which are measured anew by whoever runs a study. What no study
-tests yet says so.
+again come out the same. What rests on times or memory is measured and judged anew where `--all` is added. *Changed*
+stands where part of a criterion was written when results had been seen; the report tells which. What no study tests
+says so.
 
 This page is written by `tools/paper.py` from `studies/paper.toml` and the results of the studies.
 
@@ -44,13 +45,13 @@ def written() -> str:
 
 def _row(claim: dict[str, Any]) -> Iterator[str]:
     if "study" not in claim:
-        yield from (_quoted(claim), f"not tested yet: {claim['untested']}", "", "")
+        yield from (_quoted(claim), f"not tested by a study: {claim['untested']}", "", "")
         return
     study = Study.load(ROOT / "studies" / claim["study"])
     done = [budget for budget in ("full", "small") if (study.folder / budget / FILE).exists()]
     (document,) = (each for each in study.document["claims"] if each["name"] == claim["claim"])
     if not done:
-        yield from (_quoted(document), "not tested yet: the study is written, and was not run", "")
+        yield from (_quoted(document), "not tested: the study is written, and was not run", "")
         yield f"`nmes study run {study.name}`"
         return
     budget = done[0]
@@ -59,8 +60,9 @@ def _row(claim: dict[str, Any]) -> Iterator[str]:
     found = values[claim["figure"]]
     interval = "" if found.low == found.high else f" ({number(found.low)} to {number(found.high)})"
     yield _quoted(document)
-    yield f"**{judge(document, values)}**"
     report = f"../studies/{study.name}/{budget}/REPORT.md"
+    changed = f" ([changed]({report}#what-would-count))" if "changed" in document else ""
+    yield f"**{judge(document, values)}**{changed}"
     yield f"[`{claim['figure']}`]({report}) = {number(found.value)}{interval}, {found.runs} runs"
     yield f"`nmes study verify {study.name} --budget {budget}`"
 
