@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from hashlib import sha256
+from importlib.metadata import version
+from importlib.util import find_spec
 from typing import Any, Final
 
 import orjson
@@ -202,17 +204,26 @@ class RunSettings:
                     yield f"{place}/{index}", f"{genome.name!r} may not take part: {reason}"
 
     def with_budget(self, budget: int) -> RunSettings:
-        """Returns the same settings with another budget."""
+        """Returns the same settings with another budget.
+
+        Raises:
+            DocumentError: No run may have it.
+        """
+        check(_RUN, {"format": FORMAT, "task": self.task.name, "algorithm": self.algorithm, "budget": budget})
         return replace(self, budget=budget)
 
     def fingerprint(self) -> dict[str, str]:
-        """Returns the fingerprint of what would compute the run here: of the engine, the draws and the algorithm."""
+        """Returns the fingerprint of what would compute the run here: of the engine, the draws and the algorithm.
+
+        The versions of packages are there to be read; what decides is what they compute.
+        """
         draw = Draw(0, "fingerprint")
         drawn = [[draw.normal(), draw.uniform(-1.0, 1.0), draw.count(0, 1 << 40)] for _ in range(100)]
         return {
             **fingerprint(load_backend(self.task.world_config(0)["backend"])),
             "draws": sha256(orjson.dumps(drawn)).hexdigest(),
             "algorithm": self.begin().probe(),
+            **{name: version(name) for name in ("numpy", "cma") if find_spec(name) is not None},
         }
 
 
@@ -257,7 +268,8 @@ def _starts(values: Sequence[str | JsonObject], place: str) -> tuple[Genome, ...
         try:
             starts.append(Genome.load(value))
         except DocumentError as error:
-            problems += [(f"{place}/{index}/{path}".rstrip("/"), words) for path, words in error.problems]
+            named = f"{value}: " if isinstance(value, str) else ""
+            problems += [(f"{place}/{index}/{path}".rstrip("/"), named + words) for path, words in error.problems]
     if problems:
         raise DocumentError(problems)
     return tuple(starts)
