@@ -14,7 +14,7 @@ __all__ = ["command"]
 
 @click.command("resume")
 @click.argument("folder", metavar="RUN", type=click.Path(path_type=Path))
-@click.option("--budget", metavar="N", type=click.IntRange(1), help="Of candidates, another than the run has.")
+@click.option("--budget", metavar="N", type=click.IntRange(1, 10**9), help="Of candidates, another than the run has.")
 @JOBS
 @RAY
 @JSON
@@ -39,7 +39,7 @@ def command(folder: Path, budget: int | None, jobs: int | None, ray: str | None,
     run = Run.open(folder)
     if budget is not None and budget != run.settings.budget:
         run.extend(budget)
-    elif run.finished:
+    elif run.finished and (run.up_to_date or run.differences()):  # else the index is brought up to date
         click.echo("the run is finished", err=True)
         tell(run, as_json)
         return

@@ -34,7 +34,7 @@ from nmes.evaluation.setting import task_identity
 from nmes.evolution.algorithm import Algorithm, Candidate, Score
 from nmes.evolution.run_entry import Entry, told
 from nmes.evolution.run_folder import SETTINGS, begin_run, open_run, text_of
-from nmes.evolution.run_index import IndexWriter, Record, RunIndex, State
+from nmes.evolution.run_index import MADE_ANEW, IndexWriter, Record, RunIndex, State
 from nmes.evolution.run_log import Line, RunLog, RunWriter, write_whole
 from nmes.evolution.run_settings import FORMAT, RunSettings
 from nmes.genome import Genome
@@ -189,7 +189,8 @@ class Run:
     def elites(self) -> Sequence[int]:
         """Returns the indices of the algorithm's elites, the best first.
 
-        While another process goes on with the run, or after a kill, they may be those of a few candidates ago.
+        While another process goes on with the run, or before one that was killed is resumed, they may be those of a few
+        candidates ago.
         """
         return self._told_state().elites
 
@@ -197,8 +198,18 @@ class Run:
         """Returns the algorithm's figures, as of `elites`."""
         return self._told_state().figures
 
+    @property
+    def indexed(self) -> State | None:
+        """What the index has of the algorithm; None where it has nothing."""
+        return self._indexed_state
+
+    @property
+    def up_to_date(self) -> bool:
+        """Whether the index has all that was told."""
+        return self._indexed == len(self) and self.indexed is not None and self.indexed.told == len(self)
+
     def _told_state(self) -> State:
-        if self._state is None:
+        if self._state is None or (self.finished and self._state.told != len(self)):
             order = Order(self.settings.begin(), len(self), len(self))
             for _ in self.replay(order, lambda: None):
                 pass
@@ -229,11 +240,10 @@ class Run:
 
     def _read(self) -> None:
         """Reads what the index has, and what it lacks from the log."""
-        self.records, self._state = self._index.read()
+        self.records, self._indexed_state = self._index.read()
         if not self._is_indexed():
-            self.records, self._state = [], None
-        if self._state is not None and not all(0 <= elite < len(self) for elite in self._state.elites):
-            self._state = None
+            self.records, self._indexed_state = [], None
+        self._state = self._indexed_state
         self._indexed = len(self)
         last = self.records[-1] if self.records else None
         begin, digest = (0, None) if last is None else (last.end, last.digest)
@@ -242,16 +252,25 @@ class Run:
 
     def _is_indexed(self) -> bool:
         """Whether the index is one of this log, up to some line."""
-        if not self.records:
-            return True
-        *before, last = self.records
+        ends = [0, *(record.end for record in self.records)]
+        places = zip(self.records, enumerate(ends), strict=False)
+        if any((record.index, record.begin) != place for record, place in places):
+            return False
         try:
-            line = next(self._log.lines(len(before), last.begin, before[-1].digest if before else None), None)
+            return not self.records or self._line(len(self) - 1) is not None
         except RunError:
             return False
-        return [record.index for record in self.records] == list(range(len(self))) and (
-            line is not None and (line.end, line.digest) == (last.end, last.digest)
-        )
+
+    def _line(self, index: int) -> Line | None:
+        """Reads the line of a candidate; None where it is not the one that the index has.
+
+        Raises:
+            RunError: It is damaged (`log_damaged`), or cannot be read (`no_run`).
+        """
+        record, before = self.records[index], self.records[index - 1].digest if index else None
+        line = next(self._log.lines(index, record.begin, before), None)
+        same = line is not None and (line.end, line.digest) == (record.end, record.digest)
+        return line if same else None
 
     def entries(self, number: int = 0, begin: int = 0, digest: str | None = None) -> Iterator[tuple[Line, Entry]]:
         """Reads the log itself, from a place on that `RunLog.lines` describes.
@@ -273,9 +292,11 @@ class Run:
         Raises:
             RunError: Its line is damaged (`log_damaged`).
         """
-        record = self.records[index]
+        line = self._line(index)
+        if line is None:
+            raise self._log.damaged(index + 1, "it is not the line of which the index was made")
         with self._whole(index):
-            return Entry.parse(self._log.content(record.begin, record.end), index, self.settings)
+            return Entry.parse(line.content, index, self.settings)
 
     @contextmanager
     def _whole(self, index: int) -> Iterator[None]:
@@ -292,6 +313,7 @@ class Run:
 
         Raises:
             RunError: It has been told more already (`budget_spent`).
+            DocumentError: No run may have it.
         """
         if budget < len(self):
             raise RunError("budget_spent", f"{self.folder} has {len(self):,} candidates already, more than {budget:,}")
@@ -340,8 +362,8 @@ class Run:
             finally:
                 index.close()
         except sqlite3.Error as error:
-            what = f"cannot write the index in {self.folder}: {error}"
-            raise RunError("cannot_write", f"{what}; make room, then resume the run") from error
+            what = f"cannot write the index in {self.folder}: {error}; make room, if there is none; {MADE_ANEW}"
+            raise RunError("cannot_write", what) from error
         finally:
             pool.stop()
             writer.close()
@@ -383,4 +405,4 @@ class Run:
         """Brings the index up to what was told."""
         self._state = State(order.told, tuple(order.algorithm.elites()), dict(order.algorithm.figures()))
         index.put(self.records[self._indexed :], self._state)
-        self._indexed = len(self)
+        self._indexed, self._indexed_state = len(self), self._state

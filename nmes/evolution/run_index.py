@@ -15,7 +15,12 @@ from typing import Any, Final
 
 import orjson
 
-__all__ = ["Record", "RunIndex", "State"]
+from nmes.errors import RunError
+
+__all__ = ["MADE_ANEW", "Record", "RunIndex", "State"]
+
+MADE_ANEW: Final = "it follows from the log, and may be removed: then resume the run"
+"""What to do about an index that cannot be used."""
 
 _VERSION: Final = 1
 _KIND: Final = 0x4E4D5255  # "NMRU": the file's application_id
@@ -108,7 +113,8 @@ class RunIndex:
                     db.execute("BEGIN")  # both as of one moment
                     rows = db.execute('SELECT * FROM records ORDER BY "index"').fetchall()
                     states = db.execute("SELECT * FROM state").fetchall()
-                    return [_record(row) for row in rows], _state(states)
+                    records = [_record(row) for row in rows]
+                    return records, _state(states, len(records))
             finally:
                 db.close()
         return [], None
@@ -118,11 +124,17 @@ class RunIndex:
 
         Args:
             anew: Whether what it has is of no use.
+
+        Raises:
+            RunError: It cannot be made anew (`cannot_write`).
         """
-        if anew:
-            for ending in ("", "-journal", "-wal", "-shm"):
-                self._path.with_name(self._path.name + ending).unlink(missing_ok=True)
-        return IndexWriter(self._path)
+        try:
+            if anew:
+                for ending in ("", "-journal", "-wal", "-shm"):
+                    self._path.with_name(self._path.name + ending).unlink(missing_ok=True)
+            return IndexWriter(self._path)
+        except OSError as error:
+            raise RunError("cannot_write", f"cannot write {self._path}: {error.strerror}; {MADE_ANEW}") from error
 
 
 class IndexWriter:
@@ -181,13 +193,39 @@ def _row(record: Record) -> tuple[Any, ...]:
 
 def _record(row: Sequence[Any]) -> Record:
     values = dict(zip(Record.__slots__, row, strict=True))
-    for name in ("parents", "objectives", "measures"):
+    values["parents"] = _places(values["parents"], values["index"])
+    for name in ("objectives", "measures"):
         values[name] = tuple(orjson.loads(values[name]))
+        _require(all(isinstance(value, int | float) for value in values[name]))
     return Record(**values)
 
 
-def _state(rows: Sequence[Sequence[Any]]) -> State | None:
+def _state(rows: Sequence[Sequence[Any]], count: int) -> State | None:
+    """Reads what the algorithm said of itself.
+
+    Raises:
+        ValueError: It is nothing that an algorithm that was told so many candidates says.
+    """
     if not rows:
         return None
     told, elites, figures = rows[0]
-    return State(told, tuple(orjson.loads(elites)), orjson.loads(figures))
+    figures = orjson.loads(figures)
+    _require(0 <= told <= count and isinstance(figures, dict))
+    _require(all(value is None or isinstance(value, int | float) for value in figures.values()))
+    return State(told, _places(elites, told), figures)
+
+
+def _places(text: str, count: int) -> tuple[int, ...]:
+    """Reads indices of candidates, of which there are so many.
+
+    Raises:
+        ValueError: It has something else.
+    """
+    places = orjson.loads(text)
+    _require(isinstance(places, list) and all(type(place) is int and 0 <= place < count for place in places))
+    return tuple(places)
+
+
+def _require(sound: bool) -> None:
+    if not sound:
+        raise ValueError("the index has what no index has")

@@ -90,12 +90,6 @@ class RunLog:
         except OSError as error:
             raise RunError("no_run", f"cannot read {self.path}: {error.strerror}") from error
 
-    def content(self, begin: int, end: int) -> bytes:
-        """Returns the record of the line between two places."""
-        with open_regular(self.path) as file:
-            file.seek(begin)
-            return _content(file.read(end - begin))
-
     def damaged(self, number: int, what: str) -> RunError:
         """Returns the error about a line, counted from 1."""
         return RunError("log_damaged", f"{self.path}, line {number}: {what}; restore the file, or begin a new run")
@@ -127,6 +121,7 @@ class RunWriter:
             raise RunError("run_busy", f"another process goes on with the run in {log.path.parent}") from error
         self.end, self.digest = 0, log.origin
         self._synced = time.monotonic()
+        _sync_names(log.path.parent)
 
     def resume(self, end: int, digest: str, head: bytes) -> None:
         """Goes on behind the last whole line; a torn one behind it, which a kill left there, is cut off.
@@ -211,13 +206,24 @@ def write_whole(path: Path, text: bytes, *, new: bool = False) -> None:
             os.link(part, path)
         else:
             part.replace(path)
+        _sync_names(path.parent)
     except FileExistsError as error:
         raise RunError("run_exists", f"another process has begun a run in {path.parent}") from error
     except OSError as error:
-        raise _unwritten(path, error) from error
+        raise _unwritten(path, error, "begin the run again" if new else "resume the run") from error
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
+
+
+def _sync_names(folder: Path) -> None:
+    """Syncs which files a folder has, so that a power cut does not take a new one away."""
+    with suppress(OSError):  # there are file systems whose folders cannot be synced
+        names = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            os.fsync(names)
+        finally:
+            os.close(names)
 
 
 def _write(file: int, text: bytes) -> None:
@@ -227,8 +233,8 @@ def _write(file: int, text: bytes) -> None:
         left = left[os.write(file, left) :]
 
 
-def _unwritten(path: Path, error: OSError) -> RunError:
-    advice = "; make room, then resume the run" if error.errno in _FULL else ""
+def _unwritten(path: Path, error: OSError, then: str = "resume the run") -> RunError:
+    advice = f"; make room, then {then}" if error.errno in _FULL else ""
     return RunError("cannot_write", f"cannot write {path}: {error.strerror}{advice}")
 
 

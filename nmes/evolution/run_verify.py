@@ -123,6 +123,21 @@ class _Verification:
                 yield f"candidate {record.index}: its genome is none: {error.message}"
                 return
             order.tell(candidate, entry.score)
+            yield from self._compare_state()
+
+    def _compare_state(self) -> Iterator[str]:
+        """Yields in what the index has something else of the algorithm than it says of itself now."""
+        indexed, algorithm = self._run.indexed, self.order.algorithm
+        if indexed is None or indexed.told != self.order.told:
+            return
+        figures = orjson.loads(orjson.dumps(dict(algorithm.figures())))
+        for name, there, now in (
+            ("elites", indexed.elites, tuple(algorithm.elites())),
+            ("figures", orjson.loads(orjson.dumps(dict(indexed.figures))), figures),
+        ):
+            if there != now:
+                what = f"the index has other {name} than the algorithm: delete the index"
+                yield f"after candidate {indexed.told - 1}: {what}"
 
     def choose(self, sample: int | None) -> list[int]:
         """Returns the candidates that are to be evaluated again: the elites, and others."""

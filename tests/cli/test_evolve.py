@@ -8,6 +8,7 @@ import pty
 import resource
 import shutil
 import signal
+import sqlite3
 import subprocess
 import time
 from collections.abc import Callable, Iterator
@@ -90,6 +91,18 @@ def test_a_run_can_be_given_a_greater_budget(run: Path, task: Path, tmp_path: Pa
     assert longer["digest"] == at_once["digest"] and longer["told"] == 30
     result = nmes("resume", run, "--budget", "29")
     assert result.exit_code == 1 and "30" in result.output
+    before = (run / "run.json").read_bytes()
+    assert nmes("resume", run, "--budget", str(2 * 10**9)).exit_code == 2 and (run / "run.json").read_bytes() == before
+
+
+def test_who_resumes_a_run_whose_index_lags_brings_it_up_to_date(run: Path, whole: Path) -> None:
+    db = sqlite3.connect(run / "index.sqlite")
+    with db:  # as a kill just before the end leaves it
+        db.execute("UPDATE state SET told = 12, elites = '[3]', figures = '{}'")
+    as_it_was = told(nmes("resume", whole, "--json"))
+    assert told(nmes("resume", run, "--jobs", "1", "--json")) == {**as_it_was, "run": str(run)}
+    assert db.execute("SELECT told FROM state").fetchall() == [(24,)]
+    db.close()
 
 
 def test_where_a_run_lies_unless_said_otherwise(task: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

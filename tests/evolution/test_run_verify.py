@@ -205,6 +205,15 @@ def test_an_index_that_says_otherwise_than_the_log_is_found(run: Path) -> None:
     assert found["verdict"] == "broken" and "candidate 5: the index" in found["findings"][0]
 
 
+@pytest.mark.parametrize(("what", "value"), [("elites", "[3]"), ("elites", "[]"), ("figures", '{"cells": 9}')])
+def test_an_index_that_says_otherwise_than_the_algorithm_is_found(run: Path, what: str, value: str) -> None:
+    with sqlite3.connect(run / "index.sqlite") as db:
+        db.execute(f"UPDATE state SET {what} = ?", [value])
+    db.close()
+    found = verdict(run, "--sample", "0")
+    assert found["verdict"] == "broken" and f"the index has other {what}" in found["findings"][0]
+
+
 def test_settings_that_were_changed_are_found(run: Path) -> None:
     document = orjson.loads((run / "run.json").read_bytes())
     (run / "run.json").write_bytes(orjson.dumps({**document, "seed": 4}))

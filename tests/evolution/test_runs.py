@@ -257,6 +257,16 @@ SPOILS = {
     "empty": empty,
     "halve": halve,
     "mix": mix,
+    "lag": saying("UPDATE state SET told = 12, elites = '[3]', figures = '{}'"),  # a kill leaves it so
+    "elites that are none": saying("UPDATE state SET elites = '[24]'"),
+    "elites that are no list": saying("UPDATE state SET elites = '\"0\"'"),
+    "figures that are none": saying("UPDATE state SET figures = '[]'"),
+    "figures that are no numbers": saying('UPDATE state SET figures = \'{"species": "many"}\''),
+    "too much told": saying("UPDATE state SET told = 25"),
+    "parents that are none": saying("UPDATE records SET parents = '[20]' WHERE \"index\" = 20"),
+    "parents that are no list": saying("UPDATE records SET parents = '7' WHERE \"index\" = 20"),
+    "objectives that are no numbers": saying("UPDATE records SET objectives = '[[]]' WHERE \"index\" = 20"),
+    "lines that overlap": saying('UPDATE records SET "begin" = "begin" - 1 WHERE "index" = 20'),
 }
 
 
@@ -275,6 +285,30 @@ def test_an_index_follows_from_the_log_whatever_became_of_it(
         assert db.execute("SELECT count(*), sum(score) FROM records").fetchone()[0] == 25
     db.close()
     assert Run.open(folder).records == run.records
+
+
+def test_an_index_of_before_the_run_went_on_is_no_other_run(whole: Path, tmp_path: Path) -> None:
+    run = finish(begin(tmp_path / "run", budget=9))
+    shutil.copy(tmp_path / "run" / "index.sqlite", tmp_path / "old")
+    run.extend(24)
+    finish(run)
+    shutil.copy(tmp_path / "old", tmp_path / "run" / "index.sqlite")
+    again, as_it_was = Run.open(tmp_path / "run"), Run.open(whole)
+    assert (again.finished, again.up_to_date, as_it_was.up_to_date) == (True, False, True)
+    assert (again.records, again.elites()) == (as_it_was.records, as_it_was.elites())
+    finish(again)
+    assert Run.open(tmp_path / "run").up_to_date
+
+
+def test_a_line_that_was_changed_is_noticed_where_the_index_has_its_record(whole: Path, tmp_path: Path) -> None:
+    folder = copied(whole, tmp_path)
+    (folder / "log.jsonl").write_bytes(log(whole).replace(b'"index":17', b'"index":71'))
+    run = Run.open(folder)
+    assert run.genome(16).hash == run.records[16].genome_hash
+    for read in (run.genome, run.evaluation, run.entry):
+        with pytest.raises(RunError) as error:
+            read(17)
+        assert error.value.code == "log_damaged" and "line 18:" in error.value.message
 
 
 def test_a_run_is_read_beside_who_goes_on_with_it_and_who_goes_on_is_one(tmp_path: Path) -> None:
@@ -382,6 +416,36 @@ def test_a_budget_is_kept_only_if_the_run_goes_on(whole: Path, tmp_path: Path) -
         finish(run)
     writing.close()
     assert (folder / "run.json").read_bytes() == before
+
+
+@pytest.mark.parametrize("budget", [2 * 10**9, 10**30])
+def test_a_budget_that_no_run_may_have_changes_nothing(whole: Path, tmp_path: Path, budget: int) -> None:
+    folder = copied(whole, tmp_path)
+    before = (folder / "run.json").read_bytes()
+    with pytest.raises(DocumentError, match="budget"):
+        Run.open(folder).extend(budget)
+    assert (folder / "run.json").read_bytes() == before and Run.open(folder).finished
+
+
+def test_an_index_that_cannot_be_written_is_named(whole: Path, tmp_path: Path) -> None:
+    folder = copied(whole, tmp_path)
+    (folder / "index.sqlite").unlink()
+    (folder / "index.sqlite").mkdir()
+    run = Run.open(folder)
+    run.extend(25)
+    with pytest.raises(RunError, match=r"index\.sqlite.*may be removed"):
+        finish(run)
+    (folder / "index.sqlite").rmdir()
+    assert len(finish(Run.open(folder))) >= 24
+
+
+def test_a_genome_of_a_folder_that_is_none_is_named(tmp_path: Path) -> None:
+    for name, text in (("good.json", orjson.dumps(Genome.load("walker").document)), ("spoilt.json", b'{"body": 7}')):
+        (tmp_path / name).write_bytes(text)
+    starts = sorted(str(path) for path in tmp_path.iterdir())
+    with pytest.raises(DocumentError, match=r"spoilt\.json") as error:
+        RunSettings.read({**SETTINGS, "task": "walk", "starts": starts})
+    assert "good.json" not in error.value.message
 
 
 def test_starts_that_nobody_could_read_again_are_refused() -> None:
