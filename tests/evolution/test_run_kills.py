@@ -49,7 +49,16 @@ def settings(algorithm: str, budget: int) -> dict[str, Any]:
     return {"algorithm": algorithm, "budget": budget, **ALGORITHMS[algorithm]}
 
 
-@pytest.mark.parametrize(("algorithm", "jobs"), [("ga", (2, 1, 1)), ("cma", (1, 1, 1)), ("map-elites", (1, 1, 1))])
+@pytest.mark.parametrize(
+    ("algorithm", "jobs"),
+    [
+        ("ga", (2, 1, 1)),
+        ("cma", (1, 1, 1)),
+        ("map-elites", (1, 1, 1)),
+        ("neat", (1, 4, 1)),
+        ("nsga2", (1, 1, 2)),
+    ],
+)
 def test_kills_do_not_show_in_a_run(algorithm: str, jobs: tuple[int, ...], tmp_path: Path) -> None:
     whole = finish(begin(tmp_path / "whole", **settings(algorithm, 40)))
     folder, draw = tmp_path / "killed", random.Random(algorithm)
@@ -80,7 +89,7 @@ def test_forty_kills_of_runs_with_one_two_and_four_workers_do_not_show(algorithm
         new = ["--settings", str(file), "-o", str(folder)]
         arguments = ["resume", str(folder)] if (folder / "run.json").exists() else new
         until, early = lines(folder) + draw.randrange(6), draw.random() < 0.25
-        with subprocess.Popen([NMES, "evolve", *arguments, "--jobs", draw.choice("124")]) as running:
+        with subprocess.Popen([NMES, "evolve", *arguments, "--jobs", "124"[kills % 3]]) as running:
             while not early and lines(folder) < until and running.poll() is None:
                 time.sleep(0.001)
             time.sleep(draw.uniform(0.0, 2.0 if early else 0.2))
