@@ -1,21 +1,27 @@
-"""Writes the tables of docs/reference-cli.md and docs/reference-python.md: every command and every public name.
+"""Writes the tables of docs/reference-cli.md, docs/reference-python.md and docs/evolution.md.
 
-On the site both pages go on with all that each of them says; as files, they at least list them.
+They list every command, every public name and every option of an algorithm. On the site the first two pages go on with
+all that each of these says; as files, they at least list them.
 """
 
 from __future__ import annotations
 
 import importlib
 import inspect
+import math
 import re
 from collections.abc import Iterator
+from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import click
 
 from nmes.cli import SUBCOMMANDS, main
+from nmes.errors import DocumentError
+from nmes.evolution.algorithms import ALGORITHMS, options_class
 
-__all__ = ["PACKAGES", "PAGES", "commands", "names", "rewrite"]
+__all__ = ["PACKAGES", "PAGES", "commands", "names", "options", "rewrite"]
 
 DOCS = Path(__file__).parent.parent / "docs"
 PACKAGES = (
@@ -54,15 +60,56 @@ def _at_top(name: str, value: object) -> bool:
     return name in top.__all__ and getattr(top, name) is value
 
 
-def rewrite(page: str, rows: Iterator[tuple[str, str]]) -> str:
-    """Returns a page with its table written anew."""
-    lines = "".join(f"| `{name}` | {words} |\n" for name, words in rows)
-    table = f"<!-- written by tools/reference_docs.py -->\n\n| | |\n|---|---|\n{lines}\n<!-- end -->\n"
-    return _TABLE.sub(lambda _: table, page)
+def options() -> Iterator[tuple[str, str, str, str, str]]:
+    """Yields each option, which algorithms have it, its default, what it may be, and what it means."""
+    of: dict[tuple[str, str, str, str], list[str]] = {}
+    for algorithm in ALGORITHMS:
+        kind = options_class(algorithm)
+        meanings = _meanings(kind)
+        for field in fields(kind):
+            default = str(field.default).lower()
+            alike = (field.name, default, _values(kind, field.name, field.default), meanings[field.name])
+            of.setdefault(alike, []).append(f"`{algorithm}`")
+    for (name, default, values, meaning), algorithms in of.items():
+        yield name, ", ".join(algorithms), default, values, meaning
 
 
-PAGES = {DOCS / "reference-cli.md": commands, DOCS / "reference-python.md": names}
+def _meanings(kind: type[Any]) -> dict[str, str]:
+    """Returns what each field of a dataclass means, as its docstring and those that it inherits say."""
+    meanings: dict[str, str] = {}
+    for each in reversed(kind.__mro__):
+        _, _, attributes = (inspect.cleandoc(vars(each).get("__doc__") or "")).partition("Attributes:\n")
+        for name, words in re.findall(r"^    (\w+): ((?:.*\n?)(?:^     +.*\n?)*)", attributes, flags=re.MULTILINE):
+            meanings[name] = " ".join(words.split())
+    return meanings
+
+
+def _values(kind: type[Any], name: str, default: object) -> str:
+    """Returns what an option may be, in words: as those are refused that are beyond all bounds."""
+    if isinstance(default, bool):
+        return "true or false"
+    try:
+        kind(**{name: math.nan})
+    except DocumentError as error:
+        ((_, words),) = error.problems
+        return words.removeprefix("must be from ").removesuffix(", not nan")
+    raise AssertionError(f"{kind.__qualname__}.{name} has no bounds")
+
+
+def rewrite(page: str, titles: tuple[str, ...], rows: Iterator[tuple[str, ...]]) -> str:
+    """Returns a page with its table written anew, whose first column is names."""
+    lines = "".join(f"| `{name}` | {' | '.join(words)} |\n" for name, *words in rows)
+    head = f"| {' | '.join(titles)} |".replace("  ", " ") + f"\n|{'---|' * len(titles)}\n"
+    return _TABLE.sub(lambda _: f"<!-- written by tools/reference_docs.py -->\n\n{head}{lines}\n<!-- end -->\n", page)
+
+
+PAGES = {
+    DOCS / "reference-cli.md": (("", ""), commands),
+    DOCS / "reference-python.md": (("", ""), names),
+    DOCS / "evolution.md": (("option", "of", "default", "values", "meaning"), options),
+}
+"""Of each page the titles of its table's columns, and what yields its rows."""
 
 if __name__ == "__main__":
-    for path, rows in PAGES.items():
-        path.write_text(rewrite(path.read_text(), rows()))
+    for path, (titles, rows) in PAGES.items():
+        path.write_text(rewrite(path.read_text(), titles, rows()))

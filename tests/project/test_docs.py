@@ -85,12 +85,13 @@ def test_commands_shown_exist(line: str) -> None:
 
 
 @pytest.mark.parametrize("path", reference_docs.PAGES, ids=lambda path: path.stem)
-def test_the_references_list_every_command_and_every_public_name(path: Path) -> None:
+def test_the_references_list_every_command_every_public_name_and_every_option(path: Path) -> None:
     page = path.read_text()
-    written = reference_docs.rewrite(page, reference_docs.PAGES[path]())
+    titles, expected = reference_docs.PAGES[path]
+    written = reference_docs.rewrite(page, titles, expected())
     assert page == written, "out of date: .venv/bin/python tools/reference_docs.py"
     listed = rows(path.name)
-    assert {name for name, *_ in listed} >= {name for name, _ in reference_docs.PAGES[path]()}
+    assert {name for name, *_ in listed} >= {name for name, *_ in expected()}
 
 
 def test_make_targets_shown_exist_and_are_listed() -> None:

@@ -12,7 +12,7 @@ from nmes.evolution.algorithm import Algorithm, Problem
 from nmes.evolution.algorithms.bounds import read_options
 from nmes.schemas.documents import did_you_mean
 
-__all__ = ["ALGORITHMS", "algorithm_options", "load_algorithm"]
+__all__ = ["ALGORITHMS", "algorithm_options", "load_algorithm", "options_class"]
 
 _PLACES: Final[Mapping[str, str]] = {
     "random": "random_search.RandomSearch",
@@ -44,6 +44,17 @@ def _load(name: str) -> Any:
     return getattr(import_module(f"nmes.evolution.algorithms.{module}"), attribute)
 
 
+def options_class(name: str) -> type[Any]:
+    """Returns the dataclass of an algorithm's options.
+
+    Raises:
+        DocumentError: There is no such algorithm.
+        MissingPackage: The algorithm needs a package that is not installed.
+    """
+    options: type[Any] = _load(name).Options
+    return options
+
+
 def algorithm_options(name: str) -> dict[str, int | float | bool]:
     """Returns the options of an algorithm with their defaults.
 
@@ -51,7 +62,7 @@ def algorithm_options(name: str) -> dict[str, int | float | bool]:
         DocumentError: There is no such algorithm.
         MissingPackage: The algorithm needs a package that is not installed.
     """
-    return asdict(_load(name).Options())
+    return asdict(options_class(name)())
 
 
 def load_algorithm(name: str, problem: Problem, options: Mapping[str, Any] | None = None) -> Algorithm:

@@ -43,7 +43,7 @@ class CmaEs(Algorithm):
         population: int = 0
 
         def __post_init__(self) -> None:
-            within_bounds(self, {"sigma": (1e-9, 1e6), "population": (0, 10_000)})
+            within_bounds(self, {"sigma": (1e-9, 1_000_000), "population": (0, 10_000)})
             if self.population == 1:
                 raise DocumentError([("options.population", "must be 0, or 2 and more")])
 

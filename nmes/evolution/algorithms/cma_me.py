@@ -60,7 +60,7 @@ class CmaMe(Algorithm):
         sigma: float = 0.1
 
         def __post_init__(self) -> None:
-            within_bounds(self, {"emitters": (1, 1_000), "batch": (0, 10_000), "sigma": (1e-9, 1e6)})
+            within_bounds(self, {"emitters": (1, 1_000), "batch": (0, 10_000), "sigma": (1e-9, 1_000_000)})
             if self.batch == 1:
                 raise DocumentError([("options.batch", "must be 0, or 2 and more")])
 

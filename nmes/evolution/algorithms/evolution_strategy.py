@@ -59,7 +59,7 @@ class EvolutionStrategy(Algorithm):
         decay: float = 0.0
 
         def __post_init__(self) -> None:
-            steps = {"sigma": (1e-9, 1e6), "rate": (1e-9, 1e6), "decay": (0, 1)}
+            steps = {"sigma": (1e-9, 1_000_000), "rate": (1e-9, 1_000_000), "decay": (0, 1)}
             within_bounds(self, {"population": (2, _LARGEST), **steps})
             if self.population % 2:
                 raise DocumentError([("options.population", f"must be even, for pairs, not {self.population}")])

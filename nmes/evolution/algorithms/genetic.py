@@ -46,7 +46,7 @@ class SteadyStateOptions:
         founders: How many candidates a run begins with: start genomes and mutants of these, or random creatures.
         population: How many may be parents, and how many candidates are called a generation.
         tournament: Of how many, drawn at random, the best becomes a parent.
-        crossover: The part of the offspring that have two parents, from 0 to 1.
+        crossover: The part of the offspring that have two parents.
         window: How many candidates may be evaluated at once.
         bodies: Whether bodies vary. Where they do not, or brains do not, nobody is crossed, and start genomes take the
             place of random creatures.
@@ -187,7 +187,7 @@ class AgeFitness(_SteadyState):
         """Those of all genetic algorithms, and one more.
 
         Attributes:
-            newcomers: How many random creatures come with each generation.
+            newcomers: How many random creatures come with each generation, no more than its candidates.
         """
 
         newcomers: int = 1

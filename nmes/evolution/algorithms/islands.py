@@ -54,8 +54,8 @@ class Islands(Algorithm):
         """Those of `afpo`, which each island has, and two more.
 
         Attributes:
-            islands: How many there are at the beginning.
-            rung: How many candidates each has before the better half of the islands goes on.
+            islands: How many populations there are at the beginning.
+            rung: How many candidates each of them has before the better half of the islands goes on.
         """
 
         islands: int = 8

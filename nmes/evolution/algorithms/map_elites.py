@@ -35,7 +35,7 @@ class MapElites(Algorithm):
 
         Attributes:
             initial: How many candidates to begin with, before there are offspring.
-            crossover: In which part of the cases two elites are crossed, from 0 to 1.
+            crossover: In which part of the cases two elites are crossed.
             window: How many candidates may be under way at once.
         """
 

@@ -48,13 +48,13 @@ class Neat(Algorithm):
         Attributes:
             population: How many candidates a generation has.
             threshold: The compatibility distance within which networks are of one species.
-            weights: How much the mean difference of numbers counts in it.
+            weights: How much the mean difference of numbers counts in that distance.
             step: How far a number is shifted by a mutation at most, and a new one is from 0.
             perturbed: In which part of the offspring without a new node or link numbers are mutated.
             nodes: The chance of a new node.
             links: The chance of a new link.
             crossover: The part of the offspring that have two parents.
-            outside: The part of these of which one is of another species.
+            outside: The part of those with two parents of which one is of another species.
             survivors: The part of a species, the best, who may be parents.
             patience: For how many generations a species without progress has offspring.
             recurrent: Whether links may close loops.

@@ -107,7 +107,7 @@ class Nsga2(Algorithm):
 
         Attributes:
             population: How many candidates a generation has, and how many of them and of their parents live on.
-            crossover: In which part of the cases two parents are crossed, from 0 to 1.
+            crossover: In which part of the cases two parents are crossed.
         """
 
         population: int = 100
