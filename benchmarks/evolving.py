@@ -22,6 +22,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from nmes.evolution.run import Run
+
 CANDIDATES, FINISH = 8000, 500
 RACE = "--algorithm islands --seeds 1"
 LAST = "--algorithm afpo --set founders=100 --set population=50 --set tournament=3 --set newcomers=0"
@@ -42,15 +44,26 @@ def evolved(what: str, folder: Path, options: str, budget: int, jobs: str) -> An
     return nmes("evolve", what, *options.split(), "--budget", str(budget), "--jobs", jobs, "--quiet", "-o", str(folder))
 
 
-def champion(task: str, seed: int, folder: Path, jobs: str) -> tuple[float, float]:
-    """Returns the best score on one seed, and the best of the run from that winner on all seeds of the task."""
+def champion(task: str, seed: int, folder: Path, jobs: str) -> tuple[float, float, float]:
+    """Returns the best score on one seed, and that of the run from the winner on all seeds with its `pace`."""
     race, last = (folder / f"{task}-{seed}-{part}" for part in ("race", "last"))
     first = evolved("random", race, f"--task {task} --seed {seed} {RACE}", CANDIDATES, jobs)
     genome = race / "winner" / "genome.json"
     if not genome.exists():
         nmes("evolve", "best", str(race), "-o", str(genome.parent))
     then = evolved(str(genome), last, f"--task {task} --seed {seed} {LAST}", FINISH, jobs)
-    return first["best"]["score"], then["best"]["score"]
+    return first["best"]["score"], then["best"]["score"], pace(last)
+
+
+def pace(folder: Path) -> float:
+    """Returns how fast the best of a run is over the ground, in body lengths (the longest edge at rest) a second."""
+    run = Run.open(folder)
+    assert run.best is not None
+    (low, high), evaluation = run.genome(run.best.index).body.bounds, run.evaluation(run.best.index)
+    assert evaluation.distance is not None
+    ticks = statistics.mean(result.ticks for result in evaluation.results)
+    seconds = ticks / run.settings.task.tick_rate
+    return evaluation.distance / seconds / max(end - begin for begin, end in zip(low, high, strict=True))
 
 
 def luck(task: str, seed: int, folder: Path, jobs: str) -> float:
@@ -78,18 +91,21 @@ def main() -> None:
     asked = parser.parse_args()
     asked.output.mkdir(parents=True, exist_ok=True)
     for task in asked.tasks:
-        scores = []
+        scores, paces = [], []
         for seed in asked.seeds:
             before = spent()
-            one, all_of_them = champion(task, seed, asked.output, asked.jobs)
+            one, all_of_them, lengths = champion(task, seed, asked.output, asked.jobs)
             scores.append(all_of_them)
-            line = f"{task} seed {seed}: {one:.4g} on one seed, {all_of_them:.4g} on all, {spent() - before:.1f} min"
+            paces.append(lengths)
+            line = f"{task} seed {seed}: {one:.4g} on one seed, {all_of_them:.4g} on all, {lengths:.2f} lengths/s"
+            line += f", {spent() - before:.1f} min"
             if asked.random:
                 before = spent()
                 best = luck(task, seed, asked.output, asked.jobs)
                 line += f"; random {best:.4g} on one seed, {spent() - before:.1f} min"
             print(line, flush=True)
-        print(f"{task}: median {statistics.median(scores):.4g} of {len(scores)} seeds", flush=True)
+        median, lengths = statistics.median(scores), statistics.median(paces)
+        print(f"{task}: median {median:.4g}, {lengths:.2f} lengths/s, of {len(scores)} seeds", flush=True)
 
 
 if __name__ == "__main__":
