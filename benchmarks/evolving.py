@@ -1,4 +1,4 @@
-"""How far evolution comes from random bodies, beside as many random creatures: some minutes for each seed.
+"""How far evolution comes from random bodies, beside random creatures: some twenty minutes of two cores for each seed.
 
     python benchmarks/evolving.py walk stairs                # `islands`, seeds 1 to 5
     python benchmarks/evolving.py walk --random              # and as many random creatures, with the same seeds
@@ -24,8 +24,8 @@ from typing import Any
 
 from nmes.evolution.run import Run
 
-CANDIDATES, FINISH = 8000, 500
-RACE = "--algorithm islands --seeds 1"
+CANDIDATES, FINISH = 24_000, 500
+RACE = "--algorithm islands --seeds 1 --set rung=1500 --set founders=500 --set population=150 --set tournament=3"
 LAST = "--algorithm afpo --set founders=100 --set population=50 --set tournament=3 --set newcomers=0"
 RANDOM = "--algorithm random --seeds 1"
 
