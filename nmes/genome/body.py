@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import islice
 from typing import Any, Literal
 
 import numpy as np
@@ -48,6 +49,7 @@ PALETTE = ((0.36, 0.55, 0.75), (0.85, 0.62, 0.31), (0.45, 0.65, 0.45), (0.72, 0.
 _TOUCHING = 1e-4  # m that cubes may overlap, and reach into the ground, by rounding
 _SIGNS = np.array([(x, y, z) for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])  # of a box's corners
 _HINTS = 5  # problems with suggestions
+_BLOCK = 256  # pairs of cubes whose overlap is computed at once
 _MOST_SENSORS = 4096  # as many as a brain may have
 _PARALLEL = 1e-6  # sine of the angle below which edges count as parallel
 _DRIVEN = ("hinge", "slide")
@@ -397,8 +399,12 @@ class _Reader:
     def overlaps(self, cubes: Sequence[BodyCube], pairs: Set[frozenset[str]], spared: Set[str]) -> None:
         """Notes cubes that overlap, but for the pairs that are joined, and for those in which one is spared."""
         centres, axes, halves = _boxes(cubes)
-        near = [pair for pair in _near_pairs(centres, halves) if frozenset(cubes[i].id for i in pair) not in pairs]
-        if near:  # of most bodies only cubes that are joined
+        meeting = iter(_near_pairs(centres, halves))
+        # In blocks: a body that has grown into itself has thousands of pairs, and is refused for the first few.
+        while block := list(islice(meeting, _BLOCK)):
+            near = [pair for pair in block if frozenset(cubes[i].id for i in pair) not in pairs]
+            if not near:  # of most bodies only cubes that are joined
+                continue
             one, other = np.array(near).T
             depths = _depths(centres[other] - centres[one], axes[one], axes[other], halves[one], halves[other])
             for (i, j), depth in zip(near, depths.tolist(), strict=True):

@@ -24,6 +24,8 @@ from nmes.schemas.documents import JsonObject, Problem, compile_schema, problems
 __all__ = ["Inspection", "inspect_body", "inspect_brain"]
 
 _GENOME: Final = compile_schema("genome.json")
+_BARE: Final = {"format": "nmes-genome/1", "name": "grown"}
+"""A document that lacks only its body."""
 _PARTS: Final[tuple[tuple[str, ...], ...]] = (("body", "cubes"), ("body", "joints"), ("sensors",), ("voices",))
 """Where parts stand that can be left out one by one."""
 
@@ -71,17 +73,10 @@ def _body_of(document: JsonObject) -> Inspection:
     later, development = document.get("later", []), document.get("development", [])
     if ("cubes" in body) == ("graph" in body) or ("graph" in body and "joints" in body):
         raise DocumentError([("body", "must have either cubes (and joints between them) or a graph")])
-    if "graph" not in body:
-        return Inspection(*_read_body(write_json([body, sensors, voices, None, later, development])))
-    grown = morphology.grow(body["graph"])
-    # Scales may have taken a size or a mass out of its bounds.
-    outgrown = [
-        ("body/graph", f"grows {_quantity(grown, problem.pointer)} is out of range: {problem.message}")
-        for problem in problems(_GENOME, {**document, "body": grown})
-    ]
-    if outgrown:
-        raise DocumentError(outgrown)
-    return Inspection(*_read_body(write_json([grown, sensors, voices, "body/graph", later, development])))
+    rest = write_json([sensors, voices, later, development])
+    if "graph" in body:
+        return Inspection(*_read_body(_grown(write_json(body["graph"])), rest, "body/graph"))
+    return Inspection(*_read_body(write_json(body), rest, None))
 
 
 def _remaining(document: Any, unsound: Sequence[Problem]) -> Inspection:
@@ -175,16 +170,35 @@ def inspect_brain(document: Any, inspection: Inspection) -> list[tuple[str, str]
     return []
 
 
+# A child is read as its parents' sensors see it, then with its own, then whole: it grows once.
+@lru_cache(maxsize=128)
+def _grown(text: bytes) -> bytes:
+    """Grows a graph of parts, and returns the cubes and joints that a document would have, both as JSON.
+
+    Raises:
+        DocumentError: It does not grow, or out of the bounds of a document.
+    """
+    grown = morphology.grow(orjson.loads(text))
+    # Scales may have taken a size or a mass out of its bounds.
+    outgrown = [
+        ("body/graph", f"grows {_quantity(grown, problem.pointer)} is out of range: {problem.message}")
+        for problem in problems(_GENOME, {**_BARE, "body": grown})
+    ]
+    if outgrown:
+        raise DocumentError(outgrown)
+    return write_json(grown)
+
+
 # A population is of few bodies with many brains, or of one portion of bodies that are each read in their worlds again.
 @lru_cache(maxsize=128)
-def _read_body(text: bytes) -> tuple[list[tuple[str, str]], Body]:
-    """Reads a body from what `read_body` takes.
+def _read_body(text: bytes, rest: bytes, place: str | None) -> tuple[list[tuple[str, str]], Body]:
+    """Reads a body from what `read_body` takes: its cubes and joints, and all else, each as JSON.
 
     Raises:
         DocumentError: As `read_body`.
     """
-    body, sensors, voices, place, later, development = orjson.loads(text)
-    return read_body(body, sensors, voices, place, later=later, development=development)
+    sensors, voices, later, development = orjson.loads(rest)
+    return read_body(orjson.loads(text), sensors, voices, place, later=later, development=development)
 
 
 def _quantity(body: JsonObject, path: str) -> str:
