@@ -13,6 +13,8 @@ from typing import BinaryIO
 
 __all__ = ["open_regular", "read_regular"]
 
+_PIECE = 1 << 20  # bytes
+
 
 def open_regular(path: Path) -> BinaryIO:
     """Opens a file for reading, without waiting for anybody.
@@ -37,8 +39,10 @@ def read_regular(path: Path, most: int) -> bytes:
     Raises:
         OSError: It cannot be read, is no regular file, or is larger.
     """
+    text = bytearray()
     with open_regular(path) as file:
-        text = file.read(most + 1)
-    if len(text) > most:
-        raise OSError(errno.EFBIG, f"it has over {most:,} bytes", str(path))
-    return text
+        while piece := file.read(_PIECE):  # not all at once: memory for all that it may have would be taken first
+            text += piece
+            if len(text) > most:
+                raise OSError(errno.EFBIG, f"it has over {most:,} bytes", str(path))
+    return bytes(text)
