@@ -10,8 +10,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from itertools import islice
+from typing import Final
 
 __all__ = [
+    "MACHINE_ERRORS",
     "BackendNotFound",
     "CommandFailed",
     "CorpusError",
@@ -34,6 +36,11 @@ __all__ = [
     "WorldError",
     "visible",
 ]
+
+
+MACHINE_ERRORS: Final = (MemoryError, OSError)
+"""What is raised where a machine lacks something: memory, room on a disk, files that may be open. It says nothing of
+what was being computed, which comes out otherwise a moment later or on another machine."""
 
 
 def visible(text: str, *, keep: str = "") -> str:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import orjson
 
-from nmes.errors import NmesError, RecordingError
+from nmes.errors import MACHINE_ERRORS, NmesError, RecordingError
 from nmes.evaluation.evaluation import Evaluation
 from nmes.evaluation.judge import Result
 from nmes.evaluation.match import MatchResult, admit_players, play_match
@@ -147,6 +147,8 @@ class Contest:
             lineups = tuple(tuple(map(Genome.parse, lineup)) for lineup in self.lineups)
             task = MatchTask(orjson.loads(self.task))
             return hold_contest(Genome.parse(self.genome), Rivals(self.role, lineups), task, self.seeds)
+        except MACHINE_ERRORS:
+            raise
         except Exception as error:  # a mistake of ours, which these genomes have found
             return self.failed(f"{type(error).__name__}: {error}")
 

@@ -15,6 +15,7 @@ import numpy as np
 from nmes import protocol
 from nmes.backend import Array, Row
 from nmes.brain import Brain
+from nmes.errors import MACHINE_ERRORS
 from nmes.evaluation.changing import ChangingObserver
 from nmes.evaluation.judge import Judge, Observer, Result, Watched
 from nmes.evaluation.steps import ANY_CONTROLS, Drive, Step, perform, settle
@@ -175,8 +176,14 @@ class Episode:
             self._observer, self._start = observers[0], self._world.frame
 
     def result(self) -> Result:
-        """Returns the result, once all steps are done."""
+        """Returns the result, once all steps are done.
+
+        Raises:
+            MemoryError, OSError: The world stopped for want of something, which says nothing of the creature.
+        """
         world, fault = self._world, None
+        if world.fault is not None and isinstance(world.fault.cause, MACHINE_ERRORS):
+            raise world.fault.cause
         if world.fault is not None and self._ended is None:
             fault = f"{world.fault.code}: {world.fault.message}"
         if self._observer is None:

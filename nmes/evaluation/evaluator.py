@@ -31,7 +31,7 @@ from nmes import protocol
 from nmes.backend import load_backend
 from nmes.backend.fingerprint import decisive, fingerprint
 from nmes.brain import Brain
-from nmes.errors import DocumentError, NmesError, RecordingError
+from nmes.errors import MACHINE_ERRORS, DocumentError, NmesError, RecordingError
 from nmes.evaluation.episode import METADATA, Episode
 from nmes.evaluation.evaluation import Evaluation
 from nmes.evaluation.judge import Result
@@ -205,6 +205,8 @@ class Job:
             return Genome.parse(self.genome)
         except DocumentError as error:
             return self.failed(error.message)
+        except MACHINE_ERRORS:
+            raise
         except Exception as error:  # a mistake of ours, which this genome has found
             return self.failed(f"{type(error).__name__}: {error}")
 
@@ -217,6 +219,8 @@ class Job:
             return evaluate(genome, task, seeds=self.seeds, record=self.record)
         except RecordingError as error:
             return _Unrecorded(error.code, error.message)
+        except MACHINE_ERRORS:
+            raise
         except Exception as error:  # as above
             return self.failed(f"{type(error).__name__}: {error}")
 

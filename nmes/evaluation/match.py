@@ -23,7 +23,7 @@ import orjson
 from nmes import protocol
 from nmes.backend import Array
 from nmes.brain import Brain
-from nmes.errors import NmesError, RecordingError, WorldError
+from nmes.errors import MACHINE_ERRORS, NmesError, RecordingError, WorldError
 from nmes.evaluation.episode import brain_of
 from nmes.evaluation.evaluator import file_name, recorded
 from nmes.evaluation.judge import Result
@@ -241,7 +241,7 @@ def play_match(
         with recorded(path, match_metadata(task, genomes, seed)) as journal:
             results = _run(task, genomes, brains, seed, journal)
         return MatchResult(seed, results, str(path), time.perf_counter() - begin)
-    except NmesError:
+    except (NmesError, *MACHINE_ERRORS):
         raise
     except Exception as failure:  # of an engine, an expression, a brain: this match's, and no other's
         return MatchResult(seed, void_results(task, seed, f"failed: {type(failure).__name__}: {failure}"))
@@ -263,6 +263,8 @@ def _run(
         world.close()
     if world.fault is not None and world.fault.code == "recording_failed":
         raise RecordingError(world.fault.code, world.fault.message)
+    if world.fault is not None and isinstance(world.fault.cause, MACHINE_ERRORS):
+        raise world.fault.cause
     return results
 
 

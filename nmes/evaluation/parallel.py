@@ -11,7 +11,8 @@ Invariants:
 - A machine of a cluster that is lost takes nothing with it: what was worked on there is done again elsewhere.
 - Workers never see Ctrl-C. Whoever stops taking results ends them.
 - A function that raises is a mistake: its error comes out here, with the worker's traceback. What may go wrong with
-  an item is for the function to return.
+  an item is for the function to return. But where the machine lacks something, the item is a `Lost` too: that says
+  nothing of it, and may pass.
 """
 
 from __future__ import annotations
@@ -32,9 +33,11 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, Self, TypeVar
 
-from nmes.errors import MachineError, MissingPackage
+from nmes.errors import MACHINE_ERRORS, MachineError, MissingPackage
 
 __all__ = ["Cluster", "Here", "Lost", "Pool", "Workers", "in_processes", "open_pool"]
+
+logger = logging.getLogger(__name__)
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -48,7 +51,7 @@ _DEATHS = 3  # actors of a cluster that one item may take along
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """An item whose worker died over it: why."""
+    """An item whose worker died over it, or came to lack something of its machine: why."""
 
     reason: str
 
@@ -152,7 +155,7 @@ class Here(Pool):
     def take(self) -> list[tuple[int, Any]]:
         """As `Pool.take`; what a function raises comes out as it is."""
         number, function, item = self._given.pop()
-        return [(number, function(item))]
+        return [(number, _called(function, item))]
 
     def stop(self) -> None:
         """As `Pool.stop`."""
@@ -193,7 +196,7 @@ class Workers(Pool):
     ) -> Generator[tuple[int, Result | Lost], None, None]:
         """As `Pool.run`."""
         if len(items) == 1:
-            yield 0, function(items[0])
+            yield 0, _called(function, items[0])
         else:
             yield from super().run(function, items)
 
@@ -295,24 +298,33 @@ class _Worker:
 
     def end(self) -> None:
         """Ends the process, whatever it is doing."""
-        self.pipe.close()
-        self._process.kill()
+        self._process.kill()  # before its pipe ends, over which it would complain
         self._process.join()
+        self.pipe.close()
+
+
+def _called(function: Callable[[Any], Any], item: object) -> Any:
+    """Calls a function with an item; where the machine lacks something for it, the item is lost."""
+    try:
+        return function(item)
+    except MACHINE_ERRORS as error:
+        logger.warning("an item is lost, since the machine lacks something", exc_info=error)
+        return Lost(f"the process that worked on it came to an end: {type(error).__name__}: {error}")
 
 
 def _work(pipe: Connection) -> None:
     while True:
         try:
             function, item = pipe.recv()
-        except EOFError:
+        except (EOFError, ConnectionError):
             return
         try:
-            answer = "", function(item)
+            answer = "", _called(function, item)
         except Exception:
             answer = traceback.format_exc(), None
         try:
             pipe.send(answer)
-        except BrokenPipeError:
+        except ConnectionError:
             return  # whoever gave it is gone
 
 
@@ -350,6 +362,8 @@ class Hand:
             self._worker = _Worker()
         self._worker.give(0, function, item)
         _, error, result = self._worker.take()
+        if isinstance(result, Lost):
+            self._worker.end()
         return error, result
 
     def ready(self) -> None:

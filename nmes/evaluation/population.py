@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from typing import Final, TypeVar
 
 from nmes.brain import Brain
-from nmes.errors import NmesError, WorldError
+from nmes.errors import MACHINE_ERRORS, NmesError, WorldError
 from nmes.evaluation.cohort import Entry, run_cohort
 from nmes.evaluation.episode import Episode, Handover, brain_of
 from nmes.evaluation.judge import Result
@@ -70,10 +70,11 @@ def guarded(run: Callable[[], T], seed: int) -> T | Result:
 
     Raises:
         NmesError: The creature cannot be evaluated.
+        MemoryError, OSError: The machine lacks something for it, which says nothing of the creature.
     """
     try:
         return run()
-    except NmesError:
+    except (NmesError, *MACHINE_ERRORS):
         raise
     except Exception as failure:  # of an engine, an expression, a brain: this episode's, and no other's
         return Result(seed, None, 0.0, 0.0, 0, fault=f"failed: {type(failure).__name__}: {failure}")

@@ -11,13 +11,14 @@ __all__ = ["Barrier", "Fault"]
 class Fault:
     """Why a world has stopped: a code of `world_fault`, a message for a person, the last good frame.
 
-    `cube` is the cube over which the engine failed, where it says which.
+    `cube` is the cube over which the engine failed, where it says which; `cause` the exception, where there was one.
     """
 
     code: str
     message: str
     frame: int
     cube: str | None = None
+    cause: Exception | None = None
 
 
 @dataclass(frozen=True, eq=False, slots=True)

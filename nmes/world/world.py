@@ -218,7 +218,7 @@ class World(WorldQueries):
         logger.error("command %r of world %r failed", kind, self.config["name"], exc_info=error)
         if kind in HARMLESS:
             return WorldError("internal", "the command failed, and the world goes on; see the server's log")
-        self._stop("internal", f"{type(error).__name__}: {error}")
+        self._stop("internal", f"{type(error).__name__}: {error}", cause=error)
         return WorldError("internal", "the world failed; see the server's log")
 
     def drive(self, client: int, creature: str, controls: ArrayLike) -> None:
@@ -503,14 +503,14 @@ class World(WorldQueries):
             return
         # An adapter's own mistake must not take the host down with all its other worlds, but it must be loud.
         logger.error("the engine of world %r failed", self.config["name"], exc_info=error)
-        self._stop("engine_failed", f"{type(error).__name__}: {error}")
+        self._stop("engine_failed", f"{type(error).__name__}: {error}", cause=error)
 
-    def _stop(self, code: str, message: str, body: int | None = None) -> None:
+    def _stop(self, code: str, message: str, body: int | None = None, cause: Exception | None = None) -> None:
         """Faults the world, and tells the journal and the subscribers why; `body` is the engine's number of a cube."""
         name = None if body is None else self.entities.body_names.get(body)
         if name is not None:
             message = f"{message} (cube {name})"
-        self.fault = fault = Fault(code, message, self.frame, name)
+        self.fault = fault = Fault(code, message, self.frame, name, cause)
         self._record(lambda journal: journal.faulted(fault.frame, code, message))
         self.announce({"type": "world_fault", "code": code, "frame": fault.frame, "message": message})
 

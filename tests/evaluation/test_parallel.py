@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterable, Sequence
+from multiprocessing import Pipe
 from pathlib import Path
 
 import orjson
@@ -15,7 +16,7 @@ import pytest
 
 from creatures import snake
 from nmes.evaluation import Evaluation, Evaluator, Job, Task, Workers, evaluator
-from nmes.evaluation.parallel import Lost, in_processes
+from nmes.evaluation.parallel import Lost, _work, in_processes
 
 
 def square(number: int) -> tuple[int, int, str | None]:
@@ -30,6 +31,12 @@ def die_over_three(number: int) -> int:
 
 def raise_over_one(number: int) -> int:
     return 1 // (number - 1)
+
+
+def lack_over_three(number: int) -> tuple[int, int]:
+    if number == 3:
+        raise MemoryError("no room")
+    return number, os.getpid()
 
 
 def wait_or_raise(number: int) -> int:
@@ -68,6 +75,24 @@ def test_a_worker_that_dies_loses_one_item_only() -> None:
 def test_an_exception_in_a_worker_is_raised_in_the_caller() -> None:
     with pytest.raises(RuntimeError, match="ZeroDivisionError"):
         list(in_processes(raise_over_one, range(3), 2))
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_what_a_machine_lacks_loses_one_item_only(jobs: int) -> None:
+    with Workers(jobs) as workers:
+        outcomes = dict(workers.run(lack_over_three, range(6)))
+        lost = outcomes.pop(3)
+        assert isinstance(lost, Lost) and lost.reason.endswith("MemoryError: no room")
+        numbers = {place: outcome[0] for place, outcome in outcomes.items() if not isinstance(outcome, Lost)}
+        assert numbers == {i: i for i in (0, 1, 2, 4, 5)}
+        assert isinstance(dict(workers.run(lack_over_three, [3]))[0], Lost)  # in this process
+
+
+def test_a_worker_says_nothing_where_its_pipe_ends() -> None:
+    ours, workers = Pipe()
+    workers.send("an answer that nobody reads")
+    ours.close()  # to the worker it is a reset now, not an end
+    _work(workers)
 
 
 def test_workers_ignore_ctrl_c() -> None:

@@ -9,10 +9,11 @@ import pytest
 
 from creatures import snake
 from nmes.errors import MachineError
-from nmes.evaluation import Evaluation, Evaluator, Job, Task
+from nmes.evaluation import Evaluation, Evaluator, Job, Task, population
 from nmes.evaluation.parallel import Here, Lost, Workers
 from nmes.evaluation.queue import EvaluationQueue
 from nmes.genome import Genome
+from nmes.world import World
 from populations import draw_population
 
 TASK = Task(
@@ -114,3 +115,28 @@ def test_a_kill_from_outside_is_no_fault_of_the_creature(kills: int, lost: bool)
         assert error.value.code == "worker_killed"
     else:
         assert all_of(queue)[0].error is None
+
+
+@pytest.mark.parametrize("error", [MemoryError(), OSError(24, "too many open files")])
+@pytest.mark.parametrize("place", [(population, "_begin"), (World, "_advance")], ids=["before", "in the engine"])
+def test_what_a_machine_lacks_once_is_no_fault_of_the_creature(
+    monkeypatch: pytest.MonkeyPatch, place: tuple[object, str], error: Exception
+) -> None:
+    genome = Genome(snake(name="victim"))
+    untroubled = Evaluator(1).evaluate_population([genome], TASK, seeds=(1,))[0]
+    proper, errors = getattr(*place), [error]
+
+    def troubled(*arguments: Any) -> Any:
+        if errors:
+            raise errors.pop()
+        return proper(*arguments)
+
+    monkeypatch.setattr(*place, troubled)
+    queue = EvaluationQueue(TASK, (1,), Here())
+    queue.put(0, genome)
+    assert all_of(queue)[0] == untroubled
+    errors += [error] * 2
+    queue.put(1, genome)
+    with pytest.raises(MachineError, match=f"{type(error).__name__}.*2 times") as info:
+        all_of(queue)
+    assert info.value.code == "worker_killed"
