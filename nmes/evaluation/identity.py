@@ -1,8 +1,9 @@
 """What counts as the same creature, and which tasks ship: a name makes nothing new, and nothing ours.
 
-A creature is what it does: its body as it has grown, its sensors and its brain. Names, authors, words, parents and
-colours are not, nor are the ids of parts, where the whole stands, what is left out because it is the default, and
-differences below a billionth. What is changed by more, or put into another order, is another creature.
+A creature is what it does: its body as it has grown, how that develops, its sensors, voices and brain. Names, authors,
+words, parents and colours are not, nor are the ids of parts, where the whole stands, what is left out because it is the
+default, and differences below a billionth. What is changed by more, or put into another order, is another creature.
+The conditions of its development are compared word by word, with the places of what they name.
 
 An author's name is what is seen of it: letters of other scripts that look the same, and what is not seen at all, make
 no other name. Which letters do is after Unicode Technical Standard 39, for those that look like Latin ones.
@@ -14,7 +15,7 @@ import hashlib
 import json
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import astuple
 from functools import cache
 from importlib.resources import files
@@ -29,6 +30,7 @@ from nmes.evaluation.setting import MATCHES, SHIPPED
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
 from nmes.genome.body import Body, BodyJoint
+from nmes.genome.development import Rule
 from nmes.genome.sensors import Flaws
 from nmes.schemas.documents import parse_document
 
@@ -57,10 +59,16 @@ _LOOKS: Final = str.maketrans(
     "ABESlJKMHOPCTYXQWYVaesijopcyxhqwdvyllABEZHlKMNOPTYXaoivpuxyonuhgSOUiaglllO",
 )
 _MOTORS, _SENSORS = ("motor", "motors", "outputs"), ("sensor", "inputs")
+_WORD: Final = re.compile(
+    r"""(?P<string>"[^"]*"|'[^']*')|(?P<number>(?:[0-9]+(?:\.[0-9]+)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"""
+    r"""|(?P<other>[A-Za-z_][A-Za-z0-9_]*|[<>=!]=|&&|\|\||[^ \t\r\n])"""
+)  # of a condition that was read
 
 
 def creature_hash(genome: Genome) -> str:
-    """Returns a SHA-256 over all of a creature that acts: its body, its sensors and its brain; 64 hexadecimal digits.
+    """Returns a SHA-256 over all of a creature that acts: its body and its development, its sensors, voices and brain.
+
+    It has 64 hexadecimal digits.
 
     Raises:
         DocumentError: Its brain is not a good one for its body.
@@ -79,7 +87,9 @@ def _body(body: Body) -> list[Any]:
     for cube in body.cubes:
         place = np.array(cube.position) - origin, _half(cube.quaternion)
         shape = [] if cube.shape == "box" else [cube.shape]
-        shapes.append((cube.size, cube.mass, *place, cube.friction, cube.restitution, *shape))
+        # A group is one of the world's, which says by its name through what its cubes pass.
+        group = [] if cube.group is None else [{"group": cube.group}]
+        shapes.append((cube.size, cube.mass, *place, cube.friction, cube.restitution, *shape, *group))
     for joint in body.joints:
         motor = joint.motor
         drive = None if motor is None else (motor.mode, motor.low, motor.high, motor.max_effort, *_flaws(motor.flaws))
@@ -98,7 +108,34 @@ def _body(body: Body) -> list[Any]:
         for sensor in body.sensors
     ]
     voices = [(voice.channel, voice.number) for voice in body.voices]
-    return [shapes, bonds, senses, *([voices] if voices else [])]
+    # What few have is there only where they have it: so the hashes of all others are those of before there was such.
+    changes: dict[str, Any] = {"later": sorted(cubes[name] for name in body.later)} if body.later else {}
+    if body.development:
+        names = {"sense": {sensor.id: index for index, sensor in enumerate(body.sensors)}, "has": cubes}
+        changes["development"] = [_rule(rule, names) for rule in body.development]
+    return [shapes, bonds, senses, *([voices] if voices else []), *([changes] if changes else [])]
+
+
+def _rule(rule: Rule, names: Mapping[str, Mapping[str, int]]) -> list[Any]:
+    """Returns a rule of development with places for ids; `names` has those of what a condition may ask of each kind."""
+    cubes = names["has"]
+    parts = [[cubes[name] for name in each] for each in (rule.shed, rule.adopt, rule.grow)]
+    sizes = [(cubes[each.part], each.scale) for each in rule.resize]
+    return [_condition(rule.when, names), rule.stage, *parts, sizes, rule.enter, rule.every, rule.times]
+
+
+def _condition(text: str, names: Mapping[str, Mapping[str, int]]) -> list[Any]:
+    """Returns the words of a condition that was read: a number for every number, and a place for every id."""
+    words: list[Any] = []
+    for word in _WORD.finditer(text):
+        if word["number"]:
+            words.append(float(word["number"]))
+        elif word["string"]:
+            kind = words[-2]  # before the bracket
+            words.append(names[kind][word["string"][1:-1]])
+        else:
+            words.append(word["other"])
+    return words
 
 
 def _flaws(flaws: Flaws | None) -> tuple[float, ...]:

@@ -1,0 +1,274 @@
+"""Tests of what counts as the same creature: every field of a genome either makes another one, or is known not to."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from importlib.resources import files
+from typing import Any, Final
+
+import orjson
+import pytest
+
+from creatures import SINE
+from ecosystems import cart
+from nmes.evaluation.identity import creature_hash
+from nmes.genome import Genome
+
+Json = dict[str, Any]
+
+MOTOR: Final = {"mode": "position", "range": [-1, 1], "max_effort": 5, "flaws": {"noise": 0.1, "delay": 1}}
+BONES: Final[Json] = {
+    "cubes": [
+        {"id": "a", "size": 0.3, "mass": 1, "position": [0, 2, 0]},
+        {"id": "b", "size": 0.3, "mass": 1, "position": [0.5, 2, 0]},
+        {"id": "c", "size": 0.3, "mass": 1, "position": [1, 2, 0]},
+        {"id": "d", "size": 0.3, "mass": 1, "position": [0, 3, 0]},
+    ],
+    "joints": [
+        {"id": "j", "cube1": "a", "cube2": "b", "type": "hinge", "anchor": [0.25, 2, 0], "motor": MOTOR},
+        {"id": "k", "cube1": "b", "cube2": "c", "type": "hinge", "anchor": [0.75, 2, 0], "motor": MOTOR},
+        {"id": "l", "cube1": "d", "cube2": "a", "type": "fixed", "anchor": [0, 2.5, 0]},
+    ],
+}
+GRAPH: Final[Json] = {
+    "graph": {
+        "root": "a",
+        "parts": [
+            {"id": "a", "size": 0.3, "recursive_limit": 2, "joint": {"type": "hinge", "motor": MOTOR}},
+            {"id": "b", "size": 0.2, "joint": {"type": "hinge", "limits": [-1, 1], "motor": MOTOR}},
+            {"id": "c", "size": 0.1, "joint": {"type": "hinge", "motor": MOTOR}},
+        ],
+        "connections": [
+            {"from": "a", "to": "a", "face": "+x"},
+            {"from": "a", "to": "b", "face": "+y"},
+            {"from": "b", "to": "c", "face": "+x"},
+        ],
+    }
+}
+RULES: Final[list[Json]] = [
+    {"when": 'age > 1 && sense("a.height") > 0.5', "stage": 1, "shed": ["b"], "enter": 2, "every": 2, "times": 3},
+    {"when": 'has("c") == 0', "adopt": ["c"], "grow": ["c"], "resize": [{"part": "c", "scale": 2}]},
+]
+SENSORS: Final[list[Json]] = [
+    {"type": "height", "cube": "a"},
+    {"type": "position", "joint": "j"},
+    {"type": "up", "axis": "x", "cube": "a", "flaws": {"noise": 0.1}},
+    {"type": "touch", "face": "+x", "cube": "b"},
+    {"type": "camera", "cube": "a", "width": 4, "height": 2, "fov": 1, "colors": "grey", "range": 9},
+    {"type": "range", "cube": "a", "direction": [1, 0, 0], "range": 5},
+    {"type": "hear", "cube": "a", "channel": "call", "number": 1},
+]
+ABOUT: Final[Json] = {"format": "nmes-genome/1", "name": "x", "later": ["c"], "brain": SINE, "development": RULES}
+WHOLE: Final[Json] = ABOUT | {"body": BONES, "sensors": SENSORS, "voices": [{"channel": "call", "number": 1}]}
+GROWN: Final[Json] = {"format": "nmes-genome/1", "name": "x", "body": GRAPH, "brain": SINE}
+
+# What each field becomes so that there is another creature: where in the documents above, and the new value.
+BODY: Final = {
+    "cubes.id": None,
+    "cubes.size": ("body/cubes/0/size", 0.31),
+    "cubes.shape": ("body/cubes/0/shape", "sphere"),
+    "cubes.mass": ("body/cubes/0/mass", 2),
+    "cubes.friction": ("body/cubes/0/friction", 0.1),
+    "cubes.restitution": ("body/cubes/0/restitution", 0.1),
+    "cubes.color": None,
+    "cubes.group": ("body/cubes/0/group", "ghosts"),
+    "cubes.position": ("body/cubes/2/position", [1, 2.1, 0]),
+    "cubes.rotation": ("body/cubes/0/rotation", [0, 0, 0.1]),
+    "joints.id": None,
+    "joints.cube1": ("body/joints/1/cube1", "a"),
+    "joints.cube2": ("body/joints/2/cube2", "b"),
+    "joints.type": ("body/joints/0/type", "slide"),
+    "joints.anchor": ("body/joints/0/anchor", [0.2, 2, 0]),
+    "joints.axis": ("body/joints/0/axis", [0, 1, 0]),
+    "joints.limits": ("body/joints/0/limits", [-1, 1]),
+    "joints.stiffness": ("body/joints/0/stiffness", 1),
+    "joints.damping": ("body/joints/0/damping", 1),
+}
+PARTS: Final = {
+    "root": ("body/graph/root", "b"),
+    "parts.id": None,
+    "parts.size": ("body/graph/parts/0/size", 0.31),
+    "parts.shape": ("body/graph/parts/0/shape", "sphere"),
+    "parts.density": ("body/graph/parts/0/density", 600),
+    "parts.friction": ("body/graph/parts/0/friction", 0.1),
+    "parts.restitution": ("body/graph/parts/0/restitution", 0.1),
+    "parts.color": None,
+    "parts.group": ("body/graph/parts/0/group", "ghosts"),
+    "parts.joint.type": ("body/graph/parts/1/joint/type", "slide"),
+    "parts.joint.axis": ("body/graph/parts/1/joint/axis", [0, 1, 0]),
+    "parts.joint.limits": ("body/graph/parts/1/joint/limits", [-1, 0.5]),
+    "parts.joint.stiffness": ("body/graph/parts/1/joint/stiffness", 1),
+    "parts.joint.damping": ("body/graph/parts/1/joint/damping", 1),
+    "parts.recursive_limit": ("body/graph/parts/0/recursive_limit", 3),
+    "connections.from": ("body/graph/connections/1/from", "b"),
+    "connections.to": ("body/graph/connections/0/to", "b"),
+    "connections.face": ("body/graph/connections/1/face", "-y"),
+    "connections.at": ("body/graph/connections/1/at", [0.5, 0]),
+    "connections.rotation": ("body/graph/connections/1/rotation", [0.5, 0, 0]),
+    "connections.scale": ("body/graph/connections/1/scale", 1.1),
+    "connections.mirror": ("body/graph/connections/1/mirror", "y"),
+    "connections.terminal": ("body/graph/connections/1/terminal", True),
+}
+DRIVES: Final = {
+    "mode": "velocity",
+    "range": [-1, 0.5],
+    "max_effort": 6,
+    "flaws.noise": 0.2,
+    "flaws.delay": 2,
+    "flaws.drop_out": 0.1,
+}
+ABOVE: Final = {
+    "format": None,
+    "name": None,
+    "author": None,
+    "license": None,
+    "description": None,
+    "parents": None,
+    "later": ("later", []),
+    "development.when": ("development/0/when", 'age > 2 && sense("a.height") > 0.5'),
+    "development.stage": ("development/0/stage", 2),
+    "development.shed": ("development/0/shed", ["c"]),
+    "development.adopt": ("development/1/adopt", ["b"]),
+    "development.grow": ("development/1/grow", ["b"]),
+    "development.resize.part": ("development/1/resize/0/part", "b"),
+    "development.resize.scale": ("development/1/resize/0/scale", 3),
+    "development.enter": ("development/0/enter", 3),
+    "development.every": ("development/0/every", 3),
+    "development.times": ("development/0/times", 4),
+    "sensors.id": None,
+    "sensors.type": ("sensors/1/type", "velocity"),
+    "sensors.joint": ("sensors/1/joint", "k"),
+    "sensors.cube": ("sensors/2/cube", "b"),
+    "sensors.axis": ("sensors/2/axis", "y"),
+    "sensors.range": ("sensors/5/range", 6),
+    "sensors.face": ("sensors/3/face", "-x"),
+    "sensors.direction": ("sensors/5/direction", [0, 1, 0]),
+    "sensors.width": ("sensors/4/width", 3),
+    "sensors.height": ("sensors/4/height", 3),
+    "sensors.fov": ("sensors/4/fov", 0.5),
+    "sensors.colors": ("sensors/4/colors", "rgb"),
+    "sensors.flaws.noise": ("sensors/2/flaws/noise", 0.2),
+    "sensors.flaws.delay": ("sensors/2/flaws/delay", 2),
+    "sensors.flaws.drop_out": ("sensors/2/flaws/drop_out", 0.2),
+    "sensors.channel": ("sensors/6/channel", "other"),
+    "sensors.number": ("sensors/6/number", 2),
+    "voices.id": None,
+    "voices.channel": ("voices/0/channel", "other"),
+    "voices.number": ("voices/0/number", 2),
+    "brain.kind": ("brain", {"kind": "sine", "oscillators": [{"motor": "j"}]}),
+}
+
+
+def _drives(name: str, motor: str) -> dict[str, tuple[str, Any]]:
+    return {f"{name}.{field}": (f"{motor}/{field.replace('.', '/')}", value) for field, value in DRIVES.items()}
+
+
+# Every field of the schema: how it makes another creature, or None where it does not act, as names, words and colours.
+FIELDS: Final[dict[str, tuple[str, Any] | None]] = {
+    **ABOVE,
+    **{f"body.{name}": change for name, change in BODY.items()},
+    **{f"body.graph.{name}": change for name, change in PARTS.items()},
+    **_drives("body.joints.motor", "body/joints/0/motor"),
+    **_drives("body.graph.parts.joint.motor", "body/graph/parts/1/joint/motor"),
+    # A graph that grows leaves the flaws of its motors behind.
+    **{f"body.graph.parts.joint.motor.{name}": None for name in DRIVES if name.startswith("flaws.")},
+}
+
+
+def _schema(name: str) -> Json:
+    document: Json = orjson.loads((files("nmes.schemas") / name).read_bytes())
+    return document
+
+
+def _fields(schema: Json, document: Json, name: str = "") -> Iterator[str]:
+    """Yields the names of all fields of a schema that have none below them."""
+    if "$ref" in schema:
+        file, _, place = schema["$ref"].partition("#/")
+        document = _schema(file) if file else document
+        schema = {**schema, **_found(document, place)}
+        del schema["$ref"]
+    if "properties" in schema:
+        for key, below in schema["properties"].items():
+            yield from _fields(below, document, f"{name}.{key}".lstrip("."))
+    elif "properties" in schema.get("items", {}):
+        yield from _fields(schema["items"], document, name)
+    else:
+        yield name
+
+
+def _found(document: Any, place: str) -> Any:
+    for key in place.split("/"):
+        document = document[int(key) if isinstance(document, list) else key]
+    return document
+
+
+def _changed(place: str, value: Any) -> tuple[Genome, Genome]:
+    """Returns a creature that has what is to be changed, and the same with the change."""
+    before = copy.deepcopy(GROWN if place.startswith("body/graph") else WHOLE)
+    after = copy.deepcopy(before)
+    above, _, key = place.rpartition("/")
+    parent = _found(after, above) if above else after
+    parent[int(key) if isinstance(parent, list) else key] = value
+    return Genome(before), Genome(after)
+
+
+def test_every_field_of_a_genome_is_known_to_act_or_not() -> None:
+    schema = _schema("genome.json")
+    assert sorted(_fields(schema, schema)) == sorted(FIELDS)
+
+
+@pytest.mark.parametrize("field", [name for name, change in FIELDS.items() if change is not None])
+def test_a_field_that_acts_makes_another_creature(field: str) -> None:
+    change = FIELDS[field]
+    assert change is not None
+    before, after = _changed(*change)
+    assert creature_hash(before) != creature_hash(after)
+
+
+def _renamed(document: Json) -> Json:
+    """Gives every cube, joint, sensor and voice another name; each word of JSON that is one of theirs is changed."""
+    text = orjson.dumps(document).decode()
+    for old, new in (("a", "trunk"), ("b", "arm"), ("c", "hand"), ("j", "shoulder"), ("k", "wrist")):
+        text = text.replace(f'"{old}"', f'"{new}"').replace(f'\\"{old}', f'\\"{new}')
+    renamed: Json = orjson.loads(text)
+    renamed["voices"][0]["id"] = "cry"
+    renamed["sensors"][1]["id"] = "bend"
+    return renamed
+
+
+def test_names_are_none_of_what_a_creature_does() -> None:
+    renamed = Genome(_renamed(WHOLE))
+    assert "hand" in renamed.body.later and 'sense("trunk.height")' in renamed.body.development[0].when
+    assert creature_hash(renamed) == creature_hash(Genome(WHOLE))
+
+
+@pytest.mark.parametrize(
+    "when", ["age>1.0&&sense( 'a.height' )>.5", 'age > 1.0000000000001 && sense("a.height") > 5e-1']
+)
+def test_a_condition_that_is_written_otherwise_is_the_same(when: str) -> None:
+    before, after = _changed("development/0/when", when)
+    assert before.hash != after.hash and creature_hash(before) == creature_hash(after)
+
+
+def test_parts_that_are_not_there_at_birth_have_no_order() -> None:
+    one, other = (Genome({**WHOLE, "later": later}) for later in (["b", "c"], ["c", "b"]))
+    assert one.hash != other.hash and creature_hash(one) == creature_hash(other)
+
+
+@pytest.mark.parametrize("field", ["every", "times"])
+def test_a_rule_that_writes_its_defaults_out_is_the_same(field: str) -> None:
+    document = copy.deepcopy(WHOLE)
+    document["development"][1][field] = 1
+    assert creature_hash(Genome(document)) == creature_hash(Genome(WHOLE))
+
+
+def test_a_group_is_not_taken_for_a_shape() -> None:
+    ball, ghost = copy.deepcopy(WHOLE), copy.deepcopy(WHOLE)
+    ball["body"]["cubes"][0]["shape"] = ghost["body"]["cubes"][0]["group"] = "sphere"
+    assert creature_hash(Genome(ball)) != creature_hash(Genome(ghost))
+
+
+def test_the_hash_of_a_creature_without_development_is_that_of_before_there_was_any() -> None:
+    # Leaderboards and corpora keep them.
+    assert creature_hash(Genome(cart())) == "fc1f44d5ad4b29fed56409cca5495ffb88208ef9e3fe08f0078072913ba6d7c9"
