@@ -21,6 +21,7 @@ import orjson
 from nmes.cli._interruptions import interruptions
 from nmes.cli._progress import progress_bars
 from nmes.evaluation import Evaluation, Evaluator, Job
+from nmes.schemas.files import open_kept
 
 __all__ = ["run_jobs"]
 
@@ -64,9 +65,11 @@ def _opened(path: Path | None) -> Iterator[IO[bytes] | None]:
     if path is None:
         yield None
         return
-    if path.exists() and not path.is_file():
-        raise click.UsageError(f"{path} is no file that results could be kept in")
-    with path.open("ab") as file:
+    try:
+        descriptor = open_kept(path)
+    except OSError as error:
+        raise click.UsageError(f"{path} is no file that results could be kept in: {error.strerror}") from error
+    with os.fdopen(descriptor, "ab") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:

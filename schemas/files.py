@@ -9,9 +9,11 @@ import errno
 import os
 import stat
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
 
-__all__ = ["open_regular", "read_regular"]
+__all__ = ["open_kept", "open_regular", "read_regular"]
+
+_KEPT: Final = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
 
 _PIECE = 1 << 20  # bytes
 
@@ -25,8 +27,33 @@ def open_regular(path: Path) -> BinaryIO:
     file = os.fdopen(os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC), "rb")
     if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
         file.close()
-        raise OSError(errno.EINVAL, "it is no regular file", str(path))
+        raise _irregular(path)
     return file
+
+
+def open_kept(path: Path) -> int:
+    """Opens a file to be read, cut and appended to, and makes it where it is not there.
+
+    Returns:
+        Its descriptor.
+
+    Raises:
+        OSError: It cannot be written, or is a link or no regular file.
+    """
+    try:
+        file = os.open(path, _KEPT, 0o666)
+    except OSError as error:
+        if error.errno == errno.ELOOP:  # a stranger's folder may name any file of whoever goes on with it
+            raise OSError(errno.ELOOP, "it is a link, not a file", str(path)) from error
+        raise
+    if not stat.S_ISREG(os.fstat(file).st_mode):
+        os.close(file)
+        raise _irregular(path)
+    return file
+
+
+def _irregular(path: Path) -> OSError:
+    return OSError(errno.EINVAL, "it is no regular file", str(path))
 
 
 def read_regular(path: Path, most: int) -> bytes:

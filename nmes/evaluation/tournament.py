@@ -34,6 +34,7 @@ from nmes.evaluation.proof import digest
 from nmes.evaluation.ratings import Rating, places, rate
 from nmes.genome import Genome
 from nmes.objective.means import mean_of_all
+from nmes.schemas.files import open_kept
 
 __all__ = ["LOG", "Pairing", "Standing", "Tournament"]
 
@@ -149,7 +150,8 @@ class Tournament:
 
         Raises:
             RecordingError: A recording cannot be written.
-            RunError: Another process plays in the folder (`run_busy`), or its log is none of ours (`log_damaged`).
+            RunError: Another process plays in the folder (`run_busy`), or its log cannot be written (`cannot_write`)
+                or is none of ours (`log_damaged`).
         """
         with _opened(folder) as log:
             if log is not None and folder is not None:
@@ -194,10 +196,10 @@ class Tournament:
         for number, line in enumerate(log, start=1):
             if not line.endswith(b"\n"):
                 if not line.startswith(_HEAD[: len(line)]):
-                    raise RunError("log_damaged", f"{log.name}, line {number}: not what `nmes tournament` writes")
+                    raise RunError("log_damaged", f"{folder / LOG}, line {number}: not what `nmes tournament` writes")
                 break
             end += len(line)
-            key, result = self._read(line, folder, f"{log.name}, line {number}")
+            key, result = self._read(line, folder, f"{folder / LOG}, line {number}")
             if key in numbers and result is not None:
                 self.results[numbers[key]] = result
         log.truncate(end)
@@ -288,8 +290,11 @@ def _opened(folder: Path | None) -> Iterator[IO[bytes] | None]:
         yield None
         return
     folder.mkdir(parents=True, exist_ok=True)
-    # Neither emptied nor refused if it is there, and made if it is not.
-    with os.fdopen(os.open(folder / LOG, os.O_RDWR | os.O_CREAT, 0o666), "r+b") as log:
+    try:
+        file = open_kept(folder / LOG)
+    except OSError as error:
+        raise RunError("cannot_write", f"cannot write {folder / LOG}: {error.strerror}") from error
+    with os.fdopen(file, "r+b") as log:
         try:
             fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError as error:

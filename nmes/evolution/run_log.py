@@ -20,7 +20,7 @@ from typing import Any, Final
 
 from nmes.errors import RunError
 from nmes.schemas.documents import write_json
-from nmes.schemas.files import open_regular
+from nmes.schemas.files import open_kept, open_regular
 
 __all__ = ["Line", "RunLog", "RunWriter", "write_whole"]
 
@@ -29,8 +29,9 @@ _DIGITS: Final = 32
 _TAIL: Final = len(_BEFORE) + _DIGITS + len(_AFTER)
 _LONGEST: Final = 160 << 20  # bytes of a line: a genome's file may have half of that
 _SYNC: Final = 1.0  # s; what a machine that fails may lose, and a kill never does
-_WRITING: Final = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
 _FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+_HELD: Final = (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES)  # what a lock says that another process has
+_BLOCK: Final = 1 << 20  # bytes that are read at once
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +81,8 @@ class RunLog:
                     number += 1
                     line = _line(text, begin, digest)
                     if line is None:
-                        raise self.damaged(number, "it is not as it was written")
+                        beside = ", or the settings beside the log are not" if number == 1 else ""
+                        raise self.damaged(number, f"it is not as it was written{beside}")
                     begin, digest = line.end, line.digest
                     yield line
                 if len(text) == _LONGEST:
@@ -92,7 +94,17 @@ class RunLog:
 
     def damaged(self, number: int, what: str) -> RunError:
         """Returns the error about a line, counted from 1."""
-        return RunError("log_damaged", f"{self.path}, line {number}: {what}; restore the file, or begin a new run")
+        whole = self._count_whole(number - 1)
+        keep = f"keep the {whole:,} whole lines before it (head -n {whole}) and resume the run, or " if whole else ""
+        return RunError("log_damaged", f"{self.path}, line {number}: {what}; restore the file, {keep}begin a new run")
+
+    def _count_whole(self, most: int) -> int:
+        """Returns how many lines are as they were written, from the first on: who reads by an index knows of few."""
+        count, end, digest = 0, 0, self.origin
+        with suppress(OSError), open_regular(self.path) as file:
+            while count < most and (line := _line(file.readline(_LONGEST), end, digest)) is not None:
+                count, end, digest = count + 1, line.end, line.digest
+        return count
 
 
 class RunWriter:
@@ -102,29 +114,26 @@ class RunWriter:
         log: The log.
 
     Raises:
-        RunError: Another process does (`run_busy`), or the file cannot be written (`cannot_write`).
+        RunError: Another process does (`run_busy`), or the file cannot be written or locked (`cannot_write`).
     """
 
     def __init__(self, log: RunLog) -> None:
         self._log = log
         try:
-            self._file = os.open(log.path, _WRITING, 0o666)
+            self._file = open_kept(log.path)
         except OSError as error:
-            if error.errno == errno.ELOOP:  # a stranger's folder may name any file of whoever goes on with it
-                what = "it is a link, not a file of the run"
-                raise RunError("cannot_write", f"cannot write {log.path}: {what}") from error
             raise _unwritten(log.path, error) from error
         try:
             fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError as error:
             os.close(self._file)
-            raise RunError("run_busy", f"another process goes on with the run in {log.path.parent}") from error
+            raise _unlocked(log.path, error) from error
         self.end, self.digest = 0, log.origin
         self._synced = time.monotonic()
         _sync_names(log.path.parent)
 
     def resume(self, end: int, digest: str, head: bytes) -> None:
-        """Goes on behind the last whole line; a torn one behind it, which a kill left there, is cut off.
+        """Goes on behind the last whole line; a torn one behind it, which a kill or a power cut left, is cut off.
 
         Args:
             end: Where that line ends, bytes.
@@ -135,13 +144,31 @@ class RunWriter:
             RunError: What is behind it is no torn line (`log_damaged`), or it cannot be cut off (`cannot_write`).
         """
         try:
-            if not os.pread(self._file, len(head), end).startswith(head[: os.fstat(self._file).st_size - end]):
-                what = f"what is behind byte {end:,} is no line of a run; restore the file, or begin a new run"
+            if not self._is_torn(end, head):
+                keep = f"keep what is before (head -c {end}) and resume the run, or " if end else ""
+                what = f"what is behind byte {end:,} is no line of a run; restore the file, {keep}begin a new run"
                 raise RunError("log_damaged", f"{self._log.path}: {what}")
             self.end, self.digest = end, digest
             self._cut()
         except OSError as error:
             raise _unwritten(self._log.path, error) from error
+
+    def _is_torn(self, end: int, head: bytes) -> bool:
+        """Whether what is behind a byte is a torn line that begins so.
+
+        A power cut may leave the length of what was appended, and of its bytes but the first or none: the others are 0.
+        """
+        found = os.pread(self._file, len(head), end)
+        written = found.rstrip(b"\0")
+        return head.startswith(written) and (written == head or self._is_blank(end + len(found)))
+
+    def _is_blank(self, begin: int) -> bool:
+        """Whether all bytes from a place on are 0."""
+        while block := os.pread(self._file, _BLOCK, begin):
+            if block.strip(b"\0"):
+                return False
+            begin += len(block)
+        return True
 
     def append(self, records: Sequence[Mapping[str, Any]]) -> list[Line]:
         """Appends records, and returns their lines; about once a second all is synced to the disk.
@@ -236,6 +263,14 @@ def _write(file: int, text: bytes) -> None:
 def _unwritten(path: Path, error: OSError, then: str = "resume the run") -> RunError:
     advice = f"; make room, then {then}" if error.errno in _FULL else ""
     return RunError("cannot_write", f"cannot write {path}: {error.strerror}{advice}")
+
+
+def _unlocked(path: Path, error: OSError) -> RunError:
+    """Returns the error about a log that cannot be locked: not everywhere is it another process that has the lock."""
+    if error.errno in _HELD:
+        return RunError("run_busy", f"another process goes on with the run in {path.parent}")
+    advice = "where a disk knows no locks, keep runs on another"
+    return RunError("cannot_write", f"cannot lock {path}: {error.strerror}; {advice}")
 
 
 def _chain(digest: str, content: bytes) -> str:

@@ -323,6 +323,16 @@ def test_a_creature_that_scores_otherwise_alone_is_an_error(folder: Path, monkey
     assert result.exit_code == 1 and "wave came out otherwise alone" in result.output
 
 
+def test_results_are_not_kept_in_a_link_or_a_pipe(folder: Path) -> None:
+    (notes := folder / "notes").write_bytes(b"")
+    (linked := folder / "linked").symlink_to(notes)
+    os.mkfifo(piped := folder / "piped")
+    for lines, said in ((linked, "it is a link"), (piped, "it is no regular file")):
+        result = run(folder / "zoo" / "a-wave.json", "--task", folder / "dash.json", "--jobs", 1, "--resume", lines)
+        assert result.exit_code == 2 and said in result.output
+    assert notes.read_bytes() == b""
+
+
 def test_how_many_are_recorded_needs_a_place(folder: Path) -> None:
     result = run(folder / "zoo", "--record-best", 2)
     assert result.exit_code == 2 and "--record" in result.output

@@ -200,9 +200,21 @@ def test_a_log_of_somebody_else_is_left_alone(content: bytes, folder: Path) -> N
     cup = folder / "cup"
     cup.mkdir()
     (cup / LOG).write_bytes(content)
-    with pytest.raises(RunError, match=r"line 1: not what `nmes tournament` writes"):
+    with pytest.raises(RunError, match=r"cup/matches.jsonl, line 1: not what `nmes tournament` writes"):
         played(tournament(), cup)
     assert (cup / LOG).read_bytes() == content
+
+
+def test_a_log_that_is_a_link_or_a_pipe_is_not_written_to(folder: Path) -> None:
+    (notes := folder / "notes").write_bytes(b"")
+    (linked := folder / "linked").mkdir()
+    (linked / LOG).symlink_to(notes)
+    (piped := folder / "piped").mkdir()
+    os.mkfifo(piped / LOG)
+    for cup, said in ((linked, "it is a link"), (piped, "it is no regular file")):
+        with pytest.raises(RunError, match=said):
+            played(tournament(), cup, most=1)
+    assert notes.read_bytes() == b""
 
 
 def test_two_cannot_play_in_one_folder(folder: Path) -> None:
