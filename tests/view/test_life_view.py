@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import orjson
 import pytest
 from PIL import Image
 
@@ -14,6 +16,7 @@ from ecosystems import config
 from nmes import World
 from nmes.recording import Kind, Recorder, Recording
 from nmes.view.life_curves import life_curves
+from recordings import Line, rewrite
 
 TICKS = 160
 
@@ -42,6 +45,26 @@ def test_info_tells_who_came_died_and_ate(recording: Path) -> None:
     text = run("info", recording).stdout
     assert f"{kinds.count('creature_born'):,} came, {kinds.count('creature_died'):,} died" in text
     assert f"at last {about['census']['population']} of {about['census']['species']} species" in text
+
+
+@pytest.mark.parametrize("changes", [{"means": None}, {"means": {"generation": "many"}}, {"born": "some"}])
+def test_a_census_that_is_none_is_damage(changes: dict[str, Any], recording: Path, tmp_path: Path) -> None:
+    def edited(lines: list[Line]) -> list[Line]:
+        return [edit(line) if line.topic == "life" else line for line in lines]
+
+    def edit(line: Line) -> Line:
+        content = orjson.loads(line.data)
+        for event in content["events"]:
+            if event["type"] == "census":
+                event |= changes
+        return line._replace(data=orjson.dumps(content))
+
+    file = rewrite(recording, tmp_path / "edited.mcap", edited)
+    for options in ((), ("--json",), ("--plot", tmp_path / "curves.svg")):
+        result = run("info", file, *options)
+        assert result.exception is None or isinstance(result.exception, SystemExit)
+        assert "does not have the shape of life" in result.stdout or "nothing to plot" in result.output
+    assert not any(line for lines in life_curves(Recording(file)).values() for line in lines.values())
 
 
 def test_curves_are_of_the_censuses_and_go_on_over_a_reset(recording: Path) -> None:
