@@ -37,6 +37,7 @@ __all__ = [
     "Voice",
     "corners",
     "overlap",
+    "overlaps",
     "read_body",
     "read_cube",
 ]
@@ -514,6 +515,21 @@ def overlap(one: BodyCube, other: BodyCube) -> float:
     centres, axes, halves = _boxes((one, other))
     arms = centres[1:] - centres[:1]
     return float(_depths(arms, axes[:1], axes[1:], halves[:1], halves[1:])[0])
+
+
+def overlaps(cube: BodyCube, sizes: Array, places: Array) -> Array:
+    """Returns how far a cube overlaps each of some others, m, shape (n,), to the bits of `overlap`.
+
+    Args:
+        cube: The one.
+        sizes: The others' edges, shape (n, 3), m.
+        places: Their positions, m, and quaternions, shape (n, 7).
+    """
+    turns: Any = tuple(places[:, 3:].T)  # `rotate` has the same operations for rows as for numbers, in the same order
+    ways = [rotate(turns, axis) for axis in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
+    axes = np.ascontiguousarray(np.array(ways).transpose(2, 0, 1))
+    centres, own, halves = _boxes((cube,))
+    return _depths(places[:, :3] - centres, np.broadcast_to(own, axes.shape), axes, halves, sizes / 2.0)
 
 
 def _near_pairs(centres: Array, halves: Array) -> list[tuple[int, int]]:

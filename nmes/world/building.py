@@ -14,7 +14,7 @@ import numpy as np
 from nmes.backend import BodyState, StaticBox, Vector
 from nmes.backend.rotation import conjugate, minus, multiply, normalize, plus, rotate, total
 from nmes.errors import WorldError
-from nmes.genome.body import Body, BodyCube, BodyJoint, overlap
+from nmes.genome.body import Body, BodyCube, BodyJoint, overlaps
 from nmes.schemas.documents import JsonObject
 from nmes.world.entities import Cube, Entities
 from nmes.world.structure import StructureMotion
@@ -35,6 +35,7 @@ _AXES = {"hinge": (0.0, 0.0, 1.0), "slide": (1.0, 0.0, 0.0)}  # where the docume
 TOUCHING = 1e-4
 """How far cubes may overlap by rounding, as in a genome, m."""
 _SUNK = 0.01  # m that a part may be in the ground: a body that rests on it is in it by about a millimetre, and tilts
+_BLOCK = 256  # cubes whose overlap is computed at once
 
 
 def hanging_joint(body: Body, part: str, there: Container[str]) -> BodyJoint | None:
@@ -74,12 +75,13 @@ def require_free(entities: Entities, part: BodyCube, spared: Sequence[Cube]) -> 
     sizes = np.array([part.size, *(other.size for other in others)])
     reach = np.sqrt((sizes * sizes).sum(axis=1)) / 2.0
     arms = states[:, :3] - np.array(part.position)
-    near = (arms * arms).sum(axis=1) < (reach[1:] + reach[0]) ** 2
-    for row in np.flatnonzero(near).tolist():
-        other, (x, y, z, qx, qy, qz, qw) = others[row], states[row, :7].tolist()
-        there = replace(part, size=other.size, position=(x, y, z), quaternion=(qx, qy, qz, qw))
-        if overlap(part, there) > TOUCHING:
-            raise WorldError("no_room", f"{part.id!r} would be in the cube {other.name!r}", "part")
+    near = np.flatnonzero((arms * arms).sum(axis=1) < (reach[1:] + reach[0]) ** 2)
+    for start in range(0, len(near), _BLOCK):
+        rows = near[start : start + _BLOCK]
+        deep = overlaps(part, sizes[1 + rows], states[rows, :7]) > TOUCHING
+        if deep.any():
+            first = others[rows[deep.argmax()]]
+            raise WorldError("no_room", f"{part.id!r} would be in the cube {first.name!r}", "part")
 
 
 def joint_where(joint: BodyJoint, base: BodyCube, state: BodyState) -> BodyJoint:

@@ -132,7 +132,7 @@ class Channels:
             most: How many at most.
         """
         channel = self.channels[name]
-        return [self._voice(name, near) for near in self._near[name].all(place, channel.range, but)[:most]]
+        return [self._voice(name, near) for near in self._near[name].all(place, channel.range, but, most)]
 
     def nearest(self, name: str, place: Vector, but: Iterable[int]) -> Values | None:
         """Returns the words of the nearest voice that is heard at a place, as `hear`; None where nothing is heard."""

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Container
 from dataclasses import replace
-from itertools import combinations
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from nmes.errors import WorldError
-from nmes.genome.body import overlap
+from nmes.genome.body import overlaps
 from nmes.world.building import (
     ORIGIN,
     TOUCHING,
@@ -82,9 +83,13 @@ def regrow(entities: Entities, creature: Creature, part: str) -> None:
         require_free(entities, grown, [kept[base], *gone])
         placed.append(grown)
     joined = {frozenset((each.cube1, each.cube2)) for each in creature.form.joints}
-    for one, other in combinations(placed, 2):
-        if {one.id, other.id} not in joined and overlap(one, other) > TOUCHING:
-            raise WorldError("no_room", f"{one.id!r} would be in {other.id!r}", "part")
+    sizes = np.array([each.size for each in placed])
+    places = np.array([[*each.position, *each.quaternion] for each in placed])
+    for number, one in enumerate(placed[:-1], 1):
+        depths = overlaps(one, sizes[number:], places[number:]).tolist()
+        for other, depth in zip(placed[number:], depths, strict=True):
+            if depth > TOUCHING and {one.id, other.id} not in joined:
+                raise WorldError("no_room", f"{one.id!r} would be in {other.id!r}", "part")
     for cube in gone:
         entities.despawn(cube)
     creature.settle()

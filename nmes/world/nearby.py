@@ -60,12 +60,19 @@ class Nearby:
         distance = float(distances[row])
         return self._neighbour(row, distance) if distance <= within and distance < inf else None
 
-    def all(self, place: Vector, within: float = inf, but: Iterable[int] = ()) -> list[Neighbour]:
-        """Returns all bodies that are so near to a place, the nearest first; as `nearest` else."""
-        distances = self._distances(place, but).tolist()
-        rows = sorted(range(len(distances)), key=distances.__getitem__)  # which is stable
+    def all(
+        self, place: Vector, within: float = inf, but: Iterable[int] = (), most: int | None = None
+    ) -> list[Neighbour]:
+        """Returns all bodies that are so near to a place, the nearest first, or so many of them; as `nearest` else."""
+        distances = self._distances(place, but)
+        near = np.flatnonzero((distances <= within) & (distances < inf))
+        rows = near[distances[near].argsort(kind="stable")][:most].tolist()  # those of equally far ones stay in order
+        states = self._states[rows].tolist()
         return [
-            self._neighbour(row, distances[row]) for row in rows if distances[row] <= within and distances[row] < inf
+            Neighbour(self._bodies[row], distance, (x, y, z), (vx, vy, vz))
+            for row, distance, (x, y, z, _, _, _, _, vx, vy, vz, _, _, _) in zip(
+                rows, distances[rows].tolist(), states, strict=True
+            )
         ]
 
     def _neighbour(self, row: int, distance: float) -> Neighbour:
