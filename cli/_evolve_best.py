@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-import orjson
 
 from nmes.cli._json import print_json
-from nmes.cli._output import whole_file
+from nmes.cli._proof_files import check_place, write_documents
 from nmes.errors import RunError, visible
+from nmes.schemas.documents import JsonObject
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
@@ -62,7 +62,8 @@ def command(
     """Write the best of a run: its genome, and the recordings that prove its score.
 
     It is run again, and every figure must be that of the log. Then there are its genome, a recording of each episode,
-    and the line that lists it on a leaderboard. With --index or --cell it is another candidate than the best.
+    and the line that lists it on a leaderboard. With --index or --cell it is another candidate than the best. A folder
+    that holds a run, or another genome or task, is refused.
 
     Of a run of several populations it is the champion of each, in a folder of its own, with its matches against those
     whom it met in the run.
@@ -79,10 +80,13 @@ def command(
 
     run = Run.open(folder)
     signing = None if key is None else private_key(key)
-    written = [
-        _written(run, chosen, output / part if output else folder / f"best-{chosen}", signing)
+    targets = [
+        (chosen, output / part if output else folder / f"best-{chosen}")
         for part, chosen in _chosen(run, index, place).items()
     ]
+    for chosen, target in targets:
+        check_place(target, _documents(run, chosen))
+    written = [_written(run, chosen, target, signing) for chosen, target in targets]
     if as_json:
         print_json(written if run.settings.populations and index is None else written[0])
     else:
@@ -92,7 +96,6 @@ def command(
 
 def _written(run: Run, chosen: int, target: Path, signing: Ed25519PrivateKey | None) -> dict[str, Any]:
     """Writes a candidate into a folder, and returns what was written, as plain data."""
-    from nmes.evaluation.identity import shipped_hash
     from nmes.evolution.rerun import record_candidate
     from nmes.recording import Recording
     from nmes.recording.signing import sign
@@ -101,21 +104,25 @@ def _written(run: Run, chosen: int, target: Path, signing: Ed25519PrivateKey | N
     task = run.settings.task
     seeds = tuple(dict.fromkeys([*run.settings.seeds, *task.seeds]))
     found = record_candidate(run, chosen, target, seeds)
-    documents = {"genome.json": run.genome(chosen).document}
-    if task.hash != shipped_hash(task.name):
-        documents["task.json"] = task.document
-    for name, document in documents.items():
-        with whole_file(target / name) as file:
-            file.write_bytes(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
+    files = write_documents(target, _documents(run, chosen))
     recordings = list(dict.fromkeys(found.recordings))
     return {
         "index": chosen,
         "score": run.records[chosen].score,
-        "files": [str(target / name) for name in documents],
+        "files": [str(path) for path in files],
         "recordings": recordings,
         "signatures": [] if signing is None else [str(sign(Recording(path), signing)) for path in recordings],
         "leaderboard": [] if run.settings.populations else _leaderboard_lines(run.settings.task, target, found),
     }
+
+
+def _documents(run: Run, chosen: int) -> dict[str, JsonObject]:
+    """Returns what is written beside the recordings of a candidate, by the name of the file."""
+    from nmes.evaluation.identity import shipped_hash
+
+    task, genome = run.settings.task, run.genome(chosen)
+    own = {} if task.hash == shipped_hash(task.name) else {"task.json": task.document}
+    return {"genome.json": genome.document, **own}
 
 
 def _chosen(run: Run, index: int | None, place: tuple[int, ...] | None) -> dict[str, int]:

@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
-import orjson
 
 from nmes.cli._columns import columns
 from nmes.cli._evolve_run import JOBS, RAY, check_pool, open_pool
@@ -20,9 +19,9 @@ from nmes.cli._genomes import find_genomes
 from nmes.cli._interruptions import interruptions
 from nmes.cli._json import print_json
 from nmes.cli._options import BeginningGroup
-from nmes.cli._output import whole_file
 from nmes.cli._pictures import write_picture
 from nmes.cli._progress import QUIET, progress_bars
+from nmes.cli._proof_files import check_place, write_documents
 from nmes.errors import DocumentError, RunError, visible
 from nmes.objective.means import mean
 
@@ -282,7 +281,8 @@ def verify(folder: Path, sample: int, everything: bool, jobs: int | None, ray: s
 def best(folder: Path, world: int | None, output: Path | None, as_json: bool) -> None:
     """Write the best world of a survey: its genome and task, and the recording that proves its score.
 
-    It is run again, and every figure must be that of the log.
+    It is run again, and every figure must be that of the log. A folder that holds a run, or another genome or task,
+    is refused.
 
     For example:
 
@@ -301,10 +301,10 @@ def best(folder: Path, world: int | None, output: Path | None, as_json: bool) ->
         raise RunError("no_score", f"no world of {folder} has a score")
     settings, number = survey.settings, chosen.world
     genome, task, target = settings.genome(number), settings.task(number), output or folder / f"world-{number}"
+    documents = {"genome.json": genome.document, "task.json": task.document}
+    check_place(target, documents)
     target.mkdir(parents=True, exist_ok=True)
-    for name, document in (("genome.json", genome.document), ("task.json", task.document)):
-        with whole_file(target / name) as file:
-            file.write_bytes(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
+    files = write_documents(target, documents)
     found = evaluate(genome, task, seeds=[settings.seed_of(number)], record=target)
     result = found.results[0] if found.results else None
     if result != chosen.result or found.error != chosen.error:
@@ -314,14 +314,14 @@ def best(folder: Path, world: int | None, output: Path | None, as_json: bool) ->
         "seed": settings.seed_of(number),
         "task": task.name,
         "score": chosen.score,
-        "files": [str(target / "genome.json"), str(target / "task.json")],
+        "files": [str(path) for path in files],
         "recordings": list(found.recordings),
     }
     if as_json:
         print_json(written)
         return
     click.echo(visible(f"world {number}: {_scored(survey, chosen)}, again as the log says"))
-    for path in (target / "genome.json", target / "task.json", *found.recordings):
+    for path in (*files, *found.recordings):
         click.echo(visible(f"wrote {path}"))
 
 

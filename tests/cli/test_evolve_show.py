@@ -221,6 +221,17 @@ def test_best_writes_a_champion_that_a_leaderboard_takes(walk: Path, tmp_path: P
     assert "nmes leaderboard add board.sqlite" in again.output
 
 
+def test_best_is_not_written_over_a_run_or_another_genome(walk: Path, tmp_path: Path) -> None:
+    (other := tmp_path / "other").mkdir()
+    (other / "genome.json").write_text("{}")
+    for folder, said in ((walk, "holds a run"), (other, "another genome.json")):
+        before = sorted(folder.iterdir())
+        result = evolve("best", walk, "-o", folder)
+        assert result.exit_code == 2 and said in result.output
+        assert sorted(folder.iterdir()) == before
+    assert (other / "genome.json").read_text() == "{}"
+
+
 def test_best_writes_into_the_run_and_another_candidate_if_asked(walk: Path) -> None:
     told = json.loads(evolve("best", walk, "--index", "1", "--json").stdout)
     assert told["index"] == 1 and Path(told["files"][0]).parent == walk / "best-1"

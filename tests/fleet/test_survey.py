@@ -190,6 +190,20 @@ def test_a_survey_is_shown_drawn_and_its_best_world_proved(whole: Survey, tmp_pa
     assert str(best) in rescored.output
 
 
+def test_a_best_world_is_not_written_over_a_run_or_another_genome(whole: Survey, tmp_path: Path) -> None:
+    (run_folder := tmp_path / "run").mkdir()
+    (run_folder / "run.json").write_text("{}")
+    (other := tmp_path / "other").mkdir()
+    (other / "genome.json").write_text("{}")
+    for folder, said in ((run_folder, "holds a run"), (whole.folder, "holds a run"), (other, "another genome.json")):
+        before = {path: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+        refused = run("survey", "best", whole.folder, "-o", folder)
+        assert refused.exit_code == 2 and said in refused.output
+        assert {path: path.read_bytes() for path in folder.iterdir() if path.is_file()} == before
+    for _ in range(2):
+        assert run("survey", "best", whole.folder, "-o", tmp_path / "best").exit_code == 0
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
