@@ -16,7 +16,7 @@ import json
 import posixpath
 from collections.abc import Mapping
 from functools import cache
-from importlib.resources import files
+from importlib import resources
 from importlib.resources.abc import Traversable
 from typing import Any
 
@@ -37,7 +37,7 @@ def _texts() -> dict[str, bytes]:
             elif entry.name.endswith(".json"):
                 texts[prefix + entry.name] = entry.read_bytes()
 
-    collect(files(__name__), "")
+    collect(resources.files(__name__), "")  # the submodule `files` takes that name here
     return dict(sorted(texts.items()))
 
 
