@@ -25,6 +25,7 @@ from typing import Any, Protocol, TypeVar
 
 from nmes.protocol import Request
 from nmes.world import World
+from nmes.world.costs import BUILDING
 
 __all__ = ["LONG_COMMANDS", "SLICE", "Worker", "WorkerPool"]
 
@@ -40,39 +41,35 @@ _SAVED = 2e-5  # s a cube: what it costs at a tick where the world is saved, or 
 
 LONG_COMMANDS = frozenset(  # those that may take long: of these the world is asked what they cost
     {
+        "adopt",
         "batch",
+        "despawn_cube",
         "get_camera",
         "get_cube_info",
+        "get_cube_list",
         "get_joint_list",
         "get_joints_for_cube",
+        "get_life",
+        "get_planets",
+        "get_world_info",
         "get_world_state",
         "give",
+        "grow",
+        "hear",
         "link_body_cubes",
         "link_cube_chains",
         "reset",
         "sense",
         "set_cube_state",
         "set_objective",
+        "shed",
         "spawn_creature",
+        "spawn_cube",
         "step",
     }
 )
 
-_BUILDING = frozenset(  # what the engine may have to build its model anew for, at the next tick
-    {
-        "create_bone",
-        "create_joint",
-        "despawn_cube",
-        "freeze_cube",
-        "link_body_cubes",
-        "link_cube_chains",
-        "remove_joint",
-        "reset",
-        "set_cube_state",
-        "spawn_creature",
-        "spawn_cube",
-    }
-)
+_TUNING = frozenset({"set_joint_param", "set_joint_params"})
 
 T = TypeVar("T")
 
@@ -186,14 +183,27 @@ class Worker:
             steps = [each.get("ticks", 1) for each in inner if each["type"] == "step"]
             if steps:
                 # What the others build is taken up by the first tick. Most that agents send there are short.
-                builds = any(each["type"] in _BUILDING for each in inner)
+                builds = any(map(self._builds, inner))
                 cost += self._ticks_cost(sum(steps)) + (math.inf if builds else 0.0)
         return cost
+
+    def _builds(self, command: Mapping[str, Any]) -> bool:
+        """Whether the engine may have to build its model anew for a command, also since a motor comes or goes."""
+        if command["type"] not in _TUNING:
+            return command["type"] in BUILDING
+        joint = self._world.entities.joints.get(command["joint_name"])
+        names = command.get("params", (command.get("param_name"),))
+        return joint is not None and ("motor_enabled" in names or not joint.params["motor_enabled"])
 
     def _ticks_cost(self, ticks: float) -> float:
         """Returns how long (s) ticks will take; the first one takes up what was edited."""
         world = self._world
-        return ticks * self._cost + world.rebuild_cost + len(world.entities.cubes) * _SAVED
+        return ticks * self._cost + world.rebuild_cost + len(world.entities.cubes) * _SAVED + self._life_cost(ticks)
+
+    def _life_cost(self, ticks: float) -> float:
+        """Returns how much longer (s) ticks will take since creatures come, die and are born in them."""
+        life = self._world.life
+        return 0.0 if life is None else life.cost(self._world.frame, ticks)
 
     def _measure(self, ticks: int, duration: float) -> None:
         """Learns at once that ticks have become longer, and by and by that they are shorter again."""
@@ -220,10 +230,11 @@ class Worker:
             most: The most ticks that are wanted; may be infinite.
             then: Called in the loop with the number of ticks, at once or when the world is back.
         """
+        few = min(most, BRIEF // max(self._cost, 1e-6))
         if most < 1 or self._is_short(self._ticks_cost(most)):
             then(self._tick(most))
-        elif most < math.inf and self._cost < LIGHT and self._is_short(self._ticks_cost(1)):
-            then(self._tick(min(most, BRIEF // max(self._cost, 1e-6))))  # it is behind
+        elif most < math.inf and self._cost < LIGHT and self._is_short(self._ticks_cost(1) + self._life_cost(few)):
+            then(self._tick(few))  # it is behind
         else:
             self.run(partial(self._tick, most), lambda ticks: then(ticks.result()))
 

@@ -14,7 +14,28 @@ from nmes.world.linking import MOST_CUBES, MOST_LINKS
 if TYPE_CHECKING:
     from nmes.world.entities import Entities
 
-__all__ = ["command_cost", "rebuild_cost"]
+__all__ = ["BUILDING", "command_cost", "life_cost", "rebuild_cost"]
+
+BUILDING: Final = frozenset(
+    {
+        "adopt",
+        "create_bone",
+        "create_joint",
+        "despawn_cube",
+        "freeze_cube",
+        "grow",
+        "link_body_cubes",
+        "link_cube_chains",
+        "remove_joint",
+        "reset",
+        "set_cube_state",
+        "shed",
+        "spawn_creature",
+        "spawn_cube",
+    }
+)
+"""The commands for which the engine may have to build its model anew, at the next tick."""
+_EDITING: Final = BUILDING | {"set_color"}  # after which creatures look anew at what is there
 
 _COMMAND: Final = 2e-5  # s: a command of a batch, whatever it is
 _STATE, _SENSED, _NAME = 5e-6, 3e-5, 1e-7  # s a cube: its state, with its sensors, and its name in a list
@@ -24,13 +45,30 @@ _GROWTH = 0.05  # s: a genome that is read, grown, judged and made
 _EXPRESSION = 2e-3  # s: an expression of the greatest length that is read, over as many cubes as there may be
 _SCENE = 0.02  # s: a scene that is made anew
 _PICTURE, _PIXEL = 0.01, 1e-7  # s: a picture, and each of its pixels
-_RAY, _MET = 3e-6, 2e-8  # s: a ray of a creature's sensors, and each cube that it may meet
+_RAY, _MET = 3e-6, 2e-8  # s: a ray of a creature's sensors, and each cube or food that it may meet
+_HEARD = 1.5e-6  # s a cube: its voice, listed once in a tick
+_FOOD, _LIVES = 1.5e-6, 1e-6  # s: what is told of a place of food, and, a cube, of who lives
+_SETTLED = 2e-5  # s a joined cube: to find anew what hangs together in creatures, after cubes or joints were edited
+_CUT = 2e-6  # s: a joint that goes with its cube
+_JUDGED = 1e-5  # s a cube: whether a part that grows would be in it
+_COMES, _GROWS = 0.05, 5e-5  # s: a creature that comes with the first tick, and food that grows
+_SECOND = 0.05  # s: what of an ecosystem is done once in a second, such as births
 _BUILT, _PART = 2e-3, 1e-3  # s: a model that an engine compiles, and each cube and joint in it
 
 
 def _batch(entities: Entities, command: Mapping[str, Any]) -> float:
-    commands = command["commands"]
-    return len(commands) * _COMMAND + sum(command_cost(entities, inner) for inner in commands)
+    cost, edited = 0.0, False
+    for inner in command["commands"]:
+        if edited and "creature" in inner:
+            cost += _settled(entities)
+        edited = inner["type"] in _EDITING or (edited and "creature" not in inner)
+        cost += _COMMAND + command_cost(entities, inner)
+    return cost
+
+
+def _settled(entities: Entities) -> float:
+    """Returns the cost of the first look for a creature after something was edited."""
+    return min(len(entities.cubes), len(entities.joints) + 1) * _SETTLED
 
 
 def _world_state(entities: Entities, command: Mapping[str, Any]) -> float:
@@ -67,22 +105,42 @@ def _picture(entities: Entities, command: Mapping[str, Any]) -> float:
     return float(_PICTURE + pixels * _PIXEL + len(entities.cubes) * _STATE)
 
 
+def _sense(entities: Entities, command: Mapping[str, Any]) -> float:
+    return entities.rays * (_RAY + (len(entities.cubes) + len(entities.food)) * _MET)
+
+
+def _growth(entities: Entities, command: Mapping[str, Any]) -> float:
+    return 2.0 * _settled(entities) + len(entities.cubes) * _JUDGED
+
+
+def _despawned(entities: Entities, command: Mapping[str, Any]) -> float:
+    cube = entities.cubes.get(command.get("cube_name", ""))
+    return 0.0 if cube is None else len(cube.joints) * _CUT
+
+
 _COSTS: Final[Mapping[str, Callable[[Entities, Mapping[str, Any]], float]]] = {
+    "adopt": lambda entities, command: 2.0 * _settled(entities),
     "batch": _batch,
+    "despawn_cube": _despawned,
     "get_camera": _picture,
     "get_cube_info": _cube_info,
     "get_cube_list": _names,
     "get_joint_list": lambda entities, command: len(entities.joints) * _STATE,
     "get_joints_for_cube": lambda entities, command: len(entities.joints) * _NAME,
+    "get_life": lambda entities, command: len(entities.food) * _FOOD + len(entities.cubes) * _LIVES,
+    "get_planets": lambda entities, command: len(entities.food) * _FOOD,
     "get_world_info": lambda entities, command: len(entities.joints) * _NAME,
     "get_world_state": _world_state,
     "give": lambda entities, command: min(len(entities.cubes), len(entities.joints) + 1) * _NAME * 10.0,
+    "grow": _growth,
+    "hear": lambda entities, command: len(entities.cubes) * _HEARD,
     "link_body_cubes": _neighbours,
     "link_cube_chains": _chains,
     "reset": lambda entities, command: _SCENE,
-    "sense": lambda entities, command: entities.rays * (_RAY + len(entities.cubes) * _MET),
+    "sense": _sense,
     "set_cube_state": lambda entities, command: min(len(entities.cubes), len(entities.joints) + 1) * _MOVED,
     "set_objective": lambda entities, command: _EXPRESSION,
+    "shed": lambda entities, command: 2.0 * _settled(entities),
     "spawn_creature": lambda entities, command: _GROWTH,
     "spawn_cube": _names,
 }
@@ -97,3 +155,19 @@ def command_cost(entities: Entities, command: Mapping[str, Any]) -> float:
 def rebuild_cost(entities: Entities) -> float:
     """Returns about how long (s) an engine takes to take up that cubes or joints were edited."""
     return _BUILT + (len(entities.cubes) + len(entities.joints)) * _PART
+
+
+def life_cost(rules: Mapping[str, Any], tick_rate: int, frame: int, ticks: float) -> float:
+    """Returns about how much longer (s) ticks take than most others of an ecosystem: of the next second at most.
+
+    Args:
+        rules: `life` of the world's complete config.
+        tick_rate: Ticks per second.
+        frame: The frame before them.
+        ticks: How many; may be infinite.
+    """
+    last, food = frame + int(min(ticks, tick_rate)), rules["food"]
+    grown = int(last * food["rate"] / tick_rate) - int(frame * food["rate"] / tick_rate)
+    if frame == 0 < last:
+        return _SECOND + rules["population"]["start"] * _COMES + (food["start"] + grown) * _GROWS
+    return grown * _GROWS + (_SECOND if last // tick_rate > frame // tick_rate else 0.0)

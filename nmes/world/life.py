@@ -25,6 +25,7 @@ from nmes.genome.body import Body
 from nmes.schemas.documents import JsonObject
 from nmes.variation import Draw, cross, mutate, random_genome
 from nmes.variation.distance import distance
+from nmes.world.costs import life_cost
 from nmes.world.food import Food
 from nmes.world.inhabitants import Inhabitant, Roll, traits_of
 from nmes.world.life_rules import Price, founding_genomes, requirements
@@ -84,6 +85,13 @@ class Life:
         """Returns the energy of a creature, J; 0 of one that is not among the living."""
         each = self._living.get(name)
         return 0.0 if each is None else each.energy
+
+    def cost(self, frame: int, ticks: float) -> float:
+        """Returns about how much longer (s) ticks after a frame take than most others: a guess for hosts, and cheap.
+
+        In some of them creatures come, die and are born. Of many ticks it is the guess for the next second.
+        """
+        return life_cost(self._rules, self._entities.tick_rate, frame, ticks)
 
     # -- a tick --------------------------------------------------------------------------------------------------
 

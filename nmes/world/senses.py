@@ -14,6 +14,7 @@ import numpy as np
 from nmes.backend import Array, BodyState, Vector
 from nmes.backend.rotation import conjugate, rotate
 from nmes.genome.body import Body, Sensor
+from nmes.genome.sensor_entries import count_rays
 from nmes.genome.sensors import OF_FOOD, OF_OTHERS, READING_OF, TURNING, CubeReading, Read
 from nmes.world.entities import Cube, Joint
 from nmes.world.food import nearest
@@ -23,6 +24,9 @@ __all__ = ["Senses", "aim"]
 
 _HERE = 1e-9  # m; nearer than this a target is in no direction
 _STILL: Vector = (0.0, 0.0, 0.0)
+# As many rays as take as long, where each may meet as much as there is to be heard, seen or smelled:
+_LIST = 50  # to list, once in a tick, who speaks on a channel, or who is there
+_NOSES = {"food_smell": 10, "other_smell": 40}  # a nose, which smells all that there is
 
 
 class Senses:
@@ -53,6 +57,15 @@ class Senses:
         self._plan_joints(body, [(row, sensor) for row, sensor in there if sensor.of == "joint"], joints)
         self._readers = look_around([pair for pair in there if looks_around(pair[1])], cubes, around)
         self._plan_cubes([pair for pair in there if pair[1].of == "cube" and not looks_around(pair[1])], cubes)
+        around.entities.rays = max(around.entities.rays, self._work([sensor for _, sensor in there]))
+
+    def _work(self, sensors: list[Sensor]) -> int:
+        """Returns how many rays take as long as what these sensors perceive around their body, for `costs`."""
+        noses = {(sensor.type, sensor.target, sensor.range) for sensor in sensors if sensor.type in _NOSES}
+        others = bool(self.seen) or any(kind == "other_smell" for kind, *_ in noses)
+        lists = len({channel for _, channel, *_ in self.ears}) + others
+        looks = len(self.smelled) + len(self.seen) + len(self.ears) + sum(_NOSES[kind] for kind, *_ in noses)
+        return count_rays(sensors) + looks + lists * _LIST
 
     def _plan_joints(self, body: Body, sensors: list[tuple[int, Sensor]], joints: Mapping[str, Joint]) -> None:
         """Finds the columns of the joints' readings, and what to multiply them by."""
