@@ -30,7 +30,7 @@ __all__ = ["about_recording", "show_recording"]
 
 PATIENCE: Final = 5.0  # s that a moment, or a list of marks, may take
 MOST: Final = 2000  # marks of a recording
-_BIRTHS: Final = frozenset({"birth", "death"})  # of an ecosystem
+_BIRTHS: Final = {"creature_born": "birth", "creature_died": "death"}  # the marks of an ecosystem's events
 _NOT_FOUND: Final = 4404  # the code with which a WebSocket is closed
 _FURTHEST: Final = 1 << 53
 _EVERYDAY: Final = ("get_", "ping", "step", "subscribe", "unsubscribe", "compute_reward", "apply_")
@@ -94,8 +94,8 @@ def _marks(kind: Kind, record: Any) -> Iterator[JsonObject]:
             yield {"kind": "fault", "what": (record.about or {}).get("code", "fault")}
         case Kind.LIFE:
             for event in (record.about or {}).get("events", ()):
-                if event.get("type") in _BIRTHS:
-                    yield {"kind": event["type"], "what": str(event.get("creature", ""))}
+                if event["type"] in _BIRTHS:
+                    yield {"kind": _BIRTHS[event["type"]], "what": event["creature"]}
 
 
 class _Sight(NamedTuple):
