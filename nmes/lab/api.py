@@ -238,10 +238,12 @@ class _Documents(_Answers):
         return found
 
     async def jobs(self, _: Request) -> JsonObject:
-        return {"items": [{**job.to_json(), "result": None} for job in self._lab.jobs.all()[:100]], "next": None}
+        return {"items": [job.to_json() for job in self._lab.jobs.all()[:100]], "next": None}
 
     async def job(self, request: Request) -> JsonObject:
-        return self._lab.jobs.get(_number(request)).to_json()
+        job = self._lab.jobs.get(_number(request))
+        told = job.to_json()  # first: a job that ends meanwhile has no result while it still is said to run
+        return {**told, "result": await self._lab.do(job.result) if told["status"] is not None else None}
 
     async def stop_job(self, request: Request) -> JsonObject:
         job = self._lab.jobs.get(_number(request))

@@ -15,7 +15,7 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from itertools import count
-from typing import Any, Final
+from typing import Final
 
 import orjson
 
@@ -27,6 +27,7 @@ __all__ = ["Job", "Jobs"]
 _LINES: Final = 100  # of what a job says that are kept
 _LONGEST: Final = 2000  # characters of each
 _OUTPUT: Final = 16 << 20  # bytes of standard output that are kept, which is JSON
+_ALL: Final = 64 << 20  # bytes of standard output of all jobs that have ended
 _ENDED: Final = 1000  # jobs that are remembered when they have ended
 _PATIENCE: Final = 10.0  # s that a job has to end when it is told to
 
@@ -48,7 +49,8 @@ class Job:
         self.status: int | None = None
         self._process = process
         self._lines: deque[str] = deque(maxlen=_LINES)
-        self._output = bytearray()
+        self._output: bytes | bytearray = bytearray()
+        self._judged = False  # whether what it printed is known to be JSON
         self.ended = asyncio.create_task(self._follow())
 
     @property
@@ -73,19 +75,40 @@ class Job:
                 os.killpg(self._process.pid, signal.SIGKILL)
             await self.ended
 
+    @property
+    def kept(self) -> int:
+        """How many bytes of what it printed are kept."""
+        return len(self._output)
+
+    def forget(self) -> None:
+        """Keeps no more what it printed."""
+        self._output, self._judged = b"", False
+
+    def result(self) -> orjson.Fragment | None:
+        """Returns what it printed as JSON, as it stands; None while it runs, and where that is none or is not kept.
+
+        It takes a while when it is asked the first time, and is for a thread.
+        """
+        if self.status is None:
+            return None
+        if not self._judged:
+            output = bytes(self._output)
+            try:
+                orjson.loads(output)
+            except orjson.JSONDecodeError:  # it failed, and its last lines tell why
+                output = b""
+            self._output, self._judged = output, True
+        return orjson.Fragment(self._output) if self._output else None
+
     def to_json(self) -> JsonObject:
-        """Returns how it fares."""
-        result: Any = None
-        if self.status is not None:
-            with suppress(orjson.JSONDecodeError):  # it failed, and its last lines tell why
-                result = orjson.loads(bytes(self._output))
+        """Returns how it fares, without what it printed."""
         return {
             "id": self.id,
             "state": "running" if self.status is None else "ended",
             "status": self.status,
             "about": self.about or None,
             "lines": list(self._lines),
-            "result": result,
+            "result": None,
             "command": self.command,
         }
 
@@ -97,7 +120,7 @@ class Job:
 
     async def _keep_output(self, stream: asyncio.StreamReader) -> None:
         while data := await stream.read(1 << 16):
-            self._output += data[: max(0, _OUTPUT - len(self._output))]
+            self._output += data[: max(0, _OUTPUT - self.kept)]
 
     async def _keep_lines(self, stream: asyncio.StreamReader) -> None:
         rest = ""
@@ -150,10 +173,19 @@ class Jobs:
             self._starting -= 1
         job = Job(next(self._numbers), arguments, about, process)
         self._jobs[job.id] = job
-        ended = [number for number, one in self._jobs.items() if one.status is not None]
-        for number in ended[:-_ENDED]:
-            del self._jobs[number]
+        self._forget()
         return job
+
+    def _forget(self) -> None:
+        """Forgets the jobs that have ended longest ago, and before that what they printed."""
+        ended = [job for job in self._jobs.values() if job.status is not None]
+        for job in ended[:-_ENDED]:
+            del self._jobs[job.id]
+        room = _ALL
+        for job in ended[::-1]:
+            room -= job.kept
+            if room < 0:
+                job.forget()
 
     def get(self, number: int) -> Job:
         """Returns a job.
