@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 import os
 import pty
+import re
 import resource
 import shutil
 import signal
 import sqlite3
 import subprocess
 import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -21,6 +23,7 @@ import pytest
 from click.testing import CliRunner, Result
 
 from nmes.cli import main
+from nmes.cli._evolve_run import _note, _populations_note
 from nmes.evolution.run import Run
 from nmes.evolution.run_index import Record
 from nmes.genome import Genome
@@ -192,33 +195,30 @@ def until(condition: Callable[[], bool], running: subprocess.Popen[str]) -> None
 
 
 @pytest.mark.parametrize(("number", "jobs"), [(signal.SIGINT, "2"), (signal.SIGTERM, "1")])
-def test_a_run_that_is_stopped_says_how_to_go_on(
-    number: signal.Signals, jobs: str, task: Path, tmp_path: Path, whole: Path
-) -> None:
-    folder = tmp_path / "run"
+def test_a_run_that_is_stopped_says_how_to_go_on(number: signal.Signals, jobs: str, task: Path, tmp_path: Path) -> None:
+    folder, log = tmp_path / "run", tmp_path / "run" / "log.jsonl"
     arguments = ("evolve", "random", "--task", str(task), *BEGIN, "--budget", "100000", "-o", str(folder))
     with process(*arguments, "--jobs", jobs, "--json") as running:
-        until(lambda: (folder / "log.jsonl").is_file() and (folder / "log.jsonl").stat().st_size > 0, running)
+        until(lambda: log.is_file() and log.read_bytes().count(b"\n") > 8, running)  # children of founders are bred
         running.send_signal(number)
         out, err = running.communicate()
     assert running.returncode == 1 and f"nmes evolve resume {folder}" in err and "Traceback" not in err
     stopped = json.loads(out)
-    assert 0 < stopped["told"] < 100000 and not stopped["finished"]
+    assert 8 < stopped["told"] < 100000 and not stopped["finished"]
     assert f"stopped: {stopped['told']:,} of 100,000 done" in err
-    lines = (folder / "log.jsonl").read_bytes().splitlines()
+    lines = log.read_bytes().splitlines()
     assert len(lines) == stopped["told"] and orjson.loads(lines[-1])["digest"] == stopped["digest"]
-    if stopped["told"] <= 24:
-        resumed = told(nmes("resume", folder, "--budget", "24", "--jobs", "1", "--json"))
-        assert resumed["digest"] == told(nmes("resume", whole, "--jobs", "1", "--json"))["digest"]
+    more = stopped["told"] + 5
+    rest = ("--budget", str(more), "--jobs", "1", "--json")
+    resumed = told(nmes("resume", folder, *rest))
+    at_once = nmes("random", "--task", task, *BEGIN, "-o", tmp_path / "b", *rest)
+    assert resumed["told"] == more and resumed["digest"] == told(at_once)["digest"]
 
 
-def test_on_a_terminal_a_run_that_is_gone_on_with_shows_how_much_of_its_log_was_read(
-    whole: Path, tmp_path: Path
-) -> None:
-    run = shutil.copytree(whole, tmp_path / "run")
+def test_on_a_terminal_a_run_shows_how_much_of_its_log_was_read_and_how_it_fares(run: Path) -> None:
     terminal, end = pty.openpty()
-    arguments = [NMES, "evolve", "resume", str(run), "--budget", "25", "--jobs", "1"]
-    with subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=end) as resumed:
+    arguments, wide = [NMES, "evolve", "resume", str(run), "--budget", "25", "--jobs", "1"], {"COLUMNS": "200"}
+    with subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=end, env={**os.environ, **wide}) as resumed:
         os.close(end)
         shown = b""
         with suppress(OSError):  # as Linux says that nobody has the other end any more
@@ -226,7 +226,27 @@ def test_on_a_terminal_a_run_that_is_gone_on_with_shows_how_much_of_its_log_was_
                 shown += text
     os.close(terminal)
     assert resumed.returncode == 0
-    assert b"reading the log" in shown and b"evolving" in shown
+    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.decode())
+    assert re.search(r"reading the log \S+ +100%", text)
+    records = Run.open(run).records
+    scores = [record.score for record in records if record.score is not None]
+    diversity = len({record.plan for record in records}) / 25
+    note = f"best {max(scores):.4g}, mean {sum(scores) / len(scores):.4g}, diversity {diversity:.0%}, "
+    ended = re.search(rf"evolving +\S+ +100% (\S+) {re.escape(note)}(\d+\.\d)/s\s*$", text)
+    assert ended is not None, text[-500:]
+    assert ended[1] == "0:00:00" and float(ended[2]) > 0.0  # the time left, and candidates a second
+
+
+def made_up(score: float | None, plan: str, group: str = "") -> Record:
+    return Record(0, 0, 0, "", score, "random", (), 0, group, (), (), "", "", plan, None)
+
+
+def test_the_progress_of_a_run_tells_its_best_the_mean_and_the_diversity() -> None:
+    recent = deque([made_up(1.0, "a"), made_up(None, "b"), made_up(2.0, "a"), made_up(0.5, "c")])
+    assert _note(recent, made_up(3.25, "d")) == "best 3.25, mean 1.167, diversity 75%"
+    assert _note(deque([made_up(None, "a")]), None) == "best none, mean none, diversity 100%"
+    meeting = deque([made_up(1.0, "a", "prey"), made_up(None, "a", "hunter"), made_up(2.0, "a", "prey")])
+    assert _populations_note(meeting) == "mean of hunter none, prey 1.5"
 
 
 def test_a_signal_whose_exception_is_lost_stops_a_run_too(
