@@ -8,7 +8,8 @@ Invariants:
 - Where an item is worked on, and beside which others, is nothing the function can see: every worker is an interpreter
   of its own, given one item at a time, with one thread for linear algebra, and without a screen.
 - A worker that dies takes only its own item with it: that one's result is a `Lost`, and a new worker goes on.
-- A machine of a cluster that is lost takes nothing with it: what was worked on there is done again elsewhere.
+- A machine of a cluster that is lost takes nothing with it: what was worked on there is done again elsewhere. One that
+  computes otherwise than this one is not worked on at all.
 - Workers never see Ctrl-C. Whoever stops taking results ends them.
 - A function that raises is a mistake: its error comes out here, with the worker's traceback. What may go wrong with
   an item is for the function to return. But where the machine lacks something, the item is a `Lost` too: that says
@@ -25,7 +26,7 @@ import traceback
 from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
 from multiprocessing import get_context, resource_tracker
@@ -33,7 +34,9 @@ from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import Any, Self, TypeVar
 
-from nmes.errors import MACHINE_ERRORS, MachineError, MissingPackage
+from nmes.backend.fingerprint import decisive, differences, fingerprint
+from nmes.backend.registry import entry_points_by_name, load_backend
+from nmes.errors import MACHINE_ERRORS, BackendNotFound, MachineError, MissingPackage
 
 __all__ = ["Cluster", "Here", "Lost", "Pool", "Workers", "in_processes", "open_pool"]
 
@@ -366,8 +369,18 @@ class Hand:
             self._worker.end()
         return error, result
 
-    def ready(self) -> None:
-        """Returns once the actor is there."""
+    def ready(self) -> dict[str, dict[str, str]]:
+        """Returns, once the actor is there, what decides what its machine computes; see `_computes`."""
+        return _computes()
+
+
+def _computes() -> dict[str, dict[str, str]]:
+    """Returns the decisive items of the fingerprint of each engine that can be loaded here, by its name."""
+    found = {}
+    for name in entry_points_by_name():
+        with suppress(BackendNotFound):
+            found[name] = decisive(fingerprint(load_backend(name)))
+    return found
 
 
 @dataclass(slots=True)
@@ -404,6 +417,7 @@ class Cluster(Pool):
     """
 
     def __init__(self, address: str) -> None:
+        self._here = _computes()
         try:
             import ray
         except ImportError as error:
@@ -451,7 +465,8 @@ class Cluster(Pool):
         """As `Pool.take`.
 
         Raises:
-            MachineError: Actors do not start (`no_cluster`).
+            MachineError: Actors do not start (`no_cluster`), or one computes otherwise than this machine does
+                (`cluster_differs`).
         """
         taken: list[tuple[int, Any]] = []
         while not taken:
@@ -477,15 +492,24 @@ class Cluster(Pool):
     def _started(self, done: Any) -> None:
         actor, new = self._starting.pop(done)
         try:
-            self._ray.get(done)
+            there = self._ray.get(done)
         except self._ray.exceptions.RayError as error:
             self._failed += new
             if new and self._failed == _DEATHS:
                 message = f"no process starts in the Ray cluster, which needs NMES on every machine: {_first(error)}"
                 raise MachineError("no_cluster", message) from error
         else:
+            self._require_alike(there)
             self._failed = 0
             self._idle.append(actor)
+
+    def _require_alike(self, there: dict[str, dict[str, str]]) -> None:
+        """Refuses an actor whose figures may be others than those of this machine: a run would mix the two."""
+        for name, items in self._here.items():
+            for item, (ours, theirs) in differences(items, there.get(name, {})).items():
+                what = f"{item} of {name} is {theirs or 'not there'}, here {ours or 'not there'}"
+                message = f"a machine of the Ray cluster computes otherwise than this one: {what}"
+                raise MachineError("cluster_differs", message)
 
     def _taken(self, done: Any) -> list[tuple[int, Any]]:
         """Returns the result of an item with its number; nothing where it is to be done again."""

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from creatures import snake
+from nmes.errors import MachineError
 from nmes.evaluation import Task
 from nmes.evaluation.evaluation import Evaluation
 from nmes.evaluation.parallel import Cluster, Here, Lost, Pool
@@ -91,6 +92,17 @@ def test_what_a_lost_actor_worked_on_is_done_again(cluster: Cluster, tmp_path: P
     outcomes = dict(cluster.run(lose_the_actor_once, [str(tmp_path / "first"), str(tmp_path / "second")]))
     assert outcomes == {0: "done again", 1: "done again"}
     assert not actors(cluster) & before
+
+
+def test_a_machine_that_computes_otherwise_is_not_worked_on(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    actors(cluster)
+    actor = cluster._idle[0]
+    monkeypatch.setitem(cluster._here, "mujoco", {**cluster._here["mujoco"], "probe": "another"})
+    done = actor.ready.remote()
+    cluster._starting[done] = actor, False
+    with pytest.raises(MachineError, match=r"probe of mujoco is [0-9a-f]{32}, here another") as error:
+        cluster._started(done)
+    assert error.value.code == "cluster_differs"
 
 
 @pytest.mark.long
