@@ -10,6 +10,8 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any, Final, NamedTuple
 
+from orjson import Fragment
+
 from nmes.ros import messages
 from nmes.ros.messages import RosError, number, ros_name
 from nmes.schemas.documents import JsonObject, write_json
@@ -52,6 +54,7 @@ class Graph:
     Attributes:
         topics: By name.
         ambiguous: Names that several things would have.
+        listed: What services have told of all topics, which stays the same; by the service.
         version: The world's `structure_version`.
     """
 
@@ -60,9 +63,10 @@ class Graph:
         self.version = world.structure_version
         self.topics: dict[str, Topic] = {}
         self.ambiguous: set[str] = set()
+        self.listed: dict[str, Fragment] = {}
         joints = {name: joint for name, joint in world.entities.joints.items() if joint.kind in _MOVING}
         self._add("clock", Topic("rosgraph_msgs/Clock", messages.clock))
-        self._add("tf", Topic("tf2_msgs/TFMessage", messages.transforms))
+        self._add("tf", Topic("tf2_msgs/TFMessage", partial(messages.transforms, frames=messages.frames_of(world))))
         every = {name: name for name in joints}
         self._add_joints("", every)
         for name in world.cubes():
@@ -75,7 +79,7 @@ class Graph:
             creature = world.creature(name)
             own = {each: str(joint) for each, joint in creature.joints.items() if str(joint) in joints}
             self._add_joints(f"{ros_name(name)}/", own)
-            drive = partial(_drive, creature=name)
+            drive = partial(_drive, creature=name, most=len(creature.body.outputs))
             self._add(f"{ros_name(name)}/command", Topic("std_msgs/Float64MultiArray", None, drive))
 
     def find(self, name: str) -> Topic | None:
@@ -109,10 +113,12 @@ def _turn(message: Mapping[str, Any], *, joint: Joint) -> JsonObject:
     return {"type": "set_joint_param", "joint_name": joint.name, "param_name": parameter, "value": value}
 
 
-def _drive(message: Mapping[str, Any], *, creature: str) -> JsonObject:
+def _drive(message: Mapping[str, Any], *, creature: str, most: int) -> JsonObject:
     data = message.get("data")
     if not isinstance(data, list):
         raise RosError("data: one number for each motor, from -1 to 1")
+    if len(data) > most:  # before each is looked at; that there are too few, the command says
+        raise RosError(f"data: {creature!r} takes {most:,} controls, got {len(data):,}")
     return {"type": "drive", "creature": creature, "controls": [number(value, "data") for value in data]}
 
 

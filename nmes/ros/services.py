@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
+from orjson import Fragment
+
 from nmes.errors import RejectedMessage
 from nmes.ros.definitions import fields, full_text, typedefs
 from nmes.ros.graph import NODE, Graph, full_name
@@ -175,9 +177,14 @@ def _nodes_of(asked: Asked, field: str, way: str) -> JsonObject:
     return {field: [NODE] if topic is not None and getattr(topic, way) is not None else []}
 
 
-def _topics_and_raw_types(asked: Asked) -> JsonObject:
-    told = _topics(asked)
-    return {**told, "typedefs_full_text": [full_text(kind) for kind in told["types"]]}
+def _topics_and_raw_types(asked: Asked) -> Fragment:
+    """Returns the topics with what their types are made of: megabytes of a large world, which are written once."""
+    listed = asked.graph.listed
+    if "topics_and_raw_types" not in listed:
+        told = _topics(asked)
+        told["typedefs_full_text"] = [full_text(kind) for kind in told["types"]]
+        listed["topics_and_raw_types"] = Fragment(write_json(told))
+    return listed["topics_and_raw_types"]
 
 
 def _service_node(asked: Asked) -> JsonObject:
@@ -190,7 +197,7 @@ def _details(half: str) -> Callable[[Asked], JsonObject]:
 
 _PARAMS: Final = {"/use_sim_time": "true"}  # their values, as JSON
 
-LOOKED_UP: Final[dict[str, tuple[str, Callable[[Asked], JsonObject]]]] = {
+LOOKED_UP: Final[dict[str, tuple[str, Callable[[Asked], JsonObject | Fragment]]]] = {
     "/rosapi/topics": ("rosapi/Topics", _topics),
     "/rosapi/topic_type": ("rosapi/TopicType", _topic_type),
     "/rosapi/topics_for_type": ("rosapi/TopicsForType", _topics_for_type),
@@ -232,8 +239,8 @@ def check_args(name: str, args: Args) -> None:
         raise RosError(f"args: {kind} has no {unknown[:64]!r}; it takes {takes}")
 
 
-def look_up(name: str, asked: Asked) -> JsonObject:
-    """Returns the answer of a service under /rosapi.
+def look_up(name: str, asked: Asked) -> JsonObject | Fragment:
+    """Returns the answer of a service under /rosapi, as an object or as JSON.
 
     Raises:
         RosError: The arguments are not those that it takes.

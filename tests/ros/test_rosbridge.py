@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import orjson
 import pytest
 from click.testing import CliRunner
 from hypothesis import given, settings
@@ -32,10 +33,14 @@ from nmes.protocol import Limits
 from nmes.recording import Recording
 from nmes.ros import rosbridge_application
 from nmes.ros.definitions import fields
+from nmes.ros.graph import Views
 from nmes.ros.messages import from_ros, ros_name, to_ros
+from nmes.ros.services import Asked, look_up
 from nmes.schemas.documents import parse_json
 from nmes.server.connection import LONG
+from nmes.world import World
 from processes import process, ready
+from recordings import send
 from servers import PASSWORD, PATIENCE, Served, served
 
 LOCKSTEP = {"name": "main", "backend": "mujoco", "mode": "lockstep"}
@@ -268,6 +273,38 @@ def test_the_axes_of_ros_are_the_worlds_turned_a_quarter_about_x(
     assert tuple(turned.values()) == pytest.approx(again, abs=1e-9)
 
 
+@pytest.mark.parametrize("count", [0, 1, 3])
+def test_all_cubes_are_told_as_each_alone(count: int) -> None:
+    world = World(LOCKSTEP)
+    client = world.join()
+    for number in range(count):
+        place, turn = [1.5 * number, 2.25, -0.125 * number], [10.0 * number, 20.0, -30.0]
+        send(world, client, type="spawn_cube", cube_name=f"a{number}.b", position=place, rotation=turn)
+    views = Views()
+    text = views.text(world, "/tf", ros2=False)
+    assert text is not None
+    told = json.loads(text)["msg"]["transforms"]
+    assert [each["child_frame_id"] for each in told] == [f"a{number}/b" for number in range(count)]
+    for each in told:
+        text = views.text(world, f"/{each['child_frame_id']}/pose", ros2=False)
+        assert text is not None
+        alone = json.loads(text)["msg"]
+        pose = {"position": each["transform"]["translation"], "orientation": each["transform"]["rotation"]}
+        assert (alone["header"], alone["pose"]) == (each["header"], pose)
+
+
+def test_the_list_of_all_topics_is_made_once_for_the_same_topics() -> None:
+    world = World(LOCKSTEP)
+    views, asked, names = Views(), [], []
+    for _ in range(2):
+        for _ in range(2):
+            asked.append(look_up("/rosapi/topics_and_raw_types", Asked(views.graph(world), world, {})))
+            names.append(set(orjson.loads(orjson.dumps(asked[-1]))["topics"]))
+        send(world, world.join(), type="spawn_cube", cube_name="box", position=[0, 2, 0])
+    assert asked[0] is asked[1] is not asked[2] is asked[3]
+    assert names[2] - names[1] == {"/box/pose"}
+
+
 def test_types_of_ros_2_have_its_time(robot: Peer) -> None:
     robot.call("/step", ticks=90)
     robot.say({"op": "subscribe", "topic": "/rocker/joint_states", "type": "sensor_msgs/msg/JointState"})
@@ -376,6 +413,7 @@ REFUSED = [
     ({"op": "publish", "topic": "/rocker/command", "msg": {"data": ["fast"]}}, "no number"),
     ({"op": "publish", "topic": "/rocker/command", "msg": {"data": [7]}}, "controls"),
     ({"op": "publish", "topic": "/rocker/command", "msg": {"data": [0.1, 0.2]}}, "controls"),
+    ({"op": "publish", "topic": "/rocker/command", "msg": {"data": ["fast"] * 2}}, "takes 1 controls, got 2"),
     ({"op": "publish", "topic": "/rocker/shoulder/command", "msg": {"data": True}}, "no number"),
     ({"op": "publish", "topic": "/joint_command", "msg": {"name": []}}, "name"),
     ({"op": "publish", "topic": "/joint_command", "msg": {"name": ["nobody"], "position": [1]}}, "no joint 'nobody'"),
