@@ -26,18 +26,21 @@ from nmes.fleet.worker_processes import WorkerProcess, WorkerProcesses
 from nmes.server.access_log import AccessLog
 from nmes.server.catalog import Catalog
 from nmes.server.connection import Connection
+from nmes.server.door import Guesses
 from nmes.server.host import SWEEP
 from nmes.server.keys import Keys
 from nmes.server.metrics import merged_pages
 from nmes.server.reception import Reception, spawn
 from nmes.server.retention import Retention
 
-__all__ = ["Supervisor"]
+__all__ = ["Supervisor", "shares_of_guesses"]
 
 logger = logging.getLogger(__name__)
 
 ATTEMPTS = 3  # workers that may end while they bring up a world: it may be the world that ends them
 BALANCE = 2.0  # s: how often it is looked whether one has more to do than another
+DIRECT = 0.25  # of all wrong passwords, how many may come to the workers' own ports
+LEAST = 1.0 / Guesses.ADDRESS[0]  # for each worker: an address that did not guess lately is heard everywhere
 
 
 @dataclass(slots=True)
@@ -55,6 +58,16 @@ class _Place:
     former: WorkerProcess | None = None
     recording: Path | None = None
     failure: str | None = None
+
+
+def shares_of_guesses(workers: int) -> tuple[float, float]:
+    """Returns which part of all wrong passwords may come to the host's own port, and which to that of each worker.
+
+    All together are one budget, as no port knows what comes to the others. Of very many workers, of which each must
+    hear a first guess, it is more than one by what the host's own port needs.
+    """
+    each = max(DIRECT / workers, LEAST)
+    return max(DIRECT, 1.0 - workers * each), each
 
 
 class Supervisor(Reception):
@@ -105,6 +118,7 @@ class Supervisor(Reception):
             "access_log": None if access_log is None else str(access_log),
             "engines": self._catalog.engines,
         }
+        self._begin = begin
         self.workers = WorkerProcesses(command, begin, self._hear, self._lose)
         self.lost: list[tuple[str, str]] = []  # worlds whose recordings are not whole, and why, once it is closed
         self._places: dict[str, _Place] = {}
@@ -129,6 +143,8 @@ class Supervisor(Reception):
             MachineError: One does not start (`worker_failed`).
         """
         self.most_connections = workers * self.limits.connections
+        own, each = shares_of_guesses(workers)
+        self.guesses, self._begin["guesses"] = Guesses(own), each
         await self.workers.start(workers)
         self._running = True
         loop = asyncio.get_running_loop()

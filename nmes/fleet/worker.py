@@ -28,6 +28,7 @@ from nmes.server import Host
 from nmes.server.access_log import AccessLog
 from nmes.server.catalog import Catalog
 from nmes.server.connection import READ, Connection
+from nmes.server.door import Guesses
 from nmes.server.keys import Keys
 from nmes.server.metrics import Metrics
 
@@ -194,6 +195,7 @@ class _Worker:
             metrics=Metrics() if about["metrics"] else None,
             access_log=None if about["access_log"] is None else AccessLog(Path(about["access_log"])),
         )
+        self._host.guesses = Guesses(about["guesses"])
         await asyncio.to_thread(_warm, about["engines"])
         _, port = await self._host.listen(about["address"], 0)
         self._line.answer(message, port=port)

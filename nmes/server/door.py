@@ -71,16 +71,19 @@ class Guesses:
     """The wrong passwords of late, by address and in common: they say whose next one is not even looked at.
 
     It reads no clock: whoever asks says what time it is (s).
+
+    Args:
+        part: Which part of all guesses are allowed here, as others count the rest; one at once is at least.
     """
 
     ADDRESS = (60, 1.0)  # an address may guess so often at once (`nmes conform` does, 30 times), and so often a second
     COMMON = (200, 5.0)  # and all of them together
     ADDRESSES = 65_536  # that are remembered
 
-    def __init__(self) -> None:
-        """Begins without any."""
+    def __init__(self, part: float = 1.0) -> None:
         self._buckets: OrderedDict[str, Bucket] = OrderedDict()
-        self._common = Bucket(*self.COMMON)
+        self._part = part
+        self._common = Bucket(*(part * value for value in self.COMMON))
 
     def wait(self, address: str, now: float) -> float:
         """Returns for how long (s) a password from there is not looked at; 0 where it is."""
@@ -91,7 +94,8 @@ class Guesses:
 
     def wrong(self, address: str, now: float) -> None:
         """Counts a wrong password."""
-        own = self._buckets.setdefault(address, Bucket(*self.ADDRESS))
+        size, rate = self.ADDRESS
+        own = self._buckets.setdefault(address, Bucket(max(1.0, self._part * size), self._part * rate))
         self._buckets.move_to_end(address)
         own.take(now)
         if self._common.tokens(now) >= 1.0:

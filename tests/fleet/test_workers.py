@@ -26,10 +26,11 @@ from nmes import AsyncClient
 from nmes.cli import main
 from nmes.cli._serve_worker import command_of_worker
 from nmes.errors import CommandFailed, Disconnected, MachineError
-from nmes.fleet.supervisor import Supervisor
+from nmes.fleet.supervisor import Supervisor, shares_of_guesses
 from nmes.playback import replay
 from nmes.protocol import DELIMITER
 from nmes.recording import Recording
+from nmes.server.door import Guesses
 from nmes.server.keys import Keys
 from processes import process, ready
 from servers import PASSWORD, PATIENCE, Peer, types
@@ -127,6 +128,33 @@ def test_a_workers_own_port_is_for_entering_its_worlds(host: Fleet) -> None:
         host.client(port=own).close_world("red")
     with pytest.raises(CommandFailed, match="not the password"):
         host.client("red", port=own, password="guess").connect()
+
+
+def test_wrong_passwords_at_a_workers_own_port_are_few(host: Fleet) -> None:
+    with host.client("red") as client:
+        client.ping()
+    own = host.worlds()["red"]["worker_port"]
+    with ExitStack() as stack:
+        peers = [stack.enter_context(Peer(own, source="127.0.0.9")) for _ in range(40)]
+        for peer in peers:
+            peer.say({"type": "auth", "password": "guess", "world": "red"})
+        said = [json.loads(peer.rest()[-1])["message"] for peer in peers]
+    assert any(each.startswith("too many wrong passwords") for each in said)
+    assert said[0] == "that is not the password"
+
+
+@pytest.mark.parametrize("workers", [1, 2, 4, 7, 15, 16, 30, 45])
+def test_all_ports_together_hear_an_address_as_often_as_one(workers: int) -> None:
+    own, each = shares_of_guesses(workers)
+    ports = [Guesses(part) for part in (own, *[each] * workers)]
+    heard, (size, rate), seconds = [0] * len(ports), Guesses.ADDRESS, 240
+    for now in range(1000, 1000 + seconds):
+        for number, port in enumerate(ports):
+            while port.wait("a", float(now)) == 0.0:
+                port.wrong("a", float(now))
+                heard[number] += 1
+        assert sum(heard) <= size + rate * (now - 1000)
+    assert min(heard) >= 1 and sum(heard) >= seconds // 2
 
 
 def test_one_page_has_the_figures_of_all_workers(host: Fleet) -> None:
