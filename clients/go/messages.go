@@ -306,8 +306,8 @@ type CreatureDiedEvent struct {
 	Frame int `json:"frame"`
 	// Its name.
 	Creature string `json:"creature"`
-	// Why: it had no energy left, was too old, somebody took a part of it away, or the engine could not follow its
-	// motion. One of starved, old, gone, diverged.
+	// Why: it had no energy left, was too old, somebody took a part of it away, the engine could not follow its
+	// motion, or the world's rules have no finite cost for it. One of starved, old, gone, diverged, unpriced.
 	Cause string `json:"cause"`
 	// Its generation.
 	Generation int `json:"generation"`

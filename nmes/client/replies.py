@@ -471,7 +471,7 @@ class CreatureDied(TypedDict):
     type: Literal["creature_died"]
     frame: int
     creature: str
-    cause: Literal["starved", "old", "gone", "diverged"]
+    cause: Literal["starved", "old", "gone", "diverged", "unpriced"]
     generation: int
     species: int
     meals: int

@@ -12,7 +12,7 @@ allows; a snapshot holds all that decides what comes.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from math import cos, pi, sin, sqrt
+from math import cos, isfinite, pi, sin, sqrt
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -104,8 +104,9 @@ class Life:
             roll = self._roll = Roll(self._entities, [self._creatures.find(name) for name in self._living])
         self.food.grow(frame)
         if self._living:
-            self._pay(roll, frame)
+            unpriced = self._pay(roll, frame)
             events += self._eat(roll, frame)
+            events += self._cast_out(unpriced, frame)
         if frame % self._entities.tick_rate == 0 or frame == 1:
             events += self._bury(frame)
             events += self._breed(frame)
@@ -128,14 +129,18 @@ class Life:
         age = np.array([(frame - each.born) / self._entities.tick_rate for each in living])
         return {"age": age, "energy": np.array([each.energy for each in living])}
 
-    def _pay(self, roll: Roll, frame: int) -> None:
+    def _pay(self, roll: Roll, frame: int) -> list[str]:
+        """Has everybody pay for what it is and does; returns the names of those who have no finite price."""
         traits, rate = {**roll.traits, **self._history(frame), "power": roll.powers()}, self._entities.tick_rate
-        for each, watts in zip(
-            self._living.values(), self._cost.watts(traits, len(self._living)).tolist(), strict=True
-        ):
-            each.energy -= watts / rate
+        watts, unpriced = self._cost.watts(traits, len(self._living)).tolist(), list[str]()
+        for each, price in zip(self._living.values(), watts, strict=True):
+            if isfinite(price):
+                each.energy -= price / rate
+            else:
+                unpriced.append(each.name)
         if self._catch is not None:
             self._hunt(self._catch, roll.touching(), traits)
+        return unpriced
 
     def _hunt(self, catch: Price, pairs: list[tuple[int, int]], traits: dict[str, Array]) -> None:
         """Moves energy between those who touch each other, no more than the prey has."""
@@ -145,6 +150,7 @@ class Life:
         own = {name: column[hunters] for name, column in traits.items()}
         other = {f"prey_{name}": column[prey] for name, column in traits.items()}
         watts = catch.watts({**own, **other}, len(pairs))
+        watts = np.where(np.isfinite(watts), watts, 0.0)  # the prey may lack what the rule divides by
         living = list(self._living.values())
         for (hunter, victim), amount in zip(pairs, (watts / self._entities.tick_rate).tolist(), strict=True):
             taken = min(max(amount, 0.0), max(living[victim].energy, 0.0))
@@ -175,6 +181,12 @@ class Life:
             if carrion:
                 self.food.put(self._entities.terrain.surface(x, z), carrion * creature.present.mass)
             yield self._leave(each.name, frame, "starved" if starved else "old")
+
+    def _cast_out(self, names: list[str], frame: int) -> Iterator[JsonObject]:
+        """Takes away those for whom the rules have no price, whoever brought them: the others live on."""
+        for name in names:
+            self._take_apart(self._creatures.find(name))
+            yield self._leave(name, frame, "unpriced")
 
     def lose(self, body: int, frame: int) -> list[JsonObject]:
         """Takes away the creature that the engine cannot follow.

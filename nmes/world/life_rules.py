@@ -5,10 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Final
 
-import numpy as np
-
 from nmes.backend import Array, Backend
-from nmes.errors import DocumentError, SimulationFault, WorldError
+from nmes.errors import DocumentError, WorldError
 from nmes.genome import Genome
 from nmes.genome.limits import Limits
 from nmes.genome.sensors import OF_FOOD
@@ -48,7 +46,6 @@ class Price:
 
     def __init__(self, rules: JsonObject, field: str) -> None:
         self._expression = Objective(rules[field], f"life/{field}", names=_NAMES[field])
-        self._field = field
 
     def watts(self, traits: Mapping[str, Array], count: int) -> Array:
         """Returns the value for each of so many creatures, array (count,), W.
@@ -57,14 +54,11 @@ class Price:
             traits: What the expression may name, each an array (count,).
             count: How many.
 
-        Raises:
-            SimulationFault: `bad_expression`: a value is no finite number, as after a division by zero.
+        Returns:
+            What is not finite too, as after a division by zero: clients bring creatures that the rules did not expect.
         """
         columns = {quantity: traits[quantity.name] for quantity in self._expression.needs}
-        watts = self._expression.values(columns, count)
-        if not np.isfinite(watts).all():
-            raise SimulationFault("bad_expression", f"life/{self._field} is no finite number for some creature")
-        return watts
+        return self._expression.values(columns, count)
 
 
 def requirements(rules: JsonObject, backend: Backend) -> Requirements:

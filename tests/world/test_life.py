@@ -208,13 +208,6 @@ def test_hunters_take_energy_from_those_they_touch() -> None:
     assert living(world, client)[0]["energy"] == pytest.approx(600)
 
 
-def test_a_cost_that_is_no_number_stops_the_world_and_says_why() -> None:
-    world = World(config(cost="1 / (cubes - 5)"))
-    world.tick()
-    world.tick()
-    assert world.fault is not None and world.fault.code == "bad_expression" and "life/cost" in world.fault.message
-
-
 # -- birth ------------------------------------------------------------------------------------------------------------
 
 

@@ -933,10 +933,10 @@ export interface CreatureDiedEvent {
   /** Its name. */
   readonly creature: string;
   /**
-   * Why: it had no energy left, was too old, somebody took a part of it away, or the engine could not follow its
-   * motion. One of starved, old, gone, diverged.
+   * Why: it had no energy left, was too old, somebody took a part of it away, the engine could not follow its
+   * motion, or the world's rules have no finite cost for it. One of starved, old, gone, diverged, unpriced.
    */
-  readonly cause: "starved" | "old" | "gone" | "diverged";
+  readonly cause: "starved" | "old" | "gone" | "diverged" | "unpriced";
   /** Its generation. */
   readonly generation: number;
   /** The number of its species. */
