@@ -168,6 +168,7 @@ def life_cost(rules: Mapping[str, Any], tick_rate: int, frame: int, ticks: float
     """
     last, food = frame + int(min(ticks, tick_rate)), rules["food"]
     grown = int(last * food["rate"] / tick_rate) - int(frame * food["rate"] / tick_rate)
+    cost = grown * _GROWS + (_SECOND if last // tick_rate > frame // tick_rate else 0.0)
     if frame == 0 < last:
-        return _SECOND + rules["population"]["start"] * _COMES + (food["start"] + grown) * _GROWS
-    return grown * _GROWS + (_SECOND if last // tick_rate > frame // tick_rate else 0.0)
+        cost += _SECOND + rules["population"]["start"] * _COMES + food["start"] * _GROWS
+    return cost
