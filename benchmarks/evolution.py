@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -21,8 +24,10 @@ from nmes.genome import Genome
 
 GENERATION = 1000
 GENERATIONS = 10
-CANDIDATES = 150
-SETTINGS = {"format": "nmes-run/1", "task": "walk", "algorithm": "ga", "budget": CANDIDATES}
+SHOWN = 3  # times
+SETTINGS = {"format": "nmes-run/1", "task": "walk", "algorithm": "ga", "budget": GENERATION * GENERATIONS}
+SHORT = {**SETTINGS, "budget": 300, "options": {"founders": 50, "population": 50}}
+"""A run most of whose candidates are bred."""
 
 
 class Timed(Here):
@@ -43,7 +48,7 @@ class Timed(Here):
 
 
 def figures() -> Iterator[Figure]:
-    """Measures writing, reading and the share of bookkeeping, in CPU time of one process."""
+    """Measures writing, reading, showing and the share of bookkeeping, in CPU time of one process."""
     with tempfile.TemporaryDirectory() as folder:
         yield from _files(Path(folder))
         yield _share(Path(folder, "run"))
@@ -52,15 +57,15 @@ def figures() -> Iterator[Figure]:
 def _files(folder: Path) -> Iterator[Figure]:
     """Writes generations of the shipped walker, as if each had been evaluated, and reads them again."""
     settings, genome = RunSettings.read(SETTINGS), Genome.load("walker")
-    run = Run.create(folder / "written", settings)
+    Run.create(folder / "written", settings)
     results = tuple(Result(seed, 1.0 / (seed + 2), 2.0 / 3.0, 4.0 / 3.0, 600) for seed in settings.seeds)
     task = settings.task
     evaluation = Evaluation(genome.name, genome.hash, task.name, task.hash, results)
-    writer = RunWriter(RunLog(folder / "written" / "log.jsonl", run.digest))
+    writer = RunWriter(RunLog(folder / "written" / "log.jsonl", settings.hash))
     index = RunIndex(folder / "written" / "index.sqlite").write(anew=True)
     seconds, wall = [], []
     for generation in range(GENERATIONS):
-        candidate = Candidate(genome, "weights", (0, 1), generation)
+        candidate = Candidate(genome, "weights", (0, 1) if generation else (), generation)
         numbers = range(generation * GENERATION, (generation + 1) * GENERATION)
         cpu, clock = time.process_time(), time.perf_counter()
         entries = [told(number, candidate, evaluation, settings, ()) for number in numbers]
@@ -76,20 +81,37 @@ def _files(folder: Path) -> Iterator[Figure]:
     yield Figure(name, min(seconds) * 1e3, "ms", at_most=100.0, details=details)
     for what in ("with", "without"):
         began = time.process_time()
-        log = RunLog(folder / "written" / "log.jsonl", run.digest)
+        log = RunLog(folder / "written" / "log.jsonl", settings.hash)
         read = RunIndex(folder / "written" / "index.sqlite").read()[0] if what == "with" else list(log.lines())
         assert len(read) == GENERATION * GENERATIONS
         took = time.process_time() - began
         yield Figure(f"{len(read):,} candidates read {what} the index", took * 1e3, "ms")
+    yield _shown(folder / "written")
+
+
+def _shown(folder: Path) -> Figure:
+    """Shows a run as somebody does who types the command."""
+    command = [str(Path(sys.executable).parent / "nmes"), "evolve", "show", str(folder)]
+    wall, cpu = [], []
+    for _ in range(SHOWN):
+        began, before = time.perf_counter(), os.times()
+        shown = subprocess.run(command, capture_output=True, text=True, check=True)
+        after = os.times()
+        wall.append(time.perf_counter() - began)
+        cpu.append(after.children_user + after.children_system - before.children_user - before.children_system)
+        assert f"{GENERATION * GENERATIONS:,}" in shown.stdout
+    name = f"show of {GENERATION * GENERATIONS:,} candidates"
+    return Figure(name, min(cpu), "s", at_most=2.0, details={"wall s": min(wall)})
 
 
 def _share(folder: Path) -> Figure:
     """Runs the genetic algorithm from random creatures on `walk`."""
-    run, pool = Run.create(folder, RunSettings.read(SETTINGS)), Timed()
+    run, pool = Run.create(folder, RunSettings.read(SHORT)), Timed()
     began = time.process_time()
     for _ in run.advance(pool):
         pass
     whole = time.process_time() - began
-    details = {"candidates": len(run), "s a candidate": whole / len(run)}
+    bred = sum(record.operator != "random" for record in run.records)
+    details = {"candidates": len(run), "bred": bred, "s a candidate": whole / len(run)}
     share = 100.0 * (1.0 - pool.seconds / whole)
     return Figure("bookkeeping of a run, of its CPU time", share, "%", at_most=5.0, details=details)
