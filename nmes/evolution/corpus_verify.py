@@ -1,7 +1,7 @@
 """How a corpus is proved: each line is judged as it stands, and episodes are run again.
 
 Invariants: nothing that a line says is believed, and what is compared is compared to the last bit. A verdict does not
-depend on how many processes there are.
+depend on how many processes there are. What this machine lacks is never held against a creature.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Final, Literal
 from nmes.backend import load_backend
 from nmes.backend.fingerprint import decisive, differences, fingerprint
 from nmes.brain import Brain
-from nmes.errors import NmesError
+from nmes.errors import BackendNotFound, MachineError, MissingPackage, NmesError, RecordingError
 from nmes.evaluation.episode import Episode
 from nmes.evaluation.evaluator import episode_metadata, file_name, recorded
 from nmes.evaluation.identity import borrows_name, creature_hash
@@ -33,8 +33,8 @@ from nmes.world import World
 __all__ = ["CorpusFinding", "CorpusVerdict", "Episodes", "Work", "fingerprint_of", "run_episodes", "verify_corpus"]
 
 Verdict = Literal["holds", "broken", "not_judged"]
-_MACHINE: Final = {"backend_not_found", "missing_package"}
-"""Codes of errors that say something of this machine, and nothing of a creature."""
+_MACHINE: Final = (BackendNotFound, MachineError, MissingPackage, RecordingError)
+"""Errors that say something of this machine, and nothing of a creature: a recording is one that cannot be written."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,10 +88,26 @@ class Work:
     record: str | None = None
 
 
+class Refusal(NmesError):
+    """Why a creature cannot take part, as other errors of NMES say it, which no process can send to another.
+
+    Attributes:
+        machine: Whether that says something of this machine alone.
+    """
+
+    def __init__(self, code: str, message: str, machine: bool) -> None:
+        super().__init__(code, message)
+        self.machine = machine
+
+    def __reduce__(self) -> tuple[type[Refusal], tuple[str, str, bool]]:
+        """Returns what it is made of again elsewhere."""
+        return Refusal, (self.code, self.message, self.machine)
+
+
 Episodes = tuple[CorpusEpisode, ...]
 
 
-def run_episodes(work: Work) -> Episodes | NmesError:
+def run_episodes(work: Work) -> Episodes | Refusal:
     """Runs a creature's episodes, one for each seed of the task, each in a world of its own.
 
     Returns:
@@ -102,7 +118,7 @@ def run_episodes(work: Work) -> Episodes | NmesError:
         brain = admit(genome, task)
         return tuple(_episode(genome, brain, task, seed, work.record) for seed in task.seeds)
     except NmesError as error:
-        return error
+        return Refusal(error.code, error.message, isinstance(error, _MACHINE))
 
 
 def _episode(genome: Genome, brain: Brain | None, task: Task, seed: int, record: str | None) -> CorpusEpisode:
@@ -114,6 +130,8 @@ def _episode(genome: Genome, brain: Brain | None, task: Task, seed: int, record:
             world.journal = journal(world)
         try:
             result: Result = guarded(lambda: Episode(world, genome, brain, task, seed).run(), seed)
+            if world.fault is not None and world.fault.code == "recording_failed":
+                raise RecordingError(world.fault.code, world.fault.message)
             return CorpusEpisode(result, world.digest().hex())
         finally:
             world.close()
@@ -212,7 +230,7 @@ class _Verification:
                 reasons = self._reasons(each)
             except NmesError as error:
                 reasons = []
-                self._find(each, "not_judged" if error.code in _MACHINE else "broken", error.message)
+                self._find(each, "not_judged" if isinstance(error, _MACHINE) else "broken", error.message)
             else:
                 sound += [] if reasons else [each]
             if reasons:
@@ -251,13 +269,13 @@ class _Verification:
             reasons.append(f"its run has no candidate {each.candidate}")
         return reasons
 
-    def compare(self, creature: CorpusCreature, found: Episodes | NmesError | Lost) -> None:
+    def compare(self, creature: CorpusCreature, found: Episodes | Refusal | Lost) -> None:
         """Compares what a line says of its episodes with how they came out here."""
         if isinstance(found, Lost):
             self._find(creature, "not_judged", found.reason)
             return
-        if isinstance(found, NmesError):
-            self._find(creature, "not_judged" if found.code in _MACHINE else "broken", found.message)
+        if isinstance(found, Refusal):
+            self._find(creature, "not_judged" if found.machine else "broken", found.message)
             return
         listed = [episode.to_json() for episode in creature.episodes]
         again = [{**episode.to_json(), "fault": episode.result.fault} for episode in found]

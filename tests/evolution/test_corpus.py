@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+import resource
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -13,11 +15,13 @@ import zstandard
 
 import corpus as tool
 from command_line import run
+from nmes.evaluation.task import Task
 from nmes.evolution.corpus import Corpus
 from nmes.evolution.run import Run
 from nmes.playback import replay
 from nmes.recording import Recording
 from nmes.world import World
+from processes import NMES
 from runs import begin, finish
 
 Rows = list[dict[str, Any]]
@@ -277,6 +281,31 @@ def test_what_is_not_true_is_found(defect: Callable[[Rows], None], words: str, s
     code, found = verify(packed(rows, tmp_path / "changed.zst"))
     assert (code, found["verdict"]) == (1, "broken")
     assert any(re.search(words, each["reason"]) and each["verdict"] == "broken" for each in found["findings"])
+
+
+@pytest.mark.parametrize("jobs", ["1", "2"])
+def test_a_full_disk_of_who_verifies_is_not_the_creatures_fault(jobs: str, small: Path, tmp_path: Path) -> None:
+    with subprocess.Popen(
+        [NMES, "corpus", "verify", small, "--all", "--record", tmp_path, "--jobs", jobs, "-q"],
+        stdout=-1,
+        text=True,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)),
+    ) as child:
+        output = child.communicate(timeout=200)[0]
+    assert child.returncode == 3, output
+    assert output.count("could not be judged here: jump-far-") == 3 and "File too large" in output
+
+
+def test_a_creature_that_cannot_take_part_is_broken_in_other_processes_too(small: Path, tmp_path: Path) -> None:
+    rows = rows_of(small)
+    task = rows[0]["tasks"][0]
+    task["task"]["limits"] = {**task["task"].get("limits", {}), "cubes": 1}
+    task["hash"] = Task(task["task"]).hash
+    for row in rows[1:]:
+        row["task"] = task["hash"]
+    path = packed(rows, tmp_path / "narrow.zst")
+    found = json.loads(run("corpus", "verify", str(path), "--all", "--jobs", "2", "--json").output)
+    assert found["verdict"] == "broken" and sum("cubes" in each["reason"] for each in found["findings"]) == 3
 
 
 def test_what_was_computed_elsewhere_is_not_judged(small: Path, tmp_path: Path) -> None:
