@@ -16,6 +16,7 @@ from nmes.cli._columns import columns
 from nmes.cli._json import print_json
 from nmes.cli._output import whole_file
 from nmes.cli._progress import QUIET, progress_bars
+from nmes.cli._sample import SEED, drawn_by
 from nmes.errors import CorpusError, visible
 
 if TYPE_CHECKING:
@@ -174,10 +175,15 @@ def export(creature: str, file: Path, output: Path) -> None:
 @command.command("verify")
 @_FILE
 @click.option(
-    "--sample", metavar="N", type=click.IntRange(0), default=100, show_default=True, help="How many are run again."
+    "--sample",
+    metavar="N",
+    type=click.IntRange(0),
+    default=100,
+    show_default=True,
+    help="How many beside the best of each task are run again.",
 )
 @click.option("--all", "everything", is_flag=True, help="Run all creatures again.")
-@click.option("--seed", metavar="S", type=click.IntRange(0), default=0, show_default=True, help="Of the draw.")
+@SEED
 @click.option(
     "--record",
     metavar="DIR",
@@ -188,15 +194,16 @@ def export(creature: str, file: Path, output: Path) -> None:
 @click.option("--json", "as_json", is_flag=True, help="Print the verdict as JSON.")
 @QUIET
 def verify(
-    file: Path, sample: int, everything: bool, seed: int, record: Path | None, jobs: int | None, as_json: bool
+    file: Path, sample: int, everything: bool, seed: int | None, record: Path | None, jobs: int | None, as_json: bool
 ) -> None:
     """Prove a corpus: its lines are what they say, and episodes come out again.
 
-    Every genome is judged, and every hash, score and place computed anew. The creatures that --seed draws, or all, are
-    run again: each figure must be the same to the last bit, and the digest of the world at each episode's end.
+    Every genome is judged, and every hash, score and place computed anew. The best of each task and others, drawn anew
+    each time, or all, are run again: each figure must be the same to the last bit, and the digest of the world at each
+    episode's end.
 
     Exit status: 0 it holds, 1 something is broken, 2 wrong usage, 3 nothing is broken, but something could not be
-    judged here, since other numbers come out or a package is missing.
+    judged here, since other numbers come out, or this machine lacks something.
 
     For example:
 
@@ -224,7 +231,7 @@ def verify(
             about = f"{each.name}: " if each.name else ""
             click.echo(visible(f"{_WORDS[each.verdict]}: {about}{each.reason}"))
         again = f"{found.again:,} of {found.creatures:,} creatures run again, in {found.episodes:,} episodes"
-        click.echo(f"{_WORDS[found.verdict]}: {again}")
+        click.echo(f"{_WORDS[found.verdict]}: {again}{drawn_by(found.seed, found.again, found.creatures)}")
         click.echo(f"digest: {found.digest}")
     sys.exit(_STATUS[found.verdict])
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import secrets
 import signal
 import sys
 from collections.abc import Mapping
@@ -14,6 +13,7 @@ import click
 from nmes.cli._interruptions import interruptions
 from nmes.cli._json import print_json
 from nmes.cli._progress import QUIET, progress_bars
+from nmes.cli._sample import SEED, drawn_by
 from nmes.errors import visible
 
 __all__ = ["command"]
@@ -100,7 +100,7 @@ def report(name: str, budget: str) -> None:
 @_BUDGET
 @click.option("--sample", metavar="N", type=click.IntRange(0), default=3, show_default=True, help="How many runs.")
 @click.option("--all", "everything", is_flag=True, help="Do all runs again.")
-@click.option("--seed", type=click.IntRange(0), help="Of the draw of these.  [default: another each time]")
+@SEED
 @_JOBS
 @click.option("--json", "as_json", is_flag=True, help="Print the verdict as JSON.")
 @QUIET
@@ -133,16 +133,15 @@ def verify(
             if interrupted():
                 raise KeyboardInterrupt
 
-        drawn = secrets.randbits(32) if seed is None else seed
-        found = verify_study(plan, None if everything else sample, jobs or os.cpu_count() or 1, tell, drawn)
+        found = verify_study(plan, None if everything else sample, jobs or os.cpu_count() or 1, tell, seed)
     if as_json:
         print_json(asdict(found))
     else:
         for finding in found.findings:
             click.echo(visible(finding))
         _tell(found.verdicts)
-        drawn_by = f", drawn by --seed {found.seed}" if 0 < found.again < found.runs else ""
-        click.echo(f"{_WORDS[found.verdict]}: {found.again:,} of {found.runs:,} runs done again{drawn_by}")
+        again = f"{found.again:,} of {found.runs:,} runs done again{drawn_by(found.seed, found.again, found.runs)}"
+        click.echo(f"{_WORDS[found.verdict]}: {again}")
         if found.measured:
             click.echo(f"not judged: {found.measured:,} runs in which clocks have a part")
         if found.not_judged:

@@ -22,6 +22,7 @@ from nmes.cli._options import BeginningGroup
 from nmes.cli._pictures import write_picture
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._proof_files import check_place, write_documents
+from nmes.cli._sample import SEED, drawn_by
 from nmes.errors import DocumentError, RunError, visible
 from nmes.objective.means import mean
 
@@ -229,17 +230,22 @@ def growth(folder: Path, draws: int, as_json: bool) -> None:
 
 @command.command("verify")
 @_FOLDER
-@click.option("--sample", metavar="N", type=click.IntRange(0), default=100, show_default=True, help="How many worlds.")
+@click.option(
+    "--sample", metavar="N", type=click.IntRange(0), default=100, show_default=True, help="How many beside the best."
+)
 @click.option("--all", "everything", is_flag=True, help="Evaluate all worlds again.")
+@SEED
 @JOBS
 @RAY
 @click.option("--json", "as_json", is_flag=True, help="Print the verdict as JSON.")
 @QUIET
-def verify(folder: Path, sample: int, everything: bool, jobs: int | None, ray: str | None, as_json: bool) -> None:
+def verify(
+    folder: Path, sample: int, everything: bool, seed: int | None, jobs: int | None, ray: str | None, as_json: bool
+) -> None:
     """Prove a survey: what its log says comes out again.
 
-    The log's chain of digests is followed, and a sample of its worlds is evaluated again: every figure must be the same
-    to the last bit. Which worlds are drawn follows from the survey's digest.
+    The log's chain of digests is followed. The best world and others, drawn anew each time, are evaluated again: every
+    figure must be the same to the last bit.
 
     Exit status: 0 it holds, 1 it is broken, 2 wrong usage, 3 it does not come out the same here, where other numbers
     come out than where it was begun.
@@ -255,14 +261,15 @@ def verify(folder: Path, sample: int, everything: bool, jobs: int | None, ray: s
     check_pool(jobs, ray)
     with progress_bars() as progress, open_pool(jobs, ray) as pool:
         found = verify_survey(
-            folder, pool, None if everything else sample, lambda done, total: progress("verifying", done, total)
+            folder, pool, None if everything else sample, lambda done, total: progress("verifying", done, total), seed
         )
     if as_json:
         print_json(asdict(found))
     else:
         for finding in found.findings:
             click.echo(visible(finding))
-        click.echo(f"{_WORDS[found.verdict]}: {found.evaluated:,} of {found.worlds:,} worlds evaluated again")
+        again = f"{found.evaluated:,} of {found.worlds:,} worlds evaluated again"
+        click.echo(f"{_WORDS[found.verdict]}: {again}{drawn_by(found.seed, found.evaluated, found.worlds)}")
         click.echo(f"digest: {found.digest}")
     sys.exit(_STATUS[found.verdict])
 

@@ -17,6 +17,7 @@ from nmes.backend import load_backend
 from nmes.backend.fingerprint import decisive, differences, fingerprint
 from nmes.brain import Brain
 from nmes.errors import BackendNotFound, MachineError, MissingPackage, NmesError, RecordingError
+from nmes.evaluation.again import drawn, unforeseen
 from nmes.evaluation.episode import Episode
 from nmes.evaluation.evaluator import episode_metadata, file_name, recorded
 from nmes.evaluation.identity import borrows_name, creature_hash
@@ -62,6 +63,7 @@ class CorpusVerdict:
         creatures: How many there are.
         again: How many of them were run again.
         episodes: In how many episodes.
+        seed: Of the draw by which these were chosen.
         digest: The corpus'.
     """
 
@@ -70,6 +72,7 @@ class CorpusVerdict:
     creatures: int
     again: int
     episodes: int
+    seed: int
     digest: str
 
 
@@ -147,27 +150,28 @@ def verify_corpus(
     *,
     jobs: int = 1,
     sample: int | None = None,
-    seed: int = 0,
+    seed: int | None = None,
     record: str | os.PathLike[str] | None = None,
     progress: Callable[[str, int, int], None] = lambda doing, done, total: None,
 ) -> CorpusVerdict:
     """Verifies a corpus.
 
     Every line is judged as it stands: tasks, genomes and hashes, order, and that no creature is there twice. Of all
-    creatures, or of those that are drawn, every episode is run again.
+    creatures, or of the best of each task and those that are drawn, every episode is run again.
 
     Args:
         corpus: The corpus.
         jobs: In how many processes.
-        sample: How many creatures are run again, drawn by the seed and the corpus' digest; None: all.
-        seed: Of the draw.
+        sample: How many creatures are run again beside the best of each task, drawn by the seed and the corpus'
+            digest; None: all.
+        seed: Of the draw; None: one that nobody can foresee.
         record: An existing folder for recordings of the episodes that are run.
         progress: Called with what is being done, how much of it is done, and how much there is.
     """
     verification = _Verification(corpus)
     sound = verification.judge_lines(progress)
-    digest = corpus.digest
-    chosen = sound if sample is None or sample >= len(sound) else _drawn(sound, sample, Draw(seed, "corpus", digest))
+    digest, seed = corpus.digest, unforeseen(seed)
+    chosen = sound if sample is None else _chosen(sound, sample, Draw(seed, "corpus", digest))
     folder = None if record is None else os.fspath(record)
     work = [Work(each.genome, corpus.tasks[each.task].task.document, folder) for each in chosen]
     progress("running again", 0, len(work))
@@ -179,18 +183,17 @@ def verify_corpus(
     kinds = {each.verdict for each in findings}
     verdict: Verdict = "broken" if "broken" in kinds else "not_judged" if kinds else "holds"
     episodes = sum(len(each.episodes) for each in chosen)
-    return CorpusVerdict(verdict, tuple(findings), len(corpus.creatures), len(chosen), episodes, digest)
+    return CorpusVerdict(verdict, tuple(findings), len(corpus.creatures), len(chosen), episodes, seed, digest)
 
 
-def _drawn(creatures: Sequence[CorpusCreature], sample: int, draw: Draw) -> list[CorpusCreature]:
-    """Returns so many creatures, in their order."""
-    left = list(range(len(creatures)))
-    chosen = []
-    for _ in range(sample):
-        place = draw.count(0, len(left) - 1)
-        left[place], left[-1] = left[-1], left[place]
-        chosen.append(left.pop())
-    return [creatures[index] for index in sorted(chosen)]
+def _chosen(creatures: Sequence[CorpusCreature], sample: int, draw: Draw) -> list[CorpusCreature]:
+    """Returns the best creature of each task, and so many others, in their order."""
+    best: dict[str, int] = {}
+    for place, each in enumerate(creatures):
+        if each.task not in best or each.score > creatures[best[each.task]].score:
+            best[each.task] = place
+    others = [place for place in range(len(creatures)) if place not in best.values()]
+    return [creatures[place] for place in sorted([*best.values(), *drawn(others, sample, draw)])]
 
 
 class _Verification:

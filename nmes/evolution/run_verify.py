@@ -14,6 +14,7 @@ from typing import Final, Literal
 import orjson
 
 from nmes.errors import DocumentError, RunError, VariationError
+from nmes.evaluation.again import drawn, unforeseen
 from nmes.evaluation.contest import Rivals
 from nmes.evaluation.parallel import Pool
 from nmes.evaluation.queue import EvaluationQueue
@@ -42,6 +43,7 @@ class RunVerdict:
         told: How many candidates the log has.
         asked: How many of them candidates the algorithm was asked for again.
         evaluated: How many were evaluated again.
+        seed: Of the draw by which these were chosen.
         digest: The run's.
     """
 
@@ -50,43 +52,46 @@ class RunVerdict:
     told: int
     asked: int
     evaluated: int
+    seed: int
     digest: str
 
 
-def verify_run(folder: Path, pool: Pool, sample: int | None, progress: Progress) -> RunVerdict:
+def verify_run(folder: Path, pool: Pool, sample: int | None, progress: Progress, seed: int | None = None) -> RunVerdict:
     """Verifies a run.
 
     Args:
         folder: The run's.
         pool: Who evaluates.
-        sample: How many candidates are evaluated again beside the elites, drawn by the run's seed and digest; None:
-            all are.
+        sample: How many candidates are evaluated again beside the elites and the best, drawn by the seed and the run's
+            digest; None: all are.
         progress: Called with what is being done, how much of it is done, and how much there is.
+        seed: Of the draw; None: one that nobody can foresee.
 
     Raises:
         RunError: There is no run, or it cannot be read (`no_run`).
         MissingPackage: The algorithm needs a package that is not installed.
         MachineError: Workers are killed (`worker_killed`).
     """
+    seed = unforeseen(seed)
     try:
         run = Run.open(folder)
     except RunError as error:
         if error.code != "log_damaged":
             raise
-        return RunVerdict("broken", (error.message,), 0, 0, 0, "")
+        return RunVerdict("broken", (error.message,), 0, 0, 0, seed, "")
     verification = _Verification(run, progress)
     chosen: list[int] = []
     try:
         for finding in verification.ask_again():
             verification.found(finding)
-        chosen = verification.choose(sample)
+        chosen = verification.choose(sample, seed)
         for finding in verification.evaluate_again(chosen, pool):
             verification.found(finding)
     except RunError as error:  # the log cannot be read on
         verification.found(error.message)
     findings = tuple(verification.findings)
     verdict: Verdict = "holds" if not findings else "not_comparable" if run.differences() else "broken"
-    return RunVerdict(verdict, findings, len(run), verification.order.told, len(chosen), run.digest)
+    return RunVerdict(verdict, findings, len(run), verification.order.told, len(chosen), seed, run.digest)
 
 
 class _Verification:
@@ -139,19 +144,15 @@ class _Verification:
                 what = f"the index has other {name} than the algorithm: delete the index"
                 yield f"after candidate {indexed.told - 1}: {what}"
 
-    def choose(self, sample: int | None) -> list[int]:
-        """Returns the candidates that are to be evaluated again: the elites, and others."""
+    def choose(self, sample: int | None, seed: int) -> list[int]:
+        """Returns the candidates that are to be evaluated again: the elites, the best, and others."""
         run, count = self._run, self.order.told
-        if sample is None or sample >= count:
+        if sample is None:
             return list(range(count))
-        draw = Draw(run.settings.seed, "verify", run.digest)
-        chosen = {index for index in self.order.algorithm.elites() if index < count}
-        left = [index for index in range(count) if index not in chosen]
-        for _ in range(min(sample, len(left))):
-            place = draw.count(0, len(left) - 1)
-            left[place], left[-1] = left[-1], left[place]
-            chosen.add(left.pop())
-        return sorted(chosen)
+        best = [] if run.best is None else [run.best.index]
+        kept = {index for index in (*self.order.algorithm.elites(), *best) if index < count}
+        others = [index for index in range(count) if index not in kept]
+        return sorted([*kept, *drawn(others, sample, Draw(seed, "verify", run.digest))])
 
     def evaluate_again(self, chosen: list[int], pool: Pool) -> Iterator[str]:
         """Evaluates candidates; yields what comes out otherwise."""

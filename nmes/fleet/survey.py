@@ -21,6 +21,7 @@ import orjson
 from nmes.backend import load_backend
 from nmes.backend.fingerprint import differences, fingerprint
 from nmes.errors import DocumentError, MachineError, RunError
+from nmes.evaluation.again import drawn, unforeseen
 from nmes.evaluation.evaluation import Evaluation
 from nmes.evaluation.evaluator import Job, evaluate_portion
 from nmes.evaluation.judge import Result
@@ -382,6 +383,7 @@ class SurveyVerdict:
         findings: What did not, the first of them, in words.
         worlds: How many the log has.
         evaluated: How many were evaluated again.
+        seed: Of the draw by which these were chosen.
         digest: The survey's.
     """
 
@@ -389,35 +391,38 @@ class SurveyVerdict:
     findings: tuple[str, ...]
     worlds: int
     evaluated: int
+    seed: int
     digest: str
 
 
-def verify_survey(folder: Path, pool: Pool, sample: int | None, progress: Progress) -> SurveyVerdict:
+def verify_survey(
+    folder: Path, pool: Pool, sample: int | None, progress: Progress, seed: int | None = None
+) -> SurveyVerdict:
     """Evaluates worlds of a survey again, and compares every figure, to the last bit, with its log.
 
     Args:
         folder: The survey's.
         pool: Who evaluates.
-        sample: How many worlds, drawn by the survey's seed and digest; None: all.
+        sample: How many worlds beside the best, drawn by the seed and the survey's digest; None: all.
         progress: Called with how many are done, and how many there are.
+        seed: Of the draw; None: one that nobody can foresee.
 
     Raises:
         RunError: There is no survey, or it cannot be read (`no_run`).
         MachineError: Workers are killed (`worker_killed`).
     """
+    seed = unforeseen(seed)
     try:
         survey = Survey.open(folder)
     except RunError as error:
         if error.code != "log_damaged":
             raise
-        return SurveyVerdict("broken", (error.message,), 0, 0, "")
+        return SurveyVerdict("broken", (error.message,), 0, 0, seed, "")
     chosen = list(range(len(survey)))
-    if sample is not None and sample < len(survey):
-        draw = Draw(survey.settings.seed, "verify", survey.digest)
-        picked: set[int] = set()
-        while len(picked) < sample:
-            picked.add(draw.count(0, len(survey) - 1))
-        chosen = sorted(picked)
+    if sample is not None:
+        best = [] if survey.best is None else [survey.best.world]
+        others = [world for world in chosen if world not in best]
+        chosen = sorted([*best, *drawn(others, sample, Draw(seed, "verify", survey.digest))])
     findings: list[str] = []
     for begin in range(0, len(chosen), _CHUNK):
         numbers = chosen[begin : begin + _CHUNK]
@@ -425,7 +430,7 @@ def verify_survey(folder: Path, pool: Pool, sample: int | None, progress: Progre
             findings += [text for world in again for text in _compare(survey.worlds[world.world], world)]
     findings = findings[:_MOST]
     verdict: Any = "holds" if not findings else "not_comparable" if survey.differences() else "broken"
-    return SurveyVerdict(verdict, tuple(findings), len(survey), len(chosen), survey.digest)
+    return SurveyVerdict(verdict, tuple(findings), len(survey), len(chosen), seed, survey.digest)
 
 
 def _compare(told: SurveyedWorld, again: SurveyedWorld) -> list[str]:

@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import Literal
 
 from nmes.errors import RunError
+from nmes.evaluation.again import drawn, unforeseen
 from nmes.learning.legs import Learning
 from nmes.learning.run import LearningRun
+from nmes.variation.draw import Draw
 
 __all__ = ["LearningVerdict", "verify_learning"]
 
@@ -31,6 +33,7 @@ class LearningVerdict:
         findings: What did not, in words.
         legs: How many legs the log has.
         again: How many were done again.
+        seed: Of the draw by which these were chosen.
         digest: The run's.
     """
 
@@ -38,30 +41,36 @@ class LearningVerdict:
     findings: tuple[str, ...]
     legs: int
     again: int
+    seed: int
     digest: str
 
 
-def verify_learning(folder: Path, threads: int, sample: int | None, progress: Progress) -> LearningVerdict:
+def verify_learning(
+    folder: Path, threads: int, sample: int | None, progress: Progress, seed: int | None = None
+) -> LearningVerdict:
     """Verifies a run.
 
     Args:
         folder: The run's.
         threads: How many step the engine.
-        sample: How many legs are done again, of those before which a state is kept: the first, the last, and others
-            that are drawn by the run's seed and digest; None: all are, from the beginning on.
+        sample: How many legs are done again beside the best, of those before which a state is kept: the last, the
+            first, and others that are drawn by the seed and the run's digest; None: all are, from the beginning on.
         progress: Called with what is being done, how much of it is done, and how much there is.
+        seed: Of the draw; None: one that nobody can foresee.
 
     Raises:
         RunError: There is no run, or it cannot be read (`no_run`), or recordings have changed (`recordings_changed`).
         WorldError, RecordingError, ProofError: As `Learning`.
     """
+    seed = unforeseen(seed)
     try:
         run = LearningRun.open(folder)
     except RunError as error:
         if error.code != "log_damaged":
             raise
-        return LearningVerdict("broken", (error.message,), 0, 0, "")
-    chosen = list(range(1, len(run.legs) + 1)) if sample is None else _choose(run, sample)
+        return LearningVerdict("broken", (error.message,), 0, 0, seed, "")
+    every = range(1, len(run.legs) + 1)
+    chosen = list(every) if sample is None else _choose(run, sample, Draw(seed, "verify", run.digest))
     learning = Learning(run.settings, threads)
     findings = []
     try:
@@ -76,19 +85,19 @@ def verify_learning(folder: Path, threads: int, sample: int | None, progress: Pr
     except RunError as error:
         findings.append(error.message)
     verdict: Verdict = "holds" if not findings else "not_comparable" if run.differences() else "broken"
-    return LearningVerdict(verdict, tuple(findings[:20]), len(run.legs), len(chosen), run.digest)
+    return LearningVerdict(verdict, tuple(findings[:20]), len(run.legs), len(chosen), seed, run.digest)
 
 
-def _choose(run: LearningRun, sample: int) -> list[int]:
-    """Returns legs that can be done again at once, in order."""
+def _choose(run: LearningRun, sample: int, draw: Draw) -> list[int]:
+    """Returns legs to do again, in order: the best with those that lead to it from a state, and so many others."""
     states = [0, *(number for number in run.kept() if run.state(number) is not None)]
     able = [number + 1 for number in states if number < len(run.legs)]
-    draw = run.settings.draw("verify", run.digest)
-    chosen = {able[0], able[-1]} if able and sample else set()
-    left = [number for number in able if number not in chosen]
-    while left and len(chosen) < sample:
-        chosen.add(left.pop(draw.count(0, len(left) - 1)))
-    return sorted(chosen)[-sample:] if sample else []
+    best = None if run.best is None else run.best.leg
+    chosen = [] if best is None else list(range(max(number for number in able if number <= best), best + 1))
+    others = [number for number in able if number not in chosen]
+    ends = [number for number in dict.fromkeys([*able[-1:], *able[:1]]) if number in others][:sample]
+    between = [number for number in others if number not in ends]
+    return sorted([*chosen, *ends, *drawn(between, sample - len(ends), draw)])
 
 
 def _again(run: LearningRun, learning: Learning, chosen: list[int]) -> Iterator[str]:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 from nmes.errors import StudyError
+from nmes.evaluation.again import unforeseen
 from nmes.schemas.documents import JsonObject
 from nmes.study.claims import evaluate
 from nmes.study.document import Plan, PlannedRun
@@ -56,7 +57,9 @@ class StudyVerdict:
     digest: str
 
 
-def verify_study(plan: Plan, sample: int | None, jobs: int, progress: Progress, seed: int = 0) -> StudyVerdict:
+def verify_study(
+    plan: Plan, sample: int | None, jobs: int, progress: Progress, seed: int | None = None
+) -> StudyVerdict:
     """Makes report and figures again, does some runs again, and compares.
 
     Args:
@@ -64,12 +67,13 @@ def verify_study(plan: Plan, sample: int | None, jobs: int, progress: Progress, 
         sample: How many runs that are not measured, drawn from all arms in turn; None: all runs, the measured ones too.
         jobs: How many at once.
         progress: Called now and then with how many are done, and how many there are.
-        seed: Of the draw. Whoever made the results must not know it beforehand.
+        seed: Of the draw; None: one that nobody can foresee.
 
     Raises:
         StudyError: There are no results (`no_results`), or a command fails (`command_failed`).
         MissingPackage: pyarrow is not installed.
     """
+    seed = unforeseen(seed)
     try:
         results = Results.read(plan)
         found = dict[str, str](verdicts(plan, evaluate(plan, results)))

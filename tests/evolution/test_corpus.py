@@ -17,6 +17,7 @@ import corpus as tool
 from command_line import run
 from nmes.evaluation.task import Task
 from nmes.evolution.corpus import Corpus
+from nmes.evolution.corpus_verify import verify_corpus
 from nmes.evolution.run import Run
 from nmes.playback import replay
 from nmes.recording import Recording
@@ -65,10 +66,10 @@ def verify(path: Path, *options: str) -> tuple[int, dict[str, Any]]:
 
 
 def test_the_corpus_of_the_repository_holds_in_a_drawn_sample() -> None:
-    result = run("corpus", "verify", str(tool.CORPUS), "--sample", "6", "--jobs", "1", "--json")
+    result = run("corpus", "verify", str(tool.CORPUS), "--sample", "2", "--jobs", "1", "--json")
     found = json.loads(result.output)
     assert result.exit_code == 0, found["findings"]
-    assert found["verdict"] == "holds" and found["again"] == 6 and found["episodes"] >= 18
+    assert found["verdict"] == "holds" and found["again"] == 12 and found["episodes"] >= 36  # there are ten tasks
 
 
 @pytest.mark.long
@@ -281,6 +282,38 @@ def test_what_is_not_true_is_found(defect: Callable[[Rows], None], words: str, s
     code, found = verify(packed(rows, tmp_path / "changed.zst"))
     assert (code, found["verdict"]) == (1, "broken")
     assert any(re.search(words, each["reason"]) and each["verdict"] == "broken" for each in found["findings"])
+
+
+def test_the_best_is_among_those_that_are_run_again_and_the_others_are_drawn_each_time(
+    small: Path, tmp_path: Path
+) -> None:
+    rows = rows_of(small)
+    episode_score(rows)
+    sampled = ("corpus", "verify", "--sample", "0", "--jobs", "1", str(packed(rows, tmp_path / "forged.zst")))
+    result = run(*sampled)
+    assert result.exit_code == 1 and "broken: 1 of 3 creatures run again" in result.output
+    one, other = (run("corpus", "verify", str(small), "--sample", "1", "--jobs", "1", "--json") for _ in range(2))
+    told, again = json.loads(one.output), json.loads(other.output)
+    assert told["again"] == 2 and told["seed"] != again["seed"]
+    result = run("corpus", "verify", str(small), "--sample", "1", "--jobs", "1", "--seed", str(told["seed"]))
+    assert f"2 of 3 creatures run again, in 6 episodes, drawn by --seed {told['seed']}\n" in result.output
+
+
+def test_which_creatures_are_run_again_follows_from_the_seed(monkeypatch: pytest.MonkeyPatch) -> None:
+    chosen: list[list[Any]] = []
+
+    def nothing(_: Any, work: list[Any], __: int) -> list[Any]:
+        chosen.append([each.genome["name"] for each in work])
+        return []
+
+    monkeypatch.setattr("nmes.evolution.corpus_verify.in_processes", nothing)
+    monkeypatch.setattr(
+        "nmes.evolution.corpus_verify._Verification.judge_lines", lambda self, _: self._corpus.creatures
+    )
+    corpus = Corpus.read(tool.CORPUS)
+    for seed in (1, 2, 1, None, None):
+        assert verify_corpus(corpus, sample=5, seed=seed).again == 15
+    assert chosen[0] == chosen[2] and len({*map(tuple, chosen)}) == 4
 
 
 @pytest.mark.parametrize("jobs", ["1", "2"])

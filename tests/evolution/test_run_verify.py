@@ -231,6 +231,24 @@ def test_what_does_not_come_out_elsewhere_is_not_comparable_and_what_does_holds(
     assert verdict(run, "--all")["verdict"] == "not_comparable"
 
 
+def test_the_candidates_that_are_done_again_are_others_each_time_and_have_the_best(
+    whole: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chosen: list[tuple[int, ...]] = []
+
+    def again(_: Any, numbers: list[int], __: Any) -> list[Any]:
+        chosen.append(tuple(numbers))
+        return []
+
+    monkeypatch.setattr("nmes.evolution.run_verify._Verification.evaluate_again", again)
+    best = Run.open(whole).best
+    seeds = [verdict(whole, "--sample", "3")["seed"] for _ in range(8)]
+    assert best is not None and all(best.index in numbers for numbers in chosen)
+    assert len(set(seeds)) == 8 and len(set(chosen)) > 4
+    told = verify(whole, "--sample", "3", "--seed", str(seeds[0])).stdout
+    assert chosen[-1] == chosen[0] and f"evaluated again, drawn by --seed {seeds[0]}\n" in told
+
+
 def come_from_later(records: Records) -> None:
     records[17]["parents"] = [18]
 

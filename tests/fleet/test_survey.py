@@ -158,6 +158,36 @@ def test_what_a_log_has_otherwise_is_found(
     assert run("survey", "verify", folder, "--all").exit_code == 1
 
 
+def test_the_best_world_is_among_those_that_are_done_again_and_the_others_are_drawn_each_time(
+    whole: Survey, tmp_path: Path
+) -> None:
+    folder = tmp_path / "forged"
+    shutil.copytree(whole.folder, folder)
+    forge(folder, changed("score", 99.0))
+    found = verify_survey(folder, Here(), 0, nothing)
+    assert (found.verdict, found.evaluated) == ("broken", 1) and found.findings[0].startswith("world 3: score is ")
+    one, other = (run("survey", "verify", whole.folder, "--sample", "2", "--jobs", "1") for _ in range(2))
+    assert one.exit_code == 0 and one.output != other.output
+    seed = one.output.partition("3 of 24 worlds evaluated again, drawn by --seed ")[2].split()[0]
+    told = json.loads(run("survey", "verify", whole.folder, "--sample", "2", "--seed", seed, "--json").output)
+    assert (told["seed"], told["evaluated"]) == (int(seed), 3)
+
+
+def test_which_worlds_are_done_again_follows_from_the_seed(whole: Survey, monkeypatch: pytest.MonkeyPatch) -> None:
+    chosen: list[tuple[int, ...]] = []
+
+    def worlds(about: SurveySettings, numbers: list[int], *_: Any) -> list[Any]:
+        chosen.append(tuple(numbers))
+        return []
+
+    monkeypatch.setattr("nmes.fleet.survey.survey_worlds", worlds)
+    for seed in [*range(10), 0]:
+        verify_survey(whole.folder, Here(), 3, nothing, seed)
+    assert whole.best is not None
+    assert len({*chosen[:10]}) > 5 and chosen[0] == chosen[10]
+    assert all(whole.best.world in numbers and len(numbers) == 4 for numbers in chosen)
+
+
 def test_a_log_that_was_edited_is_found(whole: Survey, tmp_path: Path) -> None:
     folder = tmp_path / "edited"
     shutil.copytree(whole.folder, folder)

@@ -248,7 +248,28 @@ def rewritten(folder: Path, change: Callable[[int, dict[str, Any]], None]) -> No
 def test_a_run_holds(sample: int | None, whole: LearningRun) -> None:
     found = verified(whole.folder, sample)
     assert (found.verdict, found.findings, found.legs, found.digest) == ("holds", (), LEGS, whole.digest)
-    assert found.again == (LEGS if sample in (100, None) else sample)
+    if sample == 0:  # the best is done again all the same
+        assert found.again == 1
+    else:
+        assert found.again == (LEGS if sample in (100, None) else sample + 1)
+
+
+def test_the_legs_that_are_done_again_are_others_each_time_and_have_the_best(
+    whole: LearningRun, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    chosen: list[tuple[int, ...]] = []
+
+    def again(run: LearningRun, learning: Learning, legs: list[int]) -> list[str]:
+        chosen.append(tuple(legs))
+        return []
+
+    monkeypatch.setattr("nmes.learning.run_verify._again", again)
+    assert whole.best is not None
+    seeds = [verified(whole.folder).seed for _ in range(20)]
+    assert len(set(seeds)) == 20 and len(set(chosen)) > 2
+    assert all({1, whole.best.leg, LEGS} <= {*legs} for legs in chosen)
+    before = chosen[0]
+    assert verify_learning(whole.folder, 1, 3, lambda *_: None, seeds[0]).seed == seeds[0] and chosen[-1] == before
 
 
 def test_a_score_that_was_made_up_is_found(copied: Path) -> None:
