@@ -203,7 +203,7 @@ def verify(
     episode's end.
 
     Exit status: 0 it holds, 1 something is broken, 2 wrong usage, 3 nothing is broken, but something could not be
-    judged here, since other numbers come out, or this machine lacks something.
+    judged here, since other numbers come out, an ONNX brain may round otherwise, or this machine lacks something.
 
     For example:
 

@@ -115,7 +115,8 @@ def verify(
     again too, and every claim must get the same verdict by what comes of it.
 
     Exit status: 0 it holds, 1 it is broken, 2 wrong usage, 3 runs do not come out the same here, where other numbers
-    come out than where the results were made, or what is measured here leads to another verdict.
+    come out than where the results were made or an ONNX brain may round otherwise, or what is measured here leads to
+    another verdict.
 
     For example:
 

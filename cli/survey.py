@@ -248,7 +248,7 @@ def verify(
     figure must be the same to the last bit.
 
     Exit status: 0 it holds, 1 it is broken, 2 wrong usage, 3 it does not come out the same here, where other numbers
-    come out than where it was begun.
+    come out than where it was begun, or an ONNX brain may round otherwise.
 
     For example:
 

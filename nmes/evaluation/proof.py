@@ -20,6 +20,7 @@ import numpy as np
 from nmes import protocol
 from nmes.backend import Array
 from nmes.errors import ProofError, RecordingError, WorldError
+from nmes.evaluation.again import has_model
 from nmes.evaluation.episode import METADATA, Episode, brain_of
 from nmes.evaluation.judge import Result
 from nmes.evaluation.match_task import METADATA as MATCH
@@ -268,9 +269,9 @@ def follow(
 
 
 def _computes_otherwise(recording: Recording, brains: Sequence[Genome]) -> bool:
-    """Whether a brain may do here what it did not do there: onnxruntime is no part of what a fingerprint tells."""
+    """Whether a brain may do here what it did not do there."""
     differences = fingerprint_differences(recording.config["backend"], recording.fingerprint)
-    return bool(differences) or any(genome.document.get("brain", {}).get("kind") == "onnx" for genome in brains)
+    return bool(differences) or has_model(genome.document for genome in brains)
 
 
 def recorded_episode(recording: Recording) -> tuple[Task, Genome, int]:

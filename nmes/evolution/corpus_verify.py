@@ -17,7 +17,7 @@ from nmes.backend import load_backend
 from nmes.backend.fingerprint import decisive, differences, fingerprint
 from nmes.brain import Brain
 from nmes.errors import BackendNotFound, MachineError, MissingPackage, NmesError, RecordingError
-from nmes.evaluation.again import drawn, unforeseen
+from nmes.evaluation.again import MODEL, drawn, has_model, unforeseen
 from nmes.evaluation.episode import Episode
 from nmes.evaluation.evaluator import episode_metadata, file_name, recorded
 from nmes.evaluation.identity import borrows_name, creature_hash
@@ -289,8 +289,6 @@ class _Verification:
             if one.get(name) != value
         ]
         if reasons:
-            elsewhere = self._elsewhere.get(creature.task)
-            words = "; ".join(reasons)
-            self._find(
-                creature, "not_judged" if elsewhere else "broken", f"{words}; {elsewhere}" if elsewhere else words
-            )
+            excuse = self._elsewhere.get(creature.task) or (MODEL if has_model([creature.genome]) else None)
+            words = "; ".join([*reasons, excuse] if excuse else reasons)
+            self._find(creature, "not_judged" if excuse else "broken", words)

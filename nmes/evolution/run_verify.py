@@ -14,7 +14,7 @@ from typing import Final, Literal
 import orjson
 
 from nmes.errors import DocumentError, RunError, VariationError
-from nmes.evaluation.again import drawn, unforeseen
+from nmes.evaluation.again import MODEL, drawn, has_model, unforeseen
 from nmes.evaluation.contest import Rivals
 from nmes.evaluation.parallel import Pool
 from nmes.evaluation.queue import EvaluationQueue
@@ -38,7 +38,7 @@ class RunVerdict:
 
     Attributes:
         verdict: It `holds`; it is `broken`, since something did not come out as the log has it; or it is
-            `not_comparable`: that may be because the run was begun where other numbers come out.
+            `not_comparable`: that may be because the run was begun where other numbers come out, or has ONNX brains.
         findings: What did not, the first of them, in words.
         told: How many candidates the log has.
         asked: How many of them candidates the algorithm was asked for again.
@@ -85,12 +85,13 @@ def verify_run(folder: Path, pool: Pool, sample: int | None, progress: Progress,
         for finding in verification.ask_again():
             verification.found(finding)
         chosen = verification.choose(sample, seed)
-        for finding in verification.evaluate_again(chosen, pool):
-            verification.found(finding)
+        for finding, excused in verification.evaluate_again(chosen, pool):
+            verification.found(finding, excused)
     except RunError as error:  # the log cannot be read on
         verification.found(error.message)
     findings = tuple(verification.findings)
-    verdict: Verdict = "holds" if not findings else "not_comparable" if run.differences() else "broken"
+    beyond = bool(findings) and (verification.excused or bool(run.differences()))
+    verdict: Verdict = "holds" if not findings else "not_comparable" if beyond else "broken"
     return RunVerdict(verdict, findings, len(run), verification.order.told, len(chosen), seed, run.digest)
 
 
@@ -99,10 +100,12 @@ class _Verification:
         self._run, self._progress = run, progress
         self.order = Order(run.settings.begin(), len(run))
         self.findings: list[str] = []
+        self.excused = True  # all that came out otherwise is of ONNX brains
         self._rivals: list[Rivals | None] = []  # of each candidate that was asked for again
 
-    def found(self, finding: str) -> None:
+    def found(self, finding: str, excused: bool = False) -> None:
         """Keeps a finding, if there are not many already."""
+        self.excused = self.excused and excused
         if len(self.findings) < _MOST:
             self.findings.append(finding)
 
@@ -154,8 +157,8 @@ class _Verification:
         others = [index for index in range(count) if index not in kept]
         return sorted([*kept, *drawn(others, sample, Draw(seed, "verify", run.digest))])
 
-    def evaluate_again(self, chosen: list[int], pool: Pool) -> Iterator[str]:
-        """Evaluates candidates; yields what comes out otherwise."""
+    def evaluate_again(self, chosen: list[int], pool: Pool) -> Iterator[tuple[str, bool]]:
+        """Evaluates candidates; yields what comes out otherwise, and whether that may be for an ONNX brain."""
         run, expressions = self._run, self._run.settings.expressions()
         queue = EvaluationQueue(run.settings.task, run.settings.seeds, pool)
         done = 0
@@ -169,11 +172,13 @@ class _Verification:
                 self._progress("evaluating again", done, len(chosen))
                 entry = entries.pop(index)
                 again = told(index, entry.candidate, evaluation, run.settings, expressions)
-                yield from (
-                    f"candidate {index}: {name} is {entry.content[name]!r} in the log, and comes out as {value!r}"
-                    for name, value in orjson.loads(write_json(again.content)).items()
-                    if entry.content[name] != value
-                )
+                rivals = self._rivals[index]
+                met = [] if rivals is None else [genome for lineup in rivals.lineups for genome in lineup]
+                excused = has_model([entry.content["genome"], *(genome.document for genome in met)])
+                for name, value in orjson.loads(write_json(again.content)).items():
+                    if entry.content[name] != value:
+                        what = f"{name} is {entry.content[name]!r} in the log, and comes out as {value!r}"
+                        yield f"candidate {index}: {what}{f'; {MODEL}' if excused else ''}", excused
 
 
 def _differences(candidate: Candidate, entry: Entry) -> Iterator[str]:

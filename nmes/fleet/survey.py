@@ -21,7 +21,7 @@ import orjson
 from nmes.backend import load_backend
 from nmes.backend.fingerprint import differences, fingerprint
 from nmes.errors import DocumentError, MachineError, RunError
-from nmes.evaluation.again import drawn, unforeseen
+from nmes.evaluation.again import MODEL, drawn, has_model, unforeseen
 from nmes.evaluation.evaluation import Evaluation
 from nmes.evaluation.evaluator import Job, evaluate_portion
 from nmes.evaluation.judge import Result
@@ -379,7 +379,7 @@ class SurveyVerdict:
 
     Attributes:
         verdict: It `holds`; it is `broken`, since something did not come out as the log has it; or it is
-            `not_comparable`: that may be because it was begun where other numbers come out.
+            `not_comparable`: that may be because it was begun where other numbers come out, or has ONNX brains.
         findings: What did not, the first of them, in words.
         worlds: How many the log has.
         evaluated: How many were evaluated again.
@@ -424,12 +424,20 @@ def verify_survey(
         others = [world for world in chosen if world not in best]
         chosen = sorted([*best, *drawn(others, sample, Draw(seed, "verify", survey.digest))])
     findings: list[str] = []
+    excused = True  # all that came out otherwise is of ONNX brains
     for begin in range(0, len(chosen), _CHUNK):
         numbers = chosen[begin : begin + _CHUNK]
         for again in survey_worlds(survey.settings, numbers, pool, partial(_tell, progress, begin, len(chosen))):
-            findings += [text for world in again for text in _compare(survey.worlds[world.world], world)]
+            for world in again:
+                found = _compare(survey.worlds[world.world], world)
+                if found and has_model([survey.settings.genome(world.world).document]):
+                    found = [f"{text}; {MODEL}" for text in found]
+                elif found:
+                    excused = False
+                findings += found
     findings = findings[:_MOST]
-    verdict: Any = "holds" if not findings else "not_comparable" if survey.differences() else "broken"
+    beyond = bool(findings) and (excused or bool(survey.differences()))
+    verdict: Any = "holds" if not findings else "not_comparable" if beyond else "broken"
     return SurveyVerdict(verdict, tuple(findings), len(survey), len(chosen), seed, survey.digest)
 
 

@@ -5,14 +5,14 @@ from __future__ import annotations
 import tempfile
 from collections import Counter
 from collections.abc import Collection, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
 
-from nmes.errors import StudyError
-from nmes.evaluation.again import unforeseen
-from nmes.schemas.documents import JsonObject
+from nmes.errors import DocumentError, StudyError
+from nmes.evaluation.again import MODEL, has_model, unforeseen
+from nmes.schemas.documents import JsonObject, parse_document
 from nmes.study.claims import evaluate
 from nmes.study.document import Plan, PlannedRun
 from nmes.study.report import REPORT, verdicts, written
@@ -32,8 +32,8 @@ class StudyVerdict:
 
     Attributes:
         verdict: Whether everything came out again, or something did not; `not_comparable`: runs came out otherwise,
-            but other numbers come out here than where the results were made; or all was done again, and what is
-            measured leads to another verdict on a claim here.
+            but other numbers come out here than where the results were made, or they are of ONNX brains; or all was
+            done again, and what is measured leads to another verdict on a claim here.
         findings: What did not, the first of them, in words.
         runs: How many rows there are.
         again: How many runs were done again.
@@ -86,6 +86,7 @@ def verify_study(
     measured, not_judged = len(plan.runs) - len(exact), tuple(plan.study.document["measured"])
     chosen = list(plan.runs) if sample is None else _drawn(exact, sample, Draw(seed, "study", "verify", results.digest))
     again: list[str] = []
+    excused, models = True, _models(plan.study.folder)
     rows: dict[int, JsonObject] = {}
     with (
         tempfile.TemporaryDirectory(prefix="nmes-study-") as folder,
@@ -94,7 +95,12 @@ def verify_study(
         for run, columns in done:
             rows[run.number] = row_of(run, columns)
             if not run.arm["measured"]:
-                again += _differences(str(run), results.rows[run.number], rows[run.number], not_judged)
+                found_again = _differences(str(run), results.rows[run.number], rows[run.number], not_judged)
+                if found_again and _names_one(plan, run, models):
+                    found_again = [f"{finding}; {MODEL}" for finding in found_again]
+                elif found_again:
+                    excused = False
+                again += found_again
     here: dict[str, str] = {}
     if sample is None:
         here |= verdicts(plan, evaluate(plan, Results.here(plan, [rows[run.number] for run in plan.runs])))
@@ -105,7 +111,7 @@ def verify_study(
     ]
     verdict: Any = "broken" if findings else "holds"
     if (again or other) and not findings:
-        verdict = "broken" if again and not results.differences() else "not_comparable"
+        verdict = "broken" if again and not excused and not results.differences() else "not_comparable"
     every = tuple([*findings, *sorted(again), *other][:_MOST])
     return StudyVerdict(
         verdict, every, len(plan.runs), len(chosen), seed, measured, not_judged, found, here, results.digest
@@ -122,6 +128,24 @@ def _drawn(runs: Sequence[PlannedRun], count: int, draw: Draw) -> list[PlannedRu
         seen[arm] += 1
     chosen = sorted(turns, key=lambda turn: turn[0])[:count]
     return sorted((run for _, run in chosen), key=lambda run: run.number)
+
+
+def _models(folder: Path) -> list[str]:
+    """Returns the names, without endings, of the genomes beside a study that have an ONNX brain."""
+    found = []
+    for path in sorted(folder.glob("*.json")):
+        with suppress(OSError, DocumentError):  # what is no genome is none of a creature that has such a brain
+            genome = parse_document(path.read_bytes()) if path.is_file() else None
+            if isinstance(genome, dict) and isinstance(genome.get("brain"), dict) and has_model([genome]):
+                found.append(path.stem)
+    return found
+
+
+def _names_one(plan: Plan, run: PlannedRun, names: Sequence[str]) -> bool:
+    """Tells whether the commands of a run, or what is filled in there, name one of some documents."""
+    beside: dict[str, str] = run.arm.get("beside", {})
+    words = [*plan.study.arm_commands(run.arm).values(), *beside.values(), *map(str, run.values.values())]
+    return any(name in word for name in names for word in words)
 
 
 def _compare_files(folder: Path, expected: dict[str, bytes]) -> list[str]:

@@ -15,10 +15,14 @@ import zstandard
 
 import corpus as tool
 from command_line import run
+from modelled import modelled
+from nmes.errors import NmesError
+from nmes.evaluation.identity import creature_hash
 from nmes.evaluation.task import Task
-from nmes.evolution.corpus import Corpus
-from nmes.evolution.corpus_verify import verify_corpus
+from nmes.evolution.corpus import Corpus, mean_score
+from nmes.evolution.corpus_verify import Work, run_episodes, verify_corpus
 from nmes.evolution.run import Run
+from nmes.genome import Genome
 from nmes.playback import replay
 from nmes.recording import Recording
 from nmes.world import World
@@ -339,6 +343,24 @@ def test_a_creature_that_cannot_take_part_is_broken_in_other_processes_too(small
     path = packed(rows, tmp_path / "narrow.zst")
     found = json.loads(run("corpus", "verify", str(path), "--all", "--jobs", "2", "--json").output)
     assert found["verdict"] == "broken" and sum("cubes" in each["reason"] for each in found["findings"]) == 3
+
+
+def test_what_a_model_rounds_otherwise_is_not_judged(small: Path, tmp_path: Path) -> None:
+    rows = rows_of(small)
+    genome = Genome(modelled())
+    episodes = run_episodes(Work(genome.document, rows[0]["tasks"][0]["task"]))
+    assert not isinstance(episodes, NmesError)
+    told = [episode.to_json() for episode in episodes]
+    hashes = {"genome": genome.document, "genome_hash": genome.hash, "creature": creature_hash(genome)}
+    row = {**rows[1], **hashes, "episodes": told, "score": mean_score(episodes)}
+    path = packed([rows[0], row], tmp_path / "model.zst")
+    assert verify(path)[1]["verdict"] == "holds"
+    told[0]["energy"] += 1.0
+    code, found = verify(packed([rows[0], row], path))
+    assert (code, found["verdict"]) == (3, "not_judged")
+    assert found["findings"][0]["reason"].endswith(
+        "it has an ONNX brain, which may round otherwise on another processor"
+    )
 
 
 def test_what_was_computed_elsewhere_is_not_judged(small: Path, tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import orjson
 import pytest
 from click.testing import CliRunner, Result
 
+from modelled import modelled
 from nmes.cli import main
 from nmes.errors import RunError
 from nmes.evolution.run import Run
@@ -247,6 +248,16 @@ def test_the_candidates_that_are_done_again_are_others_each_time_and_have_the_be
     assert len(set(seeds)) == 8 and len(set(chosen)) > 4
     told = verify(whole, "--sample", "3", "--seed", str(seeds[0])).stdout
     assert chosen[-1] == chosen[0] and f"evaluated again, drawn by --seed {seeds[0]}\n" in told
+
+
+def test_what_a_model_rounds_otherwise_is_not_comparable(tmp_path: Path) -> None:
+    folder = tmp_path / "models"
+    finish(begin(folder, starts=[modelled()], budget=10, options={"founders": 4, "population": 4, "window": 2}))
+    forge(folder, lambda records: records[2]["results"][0].update(energy=7.0))
+    found = verdict(folder, "--all")
+    assert found["verdict"] == "not_comparable" and "it has an ONNX brain" in found["findings"][0]
+    forge(folder, lambda records: records[3].update(operator="magic"))  # which no model has a part in
+    assert verdict(folder, "--all")["verdict"] == "broken"
 
 
 def come_from_later(records: Records) -> None:

@@ -19,6 +19,8 @@ import pytest
 from PIL import Image
 
 from command_line import run
+from creatures import seedling
+from modelled import modelled
 from nmes.evaluation import Workers, evaluate
 from nmes.evaluation.parallel import Here
 from nmes.evaluation.task import Task
@@ -186,6 +188,17 @@ def test_which_worlds_are_done_again_follows_from_the_seed(whole: Survey, monkey
     assert whole.best is not None
     assert len({*chosen[:10]}) > 5 and chosen[0] == chosen[10]
     assert all(whole.best.world in numbers and len(numbers) == 4 for numbers in chosen)
+
+
+def test_what_a_model_rounds_otherwise_is_not_comparable(tmp_path: Path) -> None:
+    about = SurveySettings.of([Genome(modelled()), Genome(seedling())], [Task(FLAT)], 4, 5)
+    folder = finish(Survey.create(tmp_path / "models", about)).folder
+    forge(folder, lambda records: records[2]["result"].update(energy=7.0))
+    found = verify_survey(folder, Here(), None, nothing)
+    assert found.verdict == "not_comparable" and "it has an ONNX brain" in found.findings[0]
+    forge(folder, lambda records: records[3]["result"].update(energy=7.0))
+    found = verify_survey(folder, Here(), None, nothing)
+    assert found.verdict == "broken" and "ONNX" not in found.findings[1]
 
 
 def test_a_log_that_was_edited_is_found(whole: Survey, tmp_path: Path) -> None:
