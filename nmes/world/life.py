@@ -106,7 +106,7 @@ class Life:
         if self._living:
             unpriced = self._pay(roll, frame)
             events += self._eat(roll, frame)
-            events += self._cast_out(unpriced, frame)
+            events += [self._take_apart(name, frame, "unpriced") for name in unpriced]
         if frame % self._entities.tick_rate == 0 or frame == 1:
             events += self._bury(frame)
             events += self._breed(frame)
@@ -177,16 +177,10 @@ class Life:
                 continue
             creature = self._creatures.find(each.name)
             x, _, z = self._middle(creature)
-            self._take_apart(creature)
+            event = self._take_apart(each.name, frame, "starved" if starved else "old")
             if carrion:
                 self.food.put(self._entities.terrain.surface(x, z), carrion * creature.present.mass)
-            yield self._leave(each.name, frame, "starved" if starved else "old")
-
-    def _cast_out(self, names: list[str], frame: int) -> Iterator[JsonObject]:
-        """Takes away those for whom the rules have no price, whoever brought them: the others live on."""
-        for name in names:
-            self._take_apart(self._creatures.find(name))
-            yield self._leave(name, frame, "unpriced")
+            yield event
 
     def lose(self, body: int, frame: int) -> list[JsonObject]:
         """Takes away the creature that the engine cannot follow.
@@ -201,13 +195,14 @@ class Life:
         for name in self._living:
             creature = self._creatures.get(name)
             if creature is not None and body in creature.bodies:
-                self._take_apart(creature)
-                return [self._leave(name, frame, "diverged")]
+                return [self._take_apart(name, frame, "diverged")]
         return []
 
-    def _take_apart(self, creature: Creature) -> None:
-        for name in creature.cubes.values():
-            self._entities.despawn(self._entities.cube(name))
+    def _take_apart(self, name: str, frame: int, cause: str) -> JsonObject:
+        """Takes a creature away with its cubes; returns its death, as an event."""
+        for cube in self._creatures.find(name).cubes.values():
+            self._entities.despawn(self._entities.cube(cube))
+        return self._leave(name, frame, cause)
 
     def _leave(self, name: str, frame: int, cause: str) -> JsonObject:
         gone = self._living.pop(name)
