@@ -22,7 +22,7 @@ from nmes.genome.body import Body
 from nmes.genome.development import deeds
 from nmes.genome.genome import SHIPPED
 from nmes.schemas import load
-from nmes.schemas.documents import parse_document
+from nmes.schemas.documents import did_you_mean, parse_document
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -382,6 +382,9 @@ _count = click.option(
 _task = click.option(
     "--task", metavar="NAME|FILE", help="Make only what may take part in this task: a shipped one's name, or a file."
 )
+_role = click.option(
+    "--role", metavar="ROLE", help="Which role of the task they are to play, where it has several that differ."
+)
 _output = click.option(
     "-o",
     "--output",
@@ -397,10 +400,13 @@ _output = click.option(
     "--kind", metavar="KIND", help="What to change, such as add-part; drawn if left out. See docs/evolution.md."
 )
 @_task
+@_role
 @_seed
 @_count
 @_output
-def mutate(file: str, kind: str | None, task: str | None, seed: int, count: int, output: Path | None) -> None:
+def mutate(
+    file: str, kind: str | None, task: str | None, role: str | None, seed: int, count: int, output: Path | None
+) -> None:
     """Change a genome a little: its body, and the brain along with it.
 
     What comes out is a good genome, and the same one for the same seed.
@@ -410,11 +416,12 @@ def mutate(file: str, kind: str | None, task: str | None, seed: int, count: int,
     \b
         nmes genome mutate walker -o mutant.json
         nmes genome mutate walker --kind add-part --seed 7 --task walk -o mutant.json
+        nmes genome mutate walker --task chase --role prey -o prey.json
         nmes genome mutate walker -n 20 -o mutants/
     """
     from nmes.variation import mutate as vary
 
-    parent, needs = _load(file), _load_requirements(task)
+    parent, needs = _load(file), _load_requirements(task, role)
     mutants = [_bred(lambda d: vary(parent, d, kind=kind, requirements=needs), seed, i) for i in range(count)]
     _write_bred([(mutant.genome, mutant.kind) for mutant in mutants], output, seed, file)
 
@@ -423,10 +430,13 @@ def mutate(file: str, kind: str | None, task: str | None, seed: int, count: int,
 @click.argument("first", metavar="GENOME")
 @click.argument("second", metavar="GENOME")
 @_task
+@_role
 @_seed
 @_count
 @_output
-def cross(first: str, second: str, task: str | None, seed: int, count: int, output: Path | None) -> None:
+def cross(
+    first: str, second: str, task: str | None, role: str | None, seed: int, count: int, output: Path | None
+) -> None:
     """Breed two genomes: the child is mostly like the first, and has something of the second.
 
     For example:
@@ -437,20 +447,31 @@ def cross(first: str, second: str, task: str | None, seed: int, count: int, outp
     """
     from nmes.variation import cross as breed
 
-    one, other, needs = _load(first), _load(second), _load_requirements(task)
+    one, other, needs = _load(first), _load(second), _load_requirements(task, role)
     children = [_bred(lambda d: breed(one, other, d, requirements=needs), seed, i) for i in range(count)]
     _write_bred([(child, f"cross with {other.name}") for child in children], output, seed, first, second)
 
 
+def _open(context: click.Context, parameter: click.Parameter, value: str) -> Genome:
+    """Reads the genome that an argument names; one that is none is wrong usage."""
+    try:
+        return Genome.load(value)
+    except DocumentError as error:
+        message = visible(f"{value}:\n{error.message}", keep="\n")
+        raise click.BadParameter(message, ctx=context, param=parameter) from error
+
+
 @command.command("diff")
-@click.argument("first", metavar="GENOME")
-@click.argument("second", metavar="GENOME")
+@click.argument("first", metavar="GENOME", callback=_open)
+@click.argument("second", metavar="GENOME", callback=_open)
 @_json
 @click.pass_context
-def diff(context: click.Context, first: str, second: str, as_json: bool) -> None:
-    """Say in what two genomes differ, part by part; ends with status 1 if they do.
+def diff(context: click.Context, first: Genome, second: Genome, as_json: bool) -> None:
+    """Say in what two genomes differ, part by part.
 
     Names, authors and parents do not count.
+
+    Exit status: 0 the same, 1 not, 2 wrong usage or no good genome.
 
     For example:
 
@@ -459,7 +480,7 @@ def diff(context: click.Context, first: str, second: str, as_json: bool) -> None
     """
     from nmes.evolution import differences
 
-    found = differences(_load(first), _load(second))
+    found = differences(first, second)
     if as_json:
         print_json([asdict(each) for each in found])
     for each in () if as_json else found:
@@ -513,15 +534,36 @@ def from_sb3(model: Path, file: str, statistics: Path | None, output: Path | Non
         click.echo(f"wrote {visible(str(output))}: {visible(trained.name)} with the policy of {visible(str(model))}")
 
 
-def _load_requirements(name: str | None) -> Requirements:
-    """Returns the requirements of bodies that take part in a task; none where no task is named."""
-    from nmes.evaluation import Task
+def _load_requirements(name: str | None, role: str | None) -> Requirements:
+    """Returns the requirements of bodies that take part in a task, in a role if it has any; none where none is named.
+
+    Raises:
+        UsageError: The task has no such role, or it has several and none is named.
+    """
     from nmes.variation import ANY
 
+    if name is None:
+        if role is not None:
+            raise click.UsageError("--role is one of a task: name that with --task")
+        return ANY
+    from nmes.evaluation.match_task import MatchTask, load_task
+    from nmes.evolution.coevolution import default_roles
+
     try:
-        return ANY if name is None else Task.load(name).requirements
+        task = load_task(name)
     except DocumentError as error:
-        raise click.ClickException(f"{visible(str(name))}:\n{error.message}") from error
+        raise click.ClickException(f"{visible(name)}:\n{error.message}") from error
+    if not isinstance(task, MatchTask):
+        if role is not None:
+            raise click.UsageError(f"{visible(task.name)} has no roles")
+        return task.requirements
+    roles = default_roles(task) if role is None else (role,)
+    if len(roles) > 1:
+        raise click.UsageError(f"{visible(task.name)} has several roles: say --role {' or --role '.join(roles)}")
+    if roles[0] not in task.roles:
+        hint = did_you_mean(roles[0], task.roles) or f": there are {', '.join(task.roles)}"
+        raise click.UsageError(visible(f"{task.name} has no role {roles[0]!r}{hint}"))
+    return task.requirements(roles[0])
 
 
 def _bred(breed: Callable[[Draw], Bred], seed: int, number: int) -> Bred:
