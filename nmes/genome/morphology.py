@@ -327,6 +327,7 @@ def _joint(grown: _Grown, parent: _Grown, anchor: Sequence[float], axis: Sequenc
             "mode": motor["mode"],
             "range": _rounded([length * float(end) for end in motor["range"]]),
             "max_effort": round(effort * float(motor["max_effort"]), _DIGITS),
+            **({"flaws": motor["flaws"]} if "flaws" in motor else {}),  # of outputs of the brain: alike at any scale
         }
     return joint
 

@@ -171,8 +171,6 @@ FIELDS: Final[dict[str, tuple[str, Any] | None]] = {
     **{f"body.graph.{name}": change for name, change in PARTS.items()},
     **_drives("body.joints.motor", "body/joints/0/motor"),
     **_drives("body.graph.parts.joint.motor", "body/graph/parts/1/joint/motor"),
-    # A graph that grows leaves the flaws of its motors behind.
-    **{f"body.graph.parts.joint.motor.{name}": None for name in DRIVES if name.startswith("flaws.")},
 }
 
 

@@ -409,11 +409,15 @@ func (g *grown) jointDocument() object {
 		}
 	}
 	if motor, there := document["motor"].(object); there {
-		joint["motor"] = object{
+		grown := object{
 			"mode":       motor["mode"],
 			"range":      scaled(list(motor, "range")),
 			"max_effort": rounded(float64(effort*number(motor, "max_effort", 0)), 9),
 		}
+		if has(motor, "flaws") {
+			grown["flaws"] = motor["flaws"]
+		}
+		joint["motor"] = grown
 	}
 	return joint
 }
