@@ -42,14 +42,15 @@ def beyond(cubes: Mapping[str, Cube], joints: Mapping[str, Joint], part: str) ->
 
 def _hanging(root: int, joints: Collection[Joint]) -> set[int]:
     """Returns the numbers of the cubes that joints connect to a root, and its own."""
+    joined: dict[int, list[int]] = {}
+    for joint in joints:
+        one, other = joint.cube1.body, joint.cube2.body
+        joined.setdefault(one, []).append(other)
+        joined.setdefault(other, []).append(one)
     found, fresh = {root}, [root]
     while fresh:
-        at = fresh.pop()
-        for joint in joints:
-            ends = joint.cube1.body, joint.cube2.body
-            if at in ends:
-                other = ends[0] if ends[1] == at else ends[1]
-                if other not in found:
-                    found.add(other)
-                    fresh.append(other)
+        for other in joined.get(fresh.pop(), ()):
+            if other not in found:
+                found.add(other)
+                fresh.append(other)
     return found
