@@ -131,6 +131,7 @@ def test_genomes_to_begin_with_are_files_folders_and_names(task: Path, tmp_path:
     ("arguments", "words"),
     [
         (("random", "--algorithm", "gaa"), "did you mean ga"),
+        (("random", "--algorithm", "cma-es"), "did you mean cma?"),
         (("random", "--budget", "0"), "0"),
         (("random", "--task", "wlk"), "did you mean walk"),
         (("random", "walker"), "either"),
@@ -141,6 +142,8 @@ def test_genomes_to_begin_with_are_files_folders_and_names(task: Path, tmp_path:
         (("random", "--set", "window=1", "--set", "window=2"), "twice"),
         (("random", "--set", "windw=1"), "did you mean window"),
         (("random", "--set", "window=0"), "window"),
+        (("random", "--set", "window=1e3"), "without point or exponent, not 1000.0"),
+        (("random", "--set", "brains=1"), "true or false, not 1"),
         (("random", "--measure", "legs"), "from LOW to HIGH"),
         (("random", "--measure", "legs from a to b"), "from LOW to HIGH"),
         (("random", "--measure", "legs from 0 to nan"), "from LOW to HIGH"),

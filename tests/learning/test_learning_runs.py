@@ -384,7 +384,7 @@ STILL = {"format": "nmes-genome/1", "name": "still", "body": BOXES}
         ({"steps": 0}, "steps: "),
         ({"algorithm": "pppo"}, "there is no algorithm 'pppo'; did you mean ppo"),
         ({"options": {"rowz": 3}}, "'ppo' has no such option; did you mean rows"),
-        ({"options": {"rows": 0.5}}, "must be of type int"),
+        ({"options": {"rows": 0.5}}, "must be a whole number"),
         ({"options": {"gamma": 2}}, "options.gamma: must be from 0 to 1"),
         ({"genome": STILL}, "'still' has no motors: there is nothing to learn"),
         ({"genome": "nobody"}, "genome: there is no genome 'nobody'"),

@@ -28,6 +28,8 @@ _PLACES: Final[Mapping[str, str]] = {
 }
 ALGORITHMS: Final = tuple(_PLACES)
 """The names of the algorithms."""
+_OTHER_NAMES: Final = {"cma-es": "cma", "genetic": "ga", "nsga-ii": "nsga2"}
+"""What some are called elsewhere; other algorithms have names that are more alike to these."""
 
 
 def _load(name: str) -> Any:
@@ -38,7 +40,8 @@ def _load(name: str) -> Any:
         MissingPackage: The algorithm needs a package that is not installed.
     """
     if name not in _PLACES:
-        hint = did_you_mean(name, ALGORITHMS) or f": there are {', '.join(ALGORITHMS)}"
+        meant = _OTHER_NAMES.get(name.lower(), name)
+        hint = did_you_mean(meant, ALGORITHMS) or f": there are {', '.join(ALGORITHMS)}"
         raise DocumentError([("algorithm", f"there is no algorithm {name!r}{hint}")])
     module, attribute = _PLACES[name].split(".")
     return getattr(import_module(f"nmes.evolution.algorithms.{module}"), attribute)

@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, get_type_hints
+from typing import Any, Final, get_type_hints
 
 from nmes.errors import DocumentError
 from nmes.schemas.documents import did_you_mean
 
 __all__ = ["read_options", "within_bounds"]
+
+_WORDS: Final[Mapping[type, str]] = {
+    int: "a whole number, written without point or exponent",
+    float: "a number",
+    bool: "true or false",
+}
 
 
 def read_options(name: str, kind: type[Any], given: Mapping[str, Any]) -> Any:
@@ -30,7 +36,7 @@ def read_options(name: str, kind: type[Any], given: Mapping[str, Any]) -> Any:
         elif types[option] is float and type(value) is int:
             values[option] = float(value)
         elif type(value) is not types[option]:
-            problems.append((f"options.{option}", f"must be of type {types[option].__name__}, not {value!r}"))
+            problems.append((f"options.{option}", f"must be {_WORDS[types[option]]}, not {value!r}"))
     if problems:
         raise DocumentError(problems)
     return kind(**values)
