@@ -229,14 +229,14 @@ def test_on_a_terminal_a_run_shows_how_much_of_its_log_was_read_and_how_it_fares
                 shown += text
     os.close(terminal)
     assert resumed.returncode == 0
-    text = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.decode())
-    assert re.search(r"reading the log \S+ +100%", text)
+    lines = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", shown.decode())
+    assert re.search(r"reading the log \S+ +100%", lines)
     records = Run.open(run).records
     scores = [record.score for record in records if record.score is not None]
     diversity = len({record.plan for record in records}) / 25
     note = f"best {max(scores):.4g}, mean {sum(scores) / len(scores):.4g}, diversity {diversity:.0%}, "
-    ended = re.search(rf"evolving +\S+ +100% (\S+) {re.escape(note)}(\d+\.\d)/s\s*$", text)
-    assert ended is not None, text[-500:]
+    ended = re.search(rf"evolving +\S+ +100% (\S+) {re.escape(note)}(\d+\.\d)/s\s*$", lines)
+    assert ended is not None, lines[-500:]
     assert ended[1] == "0:00:00" and float(ended[2]) > 0.0  # the time left, and candidates a second
 
 
