@@ -43,4 +43,4 @@ def command(folder: Path, budget: int | None, jobs: int | None, ray: str | None,
         click.echo("the run is finished", err=True)
         tell(run, as_json)
         return
-    go_on(run, jobs, ray, as_json)
+    go_on(lambda: run, jobs, ray, as_json)

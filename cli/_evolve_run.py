@@ -52,14 +52,24 @@ def open_pool(jobs: int | None, ray: str | None) -> Workers | Cluster:
     return Workers(jobs or os.cpu_count() or 1) if ray is None else Cluster(ray)
 
 
-def go_on(run: Run, jobs: int | None, ray: str | None, as_json: bool) -> None:
-    """Goes on with a run, says how it came out, and ends the program: status 1 where it was interrupted."""
+def go_on(find: Callable[[], Run], jobs: int | None, ray: str | None, as_json: bool) -> None:
+    """Goes on with a run, says how it came out, and ends the program: status 1 where it was interrupted.
+
+    Args:
+        find: Returns the run, which it may begin: where there are no processes and no cluster, none is begun.
+        jobs: As `open_pool`.
+        ray: As `open_pool`.
+        as_json: Whether to end with JSON.
+    """
+    run: Run | None = None
     with interruptions(signal.SIGINT, signal.SIGTERM) as interrupted:
         try:
             with open_pool(jobs, ray) as pool:
+                run = find()
                 _advance(run, pool, interrupted)
         except KeyboardInterrupt:
-            pass
+            if run is None:
+                raise
     run = type(run).open(run.folder)  # wherever it was interrupted, this is what is there
     stopped = interrupted() and not run.finished
     if stopped:

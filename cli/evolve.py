@@ -112,6 +112,7 @@ def begin(context: click.Context, /, settings: Path | None, output: Path | None,
         nmes evolve --settings mine.json -o runs/mine
     """
     from nmes.evolution.run import Run
+    from nmes.evolution.run_folder import require_no_run
     from nmes.evolution.run_settings import RunSettings
 
     check_pool(options["jobs"], options["ray"])
@@ -121,7 +122,8 @@ def begin(context: click.Context, /, settings: Path | None, output: Path | None,
     except DocumentError as error:
         raise click.UsageError(error.message if settings is None else f"{settings}:\n{error.message}") from error
     folder = output or Path("runs", f"{judged.task.name}-{judged.algorithm}-{judged.seed}")
-    go_on(Run.create(folder, judged), options["jobs"], options["ray"], options["as_json"])
+    require_no_run(folder)  # before a cluster is asked for
+    go_on(lambda: Run.create(folder, judged), options["jobs"], options["ray"], options["as_json"])
 
 
 def _from_file(context: click.Context, settings: Path) -> Any:

@@ -1,0 +1,70 @@
+"""`nmes evolve` where it cannot begin, where nobody has a score, and of folders that no run left so."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+import orjson
+import pytest
+from click.testing import CliRunner, Result
+
+from nmes.cli import main
+from nmes.errors import MachineError
+from nmes.evaluation import parallel
+from runs import SETTINGS, begin, finish
+
+
+def nmes(*arguments: str | Path) -> Result:
+    result = CliRunner().invoke(main, ["evolve", *map(str, arguments)])
+    assert result.exception is None or isinstance(result.exception, SystemExit), result.exception
+    return result
+
+
+@pytest.fixture
+def settings(tmp_path: Path) -> Path:
+    (tmp_path / "settings.json").write_bytes(orjson.dumps({**SETTINGS, "budget": 3}))
+    return tmp_path / "settings.json"
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a finished run."""
+    folder = tmp_path_factory.mktemp("whole") / "run"
+    finish(begin(folder))
+    return folder
+
+
+@pytest.fixture
+def run(whole: Path, tmp_path: Path) -> Path:
+    """A copy of it."""
+    shutil.copytree(whole, tmp_path / "run")
+    return tmp_path / "run"
+
+
+# -- processes and clusters that there are not ------------------------------------------------------------------------
+
+
+def test_without_ray_no_run_is_begun(settings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "ray", None)
+    refused = nmes("--settings", settings, "-o", tmp_path / "run", "--ray", "auto")
+    assert refused.exit_code == 1 and "nmes[ray]" in refused.output and not (tmp_path / "run").exists()
+    assert nmes("--settings", settings, "-o", tmp_path / "run", "--jobs", "1").exit_code == 0
+
+
+@pytest.mark.parametrize("reason", [MachineError("no_cluster", "no Ray cluster at 'nowhere:1'"), KeyboardInterrupt()])
+def test_without_a_cluster_no_run_is_begun(
+    settings: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reason: BaseException
+) -> None:
+    def refuse(*_: object) -> None:
+        raise reason
+
+    monkeypatch.setattr(parallel, "Cluster", refuse)
+    assert nmes("--settings", settings, "-o", tmp_path / "run", "--ray", "nowhere:1").exit_code == 1
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_folder_that_holds_a_run_is_refused_before_a_cluster_is_asked_for(run: Path, settings: Path) -> None:
+    refused = nmes("--settings", settings, "-o", run, "--ray", "nowhere:1")
+    assert refused.exit_code == 1 and "there is a run" in refused.output
