@@ -95,7 +95,7 @@ class RunLog:
     def damaged(self, number: int, what: str) -> RunError:
         """Returns the error about a line, counted from 1."""
         whole = self._count_whole(number - 1)
-        keep = f"keep the {whole:,} whole lines before it (head -n {whole}) and resume the run, or " if whole else ""
+        keep = f"keep the first {whole:,}, which are whole (head -n {whole}), and resume the run, or " if whole else ""
         return RunError("log_damaged", f"{self.path}, line {number}: {what}; restore the file, {keep}begin a new run")
 
     def _count_whole(self, most: int) -> int:
