@@ -22,7 +22,14 @@ from nmes.evolution.algorithms import ALGORITHMS, algorithm_options, load_algori
 from nmes.evolution.algorithms.bounds import read_options, within_bounds
 from nmes.schemas.documents import did_you_mean
 
-__all__ = ["Coevolution", "CoevolutionOptions", "coevolution_options", "default_roles", "role_problems"]
+__all__ = [
+    "Coevolution",
+    "CoevolutionOptions",
+    "coevolution_options",
+    "complete_options",
+    "default_roles",
+    "role_problems",
+]
 
 _BREEDERS: Final = ("random", "ga", "es", "cma")
 """The algorithms that hold on to no score for long: one of another era is of other opponents."""
@@ -60,6 +67,17 @@ def coevolution_options(algorithm: str) -> dict[str, int | float | bool]:
         raise DocumentError([("algorithm", f"{algorithm!r} {why}: populations take {', '.join(_BREEDERS)}")])
     options = algorithm_options(algorithm)
     return {**options, **({"elites": 0} if "elites" in options else {}), **asdict(CoevolutionOptions())}
+
+
+def complete_options(given: Mapping[str, int | float | bool]) -> dict[str, int | float | bool]:
+    """Returns options of co-evolution and of its algorithm with those of `CoevolutionOptions` that are missing.
+
+    Raises:
+        DocumentError: One of these is not what it must be.
+    """
+    own = {name: given.get(name, default) for name, default in asdict(CoevolutionOptions()).items()}
+    read_options("co-evolution", CoevolutionOptions, own)
+    return {**given, **own}
 
 
 def default_roles(task: MatchTask) -> tuple[str, ...]:

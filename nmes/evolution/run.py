@@ -21,6 +21,7 @@ import sqlite3
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import count
+from math import isfinite
 from pathlib import Path
 from typing import Final
 
@@ -194,8 +195,8 @@ class Run:
         """
         return self._told_state().elites
 
-    def figures(self) -> Mapping[str, float]:
-        """Returns the algorithm's figures, as of `elites`."""
+    def figures(self) -> Mapping[str, float | None]:
+        """Returns the algorithm's figures, as of `elites`; the index has None for one that is no finite number."""
         return self._told_state().figures
 
     @property
@@ -251,15 +252,34 @@ class Run:
             self.records.append(entry.record(line))
 
     def _is_indexed(self) -> bool:
-        """Whether the index is one of this log, up to some line."""
+        """Whether the index is one of this log, up to some line, and has only what some run could have come to.
+
+        The first line follows from the settings, and the last one from all others.
+        """
         ends = [0, *(record.end for record in self.records)]
         places = zip(self.records, enumerate(ends), strict=False)
         if any((record.index, record.begin) != place for record, place in places):
             return False
+        elites = self._indexed_state.elites if self._indexed_state is not None else ()
+        if not all(map(self._is_possible, self.records)) or any(self.records[each].score is None for each in elites):
+            return False
         try:
-            return not self.records or self._line(len(self) - 1) is not None
+            return not self.records or all(self._line(index) is not None for index in (0, len(self) - 1))
         except RunError:
             return False
+
+    def _is_possible(self, record: Record) -> bool:
+        """Whether a record is one that a candidate of this run could have."""
+        settings = self.settings
+        numbers = (*record.objectives, *record.measures)
+        if record.score is None:
+            return record.error is not None and not numbers and settings.in_turn(record.index, record.group)
+        counts = len(record.objectives), len(record.measures)
+        return (
+            counts == (len(settings.objectives), len(settings.measures))
+            and all(map(isfinite, (record.score, *numbers)))
+            and settings.in_turn(record.index, record.group)
+        )
 
     def _line(self, index: int) -> Line | None:
         """Reads the line of a candidate; None where it is not the one that the index has.
@@ -304,7 +324,7 @@ class Run:
         try:
             yield
         except DocumentError as error:
-            raise self._log.damaged(index + 1, f"it is no record of candidate {index} ({error.message})") from error
+            raise self._log.damaged(index + 1, f"it is no record of candidate {index}: {error.message}") from error
 
     # -- going on --------------------------------------------------------------------------------------------------
 

@@ -66,6 +66,8 @@ class Entry:
         for name, expected in (("objectives", len(settings.objectives)), ("measures", len(settings.measures))):
             if len(content[name]) != (0 if content["score"] is None else expected):
                 raise DocumentError([(name, "must be one for each of the run, and none where there is no score")])
+        if not settings.in_turn(index, content["group"]):
+            raise DocumentError([("group", f"is not the population whose turn it is: {content['group']!r}")])
         _check_opponents(content.get("opponents"), settings.task)
         return cls(content, content["genome"]["name"], _plan(content["genome"]["body"]))
 

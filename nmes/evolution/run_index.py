@@ -83,12 +83,12 @@ class State:
     Attributes:
         told: How many.
         elites: The indices of its elites.
-        figures: Its figures.
+        figures: Its figures; one that is no finite number is None once it was in the file.
     """
 
     told: int
     elites: tuple[int, ...]
-    figures: Mapping[str, float]
+    figures: Mapping[str, float | None]
 
 
 class RunIndex:

@@ -24,7 +24,14 @@ from nmes.evaluation.population import admit
 from nmes.evaluation.setting import task_identity
 from nmes.evolution.algorithm import Algorithm, Measure, Problem
 from nmes.evolution.algorithms import algorithm_options, load_algorithm
-from nmes.evolution.coevolution import Coevolution, coevolution_options, default_roles, role_problems
+from nmes.evolution.algorithms.requirements import require_ranges
+from nmes.evolution.coevolution import (
+    Coevolution,
+    coevolution_options,
+    complete_options,
+    default_roles,
+    role_problems,
+)
 from nmes.evolution.quantities import read_expressions
 from nmes.evolution.run_folder import require_documents
 from nmes.genome import Genome
@@ -113,13 +120,17 @@ class RunSettings:
     def reopen(cls, document: Mapping[str, Any]) -> RunSettings:
         """Reads the document of a run that is there, whether or not it could be run here.
 
+        Options that it lacks are at their defaults, with which alone its log can have been written.
+
         Raises:
             DocumentError: It is no such document.
         """
         given = plain(document)
         check(_RUN, given)
         require_documents(given)
-        return cls._of(given)
+        found = cls._of(given)
+        require_ranges(found.measures)
+        return replace(found, options=complete_options(found.options)) if found.populations else found
 
     @classmethod
     def _of(cls, document: Mapping[str, Any]) -> RunSettings:
@@ -202,6 +213,10 @@ class RunSettings:
             for index, genome in enumerate(starts):
                 if reason := _barred(genome, self.task, role):
                     yield f"{place}/{index}", f"{genome.name!r} may not take part: {reason}"
+
+    def in_turn(self, index: int, group: str) -> bool:
+        """Whether a candidate can be of a group: populations take turns, and other groups are as they come."""
+        return not self.populations or self.populations[index % len(self.populations)].role == group
 
     def with_budget(self, budget: int) -> RunSettings:
         """Returns the same settings with another budget.

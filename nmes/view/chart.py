@@ -170,9 +170,9 @@ def short(value: str, letters: int) -> str:
     return value if len(value) <= letters else value[: letters - 1] + "…"
 
 
-def number(value: float | None) -> str:
-    """Returns a score as people read it; a dash for none."""
-    return "-" if value is None or not isfinite(value) else f"{value:.4g}"
+def number(value: float | None, digits: int = 4) -> str:
+    """Returns a score as people read it, to so many digits; a dash for none."""
+    return "-" if value is None or not isfinite(value) else f"{value:.{digits}g}"
 
 
 def png_source(pixels: Pixels, colors: int = 64) -> str:

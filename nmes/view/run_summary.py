@@ -76,7 +76,7 @@ class RunSummary:
             origin = f"{each.operator}, generation {each.generation}"
             facts.append((f"champion of {role}", f"{number(each.score)} (candidate {each.index}: {origin})"))
         facts.append(("elites", f"{len(self.elites):,}"))
-        facts += [(name, f"{value:.6g}") for name, value in self._run.figures().items()]
+        facts += [(name, number(value, 6)) for name, value in self._run.figures().items()]
         return [*facts, ("digest", self._run.digest)]
 
     def settings(self) -> list[tuple[str, str]]:

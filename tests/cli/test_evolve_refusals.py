@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import shutil
+import sqlite3
 import sys
+from contextlib import closing
 from pathlib import Path
 
 import orjson
@@ -68,3 +71,21 @@ def test_without_a_cluster_no_run_is_begun(
 def test_a_folder_that_holds_a_run_is_refused_before_a_cluster_is_asked_for(run: Path, settings: Path) -> None:
     refused = nmes("--settings", settings, "-o", run, "--ray", "nowhere:1")
     assert refused.exit_code == 1 and "there is a run" in refused.output
+
+
+# -- what strangers write ---------------------------------------------------------------------------------------------
+
+
+def test_a_figure_that_is_no_number_is_shown_as_a_dash(run: Path, tmp_path: Path) -> None:
+    with closing(sqlite3.connect(run / "index.sqlite")) as db, db:
+        db.execute("UPDATE state SET figures = ?", ('{"way": null}',))
+    shown = nmes("show", run, "-o", tmp_path / "page.html")
+    assert shown.exit_code == 0 and "<dt>way</dt><dd>-</dd>" in (tmp_path / "page.html").read_text()
+    assert json.loads(nmes("show", run, "--json").stdout)["figures"] == {"way": None}
+
+
+def test_a_figure_that_became_too_large_is_shown_and_goes_on(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nmes.evolution.algorithms.genetic.Genetic.figures", lambda self: {"way": float("inf")})
+    resumed = nmes("resume", run, "--budget", "25", "--jobs", "1", "--json")
+    assert json.loads(resumed.stdout)["figures"] == {"way": None}
+    assert ["way", "-"] in [line.split() for line in nmes("show", run).stdout.splitlines()]

@@ -6,13 +6,21 @@ import errno
 import fcntl
 import random
 import shutil
+import sqlite3
+from collections.abc import Callable
+from contextlib import closing
 from pathlib import Path
+from typing import Any
 
+import orjson
 import pytest
 
+from coevolution_runs import begin_duel
 from nmes.errors import RunError
 from nmes.evolution.run import Run
-from runs import begin, finish
+from runs import begin, finish, forge
+
+MEASURES = [{"expression": name, "low": 0, "high": 9, "cells": 3} for name in ("legs", "mass")]
 
 
 @pytest.fixture(scope="module")
@@ -23,6 +31,22 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a finished run that has measures."""
+    folder = tmp_path_factory.mktemp("archive") / "run"
+    finish(begin(folder, algorithm="map-elites", options={"initial": 6, "window": 6}, measures=MEASURES))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def duel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of a finished run of two populations."""
+    folder = tmp_path_factory.mktemp("duel") / "run"
+    finish(begin_duel(folder))
+    return folder
+
+
 def copied(run: Path, folder: Path) -> Path:
     shutil.copytree(run, folder / "run")
     return folder / "run"
@@ -30,6 +54,12 @@ def copied(run: Path, folder: Path) -> Path:
 
 def log(folder: Path) -> bytes:
     return (folder / "log.jsonl").read_bytes()
+
+
+def say(folder: Path, statement: str) -> None:
+    """Makes the index of a run do this."""
+    with closing(sqlite3.connect(folder / "index.sqlite")) as db, db:
+        db.execute(statement)
 
 
 # -- what a power cut leaves ------------------------------------------------------------------------------------------
@@ -104,3 +134,80 @@ def test_a_log_that_cannot_be_locked_is_not_told_as_another_process(
         finish(run)
     assert error.value.code == code
     assert ("said so" in error.value.message) == (code == "cannot_write")
+
+
+# -- what strangers write ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE records SET measures = '[]'",
+        "UPDATE records SET measures = '[1, 2, 3]' WHERE \"index\" = 7",
+        "UPDATE records SET objectives = '[1]' WHERE \"index\" = 7",
+        "UPDATE records SET score = 9e999",
+        'UPDATE records SET score = -9e999 WHERE "index" = 7',
+        "UPDATE records SET score = NULL",
+        "UPDATE records SET score = NULL, measures = '[]' WHERE score IS NOT NULL AND \"index\" > 12",
+        "UPDATE records SET score = NULL, measures = '[]', error = 'no'",  # but the elites have one
+    ],
+)
+def test_an_index_of_what_no_run_comes_to_is_not_believed(archive: Path, tmp_path: Path, statement: str) -> None:
+    folder = copied(archive, tmp_path)
+    say(folder, statement)
+    assert Run.open(folder).records == Run.open(archive).records
+
+
+def test_an_index_of_a_population_that_there_is_not_is_not_believed(duel: Path, tmp_path: Path) -> None:
+    for number, group in enumerate(("nobody", "red")):
+        folder = copied(duel, tmp_path / str(number))
+        say(folder, f"UPDATE records SET species = '{group}'")
+        assert Run.open(folder).records == Run.open(duel).records
+
+
+@pytest.mark.parametrize("group", ["nobody", "blue"])
+def test_a_log_of_a_population_whose_turn_it_is_not_is_damaged(duel: Path, tmp_path: Path, group: str) -> None:
+    folder = copied(duel, tmp_path)
+    forge(folder, lambda records: records[4].update(group=group))
+    with pytest.raises(RunError, match=r"line 5: .*group"):
+        Run.open(folder)
+
+
+def altered(folder: Path, change: Callable[[dict[str, Any]], object]) -> Path:
+    """Changes what a run is about."""
+    document = orjson.loads((folder / "run.json").read_bytes())
+    change(document)
+    (folder / "run.json").write_bytes(orjson.dumps(document))
+    return folder
+
+
+def test_settings_that_are_not_those_of_the_log_are_noticed_by_who_reads_the_index(whole: Path, tmp_path: Path) -> None:
+    folder = altered(copied(whole, tmp_path), lambda document: document.update(seed=4))
+    with pytest.raises(RunError, match=r"line 1: .*settings") as error:
+        Run.open(folder)
+    assert error.value.code == "log_damaged"
+
+
+def test_options_that_are_missing_are_at_their_defaults_where_the_log_allows_it(duel: Path, tmp_path: Path) -> None:
+    folder = altered(copied(duel, tmp_path), lambda document: document["options"].pop("era"))
+    with pytest.raises(RunError, match="line 1"):
+        Run.open(folder)
+    forge(folder, lambda records: None)  # the chain of a run that began without the option
+    run = Run.open(folder)
+    assert run.settings.options["era"] == 50 and run.settings.options["latest"] == 1
+    assert run.settings.begin().needs(4) == 0
+
+
+@pytest.mark.parametrize("era", [0, 1.5, True])
+def test_an_era_that_is_none_is_refused(duel: Path, tmp_path: Path, era: float) -> None:
+    folder = altered(copied(duel, tmp_path), lambda document: document["options"].update(era=era))
+    with pytest.raises(RunError, match=r"options\.era: must be") as error:
+        Run.open(folder)
+    assert error.value.code == "no_run"
+
+
+def test_measures_without_a_range_are_refused(archive: Path, tmp_path: Path) -> None:
+    folder = altered(copied(archive, tmp_path), lambda document: document["measures"][0].update(high=0))
+    with pytest.raises(RunError, match=r"measures/0.*greater") as error:
+        Run.open(folder)
+    assert error.value.code == "no_run"

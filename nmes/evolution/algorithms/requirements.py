@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from math import isfinite
 from typing import Final
 
 from nmes.errors import DocumentError
 from nmes.evolution.algorithm import Measure, Problem
 
-__all__ = ["check_problem"]
+__all__ = ["check_problem", "require_ranges"]
 
 _CELLS: Final = 1_000_000  # of a measure
 
@@ -34,9 +34,15 @@ def check_problem(
         *_brained(problem, brain),
         *_counted("objectives", len(problem.objectives), objectives, "it maximises the task's score alone"),
         *_counted("measures", len(problem.measures), measures, "it keeps no archive"),
-        *(found for place, measure in enumerate(problem.measures) for found in _judged(measure, f"measures/{place}")),
+        *_ranged(problem.measures),
     ]
     if problems:
+        raise DocumentError(problems)
+
+
+def require_ranges(measures: Sequence[Measure]) -> None:
+    """Raises a DocumentError where a measure has no range of cells."""
+    if problems := list(_ranged(measures)):
         raise DocumentError(problems)
 
 
@@ -64,6 +70,11 @@ def _counted(what: str, count: int, least: int, otherwise: str) -> Iterator[tupl
         yield what, f"this algorithm has no use for {what}: {otherwise}"
     elif count < least:
         yield what, f"this algorithm needs {least} or more; {count or 'none'} given"
+
+
+def _ranged(measures: Sequence[Measure]) -> Iterator[tuple[str, str]]:
+    for place, measure in enumerate(measures):
+        yield from _judged(measure, f"measures/{place}")
 
 
 def _judged(measure: Measure, place: str) -> Iterator[tuple[str, str]]:
