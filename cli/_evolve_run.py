@@ -70,11 +70,13 @@ def go_on(find: Callable[[], Run], jobs: int | None, ray: str | None, as_json: b
         except KeyboardInterrupt:
             if run is None:
                 raise
+    budget = run.settings.budget
     run = type(run).open(run.folder)  # wherever it was interrupted, this is what is there
-    stopped = interrupted() and not run.finished
+    stopped = interrupted() and len(run) < budget
     if stopped:
-        click.echo(visible(f"stopped: {len(run):,} of {run.settings.budget:,} done"), err=True)
-        click.echo(f"go on with: nmes evolve resume {shlex.quote(str(run.folder))}", err=True)
+        click.echo(visible(f"stopped: {len(run):,} of {budget:,} done"), err=True)
+        more = "" if run.settings.budget == budget else f" --budget {budget}"  # that was not kept yet
+        click.echo(f"go on with: nmes evolve resume {shlex.quote(str(run.folder))}{more}", err=True)
     tell(run, as_json)
     sys.exit(1 if stopped else 0)
 

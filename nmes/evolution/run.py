@@ -329,7 +329,7 @@ class Run:
     # -- going on --------------------------------------------------------------------------------------------------
 
     def extend(self, budget: int) -> None:
-        """Gives the run another budget, which is kept once `advance` begins.
+        """Gives the run another budget, which is kept once `advance` has told the algorithm what the log has.
 
         Raises:
             RunError: It has been told more already (`budget_spent`).
@@ -371,9 +371,6 @@ class Run:
         writer = RunWriter(self._log)
         try:
             self._read()  # another process may have gone on since
-            if self._document["budget"] != self.settings.budget:
-                self._document = {**self._document, "budget": self.settings.budget}
-                write_whole(self.folder / SETTINGS, text_of(self._document))
             end, digest = (self.records[-1].end, self.records[-1].digest) if self.records else (0, self._log.origin)
             writer.resume(end, digest, f'{{"index":{len(self)},'.encode())
             index = self._index.write(anew=not self._indexed)
@@ -402,6 +399,7 @@ class Run:
         for record in self.replay(order, ask):
             if telling is not None:
                 telling(record.index + 1, len(self))
+        self._keep_budget()  # now, as a log that is damaged changes nothing
         try:
             while order.told < self.settings.budget:
                 ask()
@@ -420,6 +418,12 @@ class Run:
         finally:
             if order.told == len(self):
                 self._put(index, order)
+
+    def _keep_budget(self) -> None:
+        """Writes the run's budget into its folder, where that has another."""
+        if self._document["budget"] != self.settings.budget:
+            self._document = {**self._document, "budget": self.settings.budget}
+            write_whole(self.folder / SETTINGS, text_of(self._document))
 
     def _put(self, index: IndexWriter, order: Order) -> None:
         """Brings the index up to what was told."""

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 import shutil
+import signal
 import sqlite3
 import sys
+from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
+from typing import Any
 
 import orjson
 import pytest
@@ -16,6 +19,7 @@ from click.testing import CliRunner, Result
 from nmes.cli import main
 from nmes.errors import MachineError
 from nmes.evaluation import parallel
+from nmes.evolution.run import Run
 from runs import SETTINGS, begin, finish
 
 
@@ -71,6 +75,24 @@ def test_without_a_cluster_no_run_is_begun(
 def test_a_folder_that_holds_a_run_is_refused_before_a_cluster_is_asked_for(run: Path, settings: Path) -> None:
     refused = nmes("--settings", settings, "-o", run, "--ray", "nowhere:1")
     assert refused.exit_code == 1 and "there is a run" in refused.output
+
+
+# -- a budget that is not kept yet ------------------------------------------------------------------------------------
+
+
+def test_who_stops_before_a_greater_budget_is_kept_hears_how_to_go_on(
+    run: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    replay = Run.replay
+
+    def interrupted(self: Run, order: Any, ask: Callable[[], None]) -> Any:
+        signal.raise_signal(signal.SIGINT)
+        yield from replay(self, order, ask)
+
+    monkeypatch.setattr(Run, "replay", interrupted)
+    stopped = nmes("resume", run, "--budget", "30", "--jobs", "1")
+    assert stopped.exit_code == 1 and f"nmes evolve resume {run} --budget 30" in stopped.stderr
+    assert "stopped: 24 of 30 done" in stopped.stderr and Run.open(run).settings.budget == 24
 
 
 # -- what strangers write ---------------------------------------------------------------------------------------------

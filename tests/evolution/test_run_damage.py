@@ -17,6 +17,7 @@ import pytest
 
 from coevolution_runs import begin_duel
 from nmes.errors import RunError
+from nmes.evaluation.parallel import Here
 from nmes.evolution.run import Run
 from runs import begin, finish, forge
 
@@ -112,6 +113,34 @@ def test_who_has_a_foreign_end_of_a_log_hears_what_is_before_it(whole: Path, tmp
     run.extend(25)
     with pytest.raises(RunError, match=rf"head -c {size}\)"):
         finish(run)
+
+
+@pytest.mark.parametrize("damage", ["a line", "the end"])
+def test_a_budget_is_not_kept_where_the_log_is_damaged(whole: Path, tmp_path: Path, damage: str) -> None:
+    folder, before = copied(whole, tmp_path), (whole / "run.json").read_bytes()
+    run = Run.open(folder)
+    text = log(whole)
+    changed = {"a line": text.replace(b'"index":5', b'"index":6', 1), "the end": text + b"what"}
+    (folder / "log.jsonl").write_bytes(changed[damage])
+    run.extend(30)
+    with pytest.raises(RunError) as error:
+        finish(run)
+    assert error.value.code == "log_damaged" and (folder / "run.json").read_bytes() == before
+
+
+def test_a_budget_is_not_kept_by_who_stops_before_the_log_is_told(whole: Path, tmp_path: Path) -> None:
+    folder, before = copied(whole, tmp_path), (whole / "run.json").read_bytes()
+    run = Run.open(folder)
+    run.extend(25)
+
+    def stop(done: int, known: int) -> None:
+        raise KeyboardInterrupt
+
+    with Here() as here, pytest.raises(KeyboardInterrupt):
+        list(run.advance(here, stop))
+    assert (folder / "run.json").read_bytes() == before
+    run.extend(26)
+    assert len(finish(run)) == 26 and Run.open(folder).settings.budget == 26
 
 
 # -- disks ------------------------------------------------------------------------------------------------------------
