@@ -7,7 +7,7 @@ import shlex
 import signal
 import sys
 import time
-from collections import deque
+from collections import Counter, deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -137,7 +137,21 @@ def tell(run: Run, as_json: bool) -> None:
         click.echo(visible(f"best: {best.score:.6g}, candidate {best.index} ({best.genome})"))
     for role, champion in run.champions().items():
         click.echo(visible(f"champion of {role}: candidate {champion.index} ({champion.genome}), {champion.score:.6g}"))
+    if run.records and _without_score(run) == len(run):
+        click.echo(visible(f"no candidate has a score: {_reason(run)}"))
     click.echo(f"digest: {run.digest}")
+
+
+def _without_score(run: Run) -> int:
+    return len([record for record in run.records if record.score is None])
+
+
+def _reason(run: Run) -> str:
+    """Returns why most candidates have no score, as the first of them says it, and how many these are."""
+    reasons = [record.error or "" for record in run.records]
+    kinds = [reason.partition(":")[0] for reason in reasons]  # a reason goes on with figures of its candidate
+    [(kind, count)] = Counter(kinds).most_common(1)
+    return f"{reasons[kinds.index(kind)]} ({count:,} of {len(run):,} are like this)"
 
 
 def _summary(run: Run) -> dict[str, Any]:
@@ -152,6 +166,7 @@ def _summary(run: Run) -> dict[str, Any]:
         "told": len(run),
         "budget": run.settings.budget,
         "finished": run.finished,
+        "without_score": _without_score(run),
         "elites": len(run.elites()),
         "figures": dict(run.figures()),
         "best": None if run.best is None else told(run.best),

@@ -20,7 +20,7 @@ from nmes.cli import main
 from nmes.errors import MachineError
 from nmes.evaluation import parallel
 from nmes.evolution.run import Run
-from runs import SETTINGS, begin, finish
+from runs import SETTINGS, TASK, begin, finish, forge
 
 
 def nmes(*arguments: str | Path) -> Result:
@@ -93,6 +93,40 @@ def test_who_stops_before_a_greater_budget_is_kept_hears_how_to_go_on(
     stopped = nmes("resume", run, "--budget", "30", "--jobs", "1")
     assert stopped.exit_code == 1 and f"nmes evolve resume {run} --budget 30" in stopped.stderr
     assert "stopped: 24 of 30 done" in stopped.stderr and Run.open(run).settings.budget == 24
+
+
+# -- nobody has a score -----------------------------------------------------------------------------------------------
+
+
+def test_a_run_in_which_nobody_has_a_score_says_why(tmp_path: Path) -> None:
+    task = {**TASK, "objective": "1 / 0"}
+    (tmp_path / "settings.json").write_bytes(orjson.dumps({**SETTINGS, "task": task, "budget": 5}))
+    ended = nmes("--settings", tmp_path / "settings.json", "-o", tmp_path / "run", "--jobs", "1")
+    reasons = [str(record.error) for record in Run.open(tmp_path / "run").records]
+    restless = [reason for reason in reasons if reason.startswith("restless: ")]
+    assert ended.exit_code == 0 and 3 == len(restless) == len(set(restless))  # each moved at a speed of its own
+    assert f"no candidate has a score: {restless[0]} (3 of 5 are like this)\ndigest: " in ended.stdout
+    told = json.loads(nmes("resume", tmp_path / "run", "--json").stdout)
+    assert told["without_score"] == told["told"] == 5
+
+
+def test_the_most_frequent_reason_is_told(run: Path) -> None:
+    def fail(records: list[dict[str, Any]]) -> None:
+        for record in records:
+            why = "too\nheavy" if record["index"] % 3 else "too large"
+            record.update(score=None, results=[], error=why)
+
+    forge(run, fail)
+    ended = nmes("resume", run)
+    assert r"no candidate has a score: too\nheavy (16 of 24 are like this)" in ended.stdout, ended.output
+
+
+def test_a_run_in_which_somebody_has_a_score_says_how_many_have_none(run: Path) -> None:
+    forge(run, lambda records: records[3].update(score=None, results=[], error="it would not"))
+    assert "no candidate" not in nmes("resume", run).stdout
+    told = json.loads(nmes("resume", run, "--json").stdout)
+    none = [record for record in Run.open(run).records if record.score is None]
+    assert told["without_score"] == len(none) > 0
 
 
 # -- what strangers write ---------------------------------------------------------------------------------------------
