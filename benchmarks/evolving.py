@@ -5,8 +5,8 @@
     python benchmarks/evolving.py walk --seeds 1 2 --jobs 1 -o runs/bars
 
 The runs are those of `nmes evolve`, with the commands that are printed: one on a single seed of the task, and a short
-one on all of its seeds from the winner. They are kept in a folder: what is finished is not done again, and what was
-interrupted goes on. CPU times are of this machine, and only of what was done now.
+one on all of its seeds from the winner; for `stairs`, first one on `walk`. They are kept in a folder: what is finished
+is not done again, and what was interrupted goes on. CPU times are of this machine, and only of what was done now.
 """
 
 from __future__ import annotations
@@ -19,14 +19,36 @@ import shlex
 import statistics
 import subprocess
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from nmes.evolution.run import Run
 
-CANDIDATES, FINISH = 24_000, 500
+
+@dataclass(frozen=True)
+class Plan:
+    """What twenty minutes of two cores are spent on.
+
+    Attributes:
+        candidates: How many the race from random bodies has, on one seed.
+        ground: The task of the race, where it is another one: a task that pays nothing until much is achieved tells a
+            search nothing about which random bodies are better.
+        middle: How many candidates then follow from the race's winner, on one seed of the task itself.
+        finish: How many follow on all of its seeds, from the best so far.
+    """
+
+    candidates: int = 24_000
+    ground: str | None = None
+    middle: int = 0
+    finish: int = 500
+
+
+PLANS = {"stairs": Plan(candidates=12_000, ground="walk", middle=3_000, finish=300)}
+"""Of tasks for which it is not the same as for `walk`."""
 RACE = "--algorithm islands --seeds 1 --set rung=1500 --set founders=500 --set population=150 --set tournament=3"
 LAST = "--algorithm afpo --set founders=100 --set population=50 --set tournament=3 --set newcomers=0"
+MIDDLE = "--algorithm afpo --seeds 1 --set founders=200 --set population=100 --set tournament=3 --set newcomers=0"
 RANDOM = "--algorithm random --seeds 1"
 
 
@@ -37,22 +59,37 @@ def nmes(*words: str) -> Any:
     return json.loads(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
 
 
-def evolved(what: str, folder: Path, options: str, budget: int, jobs: str) -> Any:
-    """Runs evolution, or goes on where it was, and returns what it comes to."""
-    if folder.exists():
-        return nmes("evolve", "resume", str(folder), "--jobs", jobs, "--quiet")
-    return nmes("evolve", what, *options.split(), "--budget", str(budget), "--jobs", jobs, "--quiet", "-o", str(folder))
+def evolved(what: str, folder: Path, options: str, budget: int, jobs: str) -> None:
+    """Runs evolution until it has had a budget, or goes on where it was."""
+    if not folder.exists():
+        nmes("evolve", what, *options.split(), "--budget", str(budget), "--jobs", jobs, "--quiet", "-o", str(folder))
+    elif len(Run.open(folder)) < budget:
+        nmes("evolve", "resume", str(folder), "--budget", str(budget), "--jobs", jobs, "--quiet")
+
+
+def best(folder: Path, budget: int) -> tuple[Path, float]:
+    """Writes the best of a run's first candidates; returns the file with its genome, and its score."""
+    told = [record for record in Run.open(folder).records[:budget] if record.score is not None]
+    winner = max(told, key=lambda record: (record.score, -record.index))
+    written = folder / f"winner-of-{budget}"
+    if not written.exists():
+        nmes("evolve", "best", str(folder), "--index", str(winner.index), "-o", str(written))
+    return written / "genome.json", winner.score or 0.0
 
 
 def champion(task: str, seed: int, folder: Path, jobs: str) -> tuple[float, float, float]:
     """Returns the best score on one seed, and that of the run from the winner on all seeds with its `pace`."""
-    race, last = (folder / f"{task}-{seed}-{part}" for part in ("race", "last"))
-    first = evolved("random", race, f"--task {task} --seed {seed} {RACE}", CANDIDATES, jobs)
-    genome = race / "winner" / "genome.json"
-    if not genome.exists():
-        nmes("evolve", "best", str(race), "-o", str(genome.parent))
-    then = evolved(str(genome), last, f"--task {task} --seed {seed} {LAST}", FINISH, jobs)
-    return first["best"]["score"], then["best"]["score"], pace(last)
+    plan = PLANS.get(task, Plan())
+    ground = plan.ground or task
+    race = folder / f"{ground}-{seed}-race"
+    middle, last = (folder / f"{task}-{seed}-{part}" for part in ("middle", "last"))
+    evolved("random", race, f"--task {ground} --seed {seed} {RACE}", plan.candidates, jobs)
+    genome, one = best(race, plan.candidates)
+    if plan.middle:
+        evolved(str(genome), middle, f"--task {task} --seed {seed} {MIDDLE}", plan.middle, jobs)
+        genome, one = best(middle, plan.middle)
+    evolved(str(genome), last, f"--task {task} --seed {seed} {LAST}", plan.finish, jobs)
+    return one, best(last, plan.finish)[1], pace(last)
 
 
 def pace(folder: Path) -> float:
@@ -67,11 +104,11 @@ def pace(folder: Path) -> float:
 
 
 def luck(task: str, seed: int, folder: Path, jobs: str) -> float:
-    """Returns the best score, on one seed, of as many random creatures."""
-    options = f"--task {task} --seed {seed} {RANDOM}"
-    return float(
-        evolved("random", folder / f"{task}-{seed}-random", options, CANDIDATES + FINISH, jobs)["best"]["score"]
-    )
+    """Returns the best score, on one seed, of as many random creatures as a champion has candidates."""
+    plan, folder = PLANS.get(task, Plan()), folder / f"{task}-{seed}-random"
+    budget = plan.candidates + plan.middle + plan.finish
+    evolved("random", folder, f"--task {task} --seed {seed} {RANDOM}", budget, jobs)
+    return best(folder, budget)[1]
 
 
 def spent() -> float:
@@ -101,8 +138,8 @@ def main() -> None:
             line += f", {spent() - before:.1f} min"
             if asked.random:
                 before = spent()
-                best = luck(task, seed, asked.output, asked.jobs)
-                line += f"; random {best:.4g} on one seed, {spent() - before:.1f} min"
+                random = luck(task, seed, asked.output, asked.jobs)
+                line += f"; random {random:.4g} on one seed, {spent() - before:.1f} min"
             print(line, flush=True)
         median, lengths = statistics.median(scores), statistics.median(paces)
         print(f"{task}: median {median:.4g}, {lengths:.2f} lengths/s, of {len(scores)} seeds", flush=True)
