@@ -206,7 +206,7 @@ def _changed(place: str, value: Any) -> tuple[Genome, Genome]:
     before = copy.deepcopy(GROWN if place.startswith("body/graph") else WHOLE)
     after = copy.deepcopy(before)
     above, _, key = place.rpartition("/")
-    parent = _found(after, above) if above else after
+    parent: Any = _found(after, above) if above else after
     parent[int(key) if isinstance(parent, list) else key] = value
     return Genome(before), Genome(after)
 
