@@ -261,25 +261,14 @@ class Run:
         if any((record.index, record.begin) != place for record, place in places):
             return False
         elites = self._indexed_state.elites if self._indexed_state is not None else ()
-        if not all(map(self._is_possible, self.records)) or any(self.records[each].score is None for each in elites):
+        if not all(_is_possible(each, self.settings) for each in self.records) or any(
+            self.records[each].score is None for each in elites
+        ):
             return False
         try:
             return not self.records or all(self._line(index) is not None for index in (0, len(self) - 1))
         except RunError:
             return False
-
-    def _is_possible(self, record: Record) -> bool:
-        """Whether a record is one that a candidate of this run could have."""
-        settings = self.settings
-        numbers = (*record.objectives, *record.measures)
-        if record.score is None:
-            return record.error is not None and not numbers and settings.in_turn(record.index, record.group)
-        counts = len(record.objectives), len(record.measures)
-        return (
-            counts == (len(settings.objectives), len(settings.measures))
-            and all(map(isfinite, (record.score, *numbers)))
-            and settings.in_turn(record.index, record.group)
-        )
 
     def _line(self, index: int) -> Line | None:
         """Reads the line of a candidate; None where it is not the one that the index has.
@@ -430,3 +419,16 @@ class Run:
         self._state = State(order.told, tuple(order.algorithm.elites()), dict(order.algorithm.figures()))
         index.put(self.records[self._indexed :], self._state)
         self._indexed, self._indexed_state = len(self), self._state
+
+
+def _is_possible(record: Record, settings: RunSettings) -> bool:
+    """Whether a record is one that a candidate of a run with these settings could have."""
+    numbers = (*record.objectives, *record.measures)
+    if record.score is None:
+        return record.error is not None and not numbers and settings.in_turn(record.index, record.group)
+    counts = len(record.objectives), len(record.measures)
+    return (
+        counts == (len(settings.objectives), len(settings.measures))
+        and all(map(isfinite, (record.score, *numbers)))
+        and settings.in_turn(record.index, record.group)
+    )
