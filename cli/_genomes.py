@@ -5,13 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable
 from glob import glob
 from pathlib import Path
+from typing import Any
 
 import click
+import orjson
 
-from nmes.errors import visible
+from nmes.cli._output import whole_file
+from nmes.errors import DocumentError, visible
 from nmes.genome import Genome
 
-__all__ = ["find_genomes"]
+__all__ = ["find_genomes", "load_genome", "write_genome"]
 
 
 def find_genomes(arguments: Iterable[str], *, repeated: bool = False) -> list[str]:
@@ -37,3 +40,22 @@ def find_genomes(arguments: Iterable[str], *, repeated: bool = False) -> list[st
                 f"there is no file {visible(name)}, and no genome of that name ships (there are {shipped})"
             )
     return names if repeated else list(dict.fromkeys(names))
+
+
+def load_genome(file: str) -> Genome:
+    """Reads the genome that a file or a shipped name means.
+
+    Raises:
+        ClickException: It is none.
+    """
+    try:
+        return Genome.load(file)
+    except DocumentError as error:
+        raise click.ClickException(f"{visible(file)}:\n{error.message}") from error
+
+
+def write_genome(target: Path, document: Any) -> None:
+    """Writes a genome's document for people to read, into a folder that is made where it is not there."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    with whole_file(target) as unfinished:
+        unfinished.write_bytes(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))

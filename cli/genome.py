@@ -3,37 +3,34 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import click
 import orjson
 
-from nmes.cli import _genome_publish
+from nmes.cli import _genome_publish, _genome_variation
 from nmes.cli._columns import columns
-from nmes.cli._genomes import find_genomes
+from nmes.cli._genomes import find_genomes, load_genome, write_genome
 from nmes.cli._json import print_json
 from nmes.cli._output import check_output, whole_file
-from nmes.errors import DocumentError, VariationError, visible
+from nmes.errors import DocumentError, visible
 from nmes.genome import Genome
 from nmes.genome.body import Body
 from nmes.genome.development import deeds
 from nmes.genome.genome import SHIPPED
 from nmes.schemas import load
-from nmes.schemas.documents import did_you_mean, parse_document
+from nmes.schemas.documents import parse_document
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
     from nmes.evolution import Difference
-    from nmes.variation import Draw, Requirements
 
 __all__ = ["command"]
-
-Bred = TypeVar("Bred")
 
 
 def _files(_: click.Context, parameter: click.Parameter, values: Iterable[str]) -> list[str]:
@@ -54,6 +51,8 @@ def command() -> None:
 
 
 command.add_command(_genome_publish.command)
+command.add_command(_genome_variation.mutate)
+command.add_command(_genome_variation.cross)
 
 
 @command.command("list")
@@ -110,7 +109,7 @@ def copy(source: str, target: Path) -> None:
     \b
         nmes genome copy walker mine.json
     """
-    original = _load(source)
+    original = load_genome(source)
     _write_named(target, {**original.document, "parents": [original.hash]})
 
 
@@ -122,7 +121,7 @@ def _write_named(target: Path, document: dict[str, Any]) -> None:
         genome = Genome({**document, "name": target.name.removesuffix(".json")})
     except DocumentError as error:
         raise click.UsageError(f"the file's name becomes the creature's: {error.message}") from error
-    _write_document(target, genome.document)
+    write_genome(target, genome.document)
     click.echo(f"wrote {visible(str(target))}: {visible(genome.name)}")
 
 
@@ -189,7 +188,7 @@ def show(files: list[str], output: Path | None, as_json: bool) -> None:
         nmes genome show walker -o walker.png
         nmes genome show creatures/*.json -o sheet.png
     """
-    genomes = [_load(file) for file in files]
+    genomes = [load_genome(file) for file in files]
     if as_json:
         print_json([_about(genome) for genome in genomes])
     if output is not None:
@@ -207,13 +206,6 @@ def show(files: list[str], output: Path | None, as_json: bool) -> None:
             if index:
                 console.print()
             _print(console, genome)
-
-
-def _load(file: str) -> Genome:
-    try:
-        return Genome.load(file)
-    except DocumentError as error:
-        raise click.ClickException(f"{visible(file)}:\n{error.message}") from error
 
 
 def _draw(genomes: list[Genome], output: Path, files: list[str]) -> None:
@@ -351,7 +343,7 @@ def expand(files: list[str], output: Path | None) -> None:
         nmes genome expand centipede
         nmes genome expand centipede -o centipede-expanded.json
     """
-    documents = [_load(file).expanded().document for file in files]
+    documents = [load_genome(file).expanded().document for file in files]
     if output is None:
         for document in documents:
             print_json(document)
@@ -364,92 +356,9 @@ def expand(files: list[str], output: Path | None) -> None:
     for target in targets:
         check_output(target, *files)
     for target, document in zip(targets, documents, strict=True):
-        _write_document(target, document)
+        write_genome(target, document)
     for target in targets:
         click.echo(f"wrote {visible(str(target))}")
-
-
-def _write_document(target: Path, document: Any) -> None:
-    target.parent.mkdir(parents=True, exist_ok=True)
-    with whole_file(target) as unfinished:
-        unfinished.write_bytes(orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE))
-
-
-_seed = click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="Of all that is drawn.")
-_count = click.option(
-    "-n", "--count", type=click.IntRange(1, 100_000), default=1, show_default=True, help="How many to make."
-)
-_task = click.option(
-    "--task", metavar="NAME|FILE", help="Make only what may take part in this task: a shipped one's name, or a file."
-)
-_role = click.option(
-    "--role", metavar="ROLE", help="Which role of the task they are to play, where it has several that differ."
-)
-_output = click.option(
-    "-o",
-    "--output",
-    type=click.Path(path_type=Path),
-    metavar="PATH",
-    help="Write to a file; of many, to files in a directory. Else they are printed.",
-)
-
-
-@command.command("mutate")
-@click.argument("file", metavar="GENOME")
-@click.option(
-    "--kind", metavar="KIND", help="What to change, such as add-part; drawn if left out. See docs/evolution.md."
-)
-@_task
-@_role
-@_seed
-@_count
-@_output
-def mutate(
-    file: str, kind: str | None, task: str | None, role: str | None, seed: int, count: int, output: Path | None
-) -> None:
-    """Change a genome a little: its body, and the brain along with it.
-
-    What comes out is a good genome, and the same one for the same seed.
-
-    For example:
-
-    \b
-        nmes genome mutate walker -o mutant.json
-        nmes genome mutate walker --kind add-part --seed 7 --task walk -o mutant.json
-        nmes genome mutate walker --task chase --role prey -o prey.json
-        nmes genome mutate walker -n 20 -o mutants/
-    """
-    from nmes.variation import mutate as vary
-
-    parent, needs = _load(file), _load_requirements(task, role)
-    mutants = [_bred(lambda d: vary(parent, d, kind=kind, requirements=needs), seed, i) for i in range(count)]
-    _write_bred([(mutant.genome, mutant.kind) for mutant in mutants], output, seed, file)
-
-
-@command.command("cross")
-@click.argument("first", metavar="GENOME")
-@click.argument("second", metavar="GENOME")
-@_task
-@_role
-@_seed
-@_count
-@_output
-def cross(
-    first: str, second: str, task: str | None, role: str | None, seed: int, count: int, output: Path | None
-) -> None:
-    """Breed two genomes: the child is mostly like the first, and has something of the second.
-
-    For example:
-
-    \b
-        nmes genome cross walker roller -o child.json
-        nmes genome cross centipede inchworm -n 10 --task walk -o children/
-    """
-    from nmes.variation import cross as breed
-
-    one, other, needs = _load(first), _load(second), _load_requirements(task, role)
-    children = [_bred(lambda d: breed(one, other, d, requirements=needs), seed, i) for i in range(count)]
-    _write_bred([(child, f"cross with {other.name}") for child in children], output, seed, first, second)
 
 
 def _open(context: click.Context, parameter: click.Parameter, value: str) -> Genome:
@@ -522,7 +431,7 @@ def from_sb3(model: Path, file: str, statistics: Path | None, output: Path | Non
     from nmes.learning.stable_baselines import with_policy
 
     check_output(output, model, file, *([] if statistics is None else [statistics]))
-    creature = _load(file)
+    creature = load_genome(file)
     try:
         trained = with_policy(creature, model, statistics)
     except DocumentError as error:
@@ -530,67 +439,8 @@ def from_sb3(model: Path, file: str, statistics: Path | None, output: Path | Non
     if output is None:
         print_json(trained.document)
     else:
-        _write_document(output, trained.document)
+        write_genome(output, trained.document)
         click.echo(f"wrote {visible(str(output))}: {visible(trained.name)} with the policy of {visible(str(model))}")
-
-
-def _load_requirements(name: str | None, role: str | None) -> Requirements:
-    """Returns the requirements of bodies that take part in a task, in a role if it has any; none where none is named.
-
-    Raises:
-        UsageError: The task has no such role, or it has several and none is named.
-    """
-    from nmes.variation import ANY
-
-    if name is None:
-        if role is not None:
-            raise click.UsageError("--role is one of a task: name that with --task")
-        return ANY
-    from nmes.evaluation.match_task import MatchTask, load_task
-    from nmes.evolution.coevolution import default_roles
-
-    try:
-        task = load_task(name)
-    except DocumentError as error:
-        raise click.ClickException(f"{visible(name)}:\n{error.message}") from error
-    if not isinstance(task, MatchTask):
-        if role is not None:
-            raise click.UsageError(f"{visible(task.name)} has no roles")
-        return task.requirements
-    roles = default_roles(task) if role is None else (role,)
-    if len(roles) > 1:
-        raise click.UsageError(f"{visible(task.name)} has several roles: say --role {' or --role '.join(roles)}")
-    if roles[0] not in task.roles:
-        hint = did_you_mean(roles[0], task.roles) or f": there are {', '.join(task.roles)}"
-        raise click.UsageError(visible(f"{task.name} has no role {roles[0]!r}{hint}"))
-    return task.requirements(roles[0])
-
-
-def _bred(breed: Callable[[Draw], Bred], seed: int, number: int) -> Bred:
-    """Makes the genome of that number; every number has choices of its own."""
-    from nmes.variation import Draw
-
-    try:
-        return breed(Draw(seed, "genome", number))
-    except (DocumentError, VariationError) as error:
-        raise click.ClickException(visible(error.message, keep="\n")) from error
-
-
-def _write_bred(bred: list[tuple[Genome, str]], output: Path | None, seed: int, *inputs: str) -> None:
-    """Prints genomes, or writes them to a file or to files of a directory, and says how each came about."""
-    if output is None:
-        for genome, _ in bred:
-            print_json(genome.document)
-        return
-    targets = [output]
-    if len(bred) > 1 or output.is_dir():
-        names = "-".join(Path(name).name.removesuffix(".json") for name in inputs)
-        targets = [output / f"{names}-{seed}-{number}.json" for number in range(len(bred))]
-    for target in targets:
-        check_output(target, *inputs)
-    for target, (genome, how) in zip(targets, bred, strict=True):
-        _write_document(target, genome.document)
-        click.echo(f"wrote {visible(str(target))}: {visible(how)}")
 
 
 def _told(difference: Difference) -> str:
