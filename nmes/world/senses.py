@@ -12,7 +12,7 @@ from math import inf, sqrt
 import numpy as np
 
 from nmes.backend import Array, BodyState, Vector
-from nmes.backend.rotation import conjugate, rotate
+from nmes.backend.rotation import conjugate, rotate, total
 from nmes.genome.body import Body, Sensor
 from nmes.genome.sensor_entries import count_rays
 from nmes.genome.sensors import OF_FOOD, OF_OTHERS, READING_OF, TURNING, CubeReading, Read
@@ -64,8 +64,8 @@ class Senses:
         noses = {(sensor.type, sensor.target, sensor.range) for sensor in sensors if sensor.type in _NOSES}
         others = bool(self.seen) or any(kind == "other_smell" for kind, *_ in noses)
         lists = len({channel for _, channel, *_ in self.ears}) + others
-        looks = len(self.smelled) + len(self.seen) + len(self.ears) + sum(_NOSES[kind] for kind, *_ in noses)
-        return count_rays(sensors) + looks + lists * _LIST
+        smells = int(total(_NOSES[kind] for kind, *_ in noses))
+        return count_rays(sensors) + len(self.smelled) + len(self.seen) + len(self.ears) + smells + lists * _LIST
 
     def _plan_joints(self, body: Body, sensors: list[tuple[int, Sensor]], joints: Mapping[str, Joint]) -> None:
         """Finds the columns of the joints' readings, and what to multiply them by."""
