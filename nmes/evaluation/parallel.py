@@ -156,7 +156,7 @@ class Here(Pool):
         self._given.append((number, function, item))
 
     def take(self) -> list[tuple[int, Any]]:
-        """As `Pool.take`; what a function raises comes out as it is."""
+        """As `Pool.take`; what a function raises comes out as it is, but for what the machine lacks."""
         number, function, item = self._given.pop()
         return [(number, _called(function, item))]
 
