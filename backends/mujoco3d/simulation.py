@@ -224,6 +224,11 @@ class MujocoSimulation(Simulation):
             return [contact for contact in contacts if contact.other is None or contact.other in there]
         return contacts
 
+    def guess_contacts(self, body: int) -> int:
+        """Returns how many contacts are to be looked at for those of a body."""
+        index = self.running.compiled.body_index.get(body)
+        return 0 if index is None else self.running.senses.guess_contacts(index)
+
     def proper_accelerations(self, bodies: Sequence[int]) -> Array:
         """Returns a new array (n, 3)."""
         self.running.refresh()

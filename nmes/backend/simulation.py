@@ -200,6 +200,14 @@ class Simulation(ABC):
         A sleeping body touches what it rests on, and is touched by what rests on it.
         """
 
+    def guess_contacts(self, body: int) -> int | None:
+        """Returns about how many contacts `contacts` has to look at for a body, which must be cheap to tell.
+
+        Hosts ask, so that nobody waits for a floor on which thousands lie. None, as by default: as many as there are
+        cubes.
+        """
+        return None
+
     def proper_accelerations(self, bodies: Sequence[int]) -> Array:
         """Returns a new array (n, 3): the readings of accelerometers at the bodies' centres in the last engine step.
 

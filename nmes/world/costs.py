@@ -39,6 +39,7 @@ _EDITING: Final = BUILDING | {"set_color"}  # after which creatures look anew at
 
 _COMMAND: Final = 2e-5  # s: a command of a batch, whatever it is
 _STATE, _SENSED, _NAME = 5e-6, 3e-5, 1e-7  # s a cube: its state, with its sensors, and its name in a list
+_CONTACT = 4e-5  # s: a contact of a cube that is told
 _MOVED = 2e-5  # s a cube of a structure that is put elsewhere
 _LINK, _COMPARED, _PAIR, _FACES = 5e-5, 2e-4, 1e-7, 3  # s a joint, a cube, and a pair of cubes; joints a cube
 _GROWTH = 0.05  # s: a genome that is read, grown, judged and made
@@ -78,7 +79,12 @@ def _world_state(entities: Entities, command: Mapping[str, Any]) -> float:
 
 
 def _cube_info(entities: Entities, command: Mapping[str, Any]) -> float:
-    return len(entities.cubes) * _SENSED if command.get("sensors") or "rays" in command else 0.0
+    cube, cubes = entities.cubes.get(command["cube_name"]), len(entities.cubes)
+    if cube is None:
+        return 0.0
+    contacts = entities.simulation.guess_contacts(cube.body)
+    cost = (cubes if contacts is None else contacts) * _CONTACT
+    return cost + (cubes * _SENSED if command.get("sensors") or "rays" in command else 0.0)
 
 
 def _chains(entities: Entities, command: Mapping[str, Any]) -> float:

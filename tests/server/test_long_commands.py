@@ -121,6 +121,44 @@ def test_what_looks_at_all_cubes_is_expected_to_take_longer_the_more_there_are(k
     assert not worker(few).takes_long(command) and worker(many).takes_long(command)
 
 
+def floor(backend: str) -> tuple[World, int]:
+    """Returns a world with a frozen `floor`, and 144 cubes on it that move about."""
+    world = World({"mode": "lockstep", "backend": backend, "limits": {"cubes": 200}})
+    client = world.join()
+    world.execute(client, {"type": "spawn_cube", "cube_name": "floor", "position": [0, 0.5, 0], "size": [60, 1, 10]})
+    world.execute(client, {"type": "freeze_cube", "cube_name": "floor", "freeze": True})
+    for number in range(144):
+        x, z = (number * 0.4 - 29, 0) if world.backend.dims == 2 else (number % 12 - 6, number // 12 * 0.7 - 4)
+        cube = {"type": "spawn_cube", "cube_name": f"c{number}", "position": [x, 1.1, z], "size": 0.2}
+        world.execute(client, cube)
+    world.execute(client, {"type": "step", "ticks": 12})
+    return world, client
+
+
+@pytest.mark.parametrize("backend", ["mujoco", "pymunk"])
+def test_a_floor_with_much_on_it_is_expected_to_take_long_to_tell_of(backend: str) -> None:
+    world, client = floor(backend)
+    of_floor, of_cube = ({"type": "get_cube_info", "cube_name": name} for name in ("floor", "c5"))
+    world.execute(client, of_cube)  # from when on contacts are sorted
+    told = world.execute(client, of_floor)
+    assert len(told["contacts"]) > 100
+    assert worker(world).takes_long(of_floor)
+    if backend == "mujoco":
+        assert world.cost(of_floor) > SLICE > BRIEF > world.cost(of_cube)
+
+
+def test_what_sleeps_is_expected_to_take_long_to_tell_of_until_it_is_known() -> None:
+    world, client = floor("mujoco")
+    world.execute(client, {"type": "step", "ticks": 120})
+    command = {"type": "get_cube_info", "cube_name": "c5"}
+    assert world.simulation.sleeping(world.entities.cube("c5").body)
+    assert world.cost(command) > SLICE
+    world.execute(client, command)
+    assert world.cost(command) < BRIEF
+    world.execute(client, {"type": "step"})
+    assert world.cost(command) < BRIEF
+
+
 def test_a_full_larder_is_expected_to_take_long_to_tell_of() -> None:
     world, _ = crowded(0)
     world.entities.food = many_places(10_000)
