@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import re
 import shlex
@@ -21,7 +20,7 @@ import orjson
 from nmes.cli._interruptions import interruptions
 from nmes.cli._progress import progress_bars
 from nmes.evaluation import Evaluation, Evaluator, Job
-from nmes.schemas.files import open_kept
+from nmes.schemas.files import lock_kept, open_kept
 
 __all__ = ["run_jobs"]
 
@@ -71,9 +70,11 @@ def _opened(path: Path | None) -> Iterator[IO[bytes] | None]:
         raise click.UsageError(f"{path} is no file that results could be kept in: {error.strerror}") from error
     with os.fdopen(descriptor, "ab") as file:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock_kept(descriptor, path)
         except BlockingIOError as error:
             raise click.UsageError(f"another nmes eval keeps its results in {path}") from error
+        except OSError as error:
+            raise click.UsageError(f"results cannot be kept in {path}: {error.strerror}") from error
         yield file
 
 

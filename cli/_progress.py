@@ -51,10 +51,12 @@ def progress_bars(visible: bool = True) -> Iterator[Progressing]:
     # Not before it is needed: it takes a tenth of a second.
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
+    from rich.table import Column
 
     console = Console(stderr=True)
     texts = TextColumn("{task.description}"), TextColumn("{task.fields[note]}")
-    columns = (texts[0], BarColumn(), TaskProgressColumn(), TimeRemainingColumn(), texts[1])
+    bar = BarColumn(None, table_column=Column(max_width=40))  # narrower where the note would not fit beside it
+    columns = (texts[0], bar, TaskProgressColumn(), TimeRemainingColumn(), texts[1])
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bars:
         tasks: dict[str, TaskID] = {}
 

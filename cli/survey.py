@@ -105,6 +105,7 @@ def begin(
         nmes survey random --worlds 2500 --task rough --task stairs --seed 7
     """
     from nmes.evaluation.task import Task
+    from nmes.evolution.run_folder import require_no_run
     from nmes.fleet.survey import Survey, SurveySettings
     from nmes.genome import Genome
 
@@ -116,7 +117,9 @@ def begin(
         settings = SurveySettings.of([Genome.load(name) for name in names], [Task.load(t) for t in tasks], worlds, seed)
     except DocumentError as error:
         raise click.UsageError(error.message) from error
-    _go_on(Survey.create(output or Path("surveys", str(seed)), settings), jobs, ray, as_json)
+    folder = output or Path("surveys", str(seed))
+    require_no_run(folder)
+    _go_on(lambda: Survey.create(folder, settings), jobs, ray, as_json)
 
 
 @command.command("resume")
@@ -142,7 +145,8 @@ def resume(folder: Path, jobs: int | None, ray: str | None, as_json: bool) -> No
     from nmes.fleet.survey import Survey
 
     check_pool(jobs, ray)
-    _go_on(Survey.open(folder), jobs, ray, as_json)
+    found = Survey.open(folder)
+    _go_on(lambda: found, jobs, ray, as_json)
 
 
 @command.command("show")
@@ -332,14 +336,24 @@ def best(folder: Path, world: int | None, output: Path | None, as_json: bool) ->
         click.echo(visible(f"wrote {path}"))
 
 
-def _go_on(survey: Survey, jobs: int | None, ray: str | None, as_json: bool) -> None:
-    """Goes on with a survey, says how it came out, and ends the program: status 1 where it was interrupted."""
+def _go_on(find: Callable[[], Survey], jobs: int | None, ray: str | None, as_json: bool) -> None:
+    """Goes on with a survey, says how it came out, and ends the program: status 1 where it was interrupted.
+
+    Args:
+        find: Returns the survey, which it may begin: where there are no processes and no cluster, none is begun.
+        jobs: As `open_pool`.
+        ray: As `open_pool`.
+        as_json: Whether to end with JSON.
+    """
+    survey: Survey | None = None
     with interruptions(signal.SIGINT, signal.SIGTERM) as interrupted:
         try:
             with open_pool(jobs, ray) as pool:
+                survey = find()
                 _advance(survey, pool, interrupted)
         except KeyboardInterrupt:
-            pass
+            if survey is None:
+                raise
     survey = type(survey).open(survey.folder)  # wherever it was interrupted, this is what is there
     stopped = interrupted() and not survey.finished
     if stopped:

@@ -8,9 +8,9 @@ it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from itertools import islice
-from typing import Final
+from typing import Any, Final
 
 __all__ = [
     "MACHINE_ERRORS",
@@ -67,6 +67,17 @@ class NmesError(Exception):
         self.code = code
         self.message = message
         self.path = path
+
+    def __reduce__(self) -> tuple[Callable[..., NmesError], tuple[Any, ...]]:
+        """Lets every error go from one process to another, whatever its class is made with."""
+        return _made_again, (type(self), self.args, self.__dict__)
+
+
+def _made_again(kind: type[NmesError], args: tuple[Any, ...], attributes: dict[str, Any]) -> NmesError:
+    error = kind.__new__(kind, *args)
+    error.args = args
+    error.__dict__.update(attributes)
+    return error
 
 
 class RejectedMessage(NmesError):

@@ -6,15 +6,17 @@ A file that somebody names on a command line may be a pipe; one that a folder na
 from __future__ import annotations
 
 import errno
+import fcntl
 import os
 import stat
 from pathlib import Path
 from typing import BinaryIO, Final
 
-__all__ = ["open_kept", "open_regular", "read_regular"]
+__all__ = ["lock_kept", "open_kept", "open_regular", "read_regular"]
 
 _KEPT: Final = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
 
+_HELD: Final = (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES)  # what a lock says that another process has
 _PIECE = 1 << 20  # bytes
 
 
@@ -50,6 +52,26 @@ def open_kept(path: Path) -> int:
         os.close(file)
         raise _irregular(path)
     return file
+
+
+def lock_kept(file: int, path: Path) -> None:
+    """Locks an open file for this process alone, until it is closed.
+
+    Args:
+        file: Its descriptor.
+        path: What it is called, for messages.
+
+    Raises:
+        BlockingIOError: Another process has the lock.
+        OSError: It cannot be locked: not every disk of a network knows locks.
+    """
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        if error.errno in _HELD:
+            raise BlockingIOError(errno.EWOULDBLOCK, "another process has locked it", str(path)) from error
+        advice = "where a disk knows no locks, keep it on another"
+        raise OSError(error.errno, f"it cannot be locked: {error.strerror}; {advice}", str(path)) from error
 
 
 def _irregular(path: Path) -> OSError:

@@ -9,7 +9,6 @@ often it was stopped. A match counts as played if its line is whole and its reco
 
 from __future__ import annotations
 
-import fcntl
 import itertools
 import os
 from collections.abc import Callable, Iterator, Sequence
@@ -34,7 +33,7 @@ from nmes.evaluation.proof import digest
 from nmes.evaluation.ratings import Rating, places, rate
 from nmes.genome import Genome
 from nmes.objective.means import mean_of_all
-from nmes.schemas.files import open_kept
+from nmes.schemas.files import lock_kept, open_kept
 
 __all__ = ["LOG", "Pairing", "Standing", "Tournament"]
 
@@ -289,14 +288,17 @@ def _opened(folder: Path | None) -> Iterator[IO[bytes] | None]:
     if folder is None:
         yield None
         return
-    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / LOG
     try:
-        file = open_kept(folder / LOG)
+        folder.mkdir(parents=True, exist_ok=True)
+        log = os.fdopen(open_kept(path), "r+b")
     except OSError as error:
-        raise RunError("cannot_write", f"cannot write {folder / LOG}: {error.strerror}") from error
-    with os.fdopen(file, "r+b") as log:
+        raise RunError("cannot_write", f"cannot write {path}: {error.strerror}") from error
+    with log:
         try:
-            fcntl.flock(log, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock_kept(log.fileno(), path)
         except BlockingIOError as error:
             raise RunError("run_busy", f"another nmes tournament plays in {folder}") from error
+        except OSError as error:
+            raise RunError("cannot_write", f"cannot write {path}: {error.strerror}") from error
         yield log

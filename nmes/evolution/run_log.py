@@ -7,7 +7,6 @@ they are written so that a kill at any byte leaves whole lines and at most one t
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import secrets
 import time
@@ -20,7 +19,7 @@ from typing import Any, Final
 
 from nmes.errors import RunError
 from nmes.schemas.documents import write_json
-from nmes.schemas.files import open_kept, open_regular
+from nmes.schemas.files import lock_kept, open_kept, open_regular
 
 __all__ = ["Line", "RunLog", "RunWriter", "write_whole"]
 
@@ -30,7 +29,6 @@ _TAIL: Final = len(_BEFORE) + _DIGITS + len(_AFTER)
 _LONGEST: Final = 160 << 20  # bytes of a line: a genome's file may have half of that
 _SYNC: Final = 1.0  # s; what a machine that fails may lose, and a kill never does
 _FULL: Final = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-_HELD: Final = (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES)  # what a lock says that another process has
 _BLOCK: Final = 1 << 20  # bytes that are read at once
 
 
@@ -124,10 +122,13 @@ class RunWriter:
         except OSError as error:
             raise _unwritten(log.path, error) from error
         try:
-            fcntl.flock(self._file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock_kept(self._file, log.path)
         except OSError as error:
             os.close(self._file)
-            raise _unlocked(log.path, error) from error
+            if isinstance(error, BlockingIOError):
+                message = f"another process goes on with the run in {log.path.parent}"
+                raise RunError("run_busy", message) from error
+            raise _unwritten(log.path, error) from error
         self.end, self.digest = 0, log.origin
         self._synced = time.monotonic()
         _sync_names(log.path.parent)
@@ -263,14 +264,6 @@ def _write(file: int, text: bytes) -> None:
 def _unwritten(path: Path, error: OSError, then: str = "resume the run") -> RunError:
     advice = f"; make room, then {then}" if error.errno in _FULL else ""
     return RunError("cannot_write", f"cannot write {path}: {error.strerror}{advice}")
-
-
-def _unlocked(path: Path, error: OSError) -> RunError:
-    """Returns the error about a log that cannot be locked: not everywhere is it another process that has the lock."""
-    if error.errno in _HELD:
-        return RunError("run_busy", f"another process goes on with the run in {path.parent}")
-    advice = "where a disk knows no locks, keep runs on another"
-    return RunError("cannot_write", f"cannot lock {path}: {error.strerror}; {advice}")
 
 
 def _chain(digest: str, content: bytes) -> str:

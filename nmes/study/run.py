@@ -7,7 +7,6 @@ there was a kill.
 
 from __future__ import annotations
 
-import fcntl
 import os
 import secrets
 import shutil
@@ -23,6 +22,7 @@ from nmes.backend import load_backend
 from nmes.backend.fingerprint import decisive, fingerprint
 from nmes.errors import StudyError
 from nmes.schemas.documents import JsonObject, canonical_hash
+from nmes.schemas.files import lock_kept
 from nmes.study.commands import Stopped, Stopper, perform
 from nmes.study.document import Plan, PlannedRun
 from nmes.study.results import Results, is_row, row_of, write_file
@@ -159,9 +159,11 @@ def _locked(work: Path) -> Iterator[None]:
         raise StudyError("cannot_write", f"cannot write {work}: {error.strerror}") from error
     try:
         try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError as error:
+            lock_kept(file, work / "lock")
+        except BlockingIOError as error:
             raise StudyError("study_busy", f"another process does the study in {work}") from error
+        except OSError as error:
+            raise StudyError("cannot_write", f"cannot write {work}: {error.strerror}") from error
         yield
     finally:
         os.close(file)

@@ -93,7 +93,7 @@ class Entities:
         meter: The work of the joints' motors.
         tick_rate: Ticks per second.
         food: Where there is something to eat, array (n, 3), m.
-        rays: The most rays that the sensors of one creature send.
+        rays: As many rays take as long as all that the senses of one creature perceive around it: the most of any.
         version: Increases with every change of cubes, joints, frozenness or colours.
         tuned: Increases with every `set_params`.
         moments: Increases with every tick and snapshot: what the engine then tells of cubes may have other bits.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import json
 import os
 import signal
@@ -223,6 +225,16 @@ def test_two_cannot_play_in_one_folder(folder: Path) -> None:
     with pytest.raises(RunError, match="another nmes tournament plays in"):
         played(tournament(), folder / "cup")
     first.close()  # type: ignore[attr-defined]
+
+
+def test_a_log_that_cannot_be_locked_is_told_as_that(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object) -> None:
+        raise OSError(errno.ENOLCK, "no locks here")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with pytest.raises(RunError, match=r"cannot be locked: no locks here") as error:
+        played(tournament(), folder / "cup", most=1)
+    assert error.value.code == "cannot_write"
 
 
 # -- ratings -----------------------------------------------------------------------------------------------------------

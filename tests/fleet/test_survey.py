@@ -21,7 +21,8 @@ from PIL import Image
 from command_line import run
 from creatures import seedling
 from modelled import modelled
-from nmes.evaluation import Workers, evaluate
+from nmes.errors import MachineError
+from nmes.evaluation import Workers, evaluate, parallel
 from nmes.evaluation.parallel import Here
 from nmes.evaluation.task import Task
 from nmes.fleet.atlas import GRAVITIES, HEIGHTS, atlas
@@ -263,6 +264,20 @@ def test_wrong_usage_is_refused_and_leaves_no_folder(arguments: list[str], words
     assert refused.exit_code == 2
     assert words in refused.output
     assert not (tmp_path / "survey").exists()
+
+
+@pytest.mark.parametrize("reason", [MachineError("no_cluster", "no Ray cluster at 'nowhere:1'"), KeyboardInterrupt()])
+def test_without_a_cluster_no_survey_is_begun(
+    whole: Survey, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, reason: BaseException
+) -> None:
+    def refuse(*_: object) -> None:
+        raise reason
+
+    monkeypatch.setattr(parallel, "Cluster", refuse)
+    assert run("survey", "inchworm", "-o", tmp_path / "survey", "--ray", "nowhere:1").exit_code == 1
+    assert not (tmp_path / "survey").exists()
+    again = run("survey", "inchworm", "-o", whole.folder, "--ray", "nowhere:1")
+    assert again.exit_code == 1 and "there is a run in" in again.output  # and no cluster was asked for
 
 
 def test_folders_that_are_none_of_a_survey_are_refused(whole: Survey, tmp_path: Path) -> None:

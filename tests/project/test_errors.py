@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import pickle
 import re
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -151,3 +152,22 @@ def test_codes_are_found_in_sources(source: str, expected: set[str]) -> None:
 def test_a_code_that_may_be_anything_is_noticed() -> None:
     with pytest.raises(AssertionError, match="may be any code"):
         list(codes(ast.parse("raise WorldError(what(), 'x')"), ERRORS))
+
+
+@pytest.mark.parametrize(
+    "error",
+    [
+        errors.NmesError("code", "message", "a/b"),
+        errors.DocumentError([(f"cubes/{number}", "is wrong") for number in range(30)]),
+        errors.SimulationFault("unstable", "it flew apart", body=3),
+        errors.BackendNotFound("there is none"),
+        errors.MissingPackage("install it"),
+        errors.NotDeterministic(["a seed"]),
+        errors.Disconnected("closed", "the server left"),
+    ],
+    ids=lambda error: type(error).__name__,
+)
+def test_an_error_comes_out_of_another_process_as_it_was(error: NmesError) -> None:
+    copied = pickle.loads(pickle.dumps(error))
+    assert type(copied) is type(error) and copied.args == error.args and str(copied) == str(error)
+    assert vars(copied) == vars(error)
