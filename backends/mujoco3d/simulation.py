@@ -50,7 +50,53 @@ _ZERO: Vector = (0.0, 0.0, 0.0)
 _FEW = 5  # bodies: up to so many, one by one is faster than by arrays
 
 
-class MujocoSimulation(Simulation):
+class _Sensed(Simulation):
+    """What a scene's sensors read after the last step."""
+
+    structure: Structure
+    running: RunningModel
+
+    def touching(self, bodies: Sequence[int]) -> Array:
+        """Returns a new array (n,), from the engine's list of contacts where all is awake."""
+        senses = self.running.senses
+        if self.structure.edited or senses.resting:
+            return super().touching(bodies)
+        return senses.touching([self.running.compiled.body_index[body] for body in bodies])
+
+    def contacts(self, body: int) -> list[Contact]:
+        """Returns the body's contacts in the last step."""
+        index = self.running.compiled.body_index.get(body)
+        if index is None:
+            return []
+        contacts = self.running.senses.contacts(index)
+        if self.structure.stale or self.structure.departed:  # somebody may have been removed since
+            there = self.structure.bodies
+            return [contact for contact in contacts if contact.other is None or contact.other in there]
+        return contacts
+
+    def guess_contacts(self, body: int) -> int:
+        """Returns how many contacts are to be looked at for those of a body."""
+        index = self.running.compiled.body_index.get(body)
+        return 0 if index is None else self.running.senses.guess_contacts(index)
+
+    def proper_accelerations(self, bodies: Sequence[int]) -> Array:
+        """Returns a new array (n, 3)."""
+        self.running.refresh()
+        index, senses = self.running.compiled.body_index, self.running.senses
+        rows = [
+            senses.proper_acceleration(index[body], self.body_state(body).position) if body in index else _ZERO
+            for body in bodies
+        ]
+        return np.array(rows).reshape(-1, 3)
+
+    def hits(self, body: int, directions: Array, limit: float) -> list[Hit | None]:
+        """Returns the first surfaces along rays from the body's centre."""
+        self.running.refresh()
+        index = self.running.compiled.body_index.get(body, -1)
+        return self.running.senses.hits(index, self.body_state(body).position, directions, limit)
+
+
+class MujocoSimulation(_Sensed):
     """One scene. See `nmes.backend.Simulation` for the promise of each call.
 
     Attributes:
@@ -203,47 +249,6 @@ class MujocoSimulation(Simulation):
         log = WorkLog(joints, 1)
         log.note(self.running.motors)
         out[:] = log.powers(0, 1)[0]
-
-    # -- sensors ------------------------------------------------------------------------------------------------
-
-    def touching(self, bodies: Sequence[int]) -> Array:
-        """Returns a new array (n,), from the engine's list of contacts where all is awake."""
-        senses = self.running.senses
-        if self.structure.edited or senses.resting:
-            return super().touching(bodies)
-        return senses.touching([self.running.compiled.body_index[body] for body in bodies])
-
-    def contacts(self, body: int) -> list[Contact]:
-        """Returns the body's contacts in the last step."""
-        index = self.running.compiled.body_index.get(body)
-        if index is None:
-            return []
-        contacts = self.running.senses.contacts(index)
-        if self.structure.stale or self.structure.departed:  # somebody may have been removed since
-            there = self.structure.bodies
-            return [contact for contact in contacts if contact.other is None or contact.other in there]
-        return contacts
-
-    def guess_contacts(self, body: int) -> int:
-        """Returns how many contacts are to be looked at for those of a body."""
-        index = self.running.compiled.body_index.get(body)
-        return 0 if index is None else self.running.senses.guess_contacts(index)
-
-    def proper_accelerations(self, bodies: Sequence[int]) -> Array:
-        """Returns a new array (n, 3)."""
-        self.running.refresh()
-        index, senses = self.running.compiled.body_index, self.running.senses
-        rows = [
-            senses.proper_acceleration(index[body], self.body_state(body).position) if body in index else _ZERO
-            for body in bodies
-        ]
-        return np.array(rows).reshape(-1, 3)
-
-    def hits(self, body: int, directions: Array, limit: float) -> list[Hit | None]:
-        """Returns the first surfaces along rays from the body's centre."""
-        self.running.refresh()
-        index = self.running.compiled.body_index.get(body, -1)
-        return self.running.senses.hits(index, self.body_state(body).position, directions, limit)
 
     def draw(self, camera: CameraSpec, colors: Mapping[int, tuple[float, float, float, float]]) -> Image:
         """Returns a picture, drawn from copies."""

