@@ -5,8 +5,9 @@
     python benchmarks/evolving.py walk --seeds 1 2 --jobs 1 -o runs/bars
 
 The runs are those of `nmes evolve`, with the commands that are printed: one on a single seed of the task, and a short
-one on all of its seeds from the winner; for `stairs`, first one on `walk`. They are kept in a folder: what is finished
-is not done again, and what was interrupted goes on. CPU times are of this machine, and only of what was done now.
+one on all of its seeds from the winner. For `stairs` the first is on `walk`, and one goes on from the best of its
+islands with the score of `ascent.json`. They are kept in a folder: what is finished is not done again, and what was
+interrupted goes on. CPU times are of this machine, and only of what was done now.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from pathlib import Path
 from typing import Any
 
 from nmes.evolution.run import Run
+from nmes.evolution.run_index import Record
+from nmes.schemas.documents import write_json
 
 
 @dataclass(frozen=True)
@@ -34,17 +37,23 @@ class Plan:
         candidates: How many the race from random bodies has, on one seed.
         ground: The task of the race, where it is another one: a task that pays nothing until much is achieved tells a
             search nothing about which random bodies are better.
-        middle: How many candidates then follow from the race's winner, on one seed of the task itself.
-        finish: How many follow on all of its seeds, from the best so far.
+        starts: With how many of each island's best the next run begins: who is the best on another task is seldom the
+            best on this one.
+        way: The task of that run: this one with a score that begins earlier.
+        middle: How many candidates it has, on one seed.
+        finish: How many follow on all seeds of the task itself, from the best so far.
     """
 
     candidates: int = 24_000
     ground: str | None = None
+    starts: int = 5
+    way: str | None = None
     middle: int = 0
     finish: int = 500
 
 
-PLANS = {"stairs": Plan(candidates=12_000, ground="walk", middle=3_000, finish=300)}
+ASCENT = str(Path(__file__).with_name("ascent.json"))
+PLANS = {"stairs": Plan(candidates=12_000, ground="walk", way=ASCENT, middle=1_500, finish=300)}
 """Of tasks for which it is not the same as for `walk`."""
 RACE = "--algorithm islands --seeds 1 --set rung=1500 --set founders=500 --set population=150 --set tournament=3"
 LAST = "--algorithm afpo --set founders=100 --set population=50 --set tournament=3 --set newcomers=0"
@@ -77,6 +86,19 @@ def best(folder: Path, budget: int) -> tuple[Path, float]:
     return written / "genome.json", winner.score or 0.0
 
 
+def best_of_islands(race: Path, budget: int, count: int, written: Path) -> Path:
+    """Writes so many of the best of each island of a race's first candidates into a folder, which it returns."""
+    run, islands = Run.open(race), dict[str, list[Record]]()
+    for record in run.records[:budget]:
+        if record.score is not None:
+            islands.setdefault(record.group, []).append(record)
+    written.mkdir(exist_ok=True)
+    for records in islands.values():
+        for record in sorted(records, key=lambda record: (-(record.score or 0.0), record.index))[:count]:
+            (written / f"{record.index}.json").write_bytes(write_json(run.genome(record.index).document))
+    return written
+
+
 def champion(task: str, seed: int, folder: Path, jobs: str) -> tuple[float, float, float]:
     """Returns the best score on one seed, and that of the run from the winner on all seeds with its `pace`."""
     plan = PLANS.get(task, Plan())
@@ -85,8 +107,9 @@ def champion(task: str, seed: int, folder: Path, jobs: str) -> tuple[float, floa
     middle, last = (folder / f"{task}-{seed}-{part}" for part in ("middle", "last"))
     evolved("random", race, f"--task {ground} --seed {seed} {RACE}", plan.candidates, jobs)
     genome, one = best(race, plan.candidates)
-    if plan.middle:
-        evolved(str(genome), middle, f"--task {task} --seed {seed} {MIDDLE}", plan.middle, jobs)
+    if plan.way is not None:
+        starts = best_of_islands(race, plan.candidates, plan.starts, folder / f"{task}-{seed}-starts")
+        evolved(str(starts), middle, f"--task {plan.way} --seed {seed} {MIDDLE}", plan.middle, jobs)
         genome, one = best(middle, plan.middle)
     evolved(str(genome), last, f"--task {task} --seed {seed} {LAST}", plan.finish, jobs)
     return one, best(last, plan.finish)[1], pace(last)

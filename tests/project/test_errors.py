@@ -6,6 +6,7 @@ import ast
 import pickle
 import re
 from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,17 @@ def classes(trees: Iterable[ast.Module]) -> set[str]:
     return ERRORS | {node.name for node in nodes if any(ast.unparse(base) in ERRORS for base in node.bases)}
 
 
+@cache
+def sources() -> dict[str, ast.Module]:
+    """Returns all sources, by their place in the tree."""
+    return {str(path.relative_to(ROOT)): ast.parse(path.read_text()) for path in SOURCES}
+
+
+def called(call: ast.Call) -> str:
+    """Returns the last name of what is called, `b` of `a.b()`; nothing for what has no name."""
+    return getattr(call.func, "attr", getattr(call.func, "id", ""))
+
+
 def codes(tree: ast.Module, known: set[str]) -> Iterator[tuple[str, int]]:
     """Yields the codes that a module's errors are made with, and their lines."""
     for node in ast.walk(tree):
@@ -35,7 +47,7 @@ def codes(tree: ast.Module, known: set[str]) -> Iterator[tuple[str, int]]:
             for call in (call for call in ast.walk(node) if isinstance(call, ast.Call)):
                 if ast.unparse(call.func) == "super().__init__" and not ast.unparse(call.args[0]) == "code":
                     yield from ((code, call.lineno) for code in values(call.args[0], tree))
-        elif isinstance(node, ast.Call) and ast.unparse(node.func).rpartition(".")[2] in known - OWN and node.args:
+        elif isinstance(node, ast.Call) and called(node) in known - OWN and node.args:
             yield from ((code, node.lineno) for code in values(node.args[0], tree))
 
 
@@ -76,12 +88,11 @@ def bindings(name: str, tree: ast.Module) -> Iterator[ast.expr]:
 
 def raised() -> dict[str, str]:
     """Returns every code in the sources, with a place where it is."""
-    trees = {path: ast.parse(path.read_text()) for path in SOURCES}
-    known = classes(trees.values())
+    known = classes(sources().values())
     places: dict[str, str] = {}
-    for path, tree in trees.items():
+    for place, tree in sources().items():
         for code, line in codes(tree, known):
-            places[code] = f"{path.relative_to(ROOT)}:{line}"
+            places[code] = f"{place}:{line}"
     return places
 
 
@@ -114,15 +125,15 @@ def test_the_page_names_every_class_of_errors(name: str) -> None:
 
 
 def test_what_is_raised_is_a_class_of_its_own_and_not_the_base_of_all() -> None:
-    trees = {str(path.relative_to(ROOT)): ast.parse(path.read_text()) for path in SOURCES}
-    raises = [(place, node) for place, tree in trees.items() for node in ast.walk(tree) if isinstance(node, ast.Raise)]
+    nodes = ((place, node) for place, tree in sources().items() for node in ast.walk(tree))
+    raises = [(place, node) for place, node in nodes if isinstance(node, ast.Raise)]
     bare = [(place, node.lineno) for place, node in raises if node.exc and is_bare(node.exc)]
     assert bare == []
 
 
 def is_bare(raised: ast.expr) -> bool:
     """Whether what is raised is an NmesError and no more."""
-    return isinstance(raised, ast.Call) and ast.unparse(raised.func).rpartition(".")[2] == "NmesError"
+    return isinstance(raised, ast.Call) and called(raised) == "NmesError"
 
 
 @pytest.mark.parametrize("source", ["NmesError('lost', 'x')", "errors.NmesError('lost', 'x')"])
