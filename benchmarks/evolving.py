@@ -53,7 +53,7 @@ class Plan:
 
 
 ASCENT = str(Path(__file__).with_name("ascent.json"))
-PLANS = {"stairs": Plan(candidates=12_000, ground="walk", way=ASCENT, middle=1_500, finish=300)}
+PLANS = {"stairs": Plan(candidates=12_000, ground="walk", way=ASCENT, middle=1_500, finish=600)}
 """Of tasks for which it is not the same as for `walk`."""
 RACE = "--algorithm islands --seeds 1 --set rung=1500 --set founders=500 --set population=150 --set tournament=3"
 LAST = "--algorithm afpo --set founders=100 --set population=50 --set tournament=3 --set newcomers=0"
