@@ -1,6 +1,7 @@
 """Settings for all tests: how long one may take, what Hypothesis draws, and the figures that tests record."""
 
 import os
+import signal
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -22,6 +23,12 @@ class ImportBlindProvider(HypothesisProvider):
 
     _local_constants = Constants()
 
+
+# What is started under `nohup`, or in the background of a script, ignores these signals, and so would all that the
+# tests start, some of which is to be ended by them. The process that hands out the tests goes on ignoring them.
+if "PYTEST_XDIST_WORKER" in os.environ:
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 AVAILABLE_PROVIDERS["hypothesis"] = ImportBlindProvider
 
