@@ -117,7 +117,7 @@ def _written(run: Run, chosen: int, target: Path, signing: Ed25519PrivateKey | N
 
 
 def _documents(run: Run, chosen: int) -> dict[str, JsonObject]:
-    """Returns what is written beside the recordings of a candidate, by the name of the file."""
+    """Returns the documents to be written beside the recordings of a candidate, by the names of their files."""
     from nmes.evaluation.identity import shipped_hash
 
     task, genome = run.settings.task, run.genome(chosen)

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import click
 
-from nmes.cli._evolve_run import JOBS, JSON, RAY, check_pool, go_on, tell
+from nmes.cli._evolve_run import JSON, go_on, tell
+from nmes.cli._pool import JOBS, RAY, check_pool
 from nmes.cli._progress import QUIET
 
 __all__ = ["command"]

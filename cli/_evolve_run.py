@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
 import shlex
-import signal
 import sys
 import time
 from collections import Counter, deque
@@ -14,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import click
 
-from nmes.cli._interruptions import interruptions
 from nmes.cli._json import print_json
+from nmes.cli._pool import advance_in_pool
 from nmes.cli._progress import progress_bars
 from nmes.errors import visible
 
@@ -24,32 +22,12 @@ if TYPE_CHECKING:
     from nmes.evolution.run import Run
     from nmes.evolution.run_index import Record
 
-__all__ = ["JOBS", "JSON", "RAY", "check_pool", "go_on", "open_pool", "tell"]
+__all__ = ["JSON", "go_on", "tell"]
 
 _SHOWN: Final = 50  # candidates of the log after which the progress is shown again
 _RECENT: Final = 100  # candidates of which the progress tells the mean and the diversity
 
-JOBS = click.option("--jobs", type=click.IntRange(1), help="How many processes.  [default: one a core]")
-RAY = click.option("--ray", metavar="ADDRESS", help="Use a Ray cluster instead: HOST:PORT, auto, or local.")
 JSON = click.option("--json", "as_json", is_flag=True, help="End with an object with digest and best.")
-
-
-def check_pool(jobs: int | None, ray: str | None) -> None:
-    """Refuses options that do not go together."""
-    if jobs is not None and ray is not None:
-        raise click.UsageError("either --jobs or --ray")
-
-
-def open_pool(jobs: int | None, ray: str | None) -> Workers | Cluster:
-    """Returns the processes or the cluster that the options mean.
-
-    Raises:
-        MissingPackage: Ray is not installed.
-        MachineError: There is no cluster.
-    """
-    from nmes.evaluation.parallel import Cluster, Workers
-
-    return Workers(jobs or os.cpu_count() or 1) if ray is None else Cluster(ray)
 
 
 def go_on(find: Callable[[], Run], jobs: int | None, ray: str | None, as_json: bool) -> None:
@@ -61,18 +39,10 @@ def go_on(find: Callable[[], Run], jobs: int | None, ray: str | None, as_json: b
         ray: As `open_pool`.
         as_json: Whether to end with JSON.
     """
-    run: Run | None = None
-    with interruptions(signal.SIGINT, signal.SIGTERM) as interrupted:
-        try:
-            with open_pool(jobs, ray) as pool:
-                run = find()
-                _advance(run, pool, interrupted)
-        except KeyboardInterrupt:
-            if run is None:
-                raise
+    run, interrupted = advance_in_pool(find, jobs, ray, _advance)
     budget = run.settings.budget
     run = type(run).open(run.folder)  # wherever it was interrupted, this is what is there
-    stopped = interrupted() and len(run) < budget
+    stopped = interrupted and len(run) < budget
     if stopped:
         click.echo(visible(f"stopped: {len(run):,} of {budget:,} done"), err=True)
         more = "" if run.settings.budget == budget else f" --budget {budget}"  # that was not kept yet

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import click
 
-from nmes.cli._evolve_run import JOBS, RAY, check_pool, open_pool
 from nmes.cli._json import print_json
+from nmes.cli._pool import JOBS, RAY, check_pool, open_pool
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._sample import SEED, drawn_by
 from nmes.errors import visible

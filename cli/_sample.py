@@ -12,5 +12,5 @@ SEED = click.option(
 
 
 def drawn_by(seed: int, again: int, of: int) -> str:
-    """Returns what draws the same sample, to stand after how many were done again; nothing where all were, or none."""
+    """Returns the option that draws the same sample, to stand after a count; nothing where all or none were drawn."""
     return f", drawn by --seed {seed}" if 0 < again < of else ""

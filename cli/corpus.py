@@ -15,6 +15,7 @@ import orjson
 from nmes.cli._columns import columns
 from nmes.cli._json import print_json
 from nmes.cli._output import whole_file
+from nmes.cli._pool import JOBS
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._sample import SEED, drawn_by
 from nmes.errors import CorpusError, visible
@@ -29,7 +30,6 @@ _WORDS: Final = {"holds": "holds", "broken": "broken", "not_judged": "could not 
 _SHIPPED: Final = "corpus/creatures.jsonl.zst"
 _PATH: Final = click.Path(dir_okay=False, path_type=Path)
 _FILE = click.argument("file", metavar="[FILE]", type=_PATH, default=_SHIPPED)
-_JOBS = click.option("--jobs", type=click.IntRange(1), help="How many processes.  [default: one a core]")
 
 
 @click.group("corpus")
@@ -56,7 +56,7 @@ def _read(file: Path) -> Corpus:
 @click.option(
     "--best", metavar="N", type=click.IntRange(1), default=50, show_default=True, help="At most so many a run."
 )
-@_JOBS
+@JOBS
 @QUIET
 def add(file: Path, runs: tuple[Path, ...], best: int, jobs: int | None) -> None:
     """Add the best creatures of runs of evolution.
@@ -190,7 +190,7 @@ def export(creature: str, file: Path, output: Path) -> None:
     type=click.Path(exists=True, file_okay=False, path_type=Path),
     help="Leave a recording of each episode that is run in this folder.",
 )
-@_JOBS
+@JOBS
 @click.option("--json", "as_json", is_flag=True, help="Print the verdict as JSON.")
 @QUIET
 def verify(

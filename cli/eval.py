@@ -17,6 +17,7 @@ from nmes.cli._eval_matches import score_matches, score_recorded_matches
 from nmes.cli._eval_scores import format_seeds, print_csv, print_results, print_table
 from nmes.cli._genomes import find_genomes
 from nmes.cli._output import check_output
+from nmes.cli._pool import JOBS, RAY
 from nmes.cli._progress import QUIET
 from nmes.cli._recording_plot import plot_recordings
 from nmes.cli._seeds import read_seeds
@@ -46,8 +47,8 @@ __all__ = ["command"]
     multiple=True,
     help="Score recordings again, from their logs alone; what follows are recordings too.",
 )
-@click.option("--jobs", type=click.IntRange(1), help="How many processes.  [default: one a core]")
-@click.option("--ray", metavar="ADDRESS", help="Use a Ray cluster instead: HOST:PORT, auto, or local.")
+@JOBS
+@RAY
 @click.option("--resume", type=click.Path(dir_okay=False, path_type=Path), help="Keep results here; skip what it has.")
 @click.option(
     "--plot",

@@ -12,9 +12,10 @@ import click
 from click.core import ParameterSource
 
 from nmes.cli import _evolve_best, _evolve_film, _evolve_resume, _evolve_show, _evolve_verify
-from nmes.cli._evolve_run import JOBS, JSON, RAY, check_pool, go_on
+from nmes.cli._evolve_run import JSON, go_on
 from nmes.cli._genomes import find_genomes
 from nmes.cli._options import BeginningGroup, read_values
+from nmes.cli._pool import JOBS, RAY, check_pool
 from nmes.cli._progress import QUIET
 from nmes.cli._seeds import read_seeds
 from nmes.errors import DocumentError

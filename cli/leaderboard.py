@@ -14,6 +14,7 @@ import click
 from nmes.cli._columns import columns
 from nmes.cli._json import print_json
 from nmes.cli._output import whole_file
+from nmes.cli._pool import JOBS
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.errors import DocumentError, NmesError, visible
 from nmes.evaluation.leaderboard import Leaderboard
@@ -323,7 +324,7 @@ def _lines(entries: list[Entry], units: dict[str, str]) -> list[str]:
 @command.command()
 @click.argument("file", metavar="FILE", type=_FILE)
 @click.argument("entries", metavar="[ENTRY]...", type=click.IntRange(1), nargs=-1)
-@click.option("--jobs", type=click.IntRange(1), help="How many processes.  [default: one a core]")
+@JOBS
 @click.option("--write", is_flag=True, help="Mark what is broken in FILE; what was marked and holds is listed again.")
 @click.option("--json", "as_json", is_flag=True, help="Print the verdicts as JSON.")
 @QUIET

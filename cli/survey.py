@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import signal
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -14,12 +13,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from nmes.cli._columns import columns
-from nmes.cli._evolve_run import JOBS, RAY, check_pool, open_pool
 from nmes.cli._genomes import find_genomes
-from nmes.cli._interruptions import interruptions
 from nmes.cli._json import print_json
 from nmes.cli._options import BeginningGroup
 from nmes.cli._pictures import write_picture
+from nmes.cli._pool import JOBS, RAY, advance_in_pool, check_pool, open_pool
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._proof_files import check_place, write_documents
 from nmes.cli._sample import SEED, drawn_by
@@ -345,17 +343,9 @@ def _go_on(find: Callable[[], Survey], jobs: int | None, ray: str | None, as_jso
         ray: As `open_pool`.
         as_json: Whether to end with JSON.
     """
-    survey: Survey | None = None
-    with interruptions(signal.SIGINT, signal.SIGTERM) as interrupted:
-        try:
-            with open_pool(jobs, ray) as pool:
-                survey = find()
-                _advance(survey, pool, interrupted)
-        except KeyboardInterrupt:
-            if survey is None:
-                raise
+    survey, interrupted = advance_in_pool(find, jobs, ray, _advance)
     survey = type(survey).open(survey.folder)  # wherever it was interrupted, this is what is there
-    stopped = interrupted() and not survey.finished
+    stopped = interrupted and not survey.finished
     if stopped:
         click.echo(f"stopped: {len(survey):,} of {survey.settings.worlds:,} worlds done", err=True)
         click.echo(visible(f"go on with: nmes survey resume {shlex.quote(str(survey.folder))}"), err=True)

@@ -17,6 +17,7 @@ from nmes.cli._eval_matches import read_creature
 from nmes.cli._genomes import find_genomes
 from nmes.cli._interruptions import interruptions
 from nmes.cli._json import print_json
+from nmes.cli._pool import JOBS
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._seeds import read_seeds
 from nmes.errors import DocumentError, visible
@@ -39,7 +40,7 @@ __all__ = ["command"]
     type=click.Path(file_okay=False, path_type=Path),
     help="Keep every match and its recording in this folder; skip what it has.",
 )
-@click.option("--jobs", type=click.IntRange(1), help="How many processes.  [default: one a core]")
+@JOBS
 @click.option("--json", "as_json", is_flag=True, help="Print the table and all matches as JSON.")
 @QUIET
 def command(
