@@ -106,8 +106,9 @@ def champion(task: str, seed: int, folder: Path, jobs: str) -> tuple[float, floa
     race = folder / f"{ground}-{seed}-race"
     middle, last = (folder / f"{task}-{seed}-{part}" for part in ("middle", "last"))
     evolved("random", race, f"--task {ground} --seed {seed} {RACE}", plan.candidates, jobs)
-    genome, one = best(race, plan.candidates)
-    if plan.way is not None:
+    if plan.way is None:
+        genome, one = best(race, plan.candidates)
+    else:
         starts = best_of_islands(race, plan.candidates, plan.starts, folder / f"{task}-{seed}-starts")
         evolved(str(starts), middle, f"--task {plan.way} --seed {seed} {MIDDLE}", plan.middle, jobs)
         genome, one = best(middle, plan.middle)

@@ -103,7 +103,7 @@ class Refusal(NmesError):
         self.machine = machine
 
     def __reduce__(self) -> tuple[type[Refusal], tuple[str, str, bool]]:
-        """Returns what it is made of again elsewhere."""
+        """Returns how another process makes the same error, with its arguments."""
         return Refusal, (self.code, self.message, self.machine)
 
 

@@ -216,7 +216,7 @@ def _state(rows: Sequence[Sequence[Any]], count: int) -> State | None:
 
 
 def _places(text: str, count: int) -> tuple[int, ...]:
-    """Reads indices of candidates, of which there are so many.
+    """Reads the indices of some of a run's candidates.
 
     Raises:
         ValueError: It has something else.

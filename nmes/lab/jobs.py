@@ -85,7 +85,7 @@ class Job:
         self._output, self._judged = b"", False
 
     def result(self) -> orjson.Fragment | None:
-        """Returns what it printed as JSON, as it stands; None while it runs, and where that is none or is not kept.
+        """Returns its output, which is JSON; None while it runs, and where the output is something else or is not kept.
 
         It takes a while when it is asked the first time, and is for a thread.
         """

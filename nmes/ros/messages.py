@@ -136,7 +136,7 @@ def pose_stamped(world: World, cube: str, ros2: bool) -> JsonObject:
 
 
 def frames_of(world: World) -> list[bytes]:
-    """Returns what the frames of a world's cubes are called, as JSON."""
+    """Returns the names of the frames of a world's cubes, as JSON."""
     return [write_json(ros_name(name)) for name in world.cubes()]
 
 

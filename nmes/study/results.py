@@ -156,7 +156,7 @@ def _is_value(value: object) -> bool:
 
 
 def _text(value: object) -> str:
-    """Returns what is text.
+    """Returns a value that must be text.
 
     Raises:
         TypeError: It is none.
