@@ -52,7 +52,7 @@ class Plan:
     finish: int = 500
 
 
-ASCENT = str(Path(__file__).with_name("ascent.json"))
+ASCENT = str(Path(__file__).with_name("tasks") / "ascent.json")
 PLANS = {"stairs": Plan(candidates=12_000, ground="walk", way=ASCENT, middle=1_500, finish=600)}
 """Of tasks for which it is not the same as for `walk`."""
 RACE = "--algorithm islands --seeds 1 --set rung=1500 --set founders=500 --set population=150 --set tournament=3"

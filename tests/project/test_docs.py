@@ -114,10 +114,17 @@ def test_programs_that_make_runs_find_their_modules(target: str) -> None:
 
 
 @pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
-def test_links_in_documents_point_to_existing_files(document: str) -> None:
-    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", (ROOT / document).read_text()):
+def test_links_in_documents_point_to_existing_files(document: Path) -> None:
+    for target in re.findall(r"\]\(([^)#]+)[^)]*\)", document.read_text()):
         if "://" not in target:
-            assert ((ROOT / document).parent / target).exists(), f"{document} links to {target}"
+            assert (document.parent / target).exists(), f"{document} links to {target}"
+
+
+@pytest.mark.parametrize("document", DOCUMENTS, ids=lambda path: path.name)
+def test_files_that_documents_name_are_in_the_tree(document: Path) -> None:
+    text = document.read_text()
+    for path in re.findall(r"(?<![\w/.-])(?:benchmarks|examples|replays|tools)/[\w/-]+\.[a-z]+\b", text):
+        assert (ROOT / path).exists(), f"{path} is not there, or not where git has it"
 
 
 def rows(document: str) -> set[tuple[str, ...]]:
