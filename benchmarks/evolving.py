@@ -42,6 +42,8 @@ class Plan:
         way: The task of that run: this one with a score that begins earlier.
         middle: How many candidates it has, on one seed.
         finish: How many follow on all seeds of the task itself, from the best so far.
+        pace: Body lengths a second from which on who scores `enough` comes before all that are slower.
+        enough: See there.
     """
 
     candidates: int = 24_000
@@ -50,11 +52,16 @@ class Plan:
     way: str | None = None
     middle: int = 0
     finish: int = 500
+    pace: float = 0.0
+    enough: float = 0.0
 
 
 ASCENT = str(Path(__file__).with_name("tasks") / "ascent.json")
-PLANS = {"stairs": Plan(candidates=12_000, ground="walk", way=ASCENT, middle=1_500, finish=600)}
-"""Of tasks for which it is not the same as for `walk`."""
+PLANS = {
+    "walk": Plan(pace=1.5, enough=15.8),
+    "stairs": Plan(candidates=12_000, ground="walk", way=ASCENT, middle=1_500, finish=600),
+}
+"""Of tasks for which it is not the same as for all others."""
 RACE = "--algorithm islands --seeds 1 --set rung=1500 --set founders=500 --set population=150 --set tournament=3"
 LAST = "--algorithm afpo --set founders=100 --set population=50 --set tournament=3 --set newcomers=0"
 MIDDLE = "--algorithm afpo --seeds 1 --set founders=200 --set population=100 --set tournament=3 --set newcomers=0"
@@ -76,14 +83,23 @@ def evolved(what: str, folder: Path, options: str, budget: int, jobs: str) -> No
         nmes("evolve", "resume", str(folder), "--budget", str(budget), "--jobs", jobs, "--quiet")
 
 
-def best(folder: Path, budget: int) -> tuple[Path, float]:
+def best(folder: Path, budget: int, plan: Plan) -> tuple[Path, float]:
     """Writes the best of a run's first candidates; returns the file with its genome, and its score."""
-    told = [record for record in Run.open(folder).records[:budget] if record.score is not None]
-    winner = max(told, key=lambda record: (record.score, -record.index))
+    run = Run.open(folder)
+    index, score = winner(run, budget, plan)
     written = folder / f"winner-of-{budget}"
     if not written.exists():
-        nmes("evolve", "best", str(folder), "--index", str(winner.index), "-o", str(written))
-    return written / "genome.json", winner.score or 0.0
+        nmes("evolve", "best", str(folder), "--index", str(index), "-o", str(written))
+    return written / "genome.json", score
+
+
+def winner(run: Run, budget: int, plan: Plan) -> tuple[int, float]:
+    """Returns the place and the score of the best of a run's first candidates, in the sense of the plan."""
+    told = [record for record in run.records[:budget] if record.score is not None]
+    ranked = sorted(told, key=lambda record: (-(record.score or 0.0), record.index))
+    fast = (each for each in ranked if (each.score or 0.0) >= plan.enough and pace(run, each.index) >= plan.pace)
+    chosen = ranked[0] if plan.pace == 0.0 else next(fast, ranked[0])
+    return chosen.index, chosen.score or 0.0
 
 
 def best_of_islands(race: Path, budget: int, count: int, written: Path) -> Path:
@@ -107,20 +123,20 @@ def champion(task: str, seed: int, folder: Path, jobs: str) -> tuple[float, floa
     middle, last = (folder / f"{task}-{seed}-{part}" for part in ("middle", "last"))
     evolved("random", race, f"--task {ground} --seed {seed} {RACE}", plan.candidates, jobs)
     if plan.way is None:
-        genome, one = best(race, plan.candidates)
+        genome, one = best(race, plan.candidates, plan)
     else:
         starts = best_of_islands(race, plan.candidates, plan.starts, folder / f"{task}-{seed}-starts")
         evolved(str(starts), middle, f"--task {plan.way} --seed {seed} {MIDDLE}", plan.middle, jobs)
-        genome, one = best(middle, plan.middle)
+        genome, one = best(middle, plan.middle, plan)
     evolved(str(genome), last, f"--task {task} --seed {seed} {LAST}", plan.finish, jobs)
-    return one, best(last, plan.finish)[1], pace(last)
+    _, score = best(last, plan.finish, plan)
+    run = Run.open(last)
+    return one, score, pace(run, winner(run, plan.finish, plan)[0])
 
 
-def pace(folder: Path) -> float:
-    """Returns how fast the best of a run is over the ground, in body lengths (the longest edge at rest) a second."""
-    run = Run.open(folder)
-    assert run.best is not None
-    (low, high), evaluation = run.genome(run.best.index).body.bounds, run.evaluation(run.best.index)
+def pace(run: Run, index: int) -> float:
+    """Returns how fast a candidate is over the ground, in body lengths (the longest edge at rest) a second."""
+    (low, high), evaluation = run.genome(index).body.bounds, run.evaluation(index)
     assert evaluation.distance is not None
     ticks = statistics.mean(result.ticks for result in evaluation.results)
     seconds = ticks / run.settings.task.tick_rate
@@ -132,7 +148,7 @@ def luck(task: str, seed: int, folder: Path, jobs: str) -> float:
     plan, folder = PLANS.get(task, Plan()), folder / f"{task}-{seed}-random"
     budget = plan.candidates + plan.middle + plan.finish
     evolved("random", folder, f"--task {task} --seed {seed} {RANDOM}", budget, jobs)
-    return best(folder, budget)[1]
+    return best(folder, budget, Plan())[1]
 
 
 def spent() -> float:
