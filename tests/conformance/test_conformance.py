@@ -84,7 +84,12 @@ def listening(answer: Callable[[socket.socket], None]) -> Iterator[int]:
 
 
 @pytest.mark.parametrize(
-    ("backend", "mode"), [("ballistic", "lockstep"), ("mujoco", "realtime"), ("pymunk", "lockstep")]
+    ("backend", "mode"),
+    [
+        ("ballistic", "lockstep"),
+        ("mujoco", "realtime"),
+        pytest.param("pymunk", "lockstep", marks=pytest.mark.long),
+    ],
 )
 def test_our_server_conforms(backend: str, mode: str) -> None:
     roles: dict[str, Any] = {"roles": {"player": {}, "viewer": {}}} if backend == "ballistic" else {}

@@ -242,7 +242,7 @@ def test_a_creature_that_does_nothing_scores_exactly_nothing(name: str) -> None:
     edge = {"id": "a", "size": 0.4, "mass": 10, "position": [0, 0.283, 0], "rotation": [0, 0, 0.785398]}
     for cube in (block, tall, edge, {**edge, "friction": 0, "restitution": 0.5}):
         genome = {"format": "nmes-genome/1", "name": "still", "body": {"cubes": [cube]}}
-        evaluation = evaluate(Genome(genome), Task.load(name), seeds=[1, 2])
+        evaluation = evaluate(Genome(genome), Task.load(name), seeds=[1])
         scores = {result.score for result in evaluation.results}
         assert evaluation.error is not None or scores <= {0.0, None}
         refused = name in ("growth", "injury")  # it is too large for a newborn, and has no limb to lose

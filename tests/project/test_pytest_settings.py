@@ -124,6 +124,7 @@ def test_property_tests_draw_the_same_examples_in_every_process(tmp_path: Path) 
     assert drawn(tmp_path / "imports", imports + DRAWING) == examples
 
 
+@pytest.mark.long
 def test_the_search_draws_other_examples_each_time(tmp_path: Path) -> None:
     options = ["-n", "1", "--hypothesis-profile=search"]
     assert drawn(tmp_path / "first", DRAWING, *options, CI="") != drawn(tmp_path / "again", DRAWING, *options, CI="1")
