@@ -33,21 +33,27 @@ that changes what all clients share has `Scope.WORLD`; all others run side by si
 The suite knows the protocol and the schemas, and nothing of any server.
 """
 
-from nmes.conformance.case import Case, Category, Finding, Level, Scope
-from nmes.conformance.cases import CASES, CATEGORIES
-from nmes.conformance.runner import (
-    NoCase,
-    Options,
-    Report,
-    Result,
-    Unreachable,
-    Verdict,
-    replay,
-    run,
-    select,
-    suite_hash,
-)
-from nmes.conformance.trial import Probe, Target, Trial
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from nmes.conformance.case import Case, Category, Finding, Level, Scope
+    from nmes.conformance.cases import CASES, CATEGORIES
+    from nmes.conformance.runner import (
+        NoCase,
+        Options,
+        Report,
+        Result,
+        Unreachable,
+        Verdict,
+        replay,
+        run,
+        select,
+        suite_hash,
+    )
+    from nmes.conformance.trial import Probe, Target, Trial
 
 __all__ = [
     "CASES",
@@ -71,3 +77,37 @@ __all__ = [
     "select",
     "suite_hash",
 ]
+
+_HOMES = {
+    "CASES": "nmes.conformance.cases",
+    "CATEGORIES": "nmes.conformance.cases",
+    "Case": "nmes.conformance.case",
+    "Category": "nmes.conformance.case",
+    "Finding": "nmes.conformance.case",
+    "Level": "nmes.conformance.case",
+    "NoCase": "nmes.conformance.runner",
+    "Options": "nmes.conformance.runner",
+    "Probe": "nmes.conformance.trial",
+    "Report": "nmes.conformance.runner",
+    "Result": "nmes.conformance.runner",
+    "Scope": "nmes.conformance.case",
+    "Target": "nmes.conformance.trial",
+    "Trial": "nmes.conformance.trial",
+    "Unreachable": "nmes.conformance.runner",
+    "Verdict": "nmes.conformance.runner",
+    "replay": "nmes.conformance.runner",
+    "run": "nmes.conformance.runner",
+    "select": "nmes.conformance.runner",
+    "suite_hash": "nmes.conformance.runner",
+}
+
+
+def __getattr__(name: str) -> Any:
+    # Loaded when first used: pytest loads the plugin wherever NMES is installed, and need not wait for the suite.
+    if name in _HOMES:
+        return getattr(importlib.import_module(_HOMES[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, *(name for name in globals() if name.startswith("__"))])

@@ -106,3 +106,12 @@ def test_what_pytest_loads_needs_nothing_that_windows_lacks() -> None:
     # It is loaded by every run of pytest where NMES is installed, whatever is tested.
     lacking = "import sys; sys.modules |= dict.fromkeys(['fcntl', 'resource', 'termios', 'pwd'])"
     assert run(f"{lacking}\nimport nmes.conformance.plugin, nmes.cli.conform; print('loaded')") == "loaded"
+
+
+def test_what_pytest_loads_is_little() -> None:
+    modules = run("import nmes.conformance.plugin, sys; print(*sys.modules)").split()
+    assert not {"hypothesis", "numpy", "orjson", "nmes.protocol"} & set(modules)
+    names = run(
+        "import nmes.conformance as suite; print(*(name for name in suite.__all__ if not hasattr(suite, name)))"
+    )
+    assert names == ""
