@@ -358,7 +358,9 @@ class Brain(ABC):
         for problem in problems(self.shape, self._given):
             findings.add(problem.pointer, problem.message)
             unsound.append(problem)
-        sound: JsonObject = without(self._given, unsound) if unsound else self._given
+        if not unsound:
+            return self._given
+        sound: JsonObject = without(self._given, unsound)
         if next(problems(self.shape, sound), None) is not None:
             findings.check()
         return sound

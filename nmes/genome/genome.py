@@ -47,7 +47,7 @@ class Genome:
 
     Raises:
         DocumentError: With everything that is wrong, each with its place in the document. A brain is not looked into:
-            `brain` does that.
+            `check_brain` does that.
 
     Attributes:
         name: What people call it.
@@ -60,6 +60,7 @@ class Genome:
         self._text = write_json(copied)
         self.body = _read(self._text)
         self.name = str(copied["name"])
+        self._brain_is_good = False  # as far as anybody has looked
 
     @classmethod
     def parse(cls, text: bytes) -> Genome:
@@ -129,6 +130,17 @@ class Genome:
             raise DocumentError([("brain", f"{self.name!r} has no brain: it is driven from outside")])
         inputs, outputs = [sensor.id for sensor in self.body.sensors], self.body.outputs
         return load_brain(document["brain"], inputs, outputs)
+
+    def check_brain(self) -> None:
+        """Checks that the brain, if there is one, is a good one for this body; looks once.
+
+        Raises:
+            DocumentError: It is not, with everything that is wrong.
+        """
+        if not self._brain_is_good:
+            if "brain" in self.document:
+                self.brain()
+            self._brain_is_good = True
 
     def expanded(self) -> Genome:
         """Returns the same creature with its cubes and joints written out in place of a graph."""

@@ -124,7 +124,7 @@ class Learning:
         start = self._settings.genome
         try:
             genome = Genome({**start.document, "brain": self._pupil.brain(), "parents": [start.hash]})
-            genome.brain()
+            genome.check_brain()
         except DocumentError:
             return None
         return genome

@@ -70,7 +70,7 @@ def with_policy(
     }
     document: JsonObject = {**genome.document, "brain": brain, "parents": [genome.hash]}
     found = Genome(document)
-    found.brain()  # that its numbers are within their bounds
+    found.check_brain()  # that its numbers are within their bounds
     return found
 
 

@@ -44,8 +44,7 @@ def cross(first: Genome, second: Genome, draw: Draw, *, requirements: Requiremen
             something of each.
     """
     for parent in (first, second):
-        if "brain" in parent.document:
-            parent.brain()
+        parent.check_brain()
     if ("graph" in first.document["body"]) != ("graph" in second.document["body"]):
         one, other = first.expanded(), second.expanded()
     else:
@@ -55,7 +54,9 @@ def cross(first: Genome, second: Genome, draw: Draw, *, requirements: Requiremen
         document = one.document
         names = draw.one_of(_WAYS)(document, one, other, draw)
         try:
-            child = offspring(document, one.body, [first, second], draw, ANY)
+            child = one
+            if document["body"] != one.document["body"]:  # else there is nothing to grow
+                child = offspring(document, one.body, [first, second], draw, ANY)
             document = _with_brain(child, other, names, draw)
             if child.body == one.body and document.get("brain") == one.document.get("brain"):
                 continue

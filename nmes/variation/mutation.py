@@ -94,8 +94,7 @@ def mutate(
     if kind is not None and kind not in KINDS:
         hint = did_you_mean(kind, KINDS) or f": there are {', '.join(KINDS)}"
         raise VariationError("unknown_mutation", f"there is no kind of mutation {kind!r}{hint}")
-    if "brain" in genome.document:
-        genome.brain()
+    genome.check_brain()
     reason = "there is nothing of that kind to change"
     # Only where they may change anything: they draw nothing elsewhere.
     use = {

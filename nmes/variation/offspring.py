@@ -56,8 +56,7 @@ def admitted(document: JsonObject, requirements: Requirements) -> Genome:
         DocumentError: It is no good genome, its brain is none for its body, or it does not meet the requirements.
     """
     genome = Genome(document)
-    if "brain" in document:
-        genome.brain()
+    genome.check_brain()
     reasons = requirements.check(genome.body)
     if reasons:
         raise DocumentError([("body", reason) for reason in reasons])

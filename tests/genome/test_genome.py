@@ -183,6 +183,16 @@ def test_a_brain_must_fit_the_body() -> None:
 # -- what a genome is -------------------------------------------------------------------------------------------------
 
 
+def test_a_brain_is_checked_as_often_as_one_asks() -> None:
+    Genome(pair()).check_brain()  # there is none, and none that is bad
+    bad = Genome({**pair(), "brain": {"kind": "sine", "oscillators": [{"motor": "nobody", "frequency": 1}]}})
+    for _ in range(2):
+        with pytest.raises(DocumentError, match="there is no motor 'nobody'"):
+            bad.check_brain()
+    good = Genome.load("walker")
+    assert [good.check_brain(), good.check_brain()] == [None, None]
+
+
 def test_equal_documents_have_equal_hashes() -> None:
     genome = Genome(pair())
     text = json.dumps(pair(), indent=3, sort_keys=True).replace('"mass": 1', '"mass": 1.0')

@@ -185,8 +185,7 @@ def _first_network(genome: Genome, sensors: Sequence[str]) -> Network:
         DocumentError: The genome's brain is none for its body, or it has no motors.
     """
     brain: JsonObject = genome.document.get("brain", {})
-    if brain:
-        genome.brain()
+    genome.check_brain()
     if brain.get("kind") == "graph":
         return Network.of(brain)
     motors = motor_names(genome.body)
