@@ -218,11 +218,17 @@ def test_a_divergence_names_its_body() -> None:
 # -- determinism -----------------------------------------------------------------------------------------------------
 
 
+def numbers(first: int, short: int, long: int) -> list[Any]:
+    """Returns the numbers of drawn programs: so many of them, and more in the long tests."""
+    later = (pytest.param(number, marks=pytest.mark.long) for number in range(first + short, first + long))
+    return [*range(first, first + short), *later]
+
+
 def world(number: int) -> World:
     return World({"mode": "lockstep", "seed": number})
 
 
-@pytest.mark.parametrize("number", range(40))
+@pytest.mark.parametrize("number", numbers(0, 15, 40))
 def test_a_program_gives_the_same_world_again_with_or_without_queries(number: int) -> None:
     program = programs.draw(number, 60)
     replies, digests = programs.play(world(number), program)
@@ -243,14 +249,16 @@ class Onlooker(Journal):
             self.watched.poses()
 
 
-@pytest.mark.parametrize("number", [*range(130, 150), 1527])  # 1527: a branch of a frozen root wakes between readings
+@pytest.mark.parametrize(
+    "number", [*numbers(130, 10, 20), 1527]
+)  # 1527: a branch of a frozen root wakes between readings
 def test_queries_change_no_later_state(number: int) -> None:
     program, watched = programs.draw(number, 100), world(number)
     watched.journal = Onlooker(watched)
     assert programs.play(watched, program) == programs.play(world(number), program)
 
 
-@pytest.mark.parametrize("number", range(40, 70))
+@pytest.mark.parametrize("number", numbers(40, 15, 30))
 def test_a_restored_world_continues_like_the_saved_one(number: int) -> None:
     program = programs.draw(number, 80)
     first, second = world(number), world(number)
@@ -347,7 +355,7 @@ def test_worlds_of_kept_models_do_what_worlds_of_their_own_models_do(
 # -- parked bodies ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("number", range(100, 130))
+@pytest.mark.parametrize("number", numbers(100, 15, 30))
 def test_parked_bodies_do_not_affect_the_world(number: int, monkeypatch: pytest.MonkeyPatch) -> None:
     """The same programs with parked bodies from the second cube on: repeatable, and restored exactly."""
     monkeypatch.setattr(rebuild, "PARKING_FROM", 2)
