@@ -190,7 +190,8 @@ def test_a_brain_is_checked_as_often_as_one_asks() -> None:
         with pytest.raises(DocumentError, match="there is no motor 'nobody'"):
             bad.check_brain()
     good = Genome.load("walker")
-    assert [good.check_brain(), good.check_brain()] == [None, None]
+    for _ in range(2):
+        good.check_brain()
 
 
 def test_equal_documents_have_equal_hashes() -> None:
