@@ -51,9 +51,9 @@ class Socket:
 
 
 @contextmanager
-def socket_to(port: int, path: str = "/ws", scheme: str = "ws", **options: Any) -> Iterator[Socket]:
-    """Opens a WebSocket to a port of this machine."""
-    with connect(f"{scheme}://127.0.0.1:{port}{path}", open_timeout=PATIENCE, close_timeout=1, **options) as connection:
+def socket_to(port: int, path: str = "/ws", **options: Any) -> Iterator[Socket]:
+    """Opens a WebSocket without TLS to a port of this machine."""
+    with connect(f"ws://127.0.0.1:{port}{path}", open_timeout=PATIENCE, close_timeout=1, **options) as connection:
         yield Socket(connection)
 
 
