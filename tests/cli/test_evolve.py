@@ -6,7 +6,6 @@ import json
 import os
 import pty
 import re
-import resource
 import shutil
 import signal
 import sqlite3
@@ -22,6 +21,7 @@ import orjson
 import pytest
 from click.testing import CliRunner, Result
 
+from disks import full_disk
 from nmes.cli import main
 from nmes.cli._evolve_run import _note, _populations_note
 from nmes.evolution.run import Run
@@ -276,12 +276,8 @@ def test_a_full_disk_stops_a_run_that_goes_on_once_there_is_room(task: Path, tmp
     folder = tmp_path / "run"
     enough = len((whole / "log.jsonl").read_bytes()) // 2
     arguments = [NMES, "evolve", "random", "--task", str(task), *BEGIN, "-o", str(folder), "--jobs", "1"]
-    result = subprocess.run(
-        arguments,
-        capture_output=True,
-        text=True,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (enough, resource.RLIM_INFINITY)),
-    )
+    with full_disk(enough):
+        result = subprocess.run(arguments, capture_output=True, text=True)
     assert result.returncode == 1 and "make room" in result.stderr and "Traceback" not in result.stderr
     text = (folder / "log.jsonl").read_bytes()
     assert 0 < len(text) <= enough and text.endswith(b"\n")

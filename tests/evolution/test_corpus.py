@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import resource
 import subprocess
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +14,7 @@ import zstandard
 
 import corpus as tool
 from command_line import run
+from disks import full_disk
 from modelled import modelled
 from nmes.errors import NmesError
 from nmes.evaluation.identity import creature_hash
@@ -322,12 +322,8 @@ def test_which_creatures_are_run_again_follows_from_the_seed(monkeypatch: pytest
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_a_full_disk_of_who_verifies_is_not_the_creatures_fault(jobs: str, small: Path, tmp_path: Path) -> None:
-    with subprocess.Popen(
-        [NMES, "corpus", "verify", small, "--all", "--record", tmp_path, "--jobs", jobs, "-q"],
-        stdout=-1,
-        text=True,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)),
-    ) as child:
+    arguments = [NMES, "corpus", "verify", small, "--all", "--record", tmp_path, "--jobs", jobs, "-q"]
+    with full_disk(4096), subprocess.Popen(arguments, stdout=-1, text=True) as child:
         output = child.communicate(timeout=200)[0]
     assert child.returncode == 3, output
     assert output.count("could not be judged here: jump-far-") == 3 and "File too large" in output

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import random
-import resource
 import shutil
 import signal
 import subprocess
@@ -20,6 +19,7 @@ from PIL import Image
 
 from command_line import run
 from creatures import seedling
+from disks import full_disk
 from modelled import modelled
 from nmes.errors import MachineError
 from nmes.evaluation import Workers, evaluate, parallel
@@ -304,13 +304,8 @@ def test_a_disk_that_is_full_loses_nothing(whole: Survey, tmp_path: Path) -> Non
     folder = tmp_path / "full"
     Survey.create(folder, settings())
     enough = len((whole.folder / "log.jsonl").read_bytes()) // 2
-    with subprocess.Popen(
-        [NMES, "survey", "resume", str(folder), "--jobs", "1"],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (enough, resource.RLIM_INFINITY)),
-    ) as child:
+    arguments = [NMES, "survey", "resume", str(folder), "--jobs", "1"]
+    with full_disk(enough), subprocess.Popen(arguments, stdout=-1, stderr=-1, text=True) as child:
         _, err = child.communicate(timeout=100)
     assert child.returncode == 1 and "cannot write" in err and "Traceback" not in err
     assert finish(Survey.open(folder)).digest == whole.digest

@@ -138,7 +138,8 @@ def test_servers_that_start_at_once_in_one_folder_record_to_files_of_their_own(
 
 def test_serve_says_that_a_recording_is_not_whole_and_ends_with_status_1(tmp_path: Path) -> None:
     options = ["--port", "0", "--backend", "ballistic", "--mode", "lockstep", "--record", str(tmp_path)]
-    with process("serve", "--json", *options, "--flush-interval", "0", NMES_PASSWORD=PASSWORD) as server:
+    environment = {"NMES_PASSWORD": PASSWORD, "PYTHONDONTWRITEBYTECODE": "1"}  # see `disks.full_disk`
+    with process("serve", "--json", *options, "--flush-interval", "0", **environment) as server:
         info = ready(server)
         resource.prlimit(server.pid, resource.RLIMIT_FSIZE, (100_000, 100_000))  # a full disk
         with Peer(info["port"]) as peer:

@@ -5,13 +5,11 @@ from __future__ import annotations
 import json
 import os
 import random
-import resource
 import struct
 import subprocess
 import sys
 import zlib
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,6 +20,7 @@ from click.testing import CliRunner
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat, PublicFormat
 
+from disks import full_disk
 from nmes.cli import main
 from nmes.protocol import parse
 from nmes.recording import Kind, Recording
@@ -111,17 +110,6 @@ def test_no_command_writes_over_what_it_reads(
     assert code in (1, 2) and ("is what is read" in text or "exists already" in text)
     assert recording.read_bytes() == busy_file.read_bytes()
     assert {path.name for path in tmp_path.iterdir()} == {"run.gif", "key.pem", output.name}
-
-
-@contextmanager
-def full_disk(room: int) -> Iterator[None]:
-    """Lets no file grow over `room` bytes meanwhile."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (room, before[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
 @pytest.mark.parametrize("command", WRITERS)

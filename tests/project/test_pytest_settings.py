@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import os
 import shutil
 import subprocess
@@ -10,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from disks import full_disk
 from layout import ROOT
 
 HANGING = """
@@ -135,3 +137,17 @@ def test_a_failed_property_test_prints_its_example_and_how_to_repeat_it(tmp_path
     assert "number=1000," in output
     assert "@reproduce_failure(" in output
     assert not (tmp_path / ".hypothesis" / "examples").exists()
+
+
+def test_a_test_with_a_full_disk_keeps_no_module_that_was_cut_short(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.delenv("PYTHONDONTWRITEBYTECODE", raising=False)
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    for name in ("loaded_here", "loaded_there"):
+        (tmp_path / f"{name}.py").write_text(f"text = {'x' * 1000!r}")
+    monkeypatch.syspath_prepend(tmp_path)
+    with full_disk(100):
+        importlib.import_module("loaded_here")
+        subprocess.run([sys.executable, "-c", "import loaded_there"], cwd=tmp_path, check=True)
+    assert not (tmp_path / "__pycache__").exists()

@@ -2,10 +2,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-import resource
 import struct
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +17,7 @@ from mcap.reader import NonSeekingReader, make_reader
 from mcap.records import Chunk, MessageIndex
 from mcap_protobuf.decoder import DecoderFactory
 
+from disks import full_disk
 from nmes import protocol
 from nmes.backend.fingerprint import DECISIVE, differences
 from nmes.errors import RecordingError
@@ -269,16 +267,6 @@ def test_a_fault_completes_the_file_and_a_reset_appends_to_it(tmp_path: Path) ->
     assert (summary.faults, summary.commands["reset"]) == (2, 1)
 
 
-@contextmanager
-def files_no_longer_than(size: int) -> Iterator[None]:
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (size, limits[1]))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-
-
 def test_a_failed_write_faults_the_world_and_keeps_earlier_records(tmp_path: Path) -> None:
     path = tmp_path / "x.mcap"
     world = World({"backend": "ballistic", "mode": "lockstep"})
@@ -287,7 +275,7 @@ def test_a_failed_write_faults_the_world_and_keeps_earlier_records(tmp_path: Pat
     send(world, client, type="step", ticks=5)
     recorder.flush()
     frame = world.frame
-    with files_no_longer_than(path.stat().st_size + 100):
+    with full_disk(path.stat().st_size + 100):
         reply = send(world, client, type="step", ticks=10_000)  # enough to flush by itself
     assert reply["code"] == "world_faulted"
     assert world.fault is not None and world.fault.code == "recording_failed"
@@ -307,7 +295,7 @@ def test_a_failing_flush_stops_the_world_at_its_next_input(tmp_path: Path) -> No
     world = World({"backend": "ballistic", "mode": "lockstep"})
     recorder = world.journal = Recorder(path, world)
     client = world.join()
-    with files_no_longer_than(path.stat().st_size + 10), pytest.raises(RecordingError, match="File too large"):
+    with full_disk(path.stat().st_size + 10), pytest.raises(RecordingError, match="File too large"):
         recorder.flush()
     world.tick()
     assert world.fault is not None and world.fault.code == "recording_failed"
@@ -318,7 +306,7 @@ def test_a_file_that_cannot_be_created_is_an_error(tmp_path: Path) -> None:
     world = World({"backend": "ballistic"})
     with pytest.raises(RecordingError, match="cannot create"):
         Recorder(tmp_path / "no such folder" / "x.mcap", world)
-    with files_no_longer_than(100), pytest.raises(RecordingError, match="cannot write"):
+    with full_disk(100), pytest.raises(RecordingError, match="cannot write"):
         Recorder(tmp_path / "x.mcap", world)
 
 
@@ -339,7 +327,7 @@ def test_a_recording_that_cannot_be_completed_is_an_error(tmp_path: Path) -> Non
     world = World({"backend": "ballistic", "mode": "lockstep"})
     recorder = world.journal = Recorder(tmp_path / "x.mcap", world)
     world.join()
-    with files_no_longer_than((tmp_path / "x.mcap").stat().st_size + 10), pytest.raises(RecordingError):
+    with full_disk((tmp_path / "x.mcap").stat().st_size + 10), pytest.raises(RecordingError):
         recorder.close()
     recorder.close()
 
