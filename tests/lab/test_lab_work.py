@@ -27,6 +27,7 @@ SETTINGS = {"task": "walk", "algorithm": "ga", "budget": 24, "seed": 3, "seeds":
 @pytest.fixture(scope="module")
 def lab(tmp_path_factory: pytest.TempPathFactory) -> Iterator[RunningLab]:
     with running_lab(tmp_path_factory.mktemp("lab")) as running:
+        running.good("/api/genomes/mine", json.dumps(WALKER).encode(), "PUT")  # with which `SETTINGS` begins
         yield running
 
 
@@ -89,7 +90,7 @@ def test_a_mutant_is_that_of_the_command_line(lab: RunningLab) -> None:
 
 
 def test_a_run_that_was_paused_and_resumed_is_that_of_the_command_line(lab: RunningLab, tmp_path: Path) -> None:
-    lab.good("/api/genomes/mine", json.dumps(WALKER).encode(), "PUT")
+    lab.good("/api/genomes/mine", json.dumps(WALKER).encode(), "PUT")  # a test above saves another
     genome, folder = str(lab.folder / "genomes" / "mine.json"), str(tmp_path / "run")
     options = ["--task", "walk", "--budget", "24", "--seed", "3", "--seeds", "1", "--jobs", "1", "-o", folder, "--json"]
     expected = subprocess.run([NMES, "evolve", genome, *options], capture_output=True, check=True, timeout=4 * PATIENCE)
