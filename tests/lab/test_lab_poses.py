@@ -216,7 +216,9 @@ def test_what_a_brain_with_a_memory_does_is_told(lab: RunningLab) -> None:
 
 
 def test_a_running_world_is_shown_at_the_pace_of_its_ticks_and_not_where_nothing_moves(lab: RunningLab) -> None:
-    with lab.world() as world, lab.socket("/ws/poses") as watcher:
+    with lab.socket() as maker:
+        maker.ask({"type": "auth", "create": {"world": "running"}})
+    with lab.world(world="running") as world, lab.socket("/ws/poses?world=running") as watcher:
         world.ask({"type": "spawn_cube", "cube_name": "high", "position": [0, 50, 0], "list": False})
         scene, first = newest(watcher, 0)
         while not len(first.poses):  # it was watched before anything was there
