@@ -322,7 +322,7 @@ def test_which_creatures_are_run_again_follows_from_the_seed(monkeypatch: pytest
 
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_a_full_disk_of_who_verifies_is_not_the_creatures_fault(jobs: str, small: Path, tmp_path: Path) -> None:
-    arguments = [NMES, "corpus", "verify", small, "--all", "--record", tmp_path, "--jobs", jobs, "-q"]
+    arguments = [NMES, "corpus", "verify", str(small), "--all", "--record", str(tmp_path), "--jobs", jobs, "-q"]
     with full_disk(4096), subprocess.Popen(arguments, stdout=-1, text=True) as child:
         output = child.communicate(timeout=200)[0]
     assert child.returncode == 3, output
