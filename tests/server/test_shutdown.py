@@ -60,7 +60,7 @@ def test_sigterm_under_load_completes_recordings(
             peer.socket.close()
     assert last == ["world_closed"] * 3
     record_property("from SIGTERM to the end, under load", f"{took:.2f} s")
-    assert took < PATIENCE / 2
+    assert took < 5.0
     recordings = [Recording(path) for path in tmp_path.iterdir()]
     assert len(recordings) == 3
     assert all(recording.complete for recording in recordings)
@@ -79,9 +79,11 @@ def test_sigterm_ends_a_long_step(tmp_path: Path) -> None:
             peer.ask({"type": "subscribe", "events": ["tick"]})
             peer.say({"type": "step", "ticks": 10_000})  # for half a minute
             assert peer.hear()["frame"] == 1
+            began = time.monotonic()
             server.send_signal(signal.SIGTERM)
             assert types(peer.rest())[-1] == "world_closed"
         assert server.wait(PATIENCE) == 0, server.communicate()
+        assert time.monotonic() - began < 5.0
     recording = Recording(info["recording"])
     assert recording.complete
     ticks = recording.summary().ticks

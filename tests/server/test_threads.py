@@ -57,11 +57,6 @@ class Gate:
         self._open.release()
 
 
-def clients(peer: Peer) -> int:
-    count: int = peer.ask({"type": "get_world_info"})["counts"]["clients"]
-    return count
-
-
 def enter(server: Served, world: str) -> Peer:
     peer = server.peer(None)
     welcome = peer.ask({"type": "auth", "password": PASSWORD, "world": world})
@@ -176,7 +171,7 @@ def test_a_client_that_leaves_during_a_long_step_has_left_after_it(tmp_path: Pat
             never_in.say({"type": "spawn_cube", "cube_name": "c"})
             until(lambda: server.call(lambda: len(server.hosted._waiting)) >= 1)
         gate.open()
-        until(lambda: clients(watcher) == 1)
+        until(lambda: watcher.ask({"type": "get_world_info"})["counts"]["clients"] == 1)
         assert watcher.ask({"type": "get_cube_list"})["cubes"] == ["b", "c"]
     (path,) = tmp_path.iterdir()
     assert replay(path).verdict == "reproduced"
@@ -202,9 +197,15 @@ def test_a_subscriber_that_never_reads_is_cut_during_a_long_step() -> None:
     with served(limits=Limits(pending=64 << 10, stall_timeout=1000)) as server, server.peer() as peer:
         with server.peer(receive_buffer=4096) as deaf:
             deaf.say({"type": "subscribe", "events": ["tick"]})
-            until(lambda: clients(peer) == 2)
-            # 600 KB of events each, and the system takes some megabytes of them before any wait in the host.
-            until(lambda: peer.ask(LONG)["type"] == "stepped" and clients(peer) == 1, attempts=100)
+            until(lambda: server.clients() == 2)
+            stepped: list[int] = []
+
+            def cut() -> bool:  # 600 KB of events a step, and the system takes some MB before any wait in the host
+                stepped.append(peer.ask(LONG)["frame"])
+                return server.clients() == 1
+
+            until(cut, attempts=100)
+            assert stepped == [10_000 * (number + 1) for number in range(len(stepped))]
             messages = [json.loads(frame) for frame in deaf.rest()]
         assert messages[-1]["code"] == "slow_consumer"
         assert [event["frame"] for event in messages[1:-1]] == list(range(1, len(messages) - 1))

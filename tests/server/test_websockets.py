@@ -275,7 +275,8 @@ async def _enter(port: int, context: ssl.SSLContext) -> Any:
     one handshake in 800 broke on a busy machine.
     """
     address = f"127.0.0.1:{port}"
-    async with connect(f"wss://{address}/ws", ssl=context, origin=Origin(f"https://{address}")) as browser:
+    origin = Origin(f"https://{address}")
+    async with connect(f"wss://{address}/ws", ssl=context, origin=origin, open_timeout=PATIENCE) as browser:
         await browser.send(json.dumps({"type": "auth", "password": PASSWORD}))
         return json.loads(await browser.recv())
 
