@@ -37,7 +37,7 @@ from nmes.recording import Recorder
 from nmes.world import World
 from nmes.world.creature import Creature
 
-__all__ = ["Match", "MatchResult", "admit_players", "play", "play_match"]
+__all__ = ["Match", "MatchResult", "admit_players", "check_players", "play", "play_match"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,6 +213,16 @@ def admit_players(task: MatchTask, genomes: Mapping[str, Genome]) -> dict[str, B
 
     Raises:
         DocumentError: A brain is not as it must be, or does not fit its body.
+        WorldError: As by `check_players`.
+    """
+    check_players(task, genomes)
+    return {role: brain_of(genomes[role]) for role in task.roles}
+
+
+def check_players(task: MatchTask, genomes: Mapping[str, Genome]) -> None:
+    """Refuses creatures whose bodies may not play their roles.
+
+    Raises:
         WorldError: They may not (`invalid`); the message has every reason.
     """
     if {*genomes} != {*task.roles}:
@@ -221,7 +231,6 @@ def admit_players(task: MatchTask, genomes: Mapping[str, Genome]) -> dict[str, B
     reasons = [f"{role}: {reason}" for role in task.roles for reason in task.check(role, genomes[role].body)]
     if reasons:
         raise WorldError("invalid", "; ".join(reasons))
-    return {role: brain_of(genomes[role]) for role in task.roles}
 
 
 def play_match(

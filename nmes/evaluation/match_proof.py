@@ -14,9 +14,10 @@ from itertools import islice
 
 from nmes import protocol
 from nmes.backend import Array
-from nmes.errors import ProofError
+from nmes.errors import ProofError, WorldError
+from nmes.evaluation.episode import brain_of
 from nmes.evaluation.judge import Result
-from nmes.evaluation.match import Match, admit_players
+from nmes.evaluation.match import Match, check_players
 from nmes.evaluation.match_task import METADATA, MatchTask
 from nmes.evaluation.proof import closed, digest, follow
 from nmes.genome import Genome
@@ -99,7 +100,11 @@ def is_match(recording: Recording) -> bool:
 
 def _check(recording: Recording, brain: bool) -> tuple[Match, MatchTask, dict[str, Genome], int]:
     task, genomes, seed = recorded_match(recording)
-    brains = admit_players(task, genomes) if brain else {}
+    try:
+        check_players(task, genomes)  # whoever recorded it need not have asked
+    except WorldError as error:
+        raise ProofError("not_an_evaluation", f"{recording.path}: {error.message}") from error
+    brains = {role: brain_of(genomes[role]) for role in task.roles} if brain else {}
 
     def make(world: World) -> Match:
         return Match(world, genomes, brains, task, seed, logged=not brain)

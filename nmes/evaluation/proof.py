@@ -218,6 +218,8 @@ def _check(recording: Recording, brain: bool, log: _Log | None = None) -> tuple[
         ProofError, DocumentError, MissingPackage: As by `prove`.
     """
     task, genome, seed = recorded_episode(recording)
+    if reasons := task.check(genome.body):  # whoever recorded it need not have asked
+        raise ProofError("not_an_evaluation", f"{recording.path}: {'; '.join(reasons)}")
     driver = brain_of(genome) if brain else None
 
     def make(world: World) -> Episode:
@@ -375,7 +377,11 @@ def _agree(step: Step, request: Request | None) -> bool:
     command = request.command
     if command is None or command["type"] != "drive" or command["creature"] != step.creature:
         return False
-    return _is_free(step) or np.array_equal(np.array(command["controls"], float), np.asarray(step.controls))
+    if _is_free(step):
+        return True
+    # What else a command says, such as the layout that it is for, may have had the world refuse it.
+    alike = np.array_equal(np.array(command["controls"], float), np.asarray(step.controls))
+    return alike and command.keys() == {"type", "creature", "controls"}
 
 
 def _divergence(world: World, what: str) -> ProofError:

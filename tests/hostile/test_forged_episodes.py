@@ -25,7 +25,14 @@ Change = Callable[[dict[str, Any]], dict[str, Any]]
 
 
 def record(
-    path: Path, config: dict[str, Any], *, extra: dict[int, dict[str, Any]], other: bool = False, change: Change = dict
+    path: Path,
+    config: dict[str, Any],
+    *,
+    extra: dict[int, dict[str, Any]],
+    other: bool = False,
+    change: Change = dict,
+    layout: int | None = None,
+    limits: dict[str, Any] | None = None,
 ) -> Path:
     """Records an episode, of which every reply and every digest is true.
 
@@ -35,8 +42,10 @@ def record(
         extra: Commands by the number of the step before which they come.
         other: Whether another client says them.
         change: What becomes of each command of the episode's own.
+        layout: The layout that the creature is driven in; another than it has is refused.
+        limits: What the task says of bodies.
     """
-    task, genome = Task(DASH), Genome(snake())
+    task, genome = Task(DASH if limits is None else {**DASH, "limits": limits}), Genome(snake())
     world = World({**task.world_config(3), **config})
     about = {METADATA: {"task": json.dumps(task.document), "genome": genome.hash, "seed": "3"}}
     recorder = world.journal = Recorder(path, world, about=about)
@@ -50,7 +59,11 @@ def record(
             world.tick()
         elif isinstance(step, Drive):
             assert isinstance(step.controls, np.ndarray)
-            world.drive(client, step.creature, step.controls)
+            if layout is None:
+                world.drive(client, step.creature, step.controls)
+            else:
+                drive = {"type": "drive", "creature": step.creature, "controls": step.controls.tolist()}
+                world.execute(client, {**drive, "layout": layout})
         else:
             command = change(json.loads(step))
             world.handle(client, parse(step if command == json.loads(step) else json.dumps(command).encode()))
@@ -62,6 +75,18 @@ def record(
 
 def test_an_episode_that_is_recorded_by_hand_proves_its_score(tmp_path: Path) -> None:
     assert prove(record(tmp_path / "x.mcap", {}, extra={}), brain=True).result.score is not None
+
+
+def test_a_creature_whose_brain_was_not_let_drive_it_proves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(ProofError, match="where there should be what the brain of the creature does"):
+        prove(record(tmp_path / "x.mcap", {}, extra={}, layout=999_999), brain=True)
+
+
+@pytest.mark.parametrize("brain", [True, False])
+def test_a_creature_that_may_not_take_part_proves_nothing(tmp_path: Path, brain: bool) -> None:
+    assert prove(record(tmp_path / "y.mcap", {}, extra={}, limits={"mass": 3}), brain=brain).result.score is not None
+    with pytest.raises(ProofError, match="at most 1 are allowed"):
+        prove(record(tmp_path / "x.mcap", {}, extra={}, limits={"mass": 1}), brain=brain)
 
 
 @pytest.mark.parametrize(
