@@ -12,12 +12,13 @@ import stat
 from pathlib import Path
 from typing import BinaryIO, Final
 
-__all__ = ["lock_kept", "open_kept", "open_regular", "read_regular"]
+__all__ = ["lock_kept", "names_another_file", "open_kept", "open_regular", "read_regular"]
 
 _KEPT: Final = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
 
 _HELD: Final = (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES)  # what a lock says that another process has
 _PIECE = 1 << 20  # bytes
+_SUPER_JOURNAL: Final = bytes.fromhex("d9d505f920a163d7")  # what a journal that names another one ends with
 
 
 def open_regular(path: Path) -> BinaryIO:
@@ -76,6 +77,24 @@ def lock_kept(file: int, path: Path) -> None:
 
 def _irregular(path: Path) -> OSError:
     return OSError(errno.EINVAL, "it is no regular file", str(path))
+
+
+def names_another_file(database: Path) -> bool:
+    """Whether beside a database of SQLite lies a journal that has another file removed when the database is opened.
+
+    Such a journal is of a change to several databases at once, of which we make none. SQLite trusts it, and removes
+    whatever file it says is in common to them: https://www.sqlite.org/fileformat2.html#the_rollback_journal.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    path = database.resolve()
+    try:
+        with open_regular(path.with_name(path.name + "-journal")) as file:
+            file.seek(max(0, file.seek(0, os.SEEK_END) - len(_SUPER_JOURNAL)))
+            return file.read() == _SUPER_JOURNAL
+    except FileNotFoundError:
+        return False
 
 
 def read_regular(path: Path, most: int) -> bytes:

@@ -38,6 +38,7 @@ from nmes.evaluation.setting import MATCHES
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
 from nmes.recording.signing import SUFFIX
+from nmes.schemas.files import names_another_file
 
 if TYPE_CHECKING:
     from nmes.evaluation.leaderboard_entry import AnyProof
@@ -89,6 +90,9 @@ class Leaderboard:
         if not create and not self.path.is_file():
             raise LeaderboardError("no_leaderboard", f"there is no leaderboard {self.path}")
         with self._trouble():
+            if names_another_file(self.path):
+                what = f"{self.path}-journal names another file, which SQLite would remove: remove the journal"
+                raise LeaderboardError("no_leaderboard", what)
             self._db = sqlite3.connect(self.path, isolation_level=None)
             try:
                 self._db.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, _LONGEST)

@@ -23,7 +23,7 @@ from nmes.evolution.run_folder import SETTINGS, read_settings
 from nmes.lab.folder import Folder, Kind
 from nmes.recording import Recording
 from nmes.schemas.documents import JsonObject
-from nmes.schemas.files import open_regular
+from nmes.schemas.files import names_another_file, open_regular
 
 __all__ = ["PAGE", "Index"]
 
@@ -61,6 +61,9 @@ class Index:
 
     def _open(self) -> sqlite3.Connection:
         path = self._folder.path / ".index.sqlite"
+        if names_another_file(path):
+            path = path.resolve()
+            path.with_name(path.name + "-journal").unlink()
         for _ in range(2):
             db = sqlite3.connect(path, isolation_level=None)
             try:

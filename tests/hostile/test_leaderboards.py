@@ -7,6 +7,7 @@ import json
 import os
 import random
 import sqlite3
+import struct
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from functools import partial
@@ -178,6 +179,20 @@ def test_a_database_of_other_tables_is_no_leaderboard(board: Path, proofs: list[
         result = run(command[0], board, *command[1:], *(proofs if command == ["add"] else ()))
         assert result.exit_code == 2 and "board.sqlite is " in result.stderr
     assert board.read_bytes() == before
+
+
+def test_a_journal_that_would_have_another_file_removed_is_not_believed(board: Path, tmp_path: Path) -> None:
+    (precious := tmp_path / "thesis.txt").write_text("years of work")
+    name, magic = str(precious).encode(), bytes.fromhex("d9d505f920a163d7")
+    page = int.from_bytes(board.read_bytes()[16:18], "big")
+    head = magic + struct.pack(">IIIII", 0, 1, board.stat().st_size // page, 512, page)
+    tail = struct.pack(">I", 2**30 // page + 1) + name + struct.pack(">II", len(name), sum(name)) + magic
+    board.with_name(board.name + "-journal").write_bytes(head.ljust(512, b"\0") + tail)
+    (link := tmp_path / "link.sqlite").symlink_to(board)
+    for path in (board, link):
+        result = run("show", path)
+        assert result.exit_code == 2 and "names another file" in result.output
+    assert precious.exists()
 
 
 def test_a_damaged_database_gives_no_traceback(tmp_path: Path, dash: Path) -> None:
