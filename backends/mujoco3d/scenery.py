@@ -154,7 +154,8 @@ def _ground(scene: SceneSpec) -> list[Part]:
 def _landscape(field: Heightfield) -> Part:
     # Turned upright, MuJoCo's rows run against our z. It takes heights from 0 to 1 and stretches them.
     heights = _refined(_refined(field.heights, field.size[1]).T, field.size[0]).T[::-1]
-    low, high = float(heights.min()), float(heights.max())
+    # Of 0.0 and -0.0 it depends on the processor which one is found: plus zero, both are 0.0.
+    low, high = float(heights.min()) + 0.0, float(heights.max())
     rise = max(high - low, 1e-6)  # a level one must have some thickness, too
     size = (field.size[0] / 2.0, field.size[1] / 2.0, rise, _BASE)
     return Part(mujoco.mjtGeom.mjGEOM_HFIELD, size, (0.0, low, 0.0), _FACE_UP, _GREEN, (heights - low) / rise)

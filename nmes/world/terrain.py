@@ -58,7 +58,8 @@ class Terrain:
             return plus(planet.position, (x * part, planet.radius * part, z * part))
         field, y = self._landscape, 0.0
         if field is not None:
-            y = max(_height(field, x, z), float(field.heights.min()))  # beyond its edges as low as it is anywhere
+            # Beyond its edges as low as it is anywhere. Which of 0.0 and -0.0 is found depends on the processor.
+            y = max(_height(field, x, z), float(field.heights.min())) + 0.0
         (_, y, _) = self.outside([StaticBox((_POINT,) * 3, (x, y + _POINT / 2.0, z))])[0]
         return x, y - _POINT / 2.0, z
 

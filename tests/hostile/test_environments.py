@@ -41,7 +41,16 @@ FORBIDDEN = {
 # What `sum` may add up: whole numbers, and estimates of times. From Python 3.12 on it has other bits for floats.
 WHOLE = re.compile(r"len\(|len,|size\(|\.file_size|\.episodes|ticks|steps|!=|is not None|i \* i|command_cost")
 JUDGED = (
-    *("nmes/backend", "nmes/brain", "nmes/world", "nmes/genome", "nmes/objective", "nmes/evaluation", "nmes/evolution"),
+    *(
+        "nmes/variation",
+        "nmes/backend",
+        "nmes/brain",
+        "nmes/world",
+        "nmes/genome",
+        "nmes/objective",
+        "nmes/evaluation",
+        "nmes/evolution",
+    ),
     *("nmes/learning/learners", "backends"),
 )
 EXCEPTIONS = {
@@ -271,6 +280,23 @@ def test_a_board_lists_what_comes_out_the_same_beside_another_probe(tmp_path: Pa
     code, output = nmes("leaderboard", "add", board, afar)
     assert code == 0 and output.startswith("listed: inchworm ")
     assert nmes("leaderboard", "verify", board) == (0, "1 of 1 entries hold\n")
+
+
+def test_a_landscape_with_zeros_of_both_signs_is_the_same_on_every_processor() -> None:
+    # numpy's `min` takes the zero of either sign, by how many numbers its vectors have.
+    program = "from nmes.world import World\n"
+    program += "heights = [[-0.0, 0.0, 0.1] + [0.0] * 6] + [[0.0, -0.0, 0.0] * 3 for _ in range(8)]\n"
+    program += "scene = {'type': 'heightfield', 'heightfield': {'size': [4, 4], 'heights': heights}}\n"
+    program += "world = World({'mode': 'lockstep', 'seed': 1, 'scene': scene})\n"
+    program += "world.execute(world.join(), {'type': 'step', 'ticks': 1})\nprint(world.digest().hex())"
+    found = set()
+    for environment in ({}, *ALIKE.values()):
+        process = subprocess.run(
+            [sys.executable, "-c", program], env={**os.environ, **environment}, capture_output=True, text=True
+        )
+        assert process.returncode == 0, process.stderr
+        found.add(process.stdout)
+    assert len(found) == 1
 
 
 def test_a_program_that_raises_where_numbers_underflow_has_the_same_probe() -> None:
