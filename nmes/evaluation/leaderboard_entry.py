@@ -32,6 +32,7 @@ from nmes.evaluation.ratings import places
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
 from nmes.objective.means import mean
+from nmes.playback.report import fingerprint_differences
 from nmes.recording import Recording
 from nmes.recording.signing import signer
 
@@ -55,6 +56,8 @@ AnyProof: TypeAlias = Proof | MatchProof
 _HASH: Final = re.compile("[0-9a-f]{64}")
 _MACHINE: Final = {"backend_not_found", "missing_package", "not_comparable", "recording_unreadable", "unknown_format"}
 """Codes of errors that say something of the verifier's machine, and nothing of the entry."""
+_COMPUTED: Final = {"score", "spread", "players"}
+"""What of an entry is computed from its worlds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -370,8 +373,12 @@ def examine(work: tuple[Entry, Sequence[Path]]) -> Verdict:
     entry, paths = work
     verdict: Literal["holds", "broken", "not_judged"]
     try:
-        reason = _differences(entry, _proved_again(entry, paths))
-        verdict = "broken" if reason else "holds"
+        proofs = _proved_again(entry, paths)
+        differing = _differences(entry, facts(proofs))
+        verdict, reason = "broken" if differing else "holds", _told(differing)
+        if differing and differing.keys() <= _COMPUTED and any(map(_recorded_otherwise, proofs)):
+            # The worlds came out alike, and what an expression makes of them may still have another last bit.
+            verdict, reason = "not_judged", f"it was recorded with another probe: {reason}"
     except NmesError as error:
         verdict, reason = ("not_judged" if error.code in _MACHINE else "broken"), error.message
     except Exception as error:  # a disk, the memory, a mistake of ours: in no case the entry's fault that is proved
@@ -379,7 +386,13 @@ def examine(work: tuple[Entry, Sequence[Path]]) -> Verdict:
     return Verdict(entry.id, entry.task, entry.name, verdict, reason or None)
 
 
-def _proved_again(entry: Entry, paths: Sequence[Path]) -> Mapping[str, Any]:
+def _recorded_otherwise(proof: AnyProof) -> bool:
+    """Whether a proof was recorded where other last bits are computed."""
+    engine = proof.task.world_config(proof.task.seeds[0])["backend"]
+    return bool(fingerprint_differences(engine, proof.fingerprint))
+
+
+def _proved_again(entry: Entry, paths: Sequence[Path]) -> list[AnyProof]:
     for path, expected in zip(paths, entry.recordings, strict=True):
         if not path.is_file():
             raise LeaderboardError("changed", f"there is no recording {path}")
@@ -389,10 +402,14 @@ def _proved_again(entry: Entry, paths: Sequence[Path]) -> Mapping[str, Any]:
     first = proved(paths[0])
     if len(set(paths)) > len(first.task.seeds) * max(len(entry.players), 1):  # counted before thousands of them are run
         raise _incomplete(first)
-    return facts([first, *(proved(path) for path in paths[1:])])
+    return [first, *(proved(path) for path in paths[1:])]
 
 
-def _differences(entry: Entry, proved: Mapping[str, Any]) -> str:
-    """Returns the differences between an entry and its recordings, in words."""
+def _differences(entry: Entry, proved: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
+    """Returns what an entry says otherwise than its recordings: listed, proved."""
     pairs = ((name, getattr(entry, name), value) for name, value in proved.items())
-    return "; ".join(f"{name}: listed {listed!r}, proved {value!r}" for name, listed, value in pairs if listed != value)
+    return {name: (listed, value) for name, listed, value in pairs if listed != value}
+
+
+def _told(differing: Mapping[str, tuple[Any, Any]]) -> str:
+    return "; ".join(f"{name}: listed {was!r}, proved {value!r}" for name, (was, value) in differing.items())
