@@ -39,7 +39,7 @@ def run_jobs(work: list[Job], jobs: int | None, ray: str | None, resume: Path | 
         try:
             with (
                 progress_bars() as progress,
-                interruptions(signal.SIGINT) as interrupted,
+                interruptions(signal.SIGINT, signal.SIGTERM) as interrupted,
                 Evaluator(jobs, ray=ray) as evaluator,
             ):
                 show = partial(progress, "evaluating")

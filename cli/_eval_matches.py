@@ -87,7 +87,11 @@ def _play(bouts: Sequence[Bout], jobs: int | None, ray: str | None) -> dict[int,
     """Plays matches until all are played, or Ctrl-C."""
     results: dict[int, MatchResult] = {}
     try:
-        with progress_bars() as progress, interruptions(signal.SIGINT) as interrupted, open_pool(jobs, ray) as pool:
+        with (
+            progress_bars() as progress,
+            interruptions(signal.SIGINT, signal.SIGTERM) as interrupted,
+            open_pool(jobs, ray) as pool,
+        ):
             for index, result in play_bouts(pool, bouts, partial(progress, "playing")):
                 results[index] = result
                 if interrupted():

@@ -75,7 +75,11 @@ def command(
     tournament = Tournament(_task(task), [read_creature(name) for name in find_genomes(genomes)], seeds)
     stopped = False
     try:
-        with progress_bars() as progress, interruptions(signal.SIGINT) as interrupted, open_pool(jobs) as pool:
+        with (
+            progress_bars() as progress,
+            interruptions(signal.SIGINT, signal.SIGTERM) as interrupted,
+            open_pool(jobs) as pool,
+        ):
             for _ in tournament.play(pool, output, partial(progress, "playing")):
                 if interrupted():
                     raise KeyboardInterrupt
