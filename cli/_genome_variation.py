@@ -70,7 +70,7 @@ def mutate(
 
     parent, needs = load_genome(file), _load_requirements(task, role)
     mutants = [_bred(lambda d: vary(parent, d, kind=kind, requirements=needs), seed, i) for i in range(count)]
-    _write_bred([(mutant.genome, mutant.kind) for mutant in mutants], output, seed, file)
+    _write_bred([(mutant.genome, mutant.kind) for mutant in mutants], output, seed, (file,), task)
 
 
 @click.command("cross")
@@ -96,7 +96,7 @@ def cross(
 
     one, other, needs = load_genome(first), load_genome(second), _load_requirements(task, role)
     children = [_bred(lambda d: breed(one, other, d, requirements=needs), seed, i) for i in range(count)]
-    _write_bred([(child, f"cross with {other.name}") for child in children], output, seed, first, second)
+    _write_bred([(child, f"cross with {other.name}") for child in children], output, seed, (first, second), task)
 
 
 def _load_requirements(name: str | None, role: str | None) -> Requirements:
@@ -141,7 +141,9 @@ def _bred(breed: Callable[[Draw], Bred], seed: int, number: int) -> Bred:
         raise click.ClickException(visible(error.message, keep="\n")) from error
 
 
-def _write_bred(bred: list[tuple[Genome, str]], output: Path | None, seed: int, *inputs: str) -> None:
+def _write_bred(
+    bred: list[tuple[Genome, str]], output: Path | None, seed: int, parents: tuple[str, ...], task: str | None
+) -> None:
     """Prints genomes, or writes them to a file or to files of a directory, and says how each came about."""
     if output is None:
         for genome, _ in bred:
@@ -149,10 +151,10 @@ def _write_bred(bred: list[tuple[Genome, str]], output: Path | None, seed: int, 
         return
     targets = [output]
     if len(bred) > 1 or output.is_dir():
-        names = "-".join(Path(name).name.removesuffix(".json") for name in inputs)
+        names = "-".join(Path(name).name.removesuffix(".json") for name in parents)
         targets = [output / f"{names}-{seed}-{number}.json" for number in range(len(bred))]
     for target in targets:
-        check_output(target, *inputs)
+        check_output(target, *parents, *([] if task is None else [task]))
     for target, (genome, how) in zip(targets, bred, strict=True):
         write_genome(target, genome.document)
         click.echo(f"wrote {visible(str(target))}: {visible(how)}")

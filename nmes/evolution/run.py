@@ -34,7 +34,7 @@ from nmes.evaluation.queue import EvaluationQueue
 from nmes.evaluation.setting import task_identity
 from nmes.evolution.algorithm import Algorithm, Candidate, Score
 from nmes.evolution.run_entry import Entry, told
-from nmes.evolution.run_folder import SETTINGS, begin_run, open_run, text_of
+from nmes.evolution.run_folder import SETTINGS, begin_run, open_run, require_no_run, text_of
 from nmes.evolution.run_index import MADE_ANEW, IndexWriter, Record, RunIndex, State
 from nmes.evolution.run_log import Line, RunLog, RunWriter, write_whole
 from nmes.evolution.run_settings import FORMAT, RunSettings
@@ -104,6 +104,7 @@ class Run:
         Raises:
             RunError: There is a run in it (`run_exists`), or it cannot be written (`cannot_write`).
         """
+        require_no_run(Path(folder), "index.sqlite")
         document = {**settings.document, "fingerprint": settings.fingerprint()}
         begin_run(Path(folder), document)
         return cls(Path(folder), document)

@@ -30,10 +30,21 @@ def text_of(document: JsonObject) -> bytes:
     return orjson.dumps(document, option=orjson.OPT_INDENT_2 | orjson.OPT_APPEND_NEWLINE)
 
 
-def require_no_run(folder: Path) -> None:
-    """Raises RunError (`run_exists`) where there is a run in a folder, or what is left of one."""
+def require_no_run(folder: Path, *written: str) -> None:
+    """Refuses a folder in which a run cannot begin.
+
+    Args:
+        folder: The folder.
+        written: Names of what the run will write beside its settings and its log.
+
+    Raises:
+        RunError: There is a run, what is left of one, or something of those names (`run_exists`).
+    """
     if any((folder / name).exists() for name in (SETTINGS, "log.jsonl")):
         raise RunError("run_exists", f"there is a run in {folder}: resume it, or choose another folder")
+    for name in written:
+        if os.path.lexists(folder / name):
+            raise RunError("run_exists", f"there is another {name} in {folder}: choose another folder")
 
 
 def begin_run(folder: Path, document: JsonObject) -> None:

@@ -112,7 +112,7 @@ class LearningRun:
             WorldError, RecordingError, ProofError: It could not begin; see `Learning`. No folder is made.
         """
         path = Path(folder)
-        require_no_run(path)
+        require_no_run(path, "genome.json", "states")
         Learning(settings).close()
         document = {**settings.document, "fingerprint": settings.fingerprint()}
         begin_run(path, document)

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["COMMANDS", "RIGHTS", "named_or_own_cube"]
 
 _ACTING = frozenset({"force", "torque", "impulse", "angular_impulse"})
+_KEPT = (*sorted(_ACTING), "at")  # of a push, for whoever watches
 
 
 def named_or_own_cube(world: World, client: Client, name: str | None) -> Cube:
@@ -67,7 +68,7 @@ def apply_physics(world: World, client: Client, command: JsonObject) -> JsonObje
     pushes = world.pushes  # noted here, since each call counts in a command so frequent
     if pushes.frame != world.frame:
         pushes.frame, pushes.commands = world.frame, {}  # so there are never more than there are cubes
-    pushes.commands[cube.name] = command
+    pushes.commands[cube.name] = {key: command[key] for key in _KEPT if key in command}  # not what is said besides
     return {"type": "physics_applied", "cube_name": cube.name}
 
 

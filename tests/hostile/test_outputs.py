@@ -1,0 +1,48 @@
+"""What a command writes never takes the place of what it reads, or of what is somebody else's."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from boards import DASH
+from command_line import run
+from creatures import snake
+from nmes.world import World
+
+
+@pytest.mark.parametrize("command", [("mutate", "walker"), ("cross", "walker", "inchworm")], ids=lambda words: words[0])
+def test_a_genome_is_not_written_over_the_task_that_it_is_for(tmp_path: Path, command: tuple[str, ...]) -> None:
+    (task := tmp_path / "task.json").write_text(json.dumps(DASH))
+    before = task.read_bytes()
+    result = run("genome", *command, "--task", str(task), "-o", str(task))
+    assert result.exit_code != 0 and task.read_bytes() == before
+
+
+@pytest.mark.parametrize("name", ["genome.json", "states"])
+def test_what_is_learned_is_not_written_over_what_is_there(tmp_path: Path, name: str) -> None:
+    (genome := tmp_path / "genome.json").write_text(json.dumps(snake()))
+    if name == "states":
+        genome = genome.rename(tmp_path / "mine.json")
+        (tmp_path / "states").symlink_to(tmp_path.parent)
+    before = genome.read_bytes()
+    result = run("learn", str(genome), "--steps", "100", "-o", str(tmp_path))
+    assert result.exit_code != 0 and f"there is another {name} in" in result.output
+    assert genome.read_bytes() == before and not (tmp_path / "run.json").exists()
+
+
+def test_a_run_does_not_begin_where_its_index_would_take_the_place_of_something(tmp_path: Path) -> None:
+    (mine := tmp_path / "index.sqlite").write_text("mine")
+    result = run("evolve", "random", "--budget", "1", "-o", str(tmp_path))
+    assert result.exit_code != 0 and "there is another index.sqlite in" in result.output
+    assert mine.read_text() == "mine"
+
+
+def test_what_is_said_besides_a_push_is_not_kept() -> None:
+    world = World({"backend": "ballistic", "mode": "lockstep"})
+    client = world.join()
+    world.execute(client, {"type": "spawn_cube", "cube_name": "a"})
+    world.execute(client, {"type": "apply_physics", "cube_name": "a", "force": [1, 0, 0], "x": [[]] * 1000})
+    assert world.pushes.commands == {"a": {"force": [1, 0, 0]}}
