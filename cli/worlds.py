@@ -10,7 +10,7 @@ from nmes.cli._address import split_address
 from nmes.cli._connection import connection_options, connector
 from nmes.cli._json import print_json
 from nmes.client import Client
-from nmes.errors import CommandFailed, RejectedMessage
+from nmes.errors import CommandFailed, RejectedMessage, visible
 from nmes.protocol import validate_reply
 
 
@@ -171,4 +171,6 @@ def _row(world: Any) -> tuple[str, str, str, str, str, str]:
         mode += ", asleep"
     if ratio is not None:
         mode += f", lags: {ratio:.2f} of its pace"
-    return (world["world"], str(world["port"]), world["backend"], mode, frame, str(world["clients"]))
+    cells = world["world"], str(world["port"]), world["backend"], mode, frame, str(world["clients"])
+    name, port, backend, mode, frame, clients = map(visible, cells)  # of a server, which may be anybody's
+    return name, port, backend, mode, frame, clients

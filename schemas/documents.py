@@ -435,6 +435,11 @@ def _canonical(value: Any) -> Any:
         return [_canonical(item) for item in value]
     if isinstance(value, float) and value.is_integer() and abs(value) < _WHOLE:
         return int(value)
+    if isinstance(value, int) and not -(2**63) <= value < 2**64:  # to whoever reads it, it is a double
+        try:
+            return float(value)
+        except OverflowError:
+            raise DocumentError([("", "a whole number is greater than any double")]) from None
     return value
 
 
