@@ -164,7 +164,8 @@ def test_ctrl_c_keeps_finished_results_and_the_same_command_resumes(folder: Path
     assert timeless(json.loads(rest.stdout)) == timeless(json.loads(run(*some).stdout))
 
 
-def test_ctrl_c_writes_a_file_to_resume_from_if_none_is_named(folder: Path) -> None:
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_leaves_a_file_to_resume_from_if_none_is_named(folder: Path, number: signal.Signals) -> None:
     for i in range(200):  # as above
         (folder / "zoo" / f"x{i:03}.json").write_text(json.dumps(snake(mlp(4, seed=i))))
     command = [NMES, "eval", str(folder / "zoo"), "--task", str(folder / "dash.json"), "--jobs", "1", "--record", "r"]
@@ -173,7 +174,7 @@ def test_ctrl_c_writes_a_file_to_resume_from_if_none_is_named(folder: Path) -> N
         while not (folder / "r").is_dir() or len(list((folder / "r").glob("*.mcap"))) < 4:
             assert time.monotonic() < deadline and running.poll() is None
             time.sleep(0.01)
-        running.send_signal(signal.SIGINT)
+        running.send_signal(number)
         stdout, stderr = running.communicate(timeout=PATIENCE)
     assert running.returncode == 1, stderr
     files = list(folder.glob("eval-*.jsonl"))

@@ -7,9 +7,11 @@ import json
 import math
 import os
 import re
+import sqlite3
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -280,6 +282,11 @@ def test_a_board_lists_what_comes_out_the_same_beside_another_probe(tmp_path: Pa
     code, output = nmes("leaderboard", "add", board, afar)
     assert code == 0 and output.startswith("listed: inchworm ")
     assert nmes("leaderboard", "verify", board) == (0, "1 of 1 entries hold\n")
+    with closing(sqlite3.connect(board)) as database, database:  # as where the expression has another last bit
+        database.execute("UPDATE entries SET score = score * (1 + 4e-16)")
+    code, output = nmes("leaderboard", "verify", board, "--write")
+    assert code == 3 and "recorded with another probe: score: listed" in output
+    assert "inchworm" in nmes("leaderboard", "show", board)[1]
 
 
 def test_a_landscape_with_zeros_of_both_signs_is_the_same_on_every_processor() -> None:

@@ -173,6 +173,13 @@ WORLD = {
 }
 
 
+@pytest.mark.parametrize("field", ["backend", "fault"])
+def test_what_a_server_says_of_a_world_does_not_steer_the_terminal(field: str) -> None:
+    with answering({"type": "world_list", "worlds": [{**WORLD, field: "x\x1b]0;pwn\x07"}] * 3}) as address:
+        output = run("worlds", address, "--password", "x").output
+    assert "\\x1b]0;pwn\\x07" in output and "\x1b" not in output and "\x07" not in output
+
+
 def test_more_clients_than_there_are_numbers_are_told() -> None:
     with answering({"type": "world_list", "worlds": [WORLD] * 3}) as address:
         for command in (["worlds", address], ["fleet", "status", address]):

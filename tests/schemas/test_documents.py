@@ -81,6 +81,13 @@ def test_whole_numbers_hash_alike_with_and_without_a_fraction() -> None:
     assert canonical_hash(1) != canonical_hash(True) != canonical_hash("1")
 
 
+def test_whole_numbers_beyond_64_bits_hash_as_what_they_are_read_as() -> None:
+    assert canonical_hash([2**64, -(2**63) - 1]) == canonical_hash([2.0**64, -(2.0**63)])
+    assert canonical_hash([2**64 - 1]) != canonical_hash([2**64])
+    with pytest.raises(DocumentError, match="greater than any double"):
+        canonical_hash({"a": 10**400})
+
+
 @given(JSON)
 def test_a_hash_survives_writing_and_the_order_of_keys(value: Any) -> None:
     def turned(value: Any) -> Any:
