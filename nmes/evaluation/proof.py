@@ -265,13 +265,13 @@ def follow(
             raise ProofError("damaged", report.damage)
         return checker.finished()
     except (ProofError, RecordingError, WorldError) as error:
-        beyond = bool(brains) and error.code == "diverged" and _computes_otherwise(recording, brains)
+        beyond = error.code == "diverged" and _computes_otherwise(recording, brains)
         code = "not_comparable" if beyond else error.code
         raise ProofError(code, f"{recording.path}: {error.message}") from error
 
 
 def _computes_otherwise(recording: Recording, brains: Sequence[Genome]) -> bool:
-    """Whether a brain may do here what it did not do there."""
+    """Whether a brain, or where the task sets things, may come out otherwise here than there."""
     differences = fingerprint_differences(recording.config["backend"], recording.fingerprint)
     return bool(differences) or has_model(genome.document for genome in brains)
 

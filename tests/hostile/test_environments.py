@@ -267,6 +267,16 @@ def test_a_proof_that_comes_out_otherwise_beside_another_probe_is_not_comparable
     assert code != 0 and "diverge" not in output
 
 
+@pytest.mark.usefixtures("elsewhere")
+def test_a_proof_whose_scene_is_set_otherwise_beside_another_probe_is_not_comparable(tmp_path: Path) -> None:
+    # The seed is one whose target lies elsewhere by a last bit where the C library has another sine.
+    assert nmes("eval", "seeker", "--task", "reach", "--seeds", "47", "--record", str(tmp_path))[0] == 0
+    (proof,) = map(str, tmp_path.glob("*.mcap"))
+    assert nmes("eval", "--from-recording", proof)[0] == 0
+    code, output = nmes("eval", "--from-recording", proof, **UNLIKE)
+    assert code == 3 and "frame 0 it has the command spawn_creature" in output
+
+
 def test_a_board_lists_what_comes_out_the_same_beside_another_probe(tmp_path: Path) -> None:
     (task := tmp_path / "task.json").write_text(json.dumps({**TASK, "world": {"backend": "pymunk"}}))
     assert nmes("eval", "inchworm", "--task", str(task), "--record", str(tmp_path))[0] == 0
