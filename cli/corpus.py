@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 import shlex
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
@@ -19,6 +21,7 @@ from nmes.cli._pool import JOBS
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._sample import SEED, drawn_by
 from nmes.errors import CorpusError, visible
+from nmes.schemas.files import lock_kept
 
 if TYPE_CHECKING:
     from nmes.evolution.corpus import Corpus, CorpusCreature
@@ -50,6 +53,28 @@ def _read(file: Path) -> Corpus:
         raise click.UsageError(error.message) from error
 
 
+@contextmanager
+def _alone(file: Path) -> Iterator[None]:
+    """Keeps other processes from adding to a corpus meanwhile: what one adds would be lost to the other.
+
+    The folder is locked, since the file is another one afterwards.
+    """
+    folder = None
+    try:
+        folder = os.open(file.absolute().parent, os.O_RDONLY)
+        lock_kept(folder, file)
+    except BlockingIOError as error:
+        what = f"{visible(str(file))}: another process adds to a corpus in this folder; try again once it is done"
+        raise click.ClickException(what) from error
+    except OSError as error:
+        raise click.ClickException(f"cannot write {visible(str(file))}: {error.strerror}") from error
+    else:
+        yield
+    finally:
+        if folder is not None:
+            os.close(folder)
+
+
 @command.command("add")
 @click.argument("file", metavar="FILE", type=_PATH)
 @click.argument("runs", metavar="RUN...", nargs=-1, required=True, type=click.Path(path_type=Path))
@@ -74,11 +99,12 @@ def add(file: Path, runs: tuple[Path, ...], best: int, jobs: int | None) -> None
     from nmes.evolution.corpus import Corpus
     from nmes.evolution.corpus_add import add_runs
 
-    before = _read(file) if file.exists() else Corpus({}, (), ())
-    with progress_bars() as progress:
-        after = add_runs(before, runs, best=best, jobs=jobs or os.cpu_count() or 1, progress=progress)
-    with whole_file(file) as unfinished:
-        after.write(unfinished)
+    with _alone(file):
+        before = _read(file) if file.exists() else Corpus({}, (), ())
+        with progress_bars() as progress:
+            after = add_runs(before, runs, best=best, jobs=jobs or os.cpu_count() or 1, progress=progress)
+        with whole_file(file) as unfinished:
+            after.write(unfinished)
     new = len(after.creatures) - len(before.creatures)
     click.echo(f"{visible(str(file))}: {new:,} new, {len(after.creatures):,} creatures in all")
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import fcntl
 import json
+import os
 import re
 import subprocess
 from collections.abc import Callable
@@ -148,6 +150,18 @@ def test_a_run_without_evolved_creatures_is_refused(tmp_path: Path) -> None:
     result = run("corpus", "add", str(tmp_path / "new.zst"), str(tmp_path / "run"), "--jobs", "1")
     assert result.exit_code == 1 and "no candidate with a score above 0 that was varied" in result.output
     assert not (tmp_path / "new.zst").exists()
+
+
+def test_two_processes_do_not_add_at_once(small: Path, folder: Path, tmp_path: Path) -> None:
+    (path := tmp_path / "mine.zst").write_bytes(small.read_bytes())
+    held = os.open(tmp_path, os.O_RDONLY)
+    try:
+        fcntl.flock(held, fcntl.LOCK_EX)
+        result = run("corpus", "add", str(path), str(folder), "--jobs", "1")
+    finally:
+        os.close(held)
+    assert result.exit_code == 1 and "another process adds to a corpus in this folder" in result.output
+    assert path.read_bytes() == small.read_bytes()
 
 
 # -- what is shown and taken out ---------------------------------------------------------------------------------------
