@@ -10,6 +10,7 @@ import click
 from nmes.cli._json import print_json
 from nmes.cli._output import whole_file
 from nmes.cli._progress import QUIET, progress_bars
+from nmes.errors import visible
 
 __all__ = ["command"]
 
@@ -115,4 +116,4 @@ def command(
             click.echo(f"a push lasted {told['late']:.2f} ticks too long in the mean")
         click.echo(f"digest: {learner.digest}")
         if output is not None:
-            click.echo(f"wrote {output}")
+            click.echo(f"wrote {visible(str(output))}")

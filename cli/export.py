@@ -132,7 +132,8 @@ def _write_table(recording: Recording, kind: str, what: str | None, output: Path
             else:
                 write_csv(rows, file)
     if recording.damage is not None:
-        click.echo(f"{recording.path} ends early, and so does what was written: {recording.damage.message}", err=True)
+        told = f"{recording.path} ends early, and so does what was written: {recording.damage.message}"
+        click.echo(visible(told), err=True)
         sys.exit(1)
 
 

@@ -9,7 +9,7 @@ import click
 from nmes.cli._json import print_json
 from nmes.cli._options import MOMENT, Moment
 from nmes.cli.info import open_recording
-from nmes.errors import RecordingError
+from nmes.errors import RecordingError, visible
 from nmes.playback.fork import fork
 from nmes.recording import Recording
 from nmes.world import World
@@ -48,7 +48,8 @@ def command(recording: Recording, moment: Moment | None, output: Path, as_json: 
     if as_json:
         print_json(done)
     else:
-        click.echo(f"frame {done['frame']:,} of {recording.path}, {done['cubes']:,} cubes: {output}")
+        told = f"frame {done['frame']:,} of {recording.path}, {done['cubes']:,} cubes: {output}"
+        click.echo(visible(told))
 
 
 def _write(recording: Recording, world: World, output: Path, frame: int | None) -> None:

@@ -11,6 +11,7 @@ from nmes.cli._output import check_output
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._size import size_option
 from nmes.cli.info import open_recording
+from nmes.errors import visible
 from nmes.recording import Recording
 from nmes.view.camera import Way
 from nmes.view.film import Cut, film
@@ -79,7 +80,7 @@ def command(
     cut = Cut(camera, target, _time(begin, recordings), None if end is None else _time(end, recordings), speed)
     with progress_bars() as progress:
         film(recordings, output, cut, fps=fps, size=size, progress=progress)
-    click.echo(f"wrote {output}")
+    click.echo(f"wrote {visible(str(output))}")
 
 
 def _time(moment: Moment, recordings: list[Recording]) -> float:

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from nmes.cli.info import open_recording
+from nmes.errors import visible
 from nmes.recording import Recording
 from nmes.recording.signing import private_key, sign
 
@@ -35,4 +36,4 @@ def command(recording: Recording, key: Path, output: Path | None) -> None:
     \b
         nmes sign run.mcap --key ada.pem
     """
-    click.echo(f"signed: {sign(recording, private_key(key), output)}")
+    click.echo(visible(f"signed: {sign(recording, private_key(key), output)}"))

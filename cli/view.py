@@ -14,6 +14,7 @@ from nmes.cli._connection import connection_options, connector
 from nmes.cli._output import whole_file
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli.info import open_recording
+from nmes.errors import visible
 from nmes.recording import Recording
 from nmes.view.canvas import Canvas
 from nmes.view.live import show_live
@@ -100,7 +101,7 @@ def _show(recordings: list[Recording], display: Screen, fps: float) -> None:
             sight = show_recording(recording, display.stream, root, fps=fps, progress=done)
         worlds[root] = sight.canvas
         places.append(sight.places)
-        click.echo(f"{recording.path}: {sight.report.verdict}")
+        click.echo(visible(f"{recording.path}: {sight.report.verdict}"))
     if len(places) == 2:
         show_drift(display.stream, *places)
     lay_out(display.stream, worlds, live=False)
@@ -111,7 +112,7 @@ def _announce(display: Screen, save: Path | None) -> None:
     if display.address is not None:
         click.echo(f"Look at {display.address}")
     elif save is not None:
-        click.echo(f"Writing {save}: open it with rerun {save}")
+        click.echo(visible(f"Writing {save}: open it with rerun {save}"))
 
 
 def _stay(display: Screen, web: bool) -> None:

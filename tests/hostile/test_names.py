@@ -9,10 +9,13 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
+from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 from hypothesis import given
 from hypothesis import strategies as st
 
 from creatures import snake
+from layout import ROOT
 from nmes.cli import main
 from nmes.errors import DocumentError, visible
 from nmes.genome import Genome
@@ -116,3 +119,13 @@ def test_nmes_eval_shows_hostile_names(ill: Path, task: Path, tmp_path: Path) ->
     assert SAFE in output("eval", ill.with_suffix(""), "--task", task)
     assert SAFE in output("eval", "walker", "--task", tmp_path / HOSTILE)
     assert "\\x1b" in output("eval", "--from-recording", ill)
+
+
+def test_names_of_files_are_escaped(tmp_path: Path) -> None:
+    recording = tmp_path / "x\x1b]0;pwn\x07\n.mcap"
+    recording.write_bytes((ROOT / "replays" / "pymunk-pole.mcap").read_bytes())
+    told = output("fork", recording, "-o", tmp_path / "\x1b[2J.mcap")
+    assert r"x\x1b]0;pwn\x07\n.mcap" in told and r"\x1b[2J.mcap" in told
+    key = Ed25519PrivateKey.generate()
+    (file := tmp_path / "key.pem").write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
+    assert r"x\x1b]0;pwn" in output("sign", recording, "--key", file)
