@@ -268,13 +268,21 @@ def _run(
         if journal is not None:
             world.journal = journal(world)
         results = Match(world, genomes, brains, task, seed).run()
+    except WorldError:  # which the players may have no part in
+        _require_machine(world)
+        raise
     finally:
         world.close()
+    _require_machine(world)
+    return results
+
+
+def _require_machine(world: World) -> None:
+    """Raises what a world failed of, where that says nothing of the players: a full disk, too little memory."""
     if world.fault is not None and world.fault.code == "recording_failed":
         raise RecordingError(world.fault.code, world.fault.message)
     if world.fault is not None and isinstance(world.fault.cause, MACHINE_ERRORS):
         raise world.fault.cause
-    return results
 
 
 def recording_name(task: MatchTask, genomes: Mapping[str, Genome], seed: int) -> str:

@@ -10,6 +10,8 @@ import pytest
 from boards import DASH
 from command_line import run
 from creatures import snake
+from disks import full_disk
+from nmes.genome import Genome
 from nmes.world import World
 
 
@@ -46,3 +48,19 @@ def test_what_is_said_besides_a_push_is_not_kept() -> None:
     world.execute(client, {"type": "spawn_cube", "cube_name": "a"})
     world.execute(client, {"type": "apply_physics", "cube_name": "a", "force": [1, 0, 0], "x": [[]] * 1000})
     assert world.pushes.commands == {"a": {"force": [1, 0, 0]}}
+
+
+@pytest.mark.parametrize("room", [4_000, 30_000, 60_000])
+def test_a_match_that_cannot_be_recorded_is_told_and_not_void(tmp_path: Path, room: int) -> None:
+    asked = ("walker", "roller", "--task", "sumo", "--seeds", "1", "--jobs", "1", "-o", str(tmp_path / "cup"))
+    with full_disk(room):
+        result = run("tournament", *asked)
+    assert result.exit_code == 1 and "cannot write" in result.output
+
+
+def test_a_genome_with_an_odd_brain_is_compared(tmp_path: Path) -> None:
+    document = json.loads(json.dumps(Genome.load("walker").document))
+    document["brain"]["links"][0] = 0.5
+    (odd := tmp_path / "odd.json").write_text(json.dumps(document))
+    result = run("genome", "diff", str(odd), "walker")
+    assert result.exit_code == 1 and "0.5" in result.output
