@@ -47,7 +47,7 @@ def test_what_is_said_besides_a_push_is_not_kept() -> None:
     client = world.join()
     world.execute(client, {"type": "spawn_cube", "cube_name": "a"})
     world.execute(client, {"type": "apply_physics", "cube_name": "a", "force": [1, 0, 0], "x": [[]] * 1000})
-    assert world.pushes.commands == {"a": {"force": [1, 0, 0]}}
+    assert world.pushes.commands == {"a": {"type": "apply_physics", "cube_name": "a", "force": [1, 0, 0]}}
 
 
 @pytest.mark.parametrize("room", [4_000, 30_000, 60_000])

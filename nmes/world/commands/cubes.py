@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 __all__ = ["COMMANDS", "RIGHTS", "named_or_own_cube"]
 
 _ACTING = frozenset({"force", "torque", "impulse", "angular_impulse"})
-_KEPT = (*sorted(_ACTING), "at")  # of a push, for whoever watches
+_PUSH = frozenset({"type", "cube_name", "at", *_ACTING})
 
 
 def named_or_own_cube(world: World, client: Client, name: str | None) -> Cube:
@@ -68,7 +68,9 @@ def apply_physics(world: World, client: Client, command: JsonObject) -> JsonObje
     pushes = world.pushes  # noted here, since each call counts in a command so frequent
     if pushes.frame != world.frame:
         pushes.frame, pushes.commands = world.frame, {}  # so there are never more than there are cubes
-    pushes.commands[cube.name] = {key: command[key] for key in _KEPT if key in command}  # not what is said besides
+    if not command.keys() <= _PUSH:  # what is said besides is not kept
+        command = {key: command[key] for key in _PUSH if key in command}
+    pushes.commands[cube.name] = command
     return {"type": "physics_applied", "cube_name": cube.name}
 
 
