@@ -15,7 +15,7 @@ import math
 import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, astuple, dataclass
 from hashlib import file_digest, sha256
 from pathlib import Path
 from statistics import pstdev
@@ -56,8 +56,8 @@ AnyProof: TypeAlias = Proof | MatchProof
 _HASH: Final = re.compile("[0-9a-f]{64}")
 _MACHINE: Final = {"backend_not_found", "missing_package", "not_comparable", "recording_unreadable", "unknown_format"}
 """Codes of errors that say something of the verifier's machine, and nothing of the entry."""
-_COMPUTED: Final = {"score", "spread", "players"}
-"""What of an entry is computed from its worlds."""
+_LAST_BITS: Final = 1e-9
+"""How far apart numbers may be, relatively, of which an expression made other last bits from the same worlds."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -376,7 +376,8 @@ def examine(work: tuple[Entry, Sequence[Path]]) -> Verdict:
         proofs = _proved_again(entry, paths)
         differing = _differences(entry, facts(proofs))
         verdict, reason = "broken" if differing else "holds", _told(differing)
-        if differing and differing.keys() <= _COMPUTED and any(map(_recorded_otherwise, proofs)):
+        nearly = all(_nearly(listed, value) for listed, value in differing.values())
+        if differing and nearly and any(map(_recorded_otherwise, proofs)):
             # The worlds came out alike, and what an expression makes of them may still have another last bit.
             verdict, reason = "not_judged", f"it was recorded with another probe: {reason}"
     except NmesError as error:
@@ -406,9 +407,20 @@ def _proved_again(entry: Entry, paths: Sequence[Path]) -> list[AnyProof]:
 
 
 def _differences(entry: Entry, proved: Mapping[str, Any]) -> dict[str, tuple[Any, Any]]:
-    """Returns what an entry says otherwise than its recordings: listed, proved."""
+    """Compares an entry with its recordings; returns by column what is listed and what is proved, where they differ."""
     pairs = ((name, getattr(entry, name), value) for name, value in proved.items())
     return {name: (listed, value) for name, listed, value in pairs if listed != value}
+
+
+def _nearly(listed: Any, proved: Any) -> bool:
+    """Whether two values of a column, or of a part of one, differ in last bits of numbers alone."""
+    if isinstance(proved, float):
+        return math.isclose(listed, proved, rel_tol=_LAST_BITS, abs_tol=_LAST_BITS)
+    if isinstance(proved, Player):
+        return _nearly(astuple(listed), astuple(proved))
+    if isinstance(proved, tuple):
+        return len(listed) == len(proved) and all(map(_nearly, listed, proved))
+    return bool(listed == proved)
 
 
 def _told(differing: Mapping[str, tuple[Any, Any]]) -> str:

@@ -82,10 +82,8 @@ def _compare_entries(path: tuple[str, ...], one: Mapping[str, Any], other: Mappi
 
 def _keyed(name: str, entries: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """Returns the entries of a list by what tells them from each other; of equal ones, the second is numbered."""
-    fields = [
-        [field for field in _KEYS[name] if field in entry] if isinstance(entry, dict) else [] for entry in entries
-    ]
-    keys = [" - ".join(str(entry[field]) for field in named) for entry, named in zip(entries, fields, strict=True)]
+    said = [entry if isinstance(entry, dict) else {} for entry in entries]  # in a brain of a bad genome, anything
+    keys = [" - ".join(str(entry[field]) for field in _KEYS[name] if field in entry) for entry in said]
     return _distinct(keys, entries)
 
 

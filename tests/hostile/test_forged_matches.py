@@ -24,9 +24,16 @@ from nmes.world import World
 PLAYERS = {"red": Genome(push()), "blue": Genome(snake())}
 
 
-def record(path: Path, says: dict[str, str], *, config: dict[str, Any] | None = None, swap: bool = False) -> Path:
+def record(
+    path: Path,
+    says: dict[str, str],
+    *,
+    config: dict[str, Any] | None = None,
+    swap: bool = False,
+    task: MatchTask | None = None,
+) -> Path:
     """Records a match of half a second that says of itself what it is not."""
-    task = duel(duration=0.5)
+    task = task or duel(duration=0.5)
     world = World({**task.world_config(3), **(config or {})})
     about = {METADATA: {**match_metadata(task, PLAYERS, 3)[METADATA], **says}}
     recorder = world.journal = Recorder(path, world, about=about)
@@ -105,6 +112,14 @@ def test_creatures_are_driven_in_the_order_of_their_roles(tmp_path: Path) -> Non
 def test_a_match_in_another_world_is_none_of_the_task(tmp_path: Path) -> None:
     with pytest.raises(ProofError, match="the world is not the task's"):
         prove_match(record(tmp_path / "x.mcap", {}, config={"gravity": [0, -1, 0]}))
+
+
+@pytest.mark.parametrize("brain", [True, False])
+def test_a_match_of_a_body_that_may_not_play_proves_nothing(tmp_path: Path, brain: bool) -> None:
+    light = duel(duration=0.5, limits={"mass": 0.1})
+    made = record(tmp_path / "x.mcap", {}, task=light)
+    with pytest.raises(ProofError, match="red: the body has"):
+        prove_match(made, brain=brain)
 
 
 def mangled(value: Any, draw: random.Random) -> Any:
