@@ -142,15 +142,18 @@ def test_a_match_over_which_a_process_died_is_void_and_played_again_the_next_tim
     assert again.results == whole.results
 
 
-def test_a_killed_tournament_goes_on_to_the_same_table(folder: Path) -> None:
+@pytest.mark.parametrize(("number", "status"), [(signal.SIGKILL, -9), (signal.SIGTERM, 1), (signal.SIGINT, 1)])
+def test_a_tournament_that_was_ended_goes_on_to_the_same_table(
+    folder: Path, number: signal.Signals, status: int
+) -> None:
     cup = folder / "cup"
     command = [NMES, "tournament", str(folder / "field"), "--task", str(folder / "race.json"), "--jobs", "1", "--json"]
     process = subprocess.Popen([*command, "-o", str(cup)], stdout=subprocess.DEVNULL)
     deadline = time.monotonic() + 120
     while time.monotonic() < deadline and not ((cup / LOG).is_file() and (cup / LOG).read_bytes().count(b"\n") >= 2):
         time.sleep(0.01)
-    os.kill(process.pid, signal.SIGKILL)
-    process.wait()
+    process.send_signal(number)
+    assert process.wait() == status
     contest = tournament()
     played(contest)
     result = run(*command[1:], "-o", cup)

@@ -7,7 +7,6 @@ import json
 import os
 import random
 import sqlite3
-import struct
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from functools import partial
@@ -19,6 +18,7 @@ from click.testing import CliRunner
 
 from boards import DASH, edit, entry, proofs_of, run, verdicts
 from creatures import SINE, WAVE, cpg, mlp, snake
+from journals import write_naming_journal
 from nmes.cli import main
 from nmes.errors import BackendNotFound, MissingPackage, ProofError, RecordingError
 from nmes.evaluation import Task, leaderboard, leaderboard_entry, prove
@@ -183,11 +183,7 @@ def test_a_database_of_other_tables_is_no_leaderboard(board: Path, proofs: list[
 
 def test_a_journal_that_would_have_another_file_removed_is_not_believed(board: Path, tmp_path: Path) -> None:
     (precious := tmp_path / "thesis.txt").write_text("years of work")
-    name, magic = str(precious).encode(), bytes.fromhex("d9d505f920a163d7")
-    page = int.from_bytes(board.read_bytes()[16:18], "big")
-    head = magic + struct.pack(">IIIII", 0, 1, board.stat().st_size // page, 512, page)
-    tail = struct.pack(">I", 2**30 // page + 1) + name + struct.pack(">II", len(name), sum(name)) + magic
-    board.with_name(board.name + "-journal").write_bytes(head.ljust(512, b"\0") + tail)
+    write_naming_journal(board, precious)
     (link := tmp_path / "link.sqlite").symlink_to(board)
     for path in (board, link):
         result = run("show", path)

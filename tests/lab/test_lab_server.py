@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import os
+import sqlite3
 from collections.abc import Iterator
+from contextlib import closing
+from pathlib import Path
 
 import pytest
 from websockets.exceptions import InvalidStatus
 
 from browsers import doors, get, socket_to
+from journals import write_naming_journal
 from labs import RunningLab, running_lab
 from nmes.lab.server import application
 
@@ -192,3 +196,14 @@ def test_what_is_too_long_or_no_json_is_refused(lab: RunningLab) -> None:
         status, answer = lab.ask("/api/runs", text)
         assert status == 422 and answer["error"]["problems"]
     assert lab.ask("/api/runs", b"[]")[0] == 422
+
+
+def test_a_folder_of_a_stranger_has_no_file_removed(tmp_path: Path) -> None:
+    (precious := tmp_path / "thesis.txt").write_text("years of work")
+    (folder := tmp_path / "lab").mkdir()
+    with closing(sqlite3.connect(folder / ".index.sqlite")) as database, database:
+        database.execute("CREATE TABLE items (x)")
+    write_naming_journal(folder / ".index.sqlite", precious)
+    with running_lab(folder) as lab:
+        assert lab.good("/api/recordings")
+    assert precious.exists()
