@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from nmes.backend import Vector
-from nmes.errors import WorldError
+from nmes.errors import DocumentError, WorldError
 from nmes.objective import Condition
 from nmes.schemas.documents import did_you_mean
 
@@ -86,12 +86,14 @@ def read_rules(entries: Sequence[JsonObject], body: Body) -> tuple[list[tuple[st
         body: What they are for, whole.
 
     Returns:
-        Everything that is wrong, each with its place; and the rules that could be read.
+        What is wrong, each with its place, up to one more than are told; and the rules that could be read.
     """
     problems: list[tuple[str, str]] = []
     rules: list[Rule] = []
     parts = {"sense": [sensor.id for sensor in body.sensors], "has": [cube.id for cube in body.cubes]}
     for i, entry in enumerate(entries):
+        if len(problems) > DocumentError.MOST:
+            break
         path = f"development/{i}"
         found = list(_problems(entry, path, body))
         problems += found

@@ -12,12 +12,12 @@ nor greater than anything.
 
 from __future__ import annotations
 
-import difflib
 import math
 import operator
 import re
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, Final, Literal, NoReturn
 
 import numpy as np
@@ -25,6 +25,7 @@ import numpy.typing as npt
 
 from nmes.errors import WorldError
 from nmes.objective.quantities import CUBE_QUANTITIES, FOLDS, QUANTITIES, Cast, Quantity
+from nmes.schemas.documents import did_you_mean
 
 __all__ = ["FUNCTIONS", "Condition", "Objective"]
 
@@ -586,7 +587,6 @@ def _clip(name: str) -> str:
 
 
 def _near(name: str, known: Collection[str]) -> str:
-    near = difflib.get_close_matches(name[:80], known, n=1)
-    there = list(known)[:_LISTED]
+    there = list(islice(known, _LISTED))
     more = f" and {len(known) - _LISTED} more" if len(known) > _LISTED else ""
-    return f"; did you mean {near[0]}?" if near else f"; there are {', '.join(there)}{more}" if there else ""
+    return did_you_mean(name, known) or (f"; there are {', '.join(there)}{more}" if there else "")
