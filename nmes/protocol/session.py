@@ -36,6 +36,7 @@ REDACTED: Final = b"(a frame with a password, which is not kept)"
 """What is recorded of a refused frame with the password, or a token, in it."""
 _WHITE: Final = b" \t\r\n"
 _MOST_TOLD: Final = 200  # things of a session's frames that do nothing
+_ROW: Final = 128  # frames that are read in a row, which takes a millisecond or two if each is refused
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,7 +261,7 @@ class Session:
             backlog: Frames, of which the first is not longer than `most`, and requests that were read.
             most: How much is read, bytes.
         """
-        for index in range(len(backlog)):
+        for index in range(min(len(backlog), _ROW)):
             frame = backlog[index]
             if isinstance(frame, Request) or (most := most - len(frame)) < 0:
                 break

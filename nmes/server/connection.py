@@ -314,15 +314,16 @@ class Connection(asyncio.BufferedProtocol):
     def _read_in_thread(self, frame: bytes) -> None:
         """Reads the first frame of the backlog in a thread; what came behind it waits."""
         loop = asyncio.get_running_loop()
-        self._reading = reading = self._host.read(self._session.parse, frame)
+        self._reading = self._host.read(self._session.parse, frame)
 
-        def go_on() -> None:
+        # Given the future: one that it were to find by itself would keep itself, and with it what was read.
+        def go_on(done: Future[Request]) -> None:
             self._reading = None
             if self._backlog:  # else the connection was ended meanwhile
-                self._backlog[0] = self._session.redacted(reading.result())
+                self._backlog[0] = self._session.redacted(done.result())
             self.resume()
 
-        reading.add_done_callback(lambda _: loop.call_soon_threadsafe(go_on))
+        self._reading.add_done_callback(lambda done: loop.call_soon_threadsafe(go_on, done))
 
     def _wait_or_leave(self, waits: bool) -> None:
         """Has the rest executed when others have had their turn, or after `resume`; leaves if none is left."""
@@ -368,8 +369,8 @@ class Connection(asyncio.BufferedProtocol):
         buffered = self._transport.get_write_buffer_size()
         if self._output.written != self._sent:
             self._sent, self._active_at = self._output.written, now
-        progress = self._output.written - buffered
-        if progress != self._progress or not (buffered or self._closing):
+        progress = self._output.written - buffered  # less where others, such as a WebSocket's pongs, are in the way
+        if progress > self._progress or not (buffered or self._closing):
             self._progress, self._progress_at = progress, now
         if self._closing:
             if now - self._progress_at >= LINGER:

@@ -41,6 +41,8 @@ logger = logging.getLogger(__name__)
 
 SOCKET = "nmes.socket"  # the extension of a WebSocket's scope that is its socket, an `asyncio.Transport`
 PIECE = 8 << 10  # bytes of frames that are taken apart at once
+FIRST_PIECE = 512  # until there is a message: of empty frames, 85
+PINGS = 50  # of a WebSocket in a second, or it is ended
 KEEP_ALIVE = 15  # s: how long a connection may wait for its next request
 GRACE = 0.5  # s: for which requests go on when the server closes
 
@@ -229,6 +231,8 @@ class _Socket(WebSocketsSansIOProtocol):
         super().__init__(*args, **options)
         self._unread = bytearray()  # what came and waits for its turn; nothing more is read from the socket meanwhile
         self.read_paused = True  # as uvicorn takes it, who leaves reading alone then
+        self._piece = FIRST_PIECE
+        self._pings, self._counted_from = 0, 0.0
 
     def handle_connect(self, event: Request) -> None:
         super().handle_connect(event)
@@ -241,7 +245,7 @@ class _Socket(WebSocketsSansIOProtocol):
         super().connection_lost(exc)
 
     def data_received(self, data: bytes) -> None:
-        if len(data) <= PIECE and not self._unread and self._wanted:
+        if len(data) <= self._piece and not self._unread and self._wanted:
             super().data_received(data)
         else:
             self._unread += data
@@ -250,9 +254,21 @@ class _Socket(WebSocketsSansIOProtocol):
     async def receive(self) -> Any:
         message = await super().receive()
         self.read_paused = True
+        if message["type"] == "websocket.receive":
+            self._piece = PIECE
         if self._unread:
             self._read_on()
         return message
+
+    def handle_ping(self) -> None:
+        """Answers a ping; many of them end the connection: each is work for us and none for who is heard by nobody."""
+        if (now := self.loop.time()) >= self._counted_from + 1.0:
+            self._pings, self._counted_from = 0, now
+        self._pings += 1
+        if self._pings <= PINGS:
+            super().handle_ping()
+        else:
+            self.transport.abort()
 
     @property
     def _wanted(self) -> bool:
@@ -269,8 +285,8 @@ class _Socket(WebSocketsSansIOProtocol):
             self.transport.resume_reading()
 
     def _read_piece(self) -> None:
-        piece = bytes(self._unread[:PIECE])
-        del self._unread[:PIECE]
+        piece = bytes(self._unread[: self._piece])
+        del self._unread[: self._piece]
         if piece:
             super().data_received(piece)
             self._read_on()

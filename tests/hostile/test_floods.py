@@ -1,0 +1,59 @@
+"""Floods of what is cheap to send: long frames, frames of a byte, pings of WebSockets."""
+
+from __future__ import annotations
+
+import gc
+import socket
+import time
+from collections import deque
+from contextlib import suppress
+
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.frames import Frame, Opcode
+
+from browsers import socket_to, web_port
+from nmes.protocol import Limits, Request, Session
+from servers import PATIENCE, served
+
+
+def test_a_long_frame_that_was_answered_is_kept_by_nobody() -> None:
+    with served() as server, server.peer() as peer:
+        gc.disable()  # which finds what keeps itself, but only once there is much of it
+        try:
+            for number in range(5):
+                assert peer.ask({"type": "ping", "id": number, "x": "long" * 10_000})["id"] == number
+            kept = [each for each in gc.get_objects() if isinstance(each, Request) and b"longlong" in (each.raw or b"")]
+        finally:
+            gc.enable()
+    assert len(kept) <= 1
+
+
+def test_frames_of_a_byte_are_read_few_at_a_time() -> None:
+    backlog: deque[bytes | Request] = deque([b"{"] * 5000)
+    Session().read(backlog, 8 << 10)
+    assert 1 <= sum(isinstance(each, Request) for each in backlog) <= 200
+
+
+def test_a_websocket_of_pings_is_ended_and_one_with_some_is_not() -> None:
+    with served() as server, socket_to(web_port(server)) as browser:
+        stream = browser.connection.socket
+        stream.sendall(Frame(Opcode.PING, b"").serialize(mask=True) * 20)
+        assert browser.enter()["type"] == "auth_success"
+        assert browser.ask({"type": "ping"}) == {"type": "pong"}
+        with suppress(OSError):  # it may be ended while this is sent
+            stream.sendall(Frame(Opcode.PING, b"x" * 125).serialize(mask=True) * 5000)
+        with pytest.raises(ConnectionClosed):
+            browser.hear()
+
+
+def test_who_reads_no_pongs_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("nmes.server.http.PINGS", 1 << 30)
+    limits = Limits(stall_timeout=0.5)
+    with served(limits=limits) as server, socket.create_connection(("127.0.0.1", web_port(server))) as stream:
+        origin = "Host: 127.0.0.1\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+        stream.sendall(f"GET /ws HTTP/1.1\r\n{origin}Sec-WebSocket-Key: {'A' * 22}==\r\n\r\n".encode())
+        pings, end = Frame(Opcode.PING, b"x" * 125).serialize(mask=True) * 500, time.monotonic() + PATIENCE
+        with pytest.raises(OSError):
+            while time.monotonic() < end:
+                stream.sendall(pings)
