@@ -7,6 +7,7 @@ own; all runs on two cores at most, one of which the attack keeps busy.
 from __future__ import annotations
 
 import json
+import selectors
 import socket
 import ssl
 import struct
@@ -17,7 +18,7 @@ from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import trustme
 
@@ -323,6 +324,59 @@ def drips(attack: Attack) -> None:
             time.sleep(1.0)
 
 
+def pipelines(attack: Attack) -> None:
+    """100 connections that send pings without end, and read what is answered."""
+    data = (say(type="ping") + DELIMITER) * 2000
+    with ExitStack() as stack, selectors.DefaultSelector() as ready:
+        for _ in range(100):
+            peer = stack.enter_context(attack.peer())
+            peer.sendall(AUTH)
+            peer.setblocking(False)
+            ready.register(peer, selectors.EVENT_READ | selectors.EVENT_WRITE)
+        while attack.going:
+            for key, events in ready.select(0.2):
+                peer = cast(socket.socket, key.fileobj)
+                with suppress(BlockingIOError):
+                    if events & selectors.EVENT_READ:
+                        peer.recv(1 << 20)
+                    if events & selectors.EVENT_WRITE:
+                        peer.send(data)
+
+
+def development(attack: Attack) -> None:
+    """A creature of 200 cubes with 1,024 changes of a part's size at once."""
+    cubes = [
+        {"id": f"c{n}", "size": 0.1, "mass": 1, "position": [0.3 * (n % 16), 0.05, 0.3 * (n // 16)]} for n in range(200)
+    ]
+    joints = [
+        {"id": f"j{n}", "cube1": "c0", "cube2": f"c{n}", "type": "fixed", "anchor": [0, 0.05, 0]} for n in range(1, 200)
+    ]
+    places = [(1 + (16 * rule + n) % 199, 0.9 if (rule + n) % 2 else 0.95) for rule in range(64) for n in range(16)]
+    changes = [{"part": f"c{part}", "scale": scale} for part, scale in places]
+    rules = [{"when": "age > 0.5", "resize": changes[16 * rule :][:16]} for rule in range(64)]
+    genome = {"format": "nmes-genome/1", "name": "x", "body": {"cubes": cubes, "joints": joints}, "development": rules}
+    spawn, drive = say(type="spawn_creature", genome=genome, name="x"), say(type="drive", creature="x", controls=[])
+    attack.again(spawn, drive, *[say(type="step")] * 40, say(type="reset"))
+
+
+def subscribers(attack: Attack) -> None:
+    """300 subscribers to 100 cubes that fall, told once a second; and steps."""
+    with ExitStack() as stack, selectors.DefaultSelector() as ready:
+        many = stack.enter_context(attack.victim())
+        for n in range(100):
+            many.spawn_cube(position=[3.0 * n, 500.0, 0.0], list=False)
+        for _ in range(300):
+            peer = stack.enter_context(attack.peer())
+            peer.sendall(AUTH + say(type="subscribe", events=["state"], every=60) + DELIMITER)
+            peer.setblocking(False)
+            ready.register(peer, selectors.EVENT_READ)
+        while attack.going:
+            many.step()
+            for key, _ in ready.select(0.0):
+                with suppress(BlockingIOError):
+                    cast(socket.socket, key.fileobj).recv(1 << 20)
+
+
 ATTACKS: dict[str, Callable[[Attack], None]] = {
     "nothing": Attack.wait,
     "200,000 empty cubes": empty_genome,
@@ -342,6 +396,9 @@ ATTACKS: dict[str, Callable[[Attack], None]] = {
     "guesses over 400 connections": guesses,
     "silent sockets": silence,
     "short connections": short_lives,
+    "pings over 100 connections": pipelines,
+    "1,024 changes of size": development,
+    "300 subscribers": subscribers,
 }
 
 TLS_ATTACKS: dict[str, Callable[[Attack], None]] = {

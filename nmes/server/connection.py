@@ -5,8 +5,8 @@ Invariants:
 - What a socket brings is executed as it arrives; what has to wait, for its world or for others, keeps its place, and
   nothing more is read from that socket meanwhile.
 - All replies to what one read brought leave in one write, in the order of the requests; events keep their place.
-- Nobody waits for long: commands are read and run in slices of `SLICE` s, then others have their turn; a long frame is
-  read in a thread.
+- Nobody waits for long: commands are read and run in slices of `SLICE` s, which the connections of a world share (see
+  `Turns`), then others have their turn; a long frame is read in a thread.
 - What has to be on disk is on it before it is handed to the socket: the `Outbox` is the only way out. What this socket
   asks next waits with it.
 - What a peer does not read is bounded: over half the limit its commands wait, over the limit it is cut.
@@ -42,6 +42,7 @@ logger = logging.getLogger(__name__)
 
 LINGER = 2.0  # s: how long a connection that we end may take to read the rest and hang up
 READ = 256 << 10  # bytes that are read at once; fresh memory for each read would cost more than all of asyncio
+LITTLE = 4 << 10  # bytes that are read where commands have to wait anyway
 LONG = 8 << 10  # bytes of a frame that may take a millisecond to read
 CHUNK = 256 << 10  # bytes of replies that are handed to the socket before the rest of a read is executed
 
@@ -105,7 +106,12 @@ class Connection(asyncio.BufferedProtocol):
         self._host.admit(self, self._address)
 
     def get_buffer(self, sizehint: int) -> memoryview:
-        """Lends the host's one buffer: it is read into and emptied without anything else happening in between."""
+        """Lends the host's one buffer: it is read into and emptied without anything else happening in between.
+
+        Where its world's slice is over, only a little of it, since what comes is taken apart even so.
+        """
+        if self._world is not None and (end := self._world.turns.end) and monotonic() >= end[0]:
+            return self._host.buffer[:LITTLE]
         return self._host.buffer
 
     def buffer_updated(self, nbytes: int) -> None:
@@ -157,8 +163,8 @@ class Connection(asyncio.BufferedProtocol):
     def resume_writing(self) -> None:
         """Goes on with the commands that waited."""
         self._full = False
-        if self._backlog:
-            asyncio.get_running_loop().call_soon(self.resume)
+        if self._world is not None and self._backlog:
+            self._world.turns.wait(self)
 
     # -- authentication --------------------------------------------------------------------------------------------
 
@@ -262,19 +268,22 @@ class Connection(asyncio.BufferedProtocol):
             self._failed()
 
     def _work(self, messages: Sequence[Auth | bytes] = ()) -> None:
-        """Queues what came, and executes what is queued for one slice."""
+        """Queues what came, and executes what is queued for what is left of its world's slice."""
         world, session, backlog, output = self._world, self._session, self._backlog, self._output
         if world is None:
             return
-        now = monotonic()
-        until = now + SLICE
+        now, end = monotonic(), world.turns.end
+        if not end:
+            end.append(now + SLICE)
+            asyncio.get_running_loop().call_soon(end.clear)
+        until = end[0]
         if messages:
             self._active_at = now
             backlog.extend(cast(Sequence[bytes], messages))
         if session.violation is not None:
             self._queue_violation(session.violation)
         waits = self._reading is not None
-        while backlog and not self._full and not waits and not output.waits:
+        while backlog and now < until and not self._full and not waits and not output.waits:
             first = backlog[0]
             if isinstance(first, Request):
                 request = first
@@ -301,8 +310,7 @@ class Connection(asyncio.BufferedProtocol):
             if request.error is not None and request.error is session.violation:
                 self._visit.ends(request.error.code)
                 self.hang_up()
-            if monotonic() >= until:
-                break
+            now = monotonic()
         output.flush()
         if self._overflowed:
             self._cut()
@@ -331,8 +339,8 @@ class Connection(asyncio.BufferedProtocol):
             self._leave()
             return
         self._transport.pause_reading()
-        if not self._full and not waits:
-            asyncio.get_running_loop().call_soon(self.resume)
+        if self._world is not None and not self._full and not waits:
+            self._world.turns.wait(self)
 
     def _queue_violation(self, violation: RejectedMessage) -> None:
         """Queues a frame that ends the session, once.

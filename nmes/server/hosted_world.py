@@ -40,6 +40,7 @@ from nmes.server.metrics import Metrics, Spent, WorldFigures
 from nmes.server.outbox import Outbox
 from nmes.server.peers import Peer, Peers
 from nmes.server.threads import LONG_COMMANDS, Worker, WorkerPool
+from nmes.server.turns import Turns
 from nmes.server.world_recorder import Origin, WorldRecorder
 from nmes.world import Fault, World
 
@@ -92,6 +93,7 @@ class HostedWorld:
         self._recorder = _begin(self.world, record_to, flush_interval, origin, maker)
         self.durable = self._recorder is not None and flush_interval == 0  # whether output waits for the disk
         self._peers = Peers()
+        self.turns = Turns()  # of its connections
         self.world.emit = self._peers.send
         self._settling: asyncio.Handle | None = None  # where `_settle` is to be called
         self._uncommitted: dict[Outbox, None] = {}  # output that is to be on disk first

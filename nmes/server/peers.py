@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Iterable
+from time import monotonic
 from typing import Protocol
 
 from nmes.errors import NmesError
+from nmes.server.threads import SLICE
 
 __all__ = ["Peer", "Peers"]
 
@@ -41,6 +43,7 @@ class Peers(dict[int, Peer]):
         """Begins with none."""
         super().__init__()
         self.unsent: dict[Peer, None] = {}
+        self._flushes = False  # soon, what is left
 
     def send(self, client: int, event: bytes) -> None:
         """Queues an event for a client, unless it has left."""
@@ -55,11 +58,22 @@ class Peers(dict[int, Peer]):
         self.flush()
 
     def flush(self) -> None:
-        """Hands all queued events to the sockets."""
+        """Hands all queued events to the sockets, for one slice: the rest of them follow when others had their turn."""
+        if self._flushes:
+            return
+        until = monotonic() + SLICE
         while self.unsent:  # a recording that fails meanwhile brings more
-            peers, self.unsent = self.unsent, {}
-            for peer in peers:
-                peer.flush()
+            peer = next(iter(self.unsent))
+            del self.unsent[peer]
+            peer.flush()
+            if self.unsent and monotonic() >= until:
+                self._flushes = True
+                asyncio.get_running_loop().call_soon(self._flush_more)
+                break
+
+    def _flush_more(self) -> None:
+        self._flushes = False
+        self.flush()
 
     def resume(self, client: int) -> None:
         """Lets a client go on soon."""

@@ -29,7 +29,7 @@ from nmes.world.costs import BUILDING
 
 __all__ = ["LONG_COMMANDS", "SLICE", "Worker", "WorkerPool"]
 
-SLICE = 0.005  # s: how long one connection's commands or one world's ticks may keep the others waiting
+SLICE = 0.005  # s: how long one world's commands or its ticks may keep the others waiting
 BRIEF = 0.0005  # s: what is not worth the way to another thread and back
 # s: of a tick that takes less, nearly all is Python. In threads such worlds only wait for its lock, and to pass that on
 # takes longer than their ticks: they would fall ever further behind.
@@ -37,7 +37,7 @@ LIGHT = 1.5e-4
 THREADS = 1000  # worlds that can be in a thread; no more of them run at once than there are cores
 
 _TICK = 1e-4  # s: what a tick is taken to cost before one was measured
-_SAVED = 2e-5  # s a cube: what it costs at a tick where the world is saved, or tells subscribers of all cubes
+_SAVED = 2e-5  # s a cube: what it costs at a tick where the world is saved
 
 LONG_COMMANDS = frozenset(  # those that may take long: of these the world is asked what they cost
     {
@@ -198,12 +198,13 @@ class Worker:
     def _ticks_cost(self, ticks: float) -> float:
         """Returns how long (s) ticks will take; the first one takes up what was edited."""
         world = self._world
-        return ticks * self._cost + world.rebuild_cost + len(world.entities.cubes) * _SAVED + self._life_cost(ticks)
+        first = world.rebuild_cost + world.telling_cost(ticks) + len(world.entities.cubes) * _SAVED
+        return ticks * self._cost + first + self._births_cost(ticks)
 
-    def _life_cost(self, ticks: float) -> float:
-        """Returns how much longer (s) ticks will take since creatures come, die and are born in them."""
-        life = self._world.life
-        return 0.0 if life is None else life.cost(self._world.frame, ticks)
+    def _births_cost(self, ticks: float) -> float:
+        """Returns how much longer (s) ticks will take since creatures come, develop, die and are born in them."""
+        life, development = self._world.life, self._world.all_creatures.development_cost(ticks)
+        return development if life is None else development + life.cost(self._world.frame, ticks)
 
     def _measure(self, ticks: int, duration: float) -> None:
         """Learns at once that ticks have become longer, and by and by that they are shorter again."""
@@ -233,7 +234,7 @@ class Worker:
         few = min(most, BRIEF // max(self._cost, 1e-6))
         if most < 1 or self._is_short(self._ticks_cost(most)):
             then(self._tick(most))
-        elif most < math.inf and self._cost < LIGHT and self._is_short(self._ticks_cost(1) + self._life_cost(few)):
+        elif most < math.inf and self._cost < LIGHT and self._is_short(self._ticks_cost(1) + self._births_cost(few)):
             then(self._tick(few))  # it is behind
         else:
             self.run(partial(self._tick, most), lambda ticks: then(ticks.result()))

@@ -22,7 +22,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from nmes.errors import RejectedMessage
 from nmes.protocol import DELIMITER, encode
 from nmes.schemas.documents import parse_json
-from nmes.server.connection import LINGER, READ, Connection
+from nmes.server.connection import LINGER, Connection
 from nmes.server.host import Host
 from nmes.server.http import SOCKET, OwnPages
 from nmes.server.threads import SLICE
@@ -144,10 +144,13 @@ class Carrier(asyncio.Transport):
         """Hands the connection a message."""
         connection, data = self._protocol, message + DELIMITER
         assert isinstance(connection, Connection)
-        for start in range(0, len(data), READ):
-            piece = data[start : start + READ]
-            connection.get_buffer(-1)[: len(piece)] = piece
+        begin = 0
+        while begin < len(data):
+            room = connection.get_buffer(-1)
+            piece = data[begin : begin + len(room)]
+            room[: len(piece)] = piece
             connection.buffer_updated(len(piece))
+            begin += len(piece)
 
     def _with_password(self, text: str) -> str:
         """Returns a message, the first one with the password where there is one for it and it has none."""

@@ -111,6 +111,11 @@ class Clients(dict[int, Client]):
             if client.objectives:
                 client.objectives.tick(entities)
 
+    def heard(self, frame: int, ticks: float) -> int:
+        """Returns how many subscribers are told of something in the next of so many ticks after a frame."""
+        everyone = [client.subscription for client in self.values() if client.subscription is not None]
+        return sum(frame % each.every + ticks >= each.every for each in everyone)
+
     def tick(self, emit: Emit | None, frame: int, entities: Entities) -> None:
         """Sends subscribers the events of a frame whose turn it is; with no `emit` they only count as sent."""
         tick = b""

@@ -14,7 +14,7 @@ from nmes.world.linking import MOST_CUBES, MOST_LINKS
 if TYPE_CHECKING:
     from nmes.world.entities import Entities
 
-__all__ = ["BUILDING", "command_cost", "life_cost", "rebuild_cost"]
+__all__ = ["BUILDING", "command_cost", "development_cost", "life_cost", "rebuild_cost", "telling_cost"]
 
 BUILDING: Final = frozenset(
     {
@@ -52,6 +52,8 @@ _FOOD, _LIVES = 1.5e-6, 1e-6  # s: what is told of a place of food, and, a cube,
 _SETTLED = 2e-5  # s a joined cube: to find anew what hangs together in creatures, after cubes or joints were edited
 _CUT = 2e-6  # s: a joint that goes with its cube
 _JUDGED = 1e-5  # s a cube: whether a part that grows would be in it
+_RULE, _CHANGED = 5e-5, 1e-4  # s: a rule of development that is looked at; and, a cube, a part that it changes
+_TOLD, _TOLD_OF = 5e-5, 5e-6  # s: a subscriber that is told of a tick, and each cube that is
 _COMES, _GROWS = 0.05, 5e-5  # s: a creature that comes with the first tick, and food that grows
 _SECOND = 0.05  # s: what of an ecosystem is done once in a second, such as births
 _BUILT, _PART = 2e-3, 1e-3  # s: a model that an engine compiles, and each cube and joint in it
@@ -161,6 +163,16 @@ def command_cost(entities: Entities, command: Mapping[str, Any]) -> float:
 def rebuild_cost(entities: Entities) -> float:
     """Returns about how long (s) an engine takes to take up that cubes or joints were edited."""
     return _BUILT + (len(entities.cubes) + len(entities.joints)) * _PART
+
+
+def development_cost(entities: Entities, rules: int, changes: int) -> float:
+    """Returns about how long (s) it takes to look at so many rules of development, which change so many parts."""
+    return rules * _RULE + changes * len(entities.cubes) * _CHANGED
+
+
+def telling_cost(entities: Entities, subscribers: int) -> float:
+    """Returns about how long (s) it takes to tell so many subscribers of a tick."""
+    return subscribers * (_TOLD + len(entities.cubes) * _TOLD_OF)
 
 
 def life_cost(rules: Mapping[str, Any], tick_rate: int, frame: int, ticks: float) -> float:

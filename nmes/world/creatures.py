@@ -20,6 +20,7 @@ from nmes.genome.sensors import NEEDED
 from nmes.schemas.documents import JsonObject
 from nmes.world.building import cube_command, joint_command
 from nmes.world.channels import Channels
+from nmes.world.costs import development_cost
 from nmes.world.creature import Creature
 from nmes.world.development import Habitat
 from nmes.world.entities import Cube, Entities, Joint
@@ -129,6 +130,11 @@ class Creatures:
             changed, refused = creature.development.tick(creature, around)
             if changed or refused:
                 self._changed.setdefault(creature.name, []).extend(refused)
+
+    def development_cost(self, ticks: float) -> float:
+        """Returns about how much longer (s) the next of so many ticks takes since creatures develop in it."""
+        works = (each.development.work(ticks) for each in self._developing if each.development is not None)
+        return sum(development_cost(self._entities, *work) for work in works)
 
     def _is_part(self, body: int) -> bool:
         return any(body in creature.bodies for creature in self._creatures.values())

@@ -67,6 +67,18 @@ class Development:
         self._waits = [0] * len(self._rules)  # the ages from which on rules are looked at again, ticks
         self.begun, self.stage, self.form = False, 1, body
 
+    def work(self, ticks: float) -> tuple[int, int]:
+        """Returns what the next look at the rules may have to do, if it is within so many ticks: a guess for hosts.
+
+        Returns:
+            How many rules may be looked at, and how many parts of the body those may change.
+        """
+        if not self.begun or self._age % self._period + ticks < self._period:
+            return 0, 0
+        left = [rule for rule, uses in zip(self._rules, self._uses, strict=True) if uses < rule.times]
+        changes = (len(rule.shed) + len(rule.adopt) + len(rule.grow) + len(rule.resize) for rule in left)
+        return len(left), sum(changes)
+
     def tick(self, creature: Creature, around: Habitat) -> tuple[bool, list[JsonObject]]:
         """Ends a tick: follows the rules that apply now, in order.
 

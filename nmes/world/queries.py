@@ -21,7 +21,7 @@ from nmes.schemas.documents import JsonObject
 from nmes.world import readings
 from nmes.world.channels import Channels
 from nmes.world.clients import Clients
-from nmes.world.costs import command_cost, rebuild_cost
+from nmes.world.costs import command_cost, rebuild_cost, telling_cost
 from nmes.world.creature import Creature
 from nmes.world.creatures import Creatures
 from nmes.world.entities import Entities
@@ -133,6 +133,10 @@ class WorldQueries:
     def rebuild_cost(self) -> float:
         """About how much longer (s) the next tick or snapshot takes because cubes or joints were edited; else 0."""
         return 0.0 if self.entities.edits == self._built else rebuild_cost(self.entities)
+
+    def telling_cost(self, ticks: float) -> float:
+        """Returns about how much longer (s) the next of so many ticks takes since subscribers are told of it."""
+        return telling_cost(self.entities, self._clients.heard(self.frame, ticks))
 
     def digest(self) -> bytes:
         """Returns the hash of all that decides the future, 16 bytes.

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+import asyncio
 import gc
 import socket
 import time
-from collections import deque
-from contextlib import suppress
+from collections import Counter, deque
+from contextlib import ExitStack, suppress
 
 import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import Frame, Opcode
 
 from browsers import socket_to, web_port
-from nmes.protocol import Limits, Request, Session
+from nmes.protocol import DELIMITER, Limits, Request, Session
+from nmes.server.threads import SLICE
+from nmes.world import World
 from servers import PATIENCE, served
 
 
@@ -57,3 +60,37 @@ def test_who_reads_no_pongs_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
         with pytest.raises(OSError):
             while time.monotonic() < end:
                 stream.sendall(pings)
+
+
+def test_connections_of_a_world_share_one_slice_of_each_turn_of_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each command takes two fifths of a slice by the clock that they are measured with: three fit in."""
+    now, turns, lead = 0.0, list[list[int]](), list[int]()
+    handle, done = World.handle, Counter[int]()
+
+    def timed(world: World, client: int, request: Request) -> bytes:
+        nonlocal now
+        now += 0.4 * SLICE
+        turns[-1].append(client)
+        done[client] += 1
+        lead.append(max(done.values()) - min(done[each] for each in range(1, 9)))
+        return handle(world, client, request)
+
+    def turn() -> None:
+        turns.append([])
+        asyncio.get_running_loop().call_soon(turn)
+
+    with served() as server, ExitStack() as stack:
+        peers = [stack.enter_context(server.peer()) for _ in range(8)]
+        for module in ("connection", "turns"):
+            monkeypatch.setattr(f"nmes.server.{module}.monotonic", lambda: now)
+        monkeypatch.setattr(World, "handle", timed)
+        server.call(turn)
+        for peer in peers:
+            peer.socket.sendall((b'{"type":"ping"}' + DELIMITER) * 60)
+        for peer in peers:
+            assert [peer.hear() for _ in range(60)] == [{"type": "pong"}] * 60
+        server.call(monkeypatch.undo)
+    counts = [len(clients) for clients in turns]
+    assert sum(counts) == 8 * 60
+    assert max(counts) == 3
+    assert max(lead[8 * 30 :]) < 30, "one of them is passed over"

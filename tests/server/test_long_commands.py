@@ -327,3 +327,35 @@ def test_a_world_that_is_behind_its_clock_does_no_births_in_the_event_loop() -> 
         asked._cost = 2e-5
         asked.advance(5000.0, done.append)
     assert 1 + sum(done) == world.frame < 10
+
+
+def test_rules_of_development_are_expected_to_take_long_when_they_are_looked_at() -> None:
+    resize = [{"part": "b", "scale": 0.9}, {"part": "b", "scale": 0.8}]
+    rules = [{"when": "age > 0.15", "resize": resize * 8, "times": 1} for _ in range(64)]
+    world = World({"mode": "lockstep", "backend": "ballistic", "tick_rate": 60})
+    client = world.join()
+    genome = {**pair(), "development": rules}
+    spawned = world.execute(client, {"type": "spawn_creature", "genome": genome, "name": "x"})
+    assert spawned["type"] == "creature_spawned", spawned
+    asked = worker(world)
+    world.tick()
+    asked._measure(1, 0.0)  # its ticks take no time by themselves
+    assert not asked.takes_long({"type": "step", "ticks": 6}), "it is not driven yet"
+    world.execute(client, {"type": "drive", "creature": "x", "controls": []})
+    assert not asked.takes_long({"type": "step", "ticks": 5})
+    assert asked.takes_long({"type": "step", "ticks": 6}), "rules are looked at every tenth of a second"
+    for _ in range(13):
+        world.tick()
+    assert not asked.takes_long({"type": "step", "ticks": 6}), "all of them are used up"
+
+
+def test_to_tell_many_subscribers_of_a_tick_is_expected_to_take_long() -> None:
+    world, _ = crowded(20)
+    for _ in range(40):
+        world.execute(world.join(), {"type": "subscribe", "events": ["state"], "every": 60})
+    asked = worker(world)
+    while world.frame % 60:
+        world.tick()
+    asked._measure(1, 0.0)
+    assert not asked.takes_long({"type": "step", "ticks": 59})
+    assert asked.takes_long({"type": "step", "ticks": 60})
