@@ -159,9 +159,8 @@ class ClientObjectives:
 
     def __init__(self) -> None:
         self._objectives: dict[str, _ClientObjective] = {}
-        self._lost: dict[
-            str, str | None
-        ] = {}  # those that cannot be asked any more, and the cube that is gone, if one is
+        # Those that cannot be asked any more, no more than there may be of the others, and the cube that is gone.
+        self._lost: dict[str, str | None] = {}
 
     def __len__(self) -> int:
         return len(self._objectives)
@@ -220,6 +219,8 @@ class ClientObjectives:
     def _set_aside(self, name: str, missing: str | None) -> None:
         del self._objectives[name]
         self._lost[name] = missing
+        if len(self._lost) > _MOST_OBJECTIVES:
+            del self._lost[next(iter(self._lost))]  # the oldest
 
     def value(self, entities: Entities, frame: int, name: str | None) -> JsonObject:
         """Returns an objective's value now, as `reward` has it; the default objective's if none is named.

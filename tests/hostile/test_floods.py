@@ -62,6 +62,21 @@ def test_who_reads_no_pongs_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
                 stream.sendall(pings)
 
 
+def test_objectives_about_cubes_that_are_gone_are_forgotten_in_the_end() -> None:
+    world = World({"mode": "lockstep", "backend": "ballistic"})
+    client = world.join()
+    for number in range(200):
+        world.execute(client, {"type": "spawn_cube", "cube_name": "c"})
+        name = {"name": f"o{number}", "cubes": ["c"]}
+        assert world.execute(client, {"type": "set_objective", "expression": "height", **name})["type"] != "error"
+        world.execute(client, {"type": "despawn_cube", "cube_name": "c"})
+        world.tick()
+    asked = [world.execute(client, {"type": "compute_reward", "objective": f"o{number}"}) for number in range(200)]
+    codes = [reply["code"] for reply in asked]
+    assert codes == ["invalid"] * 184 + ["cube_not_found"] * 16
+    assert len(world.snapshot()) < 20_000
+
+
 def test_connections_of_a_world_share_one_slice_of_each_turn_of_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
     """Each command takes two fifths of a slice by the clock that they are measured with: three fit in."""
     now, turns, lead = 0.0, list[list[int]](), list[int]()
