@@ -148,15 +148,16 @@ class _CameraPicture:
     def __init__(self, group: _Rows, body: int, around: Surroundings) -> None:
         first = group[0][1]
         assert first.camera is not None and first.direction is not None
-        self._entities, self._rows = around.entities, [row for row, _ in group]
+        # Arrays, since there may be a thousand of a creature: of as many numbers a list would take five times the room.
+        self._entities, self._rows = around.entities, np.array([row for row, _ in group])
         self._rgb = first.camera.rgb
         self._rays = _Rays(body, around.entities, _directions(first.camera, first.direction), _reach(group))
-        self._picked = [sensor.number - 1 for _, sensor in group]
+        self._picked = np.array([sensor.number - 1 for _, sensor in group])
 
     def __call__(self, out: Array) -> None:
         entities = self._entities
         picture = [tone for hit in self._rays.hits() for tone in self._shades(entities, hit)]
-        out[self._rows] = [picture[place] for place in self._picked]
+        out[self._rows] = np.array(picture)[self._picked]
 
     def _shades(self, entities: Entities, hit: Hit | None) -> Sequence[float]:
         color: Sequence[float] = _SKY if hit is None else _GROUND
