@@ -288,7 +288,8 @@ class Connection(asyncio.BufferedProtocol):
             if isinstance(first, Request):
                 request = first
             elif len(first) > LONG:
-                self._read_in_thread(first)
+                if world.begin_reading(self._client):
+                    self._read_in_thread(first, world)
                 waits = True
                 break
             else:
@@ -319,7 +320,7 @@ class Connection(asyncio.BufferedProtocol):
         else:
             self._transport.resume_reading()
 
-    def _read_in_thread(self, frame: bytes) -> None:
+    def _read_in_thread(self, frame: bytes, world: HostedWorld) -> None:
         """Reads the first frame of the backlog in a thread; what came behind it waits."""
         loop = asyncio.get_running_loop()
         self._reading = self._host.read(self._session.parse, frame)
@@ -327,6 +328,7 @@ class Connection(asyncio.BufferedProtocol):
         # Given the future: one that it were to find by itself would keep itself, and with it what was read.
         def go_on(done: Future[Request]) -> None:
             self._reading = None
+            world.end_reading()
             if self._backlog:  # else the connection was ended meanwhile
                 self._backlog[0] = self._session.redacted(done.result())
             self.resume()

@@ -119,6 +119,7 @@ class HostedWorld:
         self._events: list[tuple[int, bytes]] = []  # of clients
         self._waiting: dict[Peer, None] = {}  # those that are to `resume` when it is back
         self._leavers: list[int] = []  # clients that are to leave then
+        self._reading = False  # a long frame of some client
         self._results: dict[int, Future[bytes]] = {}  # replies to requests that were executed there
         self._loss: RecordingError | None = None  # why its recording ended
         self.onlookers: dict[Callable[[], None], None] = {}  # called when the world is back from a thread
@@ -225,6 +226,24 @@ class HostedWorld:
         if self._peers.unsent or self._barrier.waiting or self.world.fault is not self._fault:
             self._settle_soon()
         return reply
+
+    def begin_reading(self, client: int) -> bool:
+        """Begins to read a long frame of a client, which `end_reading` ends; returns whether that may be now.
+
+        One is read at a time, and none while the world is in a thread: what was read takes many times the room of its
+        bytes, and would only wait. Where it may not be, the connection's `resume` is called when it may.
+        """
+        if self._worker.away or self._closing or self._reading:
+            self._waiting[self._peers[client]] = None
+            return False
+        self._reading = True
+        return True
+
+    def end_reading(self) -> None:
+        """Lets others have their long frames read."""
+        self._reading = False
+        if not self._worker.away and not self._closing:
+            self._end_waiting()
 
     def _submit_long(self, client: int, request: Request) -> bytes | None:
         """Executes a request that may take long; returns None if it has to wait."""
