@@ -89,11 +89,11 @@ class Balance:
             powers: Mean power of each motor in the tick of each row, and its mean size, shape (k, 2, m), W.
             positions: Of the joints with springs, shape (k, s), rad or m.
         """
-        return self.excess_of(self.energy(states, positions), powers)
+        return self.excess_of(self.energy(states, positions), powers, self.rise)
 
-    def excess_of(self, energy: Array, powers: Array) -> Excess | None:
-        """Returns the same, of a body whose energy in each row is known, shape (k,), J."""
-        gain, allowed = self._gains(energy, powers)
+    def excess_of(self, energy: Array, powers: Array, rise: float) -> Excess | None:
+        """Returns the same, of a body whose energy in each row is known, shape (k,), J, as is its `rise`."""
+        gain, allowed = self._gains(energy, powers, rise)
         broken = np.flatnonzero(~(gain <= allowed))
         if not len(broken):
             return None
@@ -105,14 +105,14 @@ class Balance:
 
         The arguments are those of `excess`.
         """
-        return self._gains(self.energy(states, positions), powers)
+        return self._gains(self.energy(states, positions), powers, self.rise)
 
-    def _gains(self, energy: Array, powers: Array) -> tuple[Array, Array]:
+    def _gains(self, energy: Array, powers: Array, rise: float) -> tuple[Array, Array]:
         sums = _sums(powers)
         sums[0] = 0.0  # what they gave before the start
         work, effort = np.add.accumulate(sums, axis=0).T / self.bodies.tick_rate
         held = _highest(energy - work, self.moment)
-        return held - np.minimum.accumulate(held), PART * effort + self.rise
+        return held - np.minimum.accumulate(held), PART * effort + rise
 
     @property
     def moment(self) -> int:

@@ -1,8 +1,9 @@
 """The observer and the judge of a creature whose parts come and go.
 
-Hides that an engine keeps the rows of one set of cubes only, and what energy parts bring along. What a part has of
-motion and height when it comes counts as work of the creature, in what it used and in its balance of energy: so nobody
-rises or runs on parts that are free.
+Hides that an engine keeps the rows of one set of cubes only, and what energy parts bring along and take with them. What
+a part has of motion and height when it comes counts as work of the creature, in what it used and in its balance of
+energy: so nobody rises or runs on parts that are free. What it has when it goes is gone: so nobody is flung by a part
+that is cut off.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ class ChangingJudge(Judge):
     def __init__(self, task: Task, seed: int, balance: Balance, trajectory: ChangingTrajectory) -> None:
         super().__init__(task, seed, balance, trajectory)
         self._energies = np.zeros(len(trajectory.states))
-        self._now = balance
+        self._now, self._rise = balance, balance.rise
         self._change: _Change | None = None
 
     def change(self, balance: Balance, columns: Columns, change: _Change | None) -> None:
@@ -76,6 +77,7 @@ class ChangingJudge(Judge):
         """
         self.trajectory.change(balance.bodies, columns)
         self._now, self._change = balance, change
+        self._rise = min(self._rise, balance.rise)  # of the lightest body that it was
 
     def take(self, states: Array, powers: Array, positions: Array) -> str | None:
         """As `Judge.take`, of all cubes and motors that may be there, with zeros for those that are not."""
@@ -88,7 +90,8 @@ class ChangingJudge(Judge):
             went = _energy(change.went, self.trajectory.states[begin - 1])
             bent = self.balance.stiffnesses[change.sprung] * positions[0, change.sprung] * positions[0, change.sprung]
             came = max(came, 0.0) + total(bent.tolist()) / 2.0
-            powers[0, :, -1] = (came + max(-went, 0.0)) * self.trajectory.bodies.tick_rate
+            rate = self.trajectory.bodies.tick_rate
+            powers[0, 0, -1], powers[0, 1, -1] = (came - went) * rate, (came + max(-went, 0.0)) * rate
             # What a motor gave in the tick at whose end it went is not known: about what it gave before.
             powers[0][:, change.stopped] = self._powers[begin - 1][:, change.stopped]
             self._change = None
@@ -96,7 +99,7 @@ class ChangingJudge(Judge):
         return super().take(states, powers, positions)
 
     def _excess(self, rows: int) -> Excess | None:
-        return self.balance.excess_of(self._energies[:rows], self._powers[:rows])
+        return self.balance.excess_of(self._energies[:rows], self._powers[:rows], self._rise)
 
 
 class ChangingObserver(Observer):
