@@ -258,8 +258,8 @@ def set_scene(
     """Yields the steps that bring creatures to their start, where all of them are at rest.
 
     Returns:
-        Who observes each of them; nobody where the world faulted, or where creatures never came to rest. These are told
-        by name, with the reason.
+        Who observes each of them; nobody where the world faulted, or where creatures cannot begin, since they never
+        came to rest, or elsewhere. These are told by name, with the reason.
     """
     names = [entrant.place.creature for entrant in entrants]
     commands = [
@@ -267,12 +267,11 @@ def set_scene(
         for entrant in entrants
         for command in task.entry(seed, entrant.genome.document, entrant.genome.body, entrant.place)
     ]
-    rests = yield from settle(world, task, names, commands)
+    rests, restless = yield from settle(world, task, names, commands)
     if world.fault is not None:
         return [], {}
-    late = {name: rest.why(world.frame) for name, rest in rests.items() if not rest.reached}
-    if late:
-        return [], late
+    if restless:
+        return [], restless
     for entrant, rest in zip(entrants, rests.values(), strict=True):
         for command in task.props(seed, entrant.genome.body, rest.states[0], entrant.place):
             yield protocol.encode(command)

@@ -40,7 +40,7 @@ class Result:
         ticks: How many the creature was scored for.
         ended: Which condition or limit of the task ended it early; None where it lasted its time.
         fault: Why there is no score (`code: message`); None where there is one. The codes are those of a world's faults
-            and `bad_expression`, `restless` and `energy`.
+            and `bad_expression`, `restless`, `displaced` and `energy`.
         duty: The duty factor; see `Trajectory.duty`. None where it was not asked for.
     """
 

@@ -119,11 +119,11 @@ class Match:
     def _set_scene(self) -> Generator[Step, None, None]:
         """Yields the steps before the start; makes the referee, who looks at it."""
         world, task = self._world, self._task
-        rests = yield from settle(world, task, list(task.roles), task.entry(self._seed, self._genomes))
+        _, restless = yield from settle(world, task, list(task.roles), task.entry(self._seed, self._genomes))
         if world.fault is not None:
             return
         self._referee, self._start = Referee(world, task, self._seed), world.frame
-        self._restless = {role: rest.why(world.frame) for role, rest in rests.items() if not rest.reached}
+        self._restless = restless
         self._referee.note()
         self._referee.look()
 

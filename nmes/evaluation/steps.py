@@ -19,6 +19,7 @@ from nmes.evaluation.setting import Setting
 from nmes.genome.body import Body
 from nmes.schemas.documents import JsonObject
 from nmes.world import World
+from nmes.world.creature import Creature
 
 __all__ = ["ANY_CONTROLS", "Drive", "Rest", "Step", "perform", "settle"]
 
@@ -26,6 +27,7 @@ T = TypeVar("T")
 
 _REST_TIME = 0.25  # s
 _REST_SPEED = 0.05  # of the body's size in a second: in a whole episode it would not come farther than that size
+_NUDGE = 0.1  # of the body's size: as far as one may be moved that is set down where it touches another
 
 
 class _AnyControls(Enum):
@@ -85,8 +87,10 @@ def perform(world: World, client: int, steps: Generator[Step, None, T]) -> T:
 
 def settle(
     world: World, setting: Setting, names: Sequence[str], commands: Sequence[JsonObject]
-) -> Generator[Step, None, dict[str, Rest]]:
+) -> Generator[Step, None, tuple[dict[str, Rest], dict[str, str]]]:
     """Yields the steps that set creatures down, and the ticks until all are at rest, or it takes too long.
+
+    It is over too where one of them comes to another and touches it: nobody may win a match before it begins.
 
     Args:
         world: New and empty.
@@ -95,27 +99,47 @@ def settle(
         commands: What sets them down.
 
     Returns:
-        How each of them came to rest, by name.
+        How each of them came to rest, by name; and of those that cannot begin so, the reason.
     """
     for command in commands:
         yield protocol.encode(command)
     creatures = [world.creature(name) for name in names]
     rests = {creature.name: Rest(creature.present, setting) for creature in creatures}
     tracks = [world.track([*creature.cubes.values()], [], [], setting.settle_limit_ticks) for creature in creatures]
-    looked = 0  # rows
+    looked, came = 0, None  # rows; and who came to another
     while world.frame < setting.settle_ticks or not all(rest.reached for rest in rests.values()):
-        if world.frame == setting.settle_limit_ticks:
+        if world.frame == setting.settle_limit_ticks or came is not None:
             break
         yield None
         if world.fault is not None:
             break
         for track in tracks:
             track.note()
-        if world.frame >= setting.settle_ticks:  # the ticks before are looked at all at once
+        met = _meeting(world, creatures) if len(creatures) > 1 else ()
+        if world.frame >= setting.settle_ticks or met:  # else the ticks before are looked at all at once
             for rest, track in zip(rests.values(), tracks, strict=True):
                 rest.look(track.states(looked, track.rows))
             looked = tracks[0].rows
-    return rests
+        if met:
+            name = max(met, key=lambda name: rests[name].moved)
+            came = name if rests[name].moved > _NUDGE * rests[name].size else None
+    if came is not None:
+        moved = f"it came {rests[came].moved:.2g} m from where it was set down, and touched another"
+        return rests, {came: f"displaced: before the start {moved}"}
+    reasons = {name: rest.why_not(world.frame) for name, rest in rests.items()}
+    return rests, {name: reason for name, reason in reasons.items() if reason is not None}
+
+
+def _meeting(world: World, creatures: Sequence[Creature]) -> list[str]:
+    """Returns the names of creatures that touch one another."""
+    contacts, entities = world.simulation.contacts, world.entities
+    owners = {entities.cube(cube).body: each.name for each in creatures for cube in each.cubes.values()}
+    met: list[str] = []
+    for number, owner in owners.items():
+        others = [owners.get(contact.other, owner) for contact in contacts(number) if contact.other is not None]
+        if any(other != owner for other in others):
+            met += [name for name in (owner, *others) if name not in met]
+    return met
 
 
 class Rest:
@@ -128,14 +152,18 @@ class Rest:
     Attributes:
         states: Of its cubes when it was looked at last, array (n, 13) as `Simulation.states` has them.
         speed: Of the fastest corner, when one was too fast last, m/s.
+        size: The longest edge of the box around the body, m.
     """
 
     def __init__(self, body: Body, task: Setting) -> None:
         self._arms = np.array([math.hypot(*cube.size) / 2.0 for cube in body.cubes])
         low, high = body.bounds
-        self._limit = _REST_SPEED * max(b - a for a, b in zip(low, high, strict=True))
+        self.size = max(b - a for a, b in zip(low, high, strict=True))
+        self._limit = _REST_SPEED * self.size
         self._rate, self._still = task.tick_rate, 0
         self._ticks = max(1, round(_REST_TIME * task.tick_rate))
+        self._masses = np.array([cube.mass for cube in body.cubes])
+        self._centre: Array | None = None
         self.states: Array = np.zeros((len(body.cubes), 13))
         self.speed = 0.0
 
@@ -144,13 +172,32 @@ class Rest:
         """Whether it has been at rest for long enough."""
         return self._still >= self._ticks
 
-    def why(self, ticks: int) -> str:
-        """Returns, where it is not at rest after so many ticks, why, in words."""
-        return f"restless: not yet at rest after {ticks / self._rate:g} s: a corner moved at {self.speed:.2g} m/s"
+    @property
+    def moved(self) -> float:
+        """How far its centre of mass has come over the ground since it was looked at first, m."""
+        if self._centre is None:
+            return 0.0
+        way = self._centre_of(self.states) - self._centre
+        return math.hypot(way[0], way[2])
+
+    def why_not(self, ticks: int) -> str | None:
+        """Returns why it cannot begin as it is after so many ticks, in words; None if it can."""
+        if not self.reached:
+            return f"restless: not yet at rest after {ticks / self._rate:g} s: a corner moved at {self.speed:.2g} m/s"
+        if self.moved > self.size:
+            way = f"it came {self.moved:.2g} m from where it was set down, farther than its size, {self.size:.2g} m"
+            return f"displaced: before the start {way}"
+        return None
+
+    def _centre_of(self, states: Array) -> Array:
+        weighed = np.add.accumulate(states[:, :3] * self._masses[:, np.newaxis], axis=0)
+        return np.asarray(weighed[-1] / np.add.accumulate(self._masses)[-1])
 
     def look(self, states: Array) -> None:
         """Takes the states of the tick that has just ended, array (n, 13), or of several, array (ticks, n, 13)."""
         ticks = states.reshape(-1, len(self._arms), 13)
+        if self._centre is None:
+            self._centre = self._centre_of(ticks[0])
         self.states = ticks[-1]
         squares = ticks[:, :, 7:13] * ticks[:, :, 7:13]
         speeds, spins = (np.sqrt(squares[:, :, i] + squares[:, :, i + 1] + squares[:, :, i + 2]) for i in (0, 3))

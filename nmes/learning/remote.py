@@ -126,11 +126,13 @@ class RemoteWorld:
         tick = [{"type": "step"}, scene.look_at_body]
         while ticks < task.settle_ticks or not rest.reached:
             if ticks >= task.settle_limit_ticks:
-                raise WorldError("invalid", f"the creature cannot begin with seed {seed}: {rest.why(ticks)}")
+                break
             count = min(max(1, task.settle_ticks - ticks), _TOGETHER)
             for told in self._ask(tick * count)[1::2]:
                 rest.look(scene.states(told["cubes"]))
             ticks += count
+        if (reason := rest.why_not(ticks)) is not None:
+            raise WorldError("invalid", f"the creature cannot begin with seed {seed}: {reason}")
         return _Settled(ticks, scene.start(seed, rest.states[0]))
 
     def _ask(self, commands: Sequence[JsonObject]) -> list[Any]:
