@@ -1,0 +1,174 @@
+"""What rolls, falls or is flung without a motor of its own is worth nothing, on tasks and in matches."""
+
+from __future__ import annotations
+
+import math
+from random import Random
+from typing import Any
+
+import pytest
+
+from nmes.evaluation import MatchTask, Task, evaluate, play
+from nmes.genome import Genome
+
+Json = dict[str, Any]
+BLOCK: Json = {"cubes": [{"id": "block", "size": [0.6, 0.3, 0.4], "mass": 10, "position": [0, 0.15, 0]}]}
+MOTORLESS = [name for name in Task.names() if name not in ("growth", "pole", "swim")]  # who stands there, or floats
+
+
+def genome(body: Json, **more: Any) -> Genome:
+    return Genome({"format": "nmes-genome/1", "name": "still", "body": body, **more})
+
+
+def unbalanced(draw: Random, longest: float) -> Genome:
+    """Draws a light ball with a heavy weight nearly above its middle: it stands for a while, topples, and rolls on."""
+    radius = longest / 2 * draw.uniform(0.5, 0.98)
+    away, lean = radius * draw.uniform(0.15, 0.5), draw.uniform(0.02, 0.1)
+    size = radius * draw.uniform(0.15, 0.3)
+    shell = draw.uniform(3, 10)
+    mass = min(40 * shell, 15_000 * size**3)
+    middle = [away * math.sin(lean), radius + away * math.cos(lean), 0]
+    cubes = [
+        {"id": "shell", "shape": "sphere", "size": 2 * radius, "mass": shell, "position": [0, radius, 0]},
+        {"id": "weight", "size": size, "mass": mass, "position": middle},
+    ]
+    joint = {"id": "j", "cube1": "shell", "cube2": "weight", "type": "fixed", "anchor": [0, radius, 0]}
+    return genome({"cubes": cubes, "joints": [joint]})
+
+
+@pytest.mark.parametrize("bodies", [4, pytest.param(300, marks=pytest.mark.long)])
+@pytest.mark.parametrize("name", MOTORLESS)
+def test_a_ball_out_of_balance_scores_nothing(name: str, bodies: int) -> None:
+    task, draw = Task.load(name), Random(name)
+    for number in range(bodies):
+        evaluation = evaluate(unbalanced(draw, task.limits.size or 4.0), task, seeds=[task.seeds[0]])
+        assert evaluation.error is None
+        assert not evaluation.results[0].score, f"{number}: {evaluation.results[0]}"
+
+
+def test_some_of_these_balls_roll_far() -> None:
+    task, draw = Task.load("walk"), Random("walk")
+    free = Task({**task.document, "objective": "max(0, displacement.x - 2 * max.reach)"})
+    scores = [evaluate(unbalanced(draw, 4.0), free, seeds=[1]).results[0].score or 0.0 for _ in range(4)]
+    assert max(scores) > 3.0
+
+
+@pytest.mark.parametrize("name", MatchTask.names())
+def test_a_ball_out_of_balance_has_nothing_of_a_match(name: str) -> None:
+    task, draw = MatchTask.load(name), Random(name)
+    for role in task.roles:
+        players = {each: genome(BLOCK) for each in task.roles} | {role: unbalanced(draw, 2.0)}
+        for match in play(task, players, seeds=[1]):
+            result = match.results[role]
+            assert not result.score or role == "prey", (role, result)  # whom no block catches
+
+
+def test_who_falls_towards_the_middle_while_it_is_set_down_has_not_come_there() -> None:
+    """Its foot is narrow and its head heavy: it falls at once, and is at rest when the match begins."""
+    cubes: list[Json] = [
+        {"id": "foot", "size": [0.3, 0.2, 1.2], "mass": 10, "position": [0, 0.1, 0]},
+        {"id": "pole", "size": [0.3, 1.2, 1.2], "mass": 100, "position": [0.02, 0.8, 0]},
+        {"id": "head", "size": [0.5, 0.58, 1.2], "mass": 380, "position": [0.25, 1.69, 0]},
+    ]
+    joints: list[Json] = [
+        {"id": "a", "cube1": "foot", "cube2": "pole", "type": "fixed", "anchor": [0, 0.2, 0]},
+        {"id": "b", "cube1": "pole", "cube2": "head", "type": "fixed", "anchor": [0, 1.4, 0]},
+    ]
+    tower = genome({"cubes": cubes, "joints": joints})
+    for match in play("sumo", {"red": tower, "blue": genome(BLOCK)}):
+        for result in match.results.values():
+            assert result.fault is None and result.score is not None
+            assert abs(result.score) < 0.05  # the margin below which nobody has won
+
+
+def pendulum_ball(heading: float = 0.0) -> Json:
+    """Returns a ball that rolls for metres while a weight on a damped hinge sinks, and is at rest then."""
+    radius, lean, arm = 0.75, 0.6672771109409199, 0.6
+    x, z = math.cos(heading), -math.sin(heading)
+    middle = [arm * math.sin(lean) * x, radius + arm * math.cos(lean), arm * math.sin(lean) * z]
+    cubes: list[Json] = [
+        {"id": "ball", "shape": "sphere", "size": 2 * radius, "mass": 120, "position": [0, radius, 0], "friction": 2},
+        {"id": "weight", "size": 0.26, "mass": 300, "position": middle},
+    ]
+    hinge = {"type": "hinge", "axis": [-z, 0, x], "anchor": [0, radius, 0], "damping": 2061.9}
+    return {"cubes": cubes, "joints": [{"id": "j", "cube1": "ball", "cube2": "weight", **hinge}]}
+
+
+@pytest.mark.parametrize(("role", "other"), [("red", "blue"), ("blue", "red")])
+def test_who_comes_to_the_other_before_the_match_has_lost_it(role: str, other: str) -> None:
+    (match,) = play("sumo", {role: genome(pendulum_ball()), other: "walker"}, seeds=[1])
+    assert (match.results[role].fault or "").startswith("displaced: before the start it came ")
+    assert "touched another" in str(match.results[role].fault)
+    assert match.results[other].fault is None and match.results[other].score == 0.0
+
+
+def test_who_comes_to_its_target_before_the_start_has_no_score() -> None:
+    (result,) = evaluate(genome(pendulum_ball()), Task.load("reach"), seeds=[1]).results
+    assert result.score is None
+    assert (result.fault or "").startswith("displaced: before the start it came ")
+    assert "farther than its size, 1.5 m" in str(result.fault)
+
+
+def marble() -> Genome:
+    """Returns a ball at the top of a ramp that is a limb of its own, and that a leg holds up."""
+    radius, angle, long, thick = 0.3, 0.7, 3.0, 0.3
+    c, s = math.cos(angle), math.sin(angle)
+    height, along = long / 2 * s + thick / 2 * c + 0.001, 0.25 - long / 2
+    top = [along * c + thick / 2 * s, height - along * s + thick / 2 * c, 0]
+    place = [top[0] + (radius + 0.002) * s, top[1] + (radius + 0.002) * c, 0]
+    tall = place[1] - radius - 0.6
+    foot = 0.4 - long / 2 * c
+    cubes = [
+        {"id": "ball", "shape": "sphere", "size": 2 * radius, "mass": 20, "position": place},
+        {"id": "ramp", "size": [long, thick, 2], "mass": 100, "position": [0, height, 0], "rotation": [0, 0, -angle]},
+        {"id": "leg", "size": [0.3, tall, 1.8], "mass": 50, "position": [foot, tall / 2, 0]},
+    ]
+    joints = [
+        {"id": "j", "cube1": "ball", "cube2": "ramp", "type": "fixed", "anchor": top},
+        {"id": "k", "cube1": "ramp", "cube2": "leg", "type": "fixed", "anchor": [foot, tall, 0]},
+    ]
+    return genome({"cubes": cubes, "joints": joints})
+
+
+def test_who_rolls_down_a_limb_that_is_cut_off_has_not_walked() -> None:
+    evaluation = evaluate(marble(), Task.load("injury"))
+    assert evaluation.error is None
+    assert [result.score for result in evaluation.results] == [0.0] * 3
+    assert min(result.distance for result in evaluation.results) > 10.0
+
+
+@pytest.mark.parametrize("overlap", [0.1, 0.2, 0.28])
+def test_who_is_flung_by_a_limb_that_is_cut_off_has_not_walked(overlap: float) -> None:
+    """The root lies in the limb it hangs on: once they are apart the heavy one throws it."""
+    cubes: list[Json] = [
+        {"id": "root", "size": 0.3, "mass": 5, "position": [0.3 - overlap, 0.15, 0], "friction": 0},
+        {"id": "limb", "size": 0.3, "mass": 400, "position": [0, 0.15, 0], "friction": 1},
+    ]
+    joint = {"id": "j", "cube1": "root", "cube2": "limb", "type": "fixed", "anchor": [0.1, 0.15, 0]}
+    (result,) = evaluate(genome({"cubes": cubes, "joints": [joint]}), Task.load("injury"), seeds=[1]).results
+    assert not result.score
+    assert result.score is None or result.distance < 5.0
+
+
+def test_who_stands_up_and_draws_its_leg_in_has_not_jumped() -> None:
+    """Its lowest point rises by 1.5 m while it falls; its centre had risen by as much before, and slowly."""
+    cubes: list[Json] = [
+        {"id": "torso", "size": [1.2, 0.3, 1.2], "mass": 40, "position": [0, 0.22, 0]},
+        {"id": "leg", "size": [0.1, 2.1, 0.1], "mass": 3, "position": [0, 1.1, 0]},
+        {"id": "foot", "size": [1, 0.05, 1], "mass": 3, "position": [0, 0.025, 0]},
+    ]
+    motor = {"mode": "velocity", "range": [-15, 0.9], "max_effort": 1000}
+    stand = {"type": "slide", "anchor": [0, 0.2, 0], "axis": [0, -1, 0], "limits": [0, 1.8], "motor": motor}
+    joints = [
+        {"id": "stand", "cube1": "torso", "cube2": "leg", **stand},
+        {"id": "ankle", "cube1": "leg", "cube2": "foot", "type": "fixed", "anchor": [0, 0.05, 0]},
+    ]
+    brain = {"kind": "sine", "oscillators": [{"motor": "stand", "amplitude": 10, "frequency": 0.2}]}
+    task = Task.load("jump-high")
+    evaluation = evaluate(genome({"cubes": cubes, "joints": joints}, brain=brain), task, seeds=[1])
+    assert evaluation.error is None
+    (result,) = evaluation.results
+    assert result.score is not None and result.score < 0.05
+    lenient = Task({**task.document, "objective": "min(max.lowest - start.lowest, max.height - start.height)"})
+    (fooled,) = evaluate(genome({"cubes": cubes, "joints": joints}, brain=brain), lenient, seeds=[1]).results
+    assert fooled.score is not None and fooled.score > 1.0
