@@ -15,6 +15,7 @@ from itertools import islice
 from nmes import protocol
 from nmes.backend import Array
 from nmes.errors import ProofError, WorldError
+from nmes.evaluation.again import has_model
 from nmes.evaluation.episode import brain_of
 from nmes.evaluation.judge import Result
 from nmes.evaluation.match import Match, check_players
@@ -109,8 +110,8 @@ def _check(recording: Recording, brain: bool) -> tuple[Match, MatchTask, dict[st
     def make(world: World) -> Match:
         return Match(world, genomes, brains, task, seed, logged=not brain)
 
-    compared = list(genomes.values()) if brain else []
-    return follow(recording, task.world_config(seed), make, compared), task, genomes, seed
+    models = {role for role, genome in genomes.items() if brain and has_model([genome.document])}
+    return follow(recording, task.world_config(seed), make, models), task, genomes, seed
 
 
 def recorded_match(recording: Recording) -> tuple[MatchTask, dict[str, Genome], int]:

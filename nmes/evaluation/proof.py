@@ -8,19 +8,19 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Set
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from hashlib import file_digest
 from itertools import chain, islice
-from typing import Generic, Protocol, TypeVar
+from typing import Final, Generic, Protocol, TypeVar
 
 import numpy as np
 
 from nmes import protocol
 from nmes.backend import Array
 from nmes.errors import ProofError, RecordingError, WorldError
-from nmes.evaluation.again import has_model
+from nmes.evaluation.again import MODEL, has_model
 from nmes.evaluation.episode import METADATA, Episode, brain_of
 from nmes.evaluation.judge import Result
 from nmes.evaluation.match_task import METADATA as MATCH
@@ -55,6 +55,8 @@ class Steps(Protocol):
 
 
 R = TypeVar("R", bound=Steps)
+# What else a command says, such as the layout that it is for, may have had the world refuse it.
+_DRIVE: Final = {"type", "creature", "controls"}
 _MOST = 2**26  # numbers of a course that is kept: half a gigabyte
 
 
@@ -225,14 +227,15 @@ def _check(recording: Recording, brain: bool, log: _Log | None = None) -> tuple[
     def make(world: World) -> Episode:
         return Episode(world, genome, driver, task, seed, logged=not brain)
 
-    return follow(recording, task.world_config(seed), make, [genome] if brain else [], log), task, genome
+    models = {CREATURE} if brain and has_model([genome.document]) else set()
+    return follow(recording, task.world_config(seed), make, models, log), task, genome
 
 
 def follow(
     recording: Recording,
     config: JsonObject,
     make: Callable[[World], R],
-    brains: Sequence[Genome],
+    models: Set[str],
     log: _Log | None = None,
 ) -> R:
     """Runs a recording again, and compares each of its inputs with the next step of what it should be of.
@@ -241,7 +244,7 @@ def follow(
         recording: The recording.
         config: That of the world that it must have.
         make: Makes what yields the steps, in a new world.
-        brains: The creatures whose brains are compared too.
+        models: The names of the creatures whose brains are compared too, and may round otherwise here.
         log: Where to write what the creature of an episode senses and does.
 
     Returns:
@@ -252,7 +255,7 @@ def follow(
     """
     if recording.config != protocol.complete_config(config):
         raise ProofError("diverged", f"{recording.path}, frame 0: the world is not the task's")
-    checker = _Checker(make, log)
+    checker = _Checker(make, models, log)
     try:
         report = replay(recording, watch=checker)
         if report.verdict == "not_comparable":
@@ -265,15 +268,9 @@ def follow(
             raise ProofError("damaged", report.damage)
         return checker.finished()
     except (ProofError, RecordingError, WorldError) as error:
-        beyond = error.code == "diverged" and _computes_otherwise(recording, brains)
-        code = "not_comparable" if beyond else error.code
+        elsewhere = fingerprint_differences(recording.config["backend"], recording.fingerprint)
+        code = "not_comparable" if error.code == "diverged" and elsewhere else error.code
         raise ProofError(code, f"{recording.path}: {error.message}") from error
-
-
-def _computes_otherwise(recording: Recording, brains: Sequence[Genome]) -> bool:
-    """Whether a brain, or where the task sets things, may come out otherwise here than there."""
-    differences = fingerprint_differences(recording.config["backend"], recording.fingerprint)
-    return bool(differences) or has_model(genome.document for genome in brains)
 
 
 def recorded_episode(recording: Recording) -> tuple[Task, Genome, int]:
@@ -302,9 +299,10 @@ def recorded_episode(recording: Recording) -> tuple[Task, Genome, int]:
 class _Checker(Generic[R]):
     """Follows a replay, and compares each of its inputs with the next step."""
 
-    def __init__(self, make: Callable[[World], R], log: _Log | None) -> None:
-        """Takes what makes that which yields the steps, and where to write what its creature does."""
-        self._make, self._log = make, log
+    def __init__(self, make: Callable[[World], R], models: Set[str], log: _Log | None) -> None:
+        """Takes what makes that which yields the steps, whose drives may differ, and where to write what one does."""
+        self._make, self._models, self._log = make, models, log
+        self._rounded: ProofError | None = None  # the first drive of a model that is another here
         self._run: R | None = None
         self._steps: Iterator[Step] = iter(())
         self._next: Step = None
@@ -321,7 +319,12 @@ class _Checker(Generic[R]):
         while _leaves_alone(self._next, request):
             self._leave_alone(world)
         if not _agree(self._next, request):
-            raise _divergence(world, f"{_input(request)} where there should be {_expected(self._next)}")
+            what = f"{_input(request)} where there should be {_expected(self._next)}"
+            if not _drives(self._next, request, self._models):
+                raise _divergence(world, what)
+            # All else must come out as recorded, with the drives of the recording.
+            otherwise = f"at frame {world.frame} it has {what}: {MODEL}"
+            self._rounded = self._rounded or ProofError("not_comparable", otherwise)
         driven = request.command if request is not None and _is_free(self._next) else None
         if self._log is not None and driven is not None:
             self._log.controls.append(driven["controls"])
@@ -346,10 +349,12 @@ class _Checker(Generic[R]):
         """Returns the result.
 
         Raises:
-            ProofError: The recording ends before it does (`damaged`).
+            ProofError: The recording ends before it does (`damaged`), or a model did otherwise (`not_comparable`).
         """
         if self._run is None or not self._over:
             raise ProofError("damaged", "the recording ends before the episode does")
+        if self._rounded is not None:
+            raise self._rounded
         return self._run
 
 
@@ -379,9 +384,18 @@ def _agree(step: Step, request: Request | None) -> bool:
         return False
     if _is_free(step):
         return True
-    # What else a command says, such as the layout that it is for, may have had the world refuse it.
     alike = np.array_equal(np.array(command["controls"], float), np.asarray(step.controls))
-    return alike and command.keys() == {"type", "creature", "controls"}
+    return alike and command.keys() == _DRIVE
+
+
+def _drives(step: Step, request: Request | None, models: Set[str]) -> bool:
+    """Whether a recorded input drives a creature as there should be, but for the numbers that its model puts out."""
+    command = None if request is None else request.command
+    if not isinstance(step, Drive) or step.creature not in models or command is None:
+        return False
+    if command["type"] != "drive" or command["creature"] != step.creature or command.keys() != _DRIVE:
+        return False
+    return len(command["controls"]) == np.size(step.controls)
 
 
 def _divergence(world: World, what: str) -> ProofError:

@@ -8,10 +8,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import orjson
 import pytest
 
 from boards import DASH
 from creatures import snake
+from modelled import modelled
 from nmes.errors import ProofError
 from nmes.evaluation import Episode, Task, prove
 from nmes.evaluation.episode import METADATA, brain_of
@@ -20,6 +22,7 @@ from nmes.genome import Genome
 from nmes.protocol import parse
 from nmes.recording import Recorder
 from nmes.world import World
+from recordings import Edit, Line, changed, commands_of, rewrite
 
 Change = Callable[[dict[str, Any]], dict[str, Any]]
 
@@ -33,6 +36,8 @@ def record(
     change: Change = dict,
     layout: int | None = None,
     limits: dict[str, Any] | None = None,
+    creature: dict[str, Any] | None = None,
+    nudge: float = 0.0,
 ) -> Path:
     """Records an episode, of which every reply and every digest is true.
 
@@ -44,8 +49,10 @@ def record(
         change: What becomes of each command of the episode's own.
         layout: The layout that the creature is driven in; another than it has is refused.
         limits: What the task says of bodies.
+        creature: The genome, if it is not a snake's.
+        nudge: How much its first motor is driven by beside what the brain says.
     """
-    task, genome = Task(DASH if limits is None else {**DASH, "limits": limits}), Genome(snake())
+    task, genome = Task(DASH if limits is None else {**DASH, "limits": limits}), Genome(creature or snake())
     world = World({**task.world_config(3), **config})
     about = {METADATA: {"task": json.dumps(task.document), "genome": genome.hash, "seed": "3"}}
     recorder = world.journal = Recorder(path, world, about=about)
@@ -59,6 +66,7 @@ def record(
             world.tick()
         elif isinstance(step, Drive):
             assert isinstance(step.controls, np.ndarray)
+            step.controls[0] += nudge
             if layout is None:
                 world.drive(client, step.creature, step.controls)
             else:
@@ -128,3 +136,44 @@ def test_a_scene_that_is_set_otherwise_is_found(tmp_path: Path, change: dict[str
 
     with pytest.raises(ProofError, match="where there should be another"):
         prove(record(tmp_path / "x.mcap", {}, extra={}, change=changed))
+
+
+# -- what a model may round otherwise ---------------------------------------------------------------------------------
+
+
+def _another_digest(lines: list[Line]) -> list[Line]:
+    at = [number for number, line in enumerate(lines) if line.topic == "ticks"][-1]
+    ticks = orjson.loads(lines[at].data)
+    ticks["digests"][-1] = "0" * 32
+    return changed(lines, at, orjson.dumps(ticks))
+
+
+def _another_command(lines: list[Line]) -> list[Line]:
+    return _other(lines, lambda _drive: {"type": "ping"})
+
+
+def _too_many_controls(lines: list[Line]) -> list[Line]:
+    return _other(lines, lambda drive: {**drive, "controls": [*drive["controls"], 0.0]})
+
+
+def _other(lines: list[Line], change: Change) -> list[Line]:
+    at = commands_of(lines)[-1]
+    sent = orjson.loads(lines[at].data)
+    return changed(lines, at, orjson.dumps({**sent, "message": change(sent["message"])}))
+
+
+def test_what_an_onnx_brain_puts_out_may_be_rounded_otherwise(tmp_path: Path) -> None:
+    made = record(tmp_path / "x.mcap", {}, extra={}, creature=modelled(), nudge=1e-7)
+    with pytest.raises(ProofError, match="what the brain of the creature does: it has an ONNX brain") as error:
+        prove(made, brain=True)
+    assert error.value.code == "not_comparable"
+    assert prove(made).result.score is not None
+
+
+@pytest.mark.parametrize("nudge", [0.0, 1e-7], ids=["as here", "rounded"])
+@pytest.mark.parametrize("forge", [_another_digest, _another_command, _too_many_controls])
+def test_nothing_else_is_excused_by_an_onnx_brain(tmp_path: Path, forge: Edit, nudge: float) -> None:
+    made = record(tmp_path / "x.mcap", {}, extra={}, creature=modelled(), nudge=nudge)
+    with pytest.raises(ProofError) as error:
+        prove(rewrite(made, tmp_path / "forged.mcap", forge), brain=True)
+    assert error.value.code == "diverged"
