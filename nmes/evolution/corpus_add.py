@@ -13,6 +13,7 @@ from typing import Final
 
 from nmes.backend.fingerprint import differences
 from nmes.errors import CorpusError, MachineError, NmesError
+from nmes.evaluation.again import MODEL, has_model
 from nmes.evaluation.identity import creature_hash, shipped_hash
 from nmes.evaluation.parallel import Lost, in_processes
 from nmes.evaluation.task import Task
@@ -58,7 +59,7 @@ def add_runs(
 
     Raises:
         CorpusError: A run has roles, or nothing to add (`nothing_to_add`); what is there was computed where other
-            numbers come out (`not_comparable`), or a run was (`diverged`).
+            numbers come out, or a run was (`not_comparable`), or a run's log says otherwise (`diverged`).
         RunError: A run cannot be read.
         MachineError: A process was killed (`worker_killed`).
     """
@@ -139,7 +140,7 @@ def _played(chosen: _Chosen, found: Episodes | NmesError | Lost) -> Episodes:
     """Returns how episodes came out, which must be as the run's log says where that tells of the same.
 
     Raises:
-        CorpusError: They came out otherwise (`diverged`).
+        CorpusError: They came out otherwise (`diverged`, or `not_comparable` where that may be for the machine).
         MachineError: A process was killed (`worker_killed`).
     """
     who = f"{chosen.run.folder}, candidate {chosen.index}"
@@ -151,8 +152,19 @@ def _played(chosen: _Chosen, found: Episodes | NmesError | Lost) -> Episodes:
     for episode in found:
         result, before = episode.result, logged.get(episode.result.seed)
         if before is not None and any(getattr(result, name) != getattr(before, name) for name in _FACTS):
-            raise CorpusError("diverged", f"{who}, seed {result.seed}: its log has {before}, and here it is {result}")
+            excuse = _excuse(chosen)
+            words = (
+                f"{who}, seed {result.seed}: its log has {before}, and here it is {result}{excuse and f'; {excuse}'}"
+            )
+            raise CorpusError("not_comparable" if excuse else "diverged", words)
     return found
+
+
+def _excuse(chosen: _Chosen) -> str:
+    """Returns why the episodes of a candidate may come out otherwise here in good faith; empty where they must not."""
+    if chosen.run.differences():
+        return "the run was begun where other numbers come out"
+    return MODEL if has_model([chosen.genome.document]) else ""
 
 
 def _creature(chosen: _Chosen, episodes: Episodes) -> CorpusCreature | None:

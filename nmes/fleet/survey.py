@@ -106,8 +106,12 @@ class SurveySettings:
     def fingerprint(self) -> dict[str, str]:
         """Returns the fingerprint of this machine: of the engines, and of the draws of random creatures."""
         items: dict[str, str] = {}
-        for name in sorted({task.world_config(0)["backend"] for task in self.tasks}):
-            items.update(fingerprint(load_backend(name)))
+        engines = sorted({task.world_config(0)["backend"] for task in self.tasks})
+        for engine in engines:
+            for name, value in fingerprint(load_backend(engine)).items():
+                own = len(engines) > 1 and (name == "probe" or name.startswith("engine."))
+                items[f"engine.{engine}.{name.removeprefix('engine.')}" if own else name] = value
+        items["backend"] = ", ".join(engines)
         if not self.genomes:
             draw = Draw(0, "fingerprint")
             drawn = [[draw.normal(), draw.uniform(-1.0, 1.0), draw.count(0, 1 << 40)] for _ in range(100)]
@@ -242,6 +246,15 @@ class Survey:
         then, now = self.fingerprint, self.settings.fingerprint()
         draws = then.get("draws", ""), now.get("draws", "")
         return differences(then, now) | ({"draws": draws} if draws[0] != draws[1] else {})
+
+    def departure(self, world: int) -> RunError:
+        """Returns the error for a world that does not come out as the log has it: `diverged`, or `not_comparable`."""
+        what = f"world {world} does not come out again as the log of {self.folder} has it"
+        if self.differences():
+            return RunError("not_comparable", f"{what}: it was begun where other numbers come out")
+        if has_model([self.settings.genome(world).document]):
+            return RunError("not_comparable", f"{what}: {MODEL}")
+        return RunError("diverged", what)
 
     def _read(self) -> None:
         """Reads what the log has more than is known."""

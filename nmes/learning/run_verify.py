@@ -59,7 +59,8 @@ def verify_learning(
         seed: Of the draw; None: one that nobody can foresee.
 
     Raises:
-        RunError: There is no run, or it cannot be read (`no_run`), or recordings have changed (`recordings_changed`).
+        RunError: There is no run, or it cannot be read (`no_run`), or recordings have changed (`recordings_changed`, or
+            `not_comparable` where the run was begun where other numbers come out).
         WorldError, RecordingError, ProofError: As `Learning`.
     """
     seed = unforeseen(seed)
@@ -71,7 +72,7 @@ def verify_learning(
         return LearningVerdict("broken", (error.message,), 0, 0, seed, "")
     every = range(1, len(run.legs) + 1)
     chosen = list(every) if sample is None else _choose(run, sample, Draw(seed, "verify", run.digest))
-    learning = Learning(run.settings, threads)
+    learning = _learning(run, threads)
     findings = []
     try:
         for done, found in enumerate(_again(run, learning, chosen), 1):
@@ -86,6 +87,21 @@ def verify_learning(
         findings.append(error.message)
     verdict: Verdict = "holds" if not findings else "not_comparable" if run.differences() else "broken"
     return LearningVerdict(verdict, tuple(findings[:20]), len(run.legs), len(chosen), seed, run.digest)
+
+
+def _learning(run: LearningRun, threads: int) -> Learning:
+    """Returns the learning of a run, before its first leg.
+
+    Raises:
+        RunError: Recordings come to something else (`recordings_changed` or `not_comparable`).
+    """
+    try:
+        return Learning(run.settings, threads)
+    except RunError as error:
+        if error.code != "recordings_changed" or not run.differences():
+            raise
+        what = f"{error.message}, or come out otherwise here: {run.folder} was begun where other numbers come out"
+        raise RunError("not_comparable", what) from error
 
 
 def _choose(run: LearningRun, sample: int, draw: Draw) -> list[int]:

@@ -191,6 +191,11 @@ def test_recordings_that_are_others_than_they_were_are_not_gone_on_with(
     shutil.copy(next((tmp_path / "other").glob("*.mcap")), mine[1])
     result = nmes("verify", folder)
     assert result.exit_code == 1 and "the recordings are others than those that the run began with" in result.output
+    run = folder / "run.json"
+    document = json.loads(run.read_bytes())
+    run.write_text(json.dumps({**document, "fingerprint": {**document["fingerprint"], "probe": "of another machine"}}))
+    result = nmes("verify", folder)
+    assert result.exit_code == 3 and "was begun where other numbers come out" in result.output
     mine[1].write_bytes(b"nothing")
     result = nmes("verify", folder)
     assert result.exit_code == 1 and str(mine[1]) in result.output

@@ -29,7 +29,7 @@ from nmes.playback import replay
 from nmes.recording import Recording
 from nmes.world import World
 from processes import NMES
-from runs import begin, finish
+from runs import begin, finish, forge
 
 Rows = list[dict[str, Any]]
 
@@ -392,6 +392,22 @@ def test_a_corpus_of_elsewhere_is_not_added_to(small: Path, folder: Path, tmp_pa
     before = path.read_bytes()
     result = run("corpus", "add", str(path), str(folder), "--jobs", "1")
     assert "begin a new corpus" in result.output and result.exit_code == 3 and path.read_bytes() == before
+
+
+def test_a_run_that_comes_out_otherwise_is_only_comparable_where_it_was_begun(tmp_path: Path) -> None:
+    def lower_energy(records: Rows) -> None:
+        for record in records:
+            record["results"][0].update(energy=0.0)
+
+    finish(begin(other := tmp_path / "run"))
+    forge(other, lower_energy)
+    refused = run("corpus", "add", str(tmp_path / "new.zst"), str(other), "--jobs", "1", "--best", "1")
+    assert refused.exit_code == 1 and "its log has" in refused.output and "other numbers" not in refused.output
+    document = json.loads((other / "run.json").read_bytes())
+    document["fingerprint"]["probe"] = "of another machine"
+    (other / "run.json").write_text(json.dumps(document))
+    refused = run("corpus", "add", str(tmp_path / "new.zst"), str(other), "--jobs", "1", "--best", "1")
+    assert refused.exit_code == 3 and "the run was begun where other numbers come out" in refused.output
 
 
 def test_a_corpus_without_creatures_holds(small: Path, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import re
 import shutil
 import signal
 import subprocess
@@ -21,6 +22,8 @@ from command_line import run
 from creatures import seedling
 from disks import full_disk
 from modelled import modelled
+from nmes.backend import load_backend
+from nmes.backend.fingerprint import fingerprint
 from nmes.errors import MachineError
 from nmes.evaluation import Workers, evaluate, parallel
 from nmes.evaluation.parallel import Here
@@ -200,6 +203,35 @@ def test_what_a_model_rounds_otherwise_is_not_comparable(tmp_path: Path) -> None
     forge(folder, lambda records: records[3]["result"].update(energy=7.0))
     found = verify_survey(folder, Here(), None, nothing)
     assert found.verdict == "broken" and "ONNX" not in found.findings[1]
+
+
+def test_a_best_world_that_comes_out_otherwise_is_only_comparable_where_it_was_scored(
+    whole: Survey, tmp_path: Path
+) -> None:
+    folder = tmp_path / "elsewhere"
+    shutil.copytree(whole.folder, folder)
+    assert whole.best is not None
+    number = whole.best.world
+    forge(folder, lambda records: records[number]["result"].update(energy=7.0))
+    said = "world .* does not come out again"
+    refused = run("survey", "best", folder)
+    assert refused.exit_code == 1 and re.search(said, refused.output) and "other numbers" not in refused.output
+    document = orjson.loads((folder / "run.json").read_bytes())
+    document["fingerprint"]["probe"] = "of another machine"
+    (folder / "run.json").write_bytes(orjson.dumps(document))
+    refused = run("survey", "best", folder)
+    assert refused.exit_code == 3 and "it was begun where other numbers come out" in refused.output
+
+
+def test_each_engine_of_a_survey_has_its_probe() -> None:
+    flat = {**FLAT, "name": "planar", "world": {"backend": "pymunk"}}
+    about = SurveySettings.of([Genome.load("inchworm")], [Task(FLAT), Task(flat)], 4, 5)
+    kept = about.fingerprint()
+    for engine in ("mujoco", "pymunk"):
+        here = fingerprint(load_backend(engine))
+        assert kept[f"engine.{engine}.probe"] == here["probe"]
+        assert kept[f"engine.{engine}.version"] == here["engine.version"]
+    assert settings().fingerprint() == fingerprint(load_backend("mujoco"))
 
 
 def test_a_log_that_was_edited_is_found(whole: Survey, tmp_path: Path) -> None:
