@@ -24,7 +24,7 @@ from nmes.brain.base import Array, Brain, Findings, JsonObject, Kernel, Paramete
 from nmes.brain.naming import Entries, Inputs, Outputs
 from nmes.errors import MissingPackage
 
-__all__ = ["OnnxBrain"]
+__all__ = ["OnnxBrain", "message_fields", "read_varint"]
 
 Bytes = NDArray[np.uint8]
 
@@ -67,29 +67,34 @@ class _Contents:
     fields: int = 0
 
 
-def _fields(model: bytes, start: int, end: int) -> Iterator[_Field]:
+def read_varint(model: bytes, at: int, end: int) -> tuple[int, int]:
+    """Returns a whole number, and where it ends.
+
+    Raises:
+        ValueError: It does not end.
+    """
+    value = shift = 0
+    while at < end and shift < 70:
+        byte = model[at]
+        at += 1
+        value |= (byte & 127) << shift
+        if byte < 128:
+            return value, at
+        shift += 7
+    raise ValueError("a number has no end")
+
+
+def message_fields(model: bytes, start: int, end: int) -> Iterator[_Field]:
     """Yields the fields of a message.
 
     Raises:
         ValueError: These bytes are no message.
     """
     at = start
-
-    def varint() -> int:
-        nonlocal at
-        value = shift = 0
-        while at < end and shift < 70:
-            byte = model[at]
-            at += 1
-            value |= (byte & 127) << shift
-            if byte < 128:
-                return value
-            shift += 7
-        raise ValueError("a number has no end")
-
     while at < end:
-        number, wire = divmod(varint(), 8)
-        value = varint() if wire in (0, 2) else 0
+        tag, at = read_varint(model, at, end)
+        number, wire = divmod(tag, 8)
+        value, at = read_varint(model, at, end) if wire in (0, 2) else (0, at)
         begin = at
         if wire not in (0, 1, 2, 5):
             raise ValueError(f"there is no wire type {wire}")
@@ -103,7 +108,7 @@ def _look(model: bytes, kind: str, start: int, end: int, contents: _Contents, we
     """Looks through a message; `weights` if its tensors are the main graph's, which are parameters."""
     if depth > _DEEPEST:
         raise ValueError("messages are nested too deeply")
-    fields = list(islice(_fields(model, start, end), _MOST_FIELDS + 1 - contents.fields))
+    fields = list(islice(message_fields(model, start, end), _MOST_FIELDS + 1 - contents.fields))
     contents.fields += len(fields)
     if contents.fields > _MOST_FIELDS:
         raise ValueError(f"it has more than {_MOST_FIELDS:,} fields")

@@ -2,8 +2,9 @@
 
 A creature is what it does: its body as it has grown, how that develops, its sensors, voices and brain. Names, authors,
 words, parents and colours are not, nor are the ids of parts, where the whole stands, what is left out because it is the
-default, and differences below a billionth. What is changed by more, or put into another order, is another creature.
-The conditions of its development are compared word by word, with the places of what they name.
+default or the task's, how an ONNX model is written down, and differences below a billionth. What is changed by more, or
+put into another order, is another creature. The conditions of its development are compared word by word, with the
+places of what they name.
 
 An author's name is what is seen of it: letters of other scripts that look the same, and what is not seen at all, make
 no other name. Which letters do is after Unicode Technical Standard 39, for those that look like Latin ones.
@@ -15,6 +16,7 @@ import hashlib
 import json
 import re
 import unicodedata
+from base64 import b64decode
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple
 from functools import cache
@@ -25,8 +27,9 @@ import numpy as np
 import orjson
 
 from nmes.brain.base import Brain, Findings
+from nmes.brain.model_graph import computation
 from nmes.evaluation.match_task import MatchTask
-from nmes.evaluation.setting import MATCHES, SHIPPED
+from nmes.evaluation.setting import MATCHES, SHIPPED, Setting
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
 from nmes.genome.body import Body, BodyJoint
@@ -65,20 +68,26 @@ _WORD: Final = re.compile(
 )  # of a condition that was read
 
 
-def creature_hash(genome: Genome) -> str:
+def creature_hash(genome: Genome, task: Setting | None = None) -> str:
     """Returns a SHA-256 over all of a creature that acts: its body and its development, its sensors, voices and brain.
 
     It has 64 hexadecimal digits.
+
+    Args:
+        genome: The creature.
+        task: On which it acts: a cube that writes out what all of its worlds have is like one that does not. None: in
+            worlds that do not bounce.
 
     Raises:
         DocumentError: Its brain is not a good one for its body.
         MissingPackage: Its brain needs a package that is not installed.
     """
     brain = _brain(genome.brain()) if "brain" in genome.document else None
-    return hashlib.sha256(orjson.dumps(_rounded([*_body(genome.body), brain]))).hexdigest()
+    surface = {"restitution": 0.0} if task is None else task.surface
+    return hashlib.sha256(orjson.dumps(_rounded([*_body(genome.body, surface), brain]))).hexdigest()
 
 
-def _body(body: Body) -> list[Any]:
+def _body(body: Body, surface: Mapping[str, float]) -> list[Any]:
     """Returns cubes, joints and sensors with places in the body for ids, and the root in the origin."""
     cubes = {cube.id: index for index, cube in enumerate(body.cubes)}
     joints = {joint.id: index for index, joint in enumerate(body.joints)}
@@ -89,7 +98,8 @@ def _body(body: Body) -> list[Any]:
         shape = [] if cube.shape == "box" else [cube.shape]
         # A group is one of the world's, which says by its name through what its cubes pass.
         group = [] if cube.group is None else [{"group": cube.group}]
-        shapes.append((cube.size, cube.mass, *place, cube.friction, cube.restitution, *shape, *group))
+        own = [_own(getattr(cube, name), surface.get(name)) for name in ("friction", "restitution")]
+        shapes.append((cube.size, cube.mass, *place, *own, *shape, *group))
     for joint in body.joints:
         motor = joint.motor
         drive = None if motor is None else (motor.mode, motor.low, motor.high, motor.max_effort, *_flaws(motor.flaws))
@@ -148,6 +158,11 @@ def _half(quaternion: Sequence[float]) -> np.ndarray[Any, Any]:
     return np.array(quaternion) * (-1.0 if rounded[-1] < 0.0 else 1.0)
 
 
+def _own(value: float | None, default: float | None) -> float | None:
+    """Returns a number that a cube writes out; None where that is the default."""
+    return None if _rounded(value) == _rounded(default) else value
+
+
 def _axis(joint: BodyJoint) -> Any:
     """Returns an axis of length 1; None for joints that need none, or take theirs from where their cubes are."""
     axis = _AXES.get(joint.kind) if joint.axis is None else joint.axis
@@ -157,9 +172,16 @@ def _axis(joint: BodyJoint) -> Any:
 def _brain(brain: Brain) -> list[Any]:
     """Returns a brain whose names are the places of the motors, sensors and nodes that they stand for."""
     sensors, motors, document = json.loads(brain.form())
-    document = {"inputs": ["*"], "outputs": ["*"], **document}
+    if brain.kind == "onnx":
+        document["model"] = computation(b64decode(brain.document["model"]), len(document.get("inputs", sensors)))
     nodes = [node["id"] for node in document.get("nodes", ())]
-    return [_places(document, sensors, motors, nodes), brain.to_vector()]
+    placed = _places(document, sensors, motors, nodes)
+    sides = {"inputs": sensors, "outputs": motors}
+    every = {side: [[place] for place in range(len(names))] for side, names in sides.items()}
+    lists = {side: placed.get(side, every[side]) for side in sides}
+    if lists == every:  # as where neither is listed, and most brains list none
+        lists = {side: [[*range(len(names))]] for side, names in sides.items()}
+    return [dict(sorted({**placed, **lists}.items())), [] if brain.kind == "onnx" else brain.to_vector()]
 
 
 def _places(value: Any, sensors: list[str], motors: list[str], nodes: list[str], names: list[str] | None = None) -> Any:

@@ -277,7 +277,7 @@ def _facts_of_episodes(proofs: Sequence[Proof]) -> dict[str, Any]:
     return {
         "name": genome.name,
         "genome_hash": genome.hash,
-        "creature_hash": creature_hash(genome),
+        "creature_hash": creature_hash(genome, task),
         "author": str(genome.document.get("author", "")),
         "players": (),
         **_common(ordered, scores),
@@ -322,7 +322,7 @@ def _facts_of_matches(proofs: Sequence[MatchProof]) -> dict[str, Any]:
             "" if task.interchangeable else role,
             genome.name,
             genome.hash,
-            creature_hash(genome),
+            creature_hash(genome, task),
             mean(own),
             pstdev(own),
             tuple(placed),
@@ -346,7 +346,7 @@ def _cast(proof: MatchProof) -> tuple[Genome, ...]:
     if not proof.task.interchangeable:
         return genomes
     turns = [(*genomes[turn:], *genomes[:turn]) for turn in range(len(genomes))]
-    return min(turns, key=lambda turn: [(creature_hash(genome), genome.hash) for genome in turn])
+    return min(turns, key=lambda turn: [(creature_hash(genome, proof.task), genome.hash) for genome in turn])
 
 
 def _over(hashes: Iterable[str]) -> str:

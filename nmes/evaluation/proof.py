@@ -395,7 +395,7 @@ def _drives(step: Step, request: Request | None, models: Set[str]) -> bool:
         return False
     if command["type"] != "drive" or command["creature"] != step.creature or command.keys() != _DRIVE:
         return False
-    return len(command["controls"]) == np.size(step.controls)
+    return len(command["controls"]) == np.asarray(step.controls).size
 
 
 def _divergence(world: World, what: str) -> ProofError:

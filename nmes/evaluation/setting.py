@@ -146,6 +146,12 @@ class Setting:
         return config
 
     @property
+    def surface(self) -> dict[str, float]:
+        """The friction and restitution of cubes that say nothing else, where all its worlds have the same."""
+        named = {"friction", "restitution"} - self.document["vary"].keys()
+        return {name: float(self._config[name]) for name in sorted(named)}
+
+    @property
     def senses(self) -> tuple[str, ...]:
         """The types of sensors of use here, besides those that are of use everywhere, that the engine has."""
         able = load_backend(self._config["backend"]).capabilities

@@ -128,7 +128,7 @@ def _candidates(run: Run, task: Task, place: int, seen: set[tuple[str, str]]) ->
         if score is None or score <= 0 or not generations[index] or score in scores:
             continue
         genome = run.genome(index)
-        creature = creature_hash(genome)
+        creature = creature_hash(genome, task)
         if (task.hash, creature) in seen:
             continue
         seen.add((task.hash, creature))

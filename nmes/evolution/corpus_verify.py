@@ -257,7 +257,7 @@ class _Verification:
         reasons = []
         for what, listed, value in (
             ("genome_hash", each.genome_hash, genome.hash),
-            ("creature", each.creature, creature_hash(genome)),
+            ("creature", each.creature, creature_hash(genome, None if known is None else known.task)),
             ("score", each.score, mean_score(each.episodes)),
         ):
             if listed != value:

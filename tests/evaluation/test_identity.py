@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import copy
+from base64 import b64encode
 from collections.abc import Iterator
 from importlib.resources import files
 from typing import Any, Final
 
+import numpy as np
 import orjson
 import pytest
 
-from creatures import SINE
+from boards import DASH
+from creatures import SINE, mlp, seedling, snake
 from ecosystems import cart
+from modelled import modelled
+from nmes.evaluation import Task
 from nmes.evaluation.identity import creature_hash
 from nmes.genome import Genome
+from onnx_models import FLOAT, field, model, node, tensor, value_info
 
 Json = dict[str, Any]
 
@@ -265,6 +271,112 @@ def test_a_group_is_not_taken_for_a_shape() -> None:
     ball, ghost = copy.deepcopy(WHOLE), copy.deepcopy(WHOLE)
     ball["body"]["cubes"][0]["shape"] = ghost["body"]["cubes"][0]["group"] = "sphere"
     assert creature_hash(Genome(ball)) != creature_hash(Genome(ghost))
+
+
+# -- copies -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("field", "value"), [("restitution", 0), ("restitution", 0.0), ("friction", 0.7)])
+def test_what_a_cube_writes_out_as_its_world_has_it_is_no_trait(field: str, value: float) -> None:
+    task = Task({**DASH, "world": {"friction": 0.7}})
+    document = copy.deepcopy(WHOLE)
+    document["body"]["cubes"][0][field] = value
+    assert creature_hash(Genome(document), task) == creature_hash(Genome(WHOLE), task)
+    other = Task({**DASH, "vary": {"friction": [0.5, 1]}, "world": {"restitution": 0.3}})
+    assert creature_hash(Genome(document), other) != creature_hash(Genome(WHOLE), other)
+
+
+@pytest.mark.parametrize("kind", ["mlp", "onnx"])
+def test_a_brain_that_lists_all_in_their_order_is_as_one_that_does_not(kind: str) -> None:
+    document = modelled() if kind == "onnx" else snake(mlp(3), segments=3)
+    brain = Genome(document).brain()
+    same = {**document, "brain": {**document["brain"], "inputs": [*brain.inputs], "outputs": [*brain.outputs]}}
+    other = {**document, "brain": {**same["brain"], "inputs": [*brain.inputs[::-1]]}}
+    assert creature_hash(Genome(same)) == creature_hash(Genome(document)) != creature_hash(Genome(other))
+    one, three = ({**other, "brain": {**other["brain"]}} for _ in range(2))
+    del one["brain"]["outputs"]
+    three["brain"]["outputs"] = [f"{name}*" for name in brain.outputs]
+    assert creature_hash(Genome(one)) == creature_hash(Genome(three)) == creature_hash(Genome(other))
+
+
+SEEDLING: Final = Genome(seedling())
+WEIGHTS: Final = np.random.default_rng(0).normal(0.0, 1.0, (len(SEEDLING.body.sensors), 1))
+
+
+def _model(
+    x: str = "x", w: str = "w", b: str = "b", m: str = "m", s: str = "s", weights: Any = WEIGHTS, bias: float = 0.5,
+    how: str = "Tanh", way: str = "raw", size: int | str = 1, nodes: tuple[bytes, ...] = (), seen: str | None = None,
+    said: bytes = b"",
+) -> bytes:  # fmt: skip
+    """Returns a model of tanh(x . weights + bias) whose values may be called otherwise."""
+    made = [*nodes, node("MatMul", [seen or x, w], [m], said), node("Add", [m, b], [s]), node(how, [s], ["y"])]
+    tensors = [tensor(w, weights, way=way), tensor(b, [[bias]], way=way)]
+    ends = [value_info(x, FLOAT, [size, len(weights)])], [value_info("y", FLOAT, [size, 1])]
+    return model(made, tensors, *ends)
+
+
+def _hash(made: bytes) -> str:
+    brain = {"kind": "onnx", "model": b64encode(made).decode()}
+    return creature_hash(Genome({**seedling(), "brain": brain}))
+
+
+COPIES: Final = {
+    "a producer": _model() + field(2, "Eve") + field(3, "1.0"),
+    "words": _model() + field(6, "mine") + field(14, field(1, "by") + field(2, "Eve")),
+    "names of weights": _model(w="v", b="offset"),
+    "names of values": _model(x="in", m="product", s="sum"),
+    "names of nodes": _model(said=field(3, "first") + field(6, "It multiplies.")),
+    "the domain written out": _model(said=field(7, "ai.onnx")),
+    "how numbers are stored": _model(way="packed"),
+    "numbers one by one": _model(way="loose"),
+    "a size left open": _model(size="batch"),
+    "a node for nothing": _model(nodes=(node("Sin", ["x"], ["unused"]),)),
+    "a step that does nothing": _model(nodes=(node("Identity", ["x"], ["again"]),), seen="again"),
+    "less than a billionth": _model(bias=0.5 + 1e-12),
+}
+
+
+@pytest.mark.parametrize("made", COPIES.values(), ids=COPIES)
+def test_a_model_that_computes_the_same_is_the_same_brain(made: bytes) -> None:
+    assert _hash(made) == _hash(_model())
+
+
+OTHERS: Final = {
+    "weights": _model(weights=-WEIGHTS),
+    "a bias": _model(bias=0.6),
+    "another function": _model(how="Sin"),
+    "another order": model(
+        [node("MatMul", ["x", "w"], ["m"]), node("Sub", ["b", "m"], ["s"]), node("Tanh", ["s"], ["y"])],
+        [tensor("w", WEIGHTS), tensor("b", [[0.5]])],
+        [value_info("x", FLOAT, [1, len(WEIGHTS)])],
+        [value_info("y", FLOAT, [1, 1])],
+    ),
+}
+
+
+@pytest.mark.parametrize("made", OTHERS.values(), ids=OTHERS)
+def test_a_model_that_computes_something_else_is_another_brain(made: bytes) -> None:
+    assert _hash(made) != _hash(_model())
+
+
+def test_models_whose_values_are_subtracted_the_other_way_round_are_others() -> None:
+    def made(*names: str) -> bytes:
+        nodes = [node("MatMul", ["x", "w"], ["m"]), node("Sub", [*names], ["y"])]
+        tensors = [tensor("w", WEIGHTS), tensor("b", [[0.5]])]
+        return model(nodes, tensors, [value_info("x", FLOAT, [1, len(WEIGHTS)])], [value_info("y", FLOAT, [1, 1])])
+
+    assert _hash(made("m", "b")) != _hash(made("b", "m"))
+
+
+def test_a_long_model_is_known_again() -> None:
+    def made(name: str) -> bytes:
+        nodes = [node("MatMul", ["x", "w"], [f"{name}0"])]
+        nodes += [node("Neg", [f"{name}{i}"], [f"{name}{i + 1}"]) for i in range(2000)]
+        nodes.append(node("Tanh", [f"{name}2000"], ["y"]))
+        ends = [value_info("x", FLOAT, [1, len(WEIGHTS)])], [value_info("y", FLOAT, [1, 1])]
+        return model(nodes, [tensor("w", WEIGHTS)], *ends)
+
+    assert _hash(made("a")) == _hash(made("b")) != _hash(_model())
 
 
 def test_the_hash_of_a_creature_without_development_is_that_of_before_there_was_any() -> None:
