@@ -167,6 +167,8 @@ class Leaderboard:
     def add(self, proofs: Sequence[AnyProof]) -> Entry:
         """Lists the score that recordings prove, and keeps copies of them and of their signatures.
 
+        An entry of the same creature that is marked as broken, or cannot be read, makes room.
+
         Args:
             proofs: Of one genome on one task: one for each of its seeds, in any order. Of a task with roles: of the
                 same genomes, one for each match of each of its seeds.
@@ -181,6 +183,8 @@ class Leaderboard:
         row = facts(proofs)
         with self._transaction():
             self._check(row)
+            same = row["task_hash"], row["creature_hash"]
+            self._db.execute("DELETE FROM entries WHERE task_hash = ? AND creature_hash = ?", same)  # which is broken
             columns = ", ".join(row)
             values = [orjson.dumps(value).decode() if isinstance(value, tuple) else value for value in row.values()]
             places = ", ".join("?" * len(row))
@@ -200,7 +204,7 @@ class Leaderboard:
             raise LeaderboardError("task_not_taken", f"{what}: see `nmes leaderboard tasks`")
         others = self.entries(broken=True)
         for other in others:
-            if (other.task_hash, other.creature_hash) == (task_hash, row["creature_hash"]):
+            if other.broken is None and (other.task_hash, other.creature_hash) == (task_hash, row["creature_hash"]):
                 these = "these creatures are" if other.players else "this creature is"
                 what = f"{these} listed for the task {task} already: {other.name!r} by {other.signed_author!r}"
                 raise LeaderboardError("already_listed", what)

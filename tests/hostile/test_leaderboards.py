@@ -235,6 +235,19 @@ def test_two_rows_of_one_creature_are_not_both_held(board: Path) -> None:
     assert [row["verdict"] for row in json.loads(result.stdout)] == ["holds", "holds", "broken"]
 
 
+def test_a_broken_entry_does_not_keep_its_creature_out(board: Path, proofs: list[str]) -> None:
+    refused = run("add", board, *proofs[:2])
+    assert refused.exit_code == 1 and "is listed for the task dash already" in refused.stderr
+    for recording in entry(board).recordings:
+        Leaderboard(board).recording(recording).unlink()
+    assert verdicts(board, "--write")[0] == 1 and entry(board).broken
+    assert run("add", board, *proofs[:2]).exit_code == 0
+    assert verdicts(board) == (0, {"wave": ("holds", ""), "chain": ("holds", "")})
+    edit(board, "UPDATE entries SET recordings = 'garbage' WHERE name = 'wave'")
+    assert run("add", board, *proofs[:2]).exit_code == 0
+    assert verdicts(board) == (0, {"wave": ("holds", ""), "chain": ("holds", "")})
+
+
 # -- recordings -------------------------------------------------------------------------------------------------------
 
 
