@@ -592,9 +592,12 @@ def test_nmes_worlds_says_what_is_wrong_with_an_odd_answer(answer: bytes) -> Non
     assert "Error: " in result.stderr and "Traceback" not in result.stderr
 
 
-def test_a_frame_of_more_values_than_a_message_has_is_refused_unread() -> None:
+def test_a_frame_of_more_values_or_keys_than_a_message_has_is_refused_unread() -> None:
     with served() as server, server.peer() as peer:
         peer.send(b'{"type":"spawn_creature","genome":{"cubes":[' + b",".join([b"{}"] * 200_000) + b"]}}" + DELIMITER)
         assert peer.hear() == {"type": "error", "code": "invalid", "message": "a message holds at most 100,000 values"}
+        keys = b",".join(b'"%d":0' % number for number in range(90_000))
+        peer.send(b'{"type":"ping","id":{' + keys + b"}}" + DELIMITER)
+        assert peer.hear() == {"type": "error", "code": "invalid", "message": "a message holds at most 65,536 keys"}
         most = [{"type": "ping"}] * 10_000
         assert len(peer.ask({"type": "batch", "commands": most})["results"]) == 10_000

@@ -13,6 +13,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+from creatures import snake
 from nmes import protocol, schemas
 from nmes.errors import RejectedMessage, WorldError
 from nmes.protocol import (
@@ -52,6 +53,13 @@ def blame(command: dict[str, Any]) -> tuple[str, str | None]:
     error = parse(encode(command)).error
     assert error is not None
     return error.code, error.path
+
+
+def test_the_largest_brain_is_no_message_of_too_many_keys() -> None:
+    nodes = [{"id": f"n{i}", "activation": "tanh", "bias": 0.5} for i in range(1024)]
+    links = [{"from": f"n{i % 1024}", "to": f"n{i // 16}", "weight": 0.5} for i in range(16_384)]
+    genome = {**snake(), "brain": {"kind": "graph", "nodes": nodes, "links": links}}
+    assert code(encode({"type": "spawn_creature", "genome": genome})) is None
 
 
 # -- laws -------------------------------------------------------------------------------------------------------------
