@@ -5,9 +5,6 @@ words, parents and colours are not, nor are the ids of parts, where the whole st
 default or the task's, how an ONNX model is written down, and differences below a billionth. What is changed by more, or
 put into another order, is another creature. The conditions of its development are compared word by word, with the
 places of what they name.
-
-An author's name is what is seen of it: letters of other scripts that look the same, and what is not seen at all, make
-no other name. Which letters do is after Unicode Technical Standard 39, for those that look like Latin ones.
 """
 
 from __future__ import annotations
@@ -15,7 +12,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-import unicodedata
 from base64 import b64decode
 from collections.abc import Mapping, Sequence
 from dataclasses import astuple
@@ -37,30 +33,10 @@ from nmes.genome.development import Rule
 from nmes.genome.sensors import Flaws
 from nmes.schemas.documents import parse_document
 
-__all__ = ["author_forms", "borrows_name", "creature_hash", "shipped_hash", "shipped_task"]
+__all__ = ["borrows_name", "creature_hash", "shipped_hash", "shipped_task"]
 
 _DIGITS: Final = 9  # behind the point: what differs by less is the same
 _AXES: Final = {"hinge": (0.0, 0.0, 1.0), "slide": (1.0, 0.0, 0.0)}  # of joints that name none
-_UNSEEN: Final = re.compile(
-    r"[\u00ad\u034f\u061c\u115f\u1160\u17b4\u17b5\u180b-\u180f\u200b-\u200f\u202a-\u202e\u2060-\u206f\u2800"
-    r"\u3164\ufe00-\ufe0f\ufeff\uffa0\ufff0-\ufff8\U0001bca0-\U0001bca3\U0001d173-\U0001d17a\U000e0000-\U000e0fff]"
-)
-# Letters of Cyrillic, Greek, Armenian and Latin, and digits, that look like the Latin ones below.
-_LOOKS: Final = str.maketrans(
-    (
-        "\u0410\u0412\u0415\u0405\u0406\u0408\u041a\u041c\u041d\u041e"
-        "\u0420\u0421\u0422\u0423\u0425\u051a\u051c\u04ae\u0474"
-        "\u0430\u0435\u0455\u0456\u0458\u043e\u0440\u0441\u0443\u0445"
-        "\u04bb\u051b\u051d\u0501\u0475\u04af\u04cf\u04c0"
-        "\u0391\u0392\u0395\u0396\u0397\u0399\u039a\u039c\u039d\u039f"
-        "\u03a1\u03a4\u03a5\u03a7"
-        "\u03b1\u03bf\u03b9\u03bd\u03c1\u03c5\u03c7\u03b3"
-        "\u0585\u0578\u057d\u0570\u0581\u054f\u0555\u054d"
-        "\u0131\u0251\u0261"
-        "I1|0"
-    ),
-    "ABESlJKMHOPCTYXQWYVaesijopcyxhqwdvyllABEZHlKMNOPTYXaoivpuxyonuhgSOUiaglllO",
-)
 _MOTORS, _SENSORS = ("motor", "motors", "outputs"), ("sensor", "inputs")
 _WORD: Final = re.compile(
     r"""(?P<string>"[^"]*"|'[^']*')|(?P<number>(?:[0-9]+(?:\.[0-9]+)?|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)"""
@@ -228,10 +204,3 @@ def shipped_hash(task: str) -> str | None:
 def borrows_name(task: str, task_hash: str) -> bool:
     """Tells whether a task has the name of one that ships, but is another."""
     return shipped_hash(task) not in (None, task_hash)
-
-
-def author_forms(author: str) -> tuple[str, ...]:
-    """Returns the forms of an author's name: two names that share one look alike; none for an empty name."""
-    seen = _UNSEEN.sub("", unicodedata.normalize("NFKC", author))
-    forms = (" ".join(text.casefold().split()) for text in (seen, seen.translate(_LOOKS)))
-    return tuple(form for form in forms if form)

@@ -30,7 +30,8 @@ from typing import TYPE_CHECKING, Any
 import orjson
 
 from nmes.errors import LeaderboardError, NmesError
-from nmes.evaluation.identity import author_forms, borrows_name, shipped_hash, shipped_task
+from nmes.evaluation.authors import author_forms
+from nmes.evaluation.identity import borrows_name, shipped_hash, shipped_task
 from nmes.evaluation.leaderboard_entry import COLUMNS, Entry, Verdict, examine, facts, read_row, told
 from nmes.evaluation.match_task import MatchTask
 from nmes.evaluation.parallel import Lost, in_processes

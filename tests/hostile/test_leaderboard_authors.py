@@ -11,7 +11,7 @@ import pytest
 
 from boards import DASH, edit, entry, key_in, proofs_of, run, signed, verdicts
 from creatures import SINE, cpg, mlp, snake
-from nmes.evaluation.identity import author_forms
+from nmes.evaluation.authors import author_forms
 from nmes.evaluation.leaderboard import Leaderboard
 
 
@@ -108,6 +108,31 @@ def test_names_that_do_not_look_alike_are_several() -> None:
     for one in names:
         assert [other for other in names if alike(one, other)] == [one]
     assert alike("Al", "A\u0406") and alike("Bob", "B0b") and alike("ALI", "ali") and not alike("", "")
+
+
+@pytest.mark.parametrize(
+    ("name", "other"),
+    [
+        ("Ada", "\u13aada"),  # Cherokee
+        ("Bella", "\u13fcella"),  # and its small letters
+        ("Ada", "\ua4eeda"),  # Lisu
+        ("Ada", "\u1d00\u1d05\u1d00"),  # small capitals
+        ("Ian", "\u026aan"),
+        ("Cora", "\u2ca4ora"),  # Coptic
+        ("Cora", "C\U0001042cra"),  # Deseret
+        ("Osa", "\U000104c2sa"),  # Osage
+        ("Max", "\u15f0ax"),  # Canadian syllabics
+        ("Max", "Ma\u2d5d"),  # Tifinagh
+        ("Max", "\u16d6ax"),  # runes
+        ("Cora", "\u03f9ora"),  # Greek, where NFKC has another letter
+        ("Ada", "\U0001d400da"),  # mathematical
+        ("Ada", "A\U00016fe4da"),  # what is not seen
+        ("Ada", "Ada\U0001d159"),
+    ],
+    ids=ascii,
+)
+def test_letters_of_other_scripts_that_look_like_latin_ones_make_no_other_name(name: str, other: str) -> None:
+    assert alike(name, other) and not alike(name, f"{other}m")
 
 
 def test_an_author_with_two_keys_holds_with_the_first(tmp_path: Path, dash: Path) -> None:
