@@ -84,7 +84,8 @@ def arm_numbers(
         if not isinstance(value, int | float):
             raise StudyError("bad_results", f"{run} has no number {column}, but {value!r}")
         cells.setdefault(canonical_hash(run.cell), []).append(float(value) / plan.study.scale(run.cell))
-    return [np.array(values, np.float64) for values in cells.values()]
+    # Of zeros of both signs, which is the least or in the middle depends on their order and on the processor.
+    return [np.array(values, np.float64) + 0.0 for values in cells.values()]
 
 
 def _equal(

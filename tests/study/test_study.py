@@ -543,3 +543,14 @@ def test_what_is_not_there_is_told_with_what_to_do(tmp_path: Path) -> None:
     result = run("study", "verify", folder)
     assert result.exit_code == 1 and "nmes study run fresh --budget small" in result.output
     assert "fresh has no budget full: there is small" in run("study", "run", folder, "--budget", "full").output
+
+
+def test_zeros_of_both_signs_are_one_number(timed: Path) -> None:
+    document = Study.load(timed)
+    plan = document.plan("small")
+    for statistic in ("min", "max", "median", "iqm", "mean"):
+        document.document["values"][statistic] = {"statistic": statistic, "column": "score", "arm": "swinging"}
+        for zeros in ((-0.0, 0.0, -0.0), (0.0, -0.0, -0.0), (-0.0, -0.0, -0.0)):
+            scores = iter(zeros * 2)
+            found = evaluate(plan, Results.here(plan, [{**row, "score": next(scores)} for row in rows(timed)]))
+            assert repr(found[statistic].value) == repr(found[statistic].low) == "0.0"
