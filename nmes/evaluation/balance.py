@@ -107,10 +107,21 @@ class Balance:
         """
         return self._gains(self.energy(states, positions), powers, self.rise)
 
-    def _gains(self, energy: Array, powers: Array, rise: float) -> tuple[Array, Array]:
+    def free(self, states: Array, powers: Array, positions: Array) -> Array:
+        """Returns the energy less the work of the motors since the start in each row, shape (k,), J.
+
+        The arguments are those of `excess`.
+        """
+        return np.asarray(self.energy(states, positions) - self._work(powers)[0])
+
+    def _work(self, powers: Array) -> Array:
+        """Returns the work of the motors up to each row, and how much it was without signs, shape (2, k), J."""
         sums = _sums(powers)
         sums[0] = 0.0  # what they gave before the start
-        work, effort = np.add.accumulate(sums, axis=0).T / self.bodies.tick_rate
+        return np.asarray(np.add.accumulate(sums, axis=0).T / self.bodies.tick_rate)
+
+    def _gains(self, energy: Array, powers: Array, rise: float) -> tuple[Array, Array]:
+        work, effort = self._work(powers)
         held = _highest(energy - work, self.moment)
         return held - np.minimum.accumulate(held), PART * effort + rise
 

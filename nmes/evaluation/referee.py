@@ -6,8 +6,8 @@ The rules, which hold in every task with roles:
   whose objective has no finite value has lost: it has no score, and its fault says why. The others are scored as it was
   at the tick before.
 - All bodies together are audited, since who is pushed gains what another's motors gave. Where they had energy that no
-  motor gave them, whoever had gained most at that tick, beyond the work of its own motors, has lost likewise: energy is
-  first where it is made.
+  motor gave them, whoever had most of that first, beyond the work of its own motors, has lost likewise: energy is first
+  where it is made.
 - A match that fails otherwise is void, since it cannot be said whose doing that is: nobody has a score.
 """
 
@@ -178,14 +178,20 @@ class Referee:
         if excess is None:
             return {}
         last = round(excess.time * self._task.tick_rate)
-        rows, gains = slice(0, last + 1), {}
+        rows, own = slice(0, last + 1), []
         for index, (role, side) in enumerate(self._sides.items()):
             balance = Balance.of(self.trajectories.of[role].bodies, self._world.config, side.stiffnesses)
-            own = self._states[rows, self._columns[index]], self._powers[rows, :, self._driven[index]]
-            gains[role] = float(balance.gains(*own, self._positions[rows, self._sprung[index]])[0][-1])
+            parts = self._states[rows, self._columns[index]], self._powers[rows, :, self._driven[index]]
+            own.append(balance.free(*parts, self._positions[rows, self._sprung[index]]))
+        gains = self._balance.gains(self._states[rows], self._powers[rows], self._positions[rows])[0]
+        # Since all together had the least, each rise is of whoever has risen most in that tick: who is struck by others
+        # rises too, but all together do not.
+        least = int(np.flatnonzero(gains == 0.0)[-1])
+        each = np.nan_to_num(np.diff(np.array([*own, gains])[:, least:]), nan=np.inf)  # what is no number is beyond all
+        rises, firsts = np.maximum(each[-1], 0.0), each[:-1] == each[:-1].max(axis=0)
+        made = [float(rises[first].sum()) for first in firsts]
         self._count(last)
-        most = max(gains.values())
-        makers = [role for role, gain in gains.items() if gain == most]
+        makers = [role for role, gain in zip(self._sides, made, strict=True) if gain == max(made)]
         self.ended = ", ".join(f"{role}: energy of nothing" for role in makers)
         return dict.fromkeys(makers, str(excess))
 

@@ -140,6 +140,26 @@ def test_a_condition_ends_the_match_for_all_at_its_tick() -> None:
     assert len({result.ticks for result in results.values()}) == 1 and results["red"].ticks < 240
 
 
+def test_who_was_struck_before_is_not_blamed_for_energy_that_the_other_makes() -> None:
+    _, match = run_by_hand(duel(vary={}), push(), QUIET)
+    referee = match._referee
+    assert referee is not None
+    columns, speeds = (
+        dict(zip(("red", "blue"), referee._columns, strict=False)),
+        {"red": np.zeros(91), "blue": np.zeros(91)},
+    )
+    speeds["blue"][10:] = 10.0  # of the work of red, which has it back from the solver a second later
+    speeds["red"][70:] = 5.0
+    energy = {}
+    for role, part in columns.items():
+        referee._states[:, part, 7] = speeds[role][:, None]
+        energy[role] = referee.trajectories.of[role].bodies.masses.sum() * speeds[role] ** 2 / 2
+    referee._powers[:] = 0.0
+    referee._powers[10, 0, 0] = referee._powers[10, 1, 0] = energy["blue"][10] * 60
+    assert energy["blue"].max() > energy["red"].max()
+    assert referee.results({})["red"].ended == "red: energy of nothing"
+
+
 def test_props_stand_in_the_world_and_can_be_aimed_at_and_measured() -> None:
     ball = {"id": "ball", "size": [0.2, 0.2, 0.2], "mass": 0.5, "position": [0, 0, 0.5]}
     red = {"target": "ball", "objective": "red.distance - red.apart.ball"}
