@@ -261,7 +261,8 @@ def problems(schema: CompiledSchema, value: Any) -> Iterator[Problem]:
     """Yields the problems that a schema has with a value, each when it is asked for.
 
     Arrays that are too long come first: where there are any, nothing else is looked at. Of each other array no more
-    than 20 unsound items are, so that what this costs is bounded. The problems of `x-when` come only where there are
+    than 20 unsound items are, and of one that may be other things too no more than it may have and one, so that what
+    this costs is bounded. The problems of `x-when` come only where there are
     no others.
     """
     if schema.validator.is_valid(value):
@@ -322,7 +323,13 @@ def _abridged(schema: Schema, value: Any) -> Any:
             name: None if more is False and name not in parts else _abridged(parts.get(name, {}), item)
             for name, item in value.items()
         }
-    if not isinstance(value, list) or "items" not in schema:
+    if not isinstance(value, list):
+        return value
+    if "anyOf" in schema:
+        arrays = [choice for choice in schema["anyOf"] if "array" in choice.get("type", "array")]
+        longest = max((choice.get("maxItems", len(value)) for choice in arrays), default=0)
+        return value[: longest + 1]  # which is as unsound: each item costs as much as all of its choices
+    if "items" not in schema:
         return value
     items, unsound = schema["items"], 0
     validator = _validator(orjson.dumps(items))

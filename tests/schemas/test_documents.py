@@ -14,13 +14,16 @@ from hypothesis import strategies as st
 from nmes.errors import DocumentError
 from nmes.evaluation import Task
 from nmes.genome import Genome
+from nmes.protocol import COMMANDS
 from nmes.schemas.documents import (
+    _abridged,
     canonical_hash,
     check,
     compile_schema,
     complete,
     parse_document,
     plain,
+    problems,
 )
 
 KINDS: list[tuple[Callable[[str | Path], Genome | Task], str, str]] = [
@@ -155,3 +158,14 @@ def test_what_is_no_json_data_is_no_document() -> None:
             plain(value)
     with pytest.raises(DocumentError, match="invalid UTF-8 at byte 1"):
         parse_document(b'"\xff"')
+
+
+@pytest.mark.parametrize(
+    ("kind", "field", "most"),
+    [("spawn_cube", "size", 3), ("spawn_cube", "rotation", 4), ("create_bone", "snake_id", 0)],
+)
+def test_few_items_of_an_array_that_may_be_something_else_are_looked_at(kind: str, field: str, most: int) -> None:
+    schema, command = COMMANDS[kind], {"type": kind, "cube1": "a", "cube2": "b", field: [[]] * 2700}
+    assert len(_abridged(schema.schema, command)[field]) == most + 1
+    (problem,) = problems(schema, command)
+    assert problem.keys == (field,) and "got [[],[],[]," in problem.message
