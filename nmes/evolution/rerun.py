@@ -8,6 +8,7 @@ from tempfile import TemporaryDirectory
 
 from nmes.errors import RunError
 from nmes.evaluation import Evaluation, MatchTask, Task, evaluate
+from nmes.evaluation.again import MODEL, has_model
 from nmes.evaluation.contest import hold_contest
 from nmes.evolution.run import Run
 from nmes.recording.signing import SUFFIX
@@ -28,7 +29,7 @@ def record_candidate(run: Run, index: int, folder: Path, seeds: Sequence[int]) -
 
     Raises:
         RunError: It comes out otherwise than the log says (`diverged`, or `not_comparable` where the run was begun on
-            a machine or by versions that compute otherwise), or the log is damaged (`log_damaged`).
+            a machine or by versions that compute otherwise, or has ONNX brains), or the log is damaged (`log_damaged`).
         RecordingError: A recording cannot be written.
     """
     rivals = run.rivals(index)
@@ -83,6 +84,12 @@ def _compare_matches(run: Run, index: int, found: Evaluation) -> None:
 
 def _otherwise(run: Run, index: int, what: str) -> RunError:
     """Returns the error of a candidate that does not come out as the log says."""
-    code = "not_comparable" if run.differences() else "diverged"
-    where = ", and the run was begun where other numbers come out" if code == "not_comparable" else ""
-    return RunError(code, f"candidate {index} of {run.folder} does not come out as its log says{where} ({what})")
+    rivals = run.rivals(index)
+    met = [] if rivals is None else [genome for lineup in rivals.lineups for genome in lineup]
+    excuse = ""
+    if run.differences():
+        excuse = "; the run was begun where other numbers come out"
+    elif has_model(genome.document for genome in (run.genome(index), *met)):
+        excuse = f"; {MODEL}"
+    code = "not_comparable" if excuse else "diverged"
+    return RunError(code, f"candidate {index} of {run.folder} does not come out as its log says ({what}){excuse}")

@@ -16,6 +16,7 @@ from click.testing import CliRunner, Result
 from modelled import modelled
 from nmes.cli import main
 from nmes.errors import RunError
+from nmes.evolution.rerun import record_candidate
 from nmes.evolution.run import Run
 from runs import begin, finish, forge
 
@@ -256,6 +257,9 @@ def test_what_a_model_rounds_otherwise_is_not_comparable(tmp_path: Path) -> None
     forge(folder, lambda records: records[2]["results"][0].update(energy=7.0))
     found = verdict(folder, "--all")
     assert found["verdict"] == "not_comparable" and "it has an ONNX brain" in found["findings"][0]
+    with pytest.raises(RunError, match="it has an ONNX brain") as error:
+        record_candidate(Run.open(folder), 2, tmp_path, [1])
+    assert error.value.code == "not_comparable"
     forge(folder, lambda records: records[3].update(operator="magic"))  # which no model has a part in
     assert verdict(folder, "--all")["verdict"] == "broken"
 

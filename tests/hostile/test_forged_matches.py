@@ -7,10 +7,12 @@ import random
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from creatures import snake
 from duels import DUEL, duel, push, roles
+from modelled import modelled
 from nmes.errors import DocumentError, NmesError, ProofError
 from nmes.evaluation import Match, MatchTask, brain_of, prove_match
 from nmes.evaluation.match import match_metadata
@@ -31,8 +33,9 @@ def record(
     config: dict[str, Any] | None = None,
     swap: bool = False,
     task: MatchTask | None = None,
+    nudge: str | None = None,
 ) -> Path:
-    """Records a match of half a second that says of itself what it is not."""
+    """Records a match of half a second that says of itself what it is not; `nudge` is driven otherwise by its brain."""
     task = task or duel(duration=0.5)
     world = World({**task.world_config(3), **(config or {})})
     about = {METADATA: {**match_metadata(task, PLAYERS, 3)[METADATA], **says}}
@@ -43,6 +46,8 @@ def record(
         waiting: list[Drive] = []
         for step in match.steps():
             if isinstance(step, Drive):
+                assert isinstance(step.controls, np.ndarray)
+                step.controls[0] += 1e-7 * (step.creature == nudge)
                 waiting.append(step)
                 continue
             for drive in reversed(waiting) if swap else waiting:
@@ -107,6 +112,17 @@ def test_what_a_recording_says_of_its_match_is_held_against_its_log(
 def test_creatures_are_driven_in_the_order_of_their_roles(tmp_path: Path) -> None:
     with pytest.raises(ProofError, match="where there should be a drive of red"):
         prove_match(record(tmp_path / "x.mcap", {}, swap=True))
+
+
+@pytest.mark.parametrize(("nudge", "code"), [("red", "not_comparable"), ("blue", "diverged")])
+def test_only_whom_an_onnx_brain_drives_may_be_driven_otherwise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, nudge: str, code: str
+) -> None:
+    monkeypatch.setitem(PLAYERS, "red", Genome(modelled()))
+    made = record(tmp_path / "x.mcap", {}, nudge=nudge)
+    with pytest.raises(ProofError, match=f"what the brain of {nudge} does") as error:
+        prove_match(made, brain=True)
+    assert error.value.code == code and prove_match(made).results["red"].score is not None
 
 
 def test_a_match_in_another_world_is_none_of_the_task(tmp_path: Path) -> None:
