@@ -9,7 +9,8 @@ and whether another model gives the same by other means, is not looked at: `Iden
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections import ChainMap
+from collections.abc import Iterator, Mapping, MutableMapping
 from dataclasses import dataclass, field
 from itertools import count, dropwhile
 from typing import Any, Final
@@ -130,9 +131,9 @@ class _Numbering:
     def __init__(self) -> None:
         self._fresh = count()
 
-    def graph(self, graph: _Graph, known: Mapping[bytes, int]) -> list[Any]:
+    def graph(self, graph: _Graph, known: MutableMapping[bytes, int]) -> list[Any]:
         """Returns a graph as plain data; `known` are the numbers of the values around it."""
-        numbers = {**known, b"": -1, **{name: next(self._fresh) for name, _ in graph.inputs}}
+        numbers = ChainMap({b"": -1, **{name: next(self._fresh) for name, _ in graph.inputs}}, known)
         makers = {name: node for node in graph.nodes for name in node.outputs}
         lines: list[Any] = []
         waiting = graph.outputs[::-1]
@@ -153,10 +154,10 @@ class _Numbering:
                 numbers[name] = numbers[node.inputs[0]]
             else:
                 lines.append(self._line(node, numbers))
-                numbers |= {each: next(self._fresh) for each in node.outputs if each}
+                numbers.update({each: next(self._fresh) for each in node.outputs if each})
         return [lines, [numbers[name] for name in graph.outputs]]
 
-    def _line(self, node: _Node, numbers: Mapping[bytes, int]) -> list[Any]:
+    def _line(self, node: _Node, numbers: MutableMapping[bytes, int]) -> list[Any]:
         attributes: list[Any] = []
         for name, attribute in node.attributes:
             for number, values in attribute.items():

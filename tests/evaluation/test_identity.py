@@ -368,6 +368,22 @@ def test_models_whose_values_are_subtracted_the_other_way_round_are_others() -> 
     assert _hash(made("m", "b")) != _hash(made("b", "m"))
 
 
+def test_a_model_with_graphs_inside_is_known_again() -> None:
+    def made(inner: str, weight: str = "w", ours: str = "Sin") -> bytes:
+        def branch(how: str) -> bytes:
+            nodes = field(1, node("MatMul", ["x", weight], [inner])) + field(1, node(how, [inner], [f"{inner}2"]))
+            return nodes + field(2, f"of {inner}") + field(12, value_info(f"{inner}2", FLOAT, [1, 1]))
+
+        branches = [("then_branch", branch(ours)), ("else_branch", branch("Tanh"))]
+        said = b"".join(field(5, field(1, name) + field(6, each) + field(20, 5)) for name, each in branches)
+        nodes = [node("If", ["yes"], ["y"], said)]
+        yes = field(2, 9) + field(8, "yes") + field(9, b"\x01")  # a truth value
+        ends = [value_info("x", FLOAT, [1, len(WEIGHTS)])], [value_info("y", FLOAT, [1, 1])]
+        return model(nodes, [tensor(weight, WEIGHTS), yes], *ends)
+
+    assert _hash(made("a")) == _hash(made("b")) == _hash(made("a", weight="v")) != _hash(made("a", ours="Cos"))
+
+
 def test_a_long_model_is_known_again() -> None:
     def made(name: str) -> bytes:
         nodes = [node("MatMul", ["x", "w"], [f"{name}0"])]
