@@ -12,7 +12,7 @@ import pytest
 
 from nmes.evaluation import Evaluation, Evaluator, Task
 from nmes.genome import Genome
-from random_bodies import INERT, still, valid_genomes
+from random_bodies import INERT, rounded, still, valid_genomes
 
 CHUNK = 250
 """Bodies that are drawn before any is evaluated."""
@@ -28,8 +28,10 @@ def test_a_creature_that_does_nothing_scores_nothing(
 ) -> None:
     task = Task.load(name)
     outcomes: Counter[str] = Counter()
-    drawn = valid_genomes(count(Task.names().index(name) * 1_000_000), Counter(), planar=name.startswith("planar"))
-    inert = ((seed, still(document, INERT[place % len(INERT)])) for place, (seed, document) in enumerate(drawn))
+    planar = name.startswith("planar")
+    drawn = valid_genomes(count(Task.names().index(name) * 1_000_000), Counter(), planar=planar)
+    shaped = ((seed, document if seed % 2 or planar else rounded(document, seed)) for seed, document in drawn)
+    inert = ((seed, still(document, INERT[place % len(INERT)])) for place, (seed, document) in enumerate(shaped))
     with Evaluator(jobs) as evaluator:
         for done in range(0, bodies, CHUNK):
             by_seed: dict[int, list[tuple[int, Genome]]] = {}

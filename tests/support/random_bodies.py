@@ -19,6 +19,7 @@ import numpy as np
 
 from brain_documents import ACTIVATIONS
 from nmes.backend import Array
+from nmes.backend.shapes import SHAPES, Shape, fitted
 from nmes.errors import DocumentError
 from nmes.genome import Genome
 from onnx_models import layer
@@ -180,6 +181,22 @@ def still(document: Json, way: str) -> Json:
         wide = max(map(abs, joint["motor"]["range"])) or 1.0
         joint["motor"]["range"] = [-wide, wide] if way != "constant" else [-wide / 3.0, wide]
     return changed if way == "no brain" else {**changed, "brain": {"kind": "sine", "oscillators": [oscillator]}}
+
+
+def rounded(document: Json, seed: int) -> Json:
+    """Returns a creature some of whose parts are balls, capsules or cylinders; the same one where that is none."""
+    draw, changed = Random(seed), deepcopy(document)
+    body = changed["body"]
+    for part in body["graph"]["parts"] if "graph" in body else body["cubes"]:
+        shape: Shape = draw.choice(SHAPES)
+        x, y, z = part["size"]
+        if shape != "box":
+            part |= {"shape": shape, "size": list(fitted(shape, (x, y, z)))}
+    try:
+        Genome(changed)
+    except DocumentError:
+        return document
+    return changed
 
 
 def _joints(document: Json) -> list[Json]:
