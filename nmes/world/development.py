@@ -68,7 +68,7 @@ class Development:
         self.begun, self.stage, self.form = False, 1, body
 
     def work(self, ticks: float) -> tuple[int, int]:
-        """Returns what the next look at the rules may have to do, if it is within so many ticks: a guess for hosts.
+        """Returns the work of the next look at the rules, if it is within so many ticks: a guess for hosts, and cheap.
 
         Returns:
             How many rules may be looked at, and how many parts of the body those may change.
