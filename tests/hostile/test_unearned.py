@@ -172,3 +172,10 @@ def test_who_stands_up_and_draws_its_leg_in_has_not_jumped() -> None:
     lenient = Task({**task.document, "objective": "min(max.lowest - start.lowest, max.height - start.height)"})
     (fooled,) = evaluate(genome({"cubes": cubes, "joints": joints}, brain=brain), lenient, seeds=[1]).results
     assert fooled.score is not None and fooled.score > 1.0
+
+
+def test_who_does_nothing_has_not_won_where_the_other_goes_by_itself() -> None:
+    slab = {"id": "slab", "size": [1.9, 0.3, 1.9], "mass": 500, "position": [0, 0.15, 0], "friction": 5}
+    (match,) = play("sumo", {"red": genome({"cubes": [slab]}), "blue": "seeker"}, seeds=[1])
+    assert match.results["red"].ended == "out"
+    assert [result.score for result in match.results.values()] == [0.0, 0.0]
