@@ -14,10 +14,11 @@ from nmes.cli._progress import progress_bars
 from nmes.errors import DocumentError, NmesError, visible
 from nmes.evaluation import Evaluation, MatchProof, MatchTask, prove_match
 from nmes.evaluation.bouts import Bout, play_bouts
-from nmes.evaluation.match import MatchResult, admit_players
+from nmes.evaluation.match import MatchResult, admit_players, recording_name
 from nmes.evaluation.parallel import open_pool
 from nmes.genome import Genome
 from nmes.genome.genome import SHIPPED
+from nmes.recording.signed import require_unsigned
 
 __all__ = ["read_creature", "score_matches", "score_recorded_matches"]
 
@@ -50,6 +51,7 @@ def score_matches(
     Raises:
         UsageError: There are not as many creatures as roles.
         ClickException: One of them is no creature, or may not play.
+        RecordingError: A recording would replace one that is signed (`signed`): nothing was played.
     """
     names = ", ".join(task.roles)
     if len(files) != len(task.roles):
@@ -62,6 +64,9 @@ def score_matches(
         _check(task, {role: genomes[number] for role, number in zip(task.roles, side, strict=True)})
     if record is not None:
         record.mkdir(parents=True, exist_ok=True)
+        for side, seed in casts:
+            cast = {role: genomes[number] for role, number in zip(task.roles, side, strict=True)}
+            require_unsigned(record / recording_name(task, cast, seed))
     folder = None if record is None else str(record)
     bouts = [
         Bout.of(task, {role: genomes[number] for role, number in zip(task.roles, side, strict=True)}, seed, folder)

@@ -63,7 +63,7 @@ def command(
 
     It is run again, and every figure must be that of the log. Then there are its genome, a recording of each episode,
     and the line that lists it on a leaderboard. With --index or --cell it is another candidate than the best. A folder
-    that holds a run, or another genome or task, is refused.
+    that holds a run, another genome or task, or a recording that is signed, is refused.
 
     Of a run of several populations it is the champion of each, in a folder of its own, with its matches against those
     whom it met in the run.

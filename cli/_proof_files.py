@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from nmes.cli._output import whole_file
+from nmes.recording.signed import SUFFIX
 from nmes.schemas.documents import JsonObject
 from nmes.schemas.files import read_regular
 
@@ -14,14 +15,14 @@ __all__ = ["check_place", "write_documents"]
 
 
 def check_place(folder: Path, documents: dict[str, JsonObject]) -> None:
-    """Refuses a folder in which documents of somebody else would be written over; the same again are none.
+    """Refuses a folder with what must not be written over: other documents, and recordings that somebody signed.
 
     Args:
         folder: Where they are to be written, which need not be there.
         documents: What is to be written, by the name of the file.
 
     Raises:
-        UsageError: It holds a run, or a file of such a name with other content.
+        UsageError: It holds a run, a file of such a name with other content, or a recording that is signed.
     """
     from nmes.evolution.run_folder import SETTINGS, text_of  # its imports take long, and all commands import this
 
@@ -30,6 +31,9 @@ def check_place(folder: Path, documents: dict[str, JsonObject]) -> None:
     for name, document in documents.items():
         if (folder / name).exists() and not _holds(folder / name, text_of(document)):
             raise click.UsageError(f"there is another {name} in {folder}: name another folder with -o")
+    for signature in folder.glob(f"*.mcap{SUFFIX}"):
+        what = f"{signature.with_suffix('')} is signed, and is not written over"
+        raise click.UsageError(f"{what}: name another folder with -o")
 
 
 def write_documents(folder: Path, documents: dict[str, JsonObject]) -> list[Path]:

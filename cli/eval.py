@@ -115,7 +115,7 @@ def command(
         check_output(plot_to, task, *files, *filter(None, [resume]))
         work = _jobs(files, asked, seeds, record if record_best is None else None)
         if record is not None:
-            record.mkdir(parents=True, exist_ok=True)
+            _open_folder(record, work)
         evaluations, whole = run_jobs(work, jobs, ray, resume)
         if record_best is not None and whole:
             evaluations, whole = _record_best(work, evaluations, record_best, str(record), jobs, ray)
@@ -175,6 +175,17 @@ def _jobs(files: Sequence[str], asked: Task, seeds: tuple[int, ...] | None, reco
     document = orjson.dumps(asked.document)
     folder = None if record is None else str(record)
     return [Job(Path(name).stem, _read_genome(name), document, seeds, folder) for name in files]
+
+
+def _open_folder(record: Path, work: Sequence[Job]) -> None:
+    """Makes the folder of recordings, unless that of a creature lies there signed: which are the best shows later.
+
+    Raises:
+        RecordingError: One does (`signed`).
+    """
+    record.mkdir(parents=True, exist_ok=True)
+    for job in work:
+        replace(job, record=str(record)).require_unsigned()
 
 
 def _record_best(

@@ -290,8 +290,8 @@ def verify(
 def best(folder: Path, world: int | None, output: Path | None, as_json: bool) -> None:
     """Write the best world of a survey: its genome and task, and the recording that proves its score.
 
-    It is run again, and every figure must be that of the log. A folder that holds a run, or another genome or task,
-    is refused.
+    It is run again, and every figure must be that of the log. A folder that holds a run, another genome or task, or a
+    recording that is signed, is refused.
 
     Exit status: 0 it is written, 1 it is not, 2 wrong usage, 3 it does not come out the same here, where other numbers
     come out or an ONNX brain may round otherwise.

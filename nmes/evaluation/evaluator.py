@@ -43,10 +43,20 @@ from nmes.evaluation.task import Task, TaskLike
 from nmes.genome import Genome
 from nmes.genome.genome import GenomeLike
 from nmes.recording import Recorder
+from nmes.recording.signed import require_unsigned
 from nmes.schemas.documents import write_json
 from nmes.world import World
 
-__all__ = ["Evaluator", "Job", "episode_metadata", "evaluate", "evaluate_portion", "file_name", "recorded"]
+__all__ = [
+    "Evaluator",
+    "Job",
+    "episode_metadata",
+    "evaluate",
+    "evaluate_portion",
+    "file_name",
+    "recorded",
+    "recording_name",
+]
 
 _POSE_RATE: Final = 1.0  # Hz; pictures for viewers cost as much as all else that is recorded, and follow from it
 
@@ -65,7 +75,7 @@ def evaluate(
         task: What it is asked to do, told likewise.
         seeds: Instead of the task's.
         record: An existing directory, in which a recording of each episode is left, named after genome and task,
-            with their hashes, and seed. One of that name is replaced when the new one is whole.
+            with their hashes, and seed. One of that name is replaced when the new one is whole, unless it is signed.
 
     Returns:
         The scores, in whatever the task's objective measures, and more; `error` says why a creature could not be
@@ -74,10 +84,11 @@ def evaluate(
     Raises:
         DocumentError: The genome is none, or the task.
         TypeError: A seed is no whole number.
-        RecordingError: A recording cannot be written.
+        RecordingError: A recording cannot be written, or would replace one that is signed (`signed`): nothing has run.
     """
     genome, task = Genome.load(genome), Task.load(task)
     chosen = task.seeds if seeds is None else read_seeds(seeds)
+    places = {} if record is None else _places(genome, task, chosen, record)
     begin = time.perf_counter()
     results: list[Result] = []
     recordings: list[str] = []
@@ -92,9 +103,8 @@ def evaluate(
         brain = admit(genome, task)
         for seed in chosen:
             run = partial(run_alone, genome, brain, task, seed)
-            if record is not None:
-                place = f"{file_name(genome.name)}-{genome.hash[:16]}-{task.name}-{task.hash[:16]}-{seed}.mcap"
-                run = partial(recorded, brain, seed, Path(record, place))
+            if seed in places:
+                run = partial(recorded, brain, seed, places[seed])
             results.append(guarded(run, seed))
     except RecordingError:
         raise
@@ -107,6 +117,23 @@ def evaluate(
 def file_name(name: str) -> str:
     """Returns a name as a part of a file's name."""
     return re.sub(r"[^A-Za-z0-9_]+", "-", name).strip("-").lower()[:40] or "genome"
+
+
+def recording_name(genome: Genome, task: Task, seed: int) -> str:
+    """Returns the name of the file of an episode's recording: the same for the same episode, and no other's."""
+    return f"{file_name(genome.name)}-{genome.hash[:16]}-{task.name}-{task.hash[:16]}-{seed}.mcap"
+
+
+def _places(genome: Genome, task: Task, seeds: Sequence[int], folder: str | os.PathLike[str]) -> dict[int, Path]:
+    """Returns where the episode of each seed is recorded.
+
+    Raises:
+        RecordingError: What is there is signed (`signed`).
+    """
+    places = {seed: Path(folder, recording_name(genome, task, seed)) for seed in seeds}
+    for place in places.values():
+        require_unsigned(place)
+    return places
 
 
 def _recorded(genome: Genome, brain: Brain | None, task: Task, seed: int, path: Path) -> Result:
@@ -136,8 +163,9 @@ def recorded(path: Path, about: Mapping[str, Mapping[str, str]]) -> Iterator[Cal
         about: Its metadata records.
 
     Raises:
-        RecordingError: It cannot be written.
+        RecordingError: It cannot be written, or one that is there is signed (`signed`).
     """
+    require_unsigned(path)
     # So that what has the name of a recording is one; and that of two who make it none takes the other's away.
     part = path.with_suffix(f".{secrets.token_hex(8)}.part")
     recorders: list[Recorder] = []
@@ -209,6 +237,17 @@ class Job:
             raise
         except Exception as error:  # a mistake of ours, which this genome has found
             return self.failed(f"{type(error).__name__}: {error}")
+
+    def require_unsigned(self) -> None:
+        """Refuses to replace recordings that are signed.
+
+        Raises:
+            RecordingError: One would be (`signed`).
+        """
+        genome = self.parse() if self.record is not None else None
+        if isinstance(genome, Genome) and self.record is not None:
+            task = self.read_task()
+            _places(genome, task, task.seeds if self.seeds is None else self.seeds, self.record)
 
     def run(self) -> Evaluation | _Unrecorded:
         """Evaluates the genome on its own; where that cannot be recorded, returns why."""
@@ -326,8 +365,11 @@ class Evaluator:
             The index of a job and its evaluation, as they are ready.
 
         Raises:
-            RecordingError: A recording cannot be written.
+            RecordingError: A recording cannot be written, or would replace one that is signed (`signed`): nothing has
+                run.
         """
+        for job in work:
+            job.require_unsigned()
         portions = _cut(work, self._pool.jobs)
         counts = Counter(part.index for portion in portions for part in portion)
         found: dict[int, dict[int, Evaluation]] = {index: {} for index in counts}

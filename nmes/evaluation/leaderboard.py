@@ -38,7 +38,7 @@ from nmes.evaluation.parallel import Lost, in_processes
 from nmes.evaluation.setting import MATCHES
 from nmes.evaluation.task import Task
 from nmes.genome import Genome
-from nmes.recording.signing import SUFFIX
+from nmes.recording.signed import SUFFIX
 from nmes.schemas.files import names_another_file
 
 if TYPE_CHECKING:

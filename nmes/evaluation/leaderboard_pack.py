@@ -28,7 +28,7 @@ import orjson
 
 from nmes.errors import DocumentError, LeaderboardError
 from nmes.evaluation.leaderboard import Leaderboard
-from nmes.recording.signing import SUFFIX
+from nmes.recording.signed import SUFFIX
 from nmes.schemas.documents import check, compile_schema, parse_document
 
 __all__ = ["Pack", "pack"]

@@ -240,7 +240,7 @@ def play_match(
 
     Raises:
         WorldError: They cannot be set down.
-        RecordingError: The recording cannot be written.
+        RecordingError: The recording cannot be written, or would replace one that is signed (`signed`).
     """
     begin = time.perf_counter()
     try:

@@ -11,7 +11,7 @@ from nmes.evaluation import Evaluation, MatchTask, Task, evaluate
 from nmes.evaluation.again import MODEL, has_model
 from nmes.evaluation.contest import hold_contest
 from nmes.evolution.run import Run
-from nmes.recording.signing import SUFFIX
+from nmes.recording.signed import require_unsigned
 
 __all__ = ["record_candidate"]
 
@@ -30,7 +30,7 @@ def record_candidate(run: Run, index: int, folder: Path, seeds: Sequence[int]) -
     Raises:
         RunError: It comes out otherwise than the log says (`diverged`, or `not_comparable` where the run was begun on
             a machine or by versions that compute otherwise, or has ONNX brains), or the log is damaged (`log_damaged`).
-        RecordingError: A recording cannot be written.
+        RecordingError: A recording cannot be written, or would replace one that is signed (`signed`).
     """
     rivals = run.rivals(index)
     with TemporaryDirectory(dir=folder, prefix=".") as unfinished:
@@ -43,10 +43,10 @@ def record_candidate(run: Run, index: int, folder: Path, seeds: Sequence[int]) -
             found = evaluate(genome, settings.task, seeds=seeds, record=unfinished)
             _compare_episodes(run, index, found)
         recordings = [folder / Path(path).name for path in found.recordings]
+        for target in recordings:
+            require_unsigned(target)
         for path in dict.fromkeys(found.recordings):  # a match that was played twice has one recording
-            target = folder / Path(path).name
-            target.with_name(target.name + SUFFIX).unlink(missing_ok=True)  # it is of the recording before
-            Path(path).replace(target)
+            Path(path).replace(folder / Path(path).name)
     names = found.genome, found.genome_hash, found.task, found.task_hash
     return Evaluation(*names, found.results, None, tuple(map(str, recordings)), found.wall_seconds)
 

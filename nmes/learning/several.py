@@ -45,6 +45,7 @@ from nmes.genome.genome import GenomeLike
 from nmes.learning import spaces
 from nmes.learning.cores import folder_of, told
 from nmes.recording import Recorder
+from nmes.recording.signed import require_unsigned
 from nmes.world import World
 
 __all__ = ["METADATA", "CreaturesEnv", "parallel_env"]
@@ -389,6 +390,7 @@ class _Episode:
             self._fault()
             task = self._task
             path = part.with_name(f"{task.name}-{task.hash[:16]}-{self._seed}-{self._done.hexdigest()}.mcap")
+            require_unsigned(path)
             part.replace(path)
         finally:
             part.unlink(missing_ok=True)

@@ -27,10 +27,10 @@ from cryptography.hazmat.primitives.serialization import (
 
 from nmes.errors import SigningError
 from nmes.recording.reader import Recording
+from nmes.recording.signed import signature_of
 
-__all__ = ["SUFFIX", "check_signature", "private_key", "public_key", "sign", "signer"]
+__all__ = ["check_signature", "private_key", "public_key", "sign", "signer"]
 
-SUFFIX = ".sig"  # added to the recording's name
 _VERSION = "nmes-signature-1"
 _LONGEST = 64 << 10  # bytes of a key or a signature that are read
 
@@ -72,7 +72,7 @@ def sign(recording: Recording, key: Ed25519PrivateKey, path: str | os.PathLike[s
         SigningError: The recording is not sound to its end, or the file exists already or cannot be written.
     """
     statement = _statement(recording)
-    target = Path(path) if path is not None else _beside(recording)
+    target = Path(path) if path is not None else signature_of(recording.path)
     raw = key.public_key().public_bytes(Encoding.Raw, PublicFormat.Raw)
     document = {
         "signature": base64.b64encode(key.sign(statement)).decode(),
@@ -105,7 +105,7 @@ def check_signature(recording: Recording, key: Ed25519PublicKey, path: str | os.
     Raises:
         SigningError: The owner did not, or the recording is damaged (`bad_signature`).
     """
-    path = path if path is not None else _beside(recording)
+    path = path if path is not None else signature_of(recording.path)
     signature, _ = _signature(path)
     _verify(recording, key, signature, path)
 
@@ -119,7 +119,7 @@ def signer(recording: Recording) -> str:
     Raises:
         SigningError: The signature is not that key's of this recording, or the recording is damaged (`bad_signature`).
     """
-    path = _beside(recording)
+    path = signature_of(recording.path)
     if not path.is_file():
         return ""
     signature, raw = _signature(path)
@@ -148,10 +148,6 @@ def _verify(recording: Recording, key: Ed25519PublicKey, signature: bytes, path:
         raise SigningError(
             "bad_signature", f"{path} is not this key's signature of this recording, as it is now"
         ) from None
-
-
-def _beside(recording: Recording) -> Path:
-    return recording.path.with_name(recording.path.name + SUFFIX)
 
 
 def _statement(recording: Recording) -> bytes:

@@ -7,10 +7,14 @@ from pathlib import Path
 
 import pytest
 
-from boards import DASH
+from boards import DASH, key_in, signed
 from command_line import run
 from creatures import snake
 from disks import full_disk
+from made_up_runs import SHORT, genomes, make_run, real
+from nmes.errors import RecordingError
+from nmes.evaluation import Task
+from nmes.evaluation.evaluator import recorded
 from nmes.genome import Genome
 from nmes.world import World
 
@@ -64,3 +68,36 @@ def test_a_genome_with_an_odd_brain_is_compared(tmp_path: Path) -> None:
     (odd := tmp_path / "odd.json").write_text(json.dumps(document))
     result = run("genome", "diff", str(odd), "walker")
     assert result.exit_code == 1 and "0.5" in result.output
+
+
+def test_a_recording_that_is_signed_is_not_replaced(tmp_path: Path) -> None:
+    (genome := tmp_path / "snake.json").write_text(json.dumps(snake()))
+    (task := tmp_path / "task.json").write_text(json.dumps(DASH))
+    evolved, survey = tmp_path / "run", tmp_path / "survey"
+    make_run(evolved, [real(genomes()[0], Task(SHORT))])
+    assert run("survey", genome, "--task", task, "--worlds", "1", "-o", survey, "--jobs", "1").exit_code == 0
+    commands: list[list[str | Path]] = [
+        ["eval", genome, "--task", task, "--jobs", "1", "--record"],
+        ["eval", genome, "--task", task, "--jobs", "1", "--record-best", "1", "--record"],
+        ["eval", "walker", "roller", "--task", "sumo", "--seeds", "1", "--jobs", "1", "--record"],
+        ["evolve", "best", evolved, "-o"],
+        ["survey", "best", survey, "-o"],
+    ]
+    for number, command in enumerate(commands):
+        folder = tmp_path / f"{number}"
+        assert run(*command, folder).exit_code == 0
+        recording = sorted(folder.glob("*.mcap"))[-1]
+        signed([str(recording)], key_in(tmp_path / "key.pem", 1))
+        before = {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in folder.iterdir()}
+        result = run(*command, folder)
+        assert result.exit_code in (1, 2) and f"{recording} is signed" in result.output, result.output
+        assert "another folder" in result.output
+        assert {path: (path.stat().st_mtime_ns, path.read_bytes()) for path in folder.iterdir()} == before
+
+
+def test_a_recording_of_an_environment_does_not_replace_a_signed_one(tmp_path: Path) -> None:
+    (path := tmp_path / "mine.mcap").write_text("mine")
+    (tmp_path / "mine.mcap.sig").write_text("signed")
+    with pytest.raises(RecordingError, match="is signed"), recorded(path, {}):
+        pass
+    assert path.read_text() == "mine"

@@ -232,6 +232,14 @@ def test_a_reset_in_the_middle_of_an_episode_keeps_what_was(tmp_path: Path) -> N
     env.step(still(env))
     env.close()
     assert env.recording == broken_off  # the same episode, the same file
+    (signature := tmp_path / f"{broken_off.name}.sig").touch()
+    env.reset(seed=0)
+    env.step(still(env))
+    before = broken_off.stat()
+    with pytest.raises(RecordingError, match="is signed"):
+        env.close()
+    assert broken_off.stat() == before
+    signature.unlink()
     env.reset(seed=0)
     env.step({"a": np.full(3, 0.5)})
     env.close()
