@@ -33,8 +33,8 @@ def command(folder: Path, sample: int, everything: bool, seed: int | None, threa
     """Prove a run of learning: what its log says comes out again.
 
     The log's chain of digests is followed. The best leg, the last, the first and others, drawn anew each time, are done
-    again, each from a state that the run kept: every figure, and all that the learner knows after it, must be the same
-    to the last bit.
+    again, each with all since the last state that the run kept: every figure, and all that the learner knows after it,
+    must be the same to the last bit. One false leg is enough to put in a brain from elsewhere: --all does every one.
 
     Exit status: 0 it holds, 1 it is broken, 2 wrong usage, 3 it does not come out the same here, where other numbers
     come out than where it was begun.

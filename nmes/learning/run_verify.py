@@ -1,7 +1,8 @@
 """How a run of learning is proved: its log is followed, and some of its legs are done again.
 
 Invariants: nothing that the folder says is believed, and what is compared is compared to the last bit. A leg that is
-done again begins at a state of the folder whose digest is that of the log, or with the run itself.
+done again begins at a state of the folder whose digest is that of the log, or with the run itself. Which legs are drawn
+does not depend on which states the folder has: whoever made the run chose those.
 """
 
 from __future__ import annotations
@@ -53,8 +54,9 @@ def verify_learning(
     Args:
         folder: The run's.
         threads: How many step the engine.
-        sample: How many legs are done again beside the best, of those before which a state is kept: the last, the
-            first, and others that are drawn by the seed and the run's digest; None: all are, from the beginning on.
+        sample: How many legs are done again beside the best: the last, the first, and others that are drawn by the
+            seed and the run's digest, each with all legs since the last state that is kept; None: all are, from the
+            beginning on.
         progress: Called with what is being done, how much of it is done, and how much there is.
         seed: Of the draw; None: one that nobody can foresee.
 
@@ -73,10 +75,11 @@ def verify_learning(
     every = range(1, len(run.legs) + 1)
     chosen = list(every) if sample is None else _choose(run, sample, Draw(seed, "verify", run.digest))
     learning = _learning(run, threads)
-    findings = []
+    findings, again = [], 0
     try:
-        for done, found in enumerate(_again(run, learning, chosen), 1):
-            progress("learning again", done, len(chosen))
+        for found in _again(run, learning, chosen):
+            again += 1
+            progress("learning again", again, len(chosen))
             if found:
                 findings.append(found)
     finally:
@@ -86,7 +89,7 @@ def verify_learning(
     except RunError as error:
         findings.append(error.message)
     verdict: Verdict = "holds" if not findings else "not_comparable" if run.differences() else "broken"
-    return LearningVerdict(verdict, tuple(findings[:20]), len(run.legs), len(chosen), seed, run.digest)
+    return LearningVerdict(verdict, tuple(findings[:20]), len(run.legs), again, seed, run.digest)
 
 
 def _learning(run: LearningRun, threads: int) -> Learning:
@@ -105,26 +108,27 @@ def _learning(run: LearningRun, threads: int) -> Learning:
 
 
 def _choose(run: LearningRun, sample: int, draw: Draw) -> list[int]:
-    """Returns legs to do again, in order: the best with those that lead to it from a state, and so many others."""
-    states = [0, *(number for number in run.kept() if run.state(number) is not None)]
-    able = [number + 1 for number in states if number < len(run.legs)]
-    best = None if run.best is None else run.best.leg
-    chosen = [] if best is None else list(range(max(number for number in able if number <= best), best + 1))
-    others = [number for number in able if number not in chosen]
-    ends = [number for number in dict.fromkeys([*able[-1:], *able[:1]]) if number in others][:sample]
-    between = [number for number in others if number not in ends]
-    return sorted([*chosen, *ends, *drawn(between, sample - len(ends), draw)])
+    """Returns legs to do again, in order: the best and so many others, each with those since a state that is kept."""
+    every = range(1, len(run.legs) + 1)
+    best = [] if run.best is None else [run.best.leg]
+    ends = [number for number in dict.fromkeys([*every[-1:], *every[:1]]) if number not in best][:sample]
+    between = [number for number in every if number not in (*best, *ends)]
+    chosen: set[int] = set()
+    for number in (*best, *ends, *drawn(between, sample - len(ends), draw)):
+        chosen.update(range(run.nearest(number - 1)[0] + 1, number + 1))
+    return sorted(chosen)
 
 
 def _again(run: LearningRun, learning: Learning, chosen: list[int]) -> Iterator[str]:
     """Does legs again; yields of each in what it came out otherwise, or nothing."""
     for number in chosen:
         if learning.leg != number - 1:
-            state = run.state(number - 1)
-            assert state is not None, "only legs that can be done again are chosen"
-            try:
-                learning.restore(number - 1, state)
-            except ValueError as error:
-                yield f"leg {number}: what the run knew before it is not what this learner knows: {error}"
-                continue
-        yield run.otherwise(learning.go())
+            kept, state = run.nearest(number - 1)
+            if state is not None and kept > learning.leg:
+                try:
+                    learning.restore(kept, state)
+                except ValueError as error:
+                    yield f"leg {number}: what the run knew before it is not what this learner knows: {error}"
+                    continue
+        while learning.leg < number:
+            yield run.otherwise(learning.go())

@@ -297,6 +297,16 @@ def test_a_state_that_was_changed_is_not_begun_from_and_shows_in_what_comes_of_i
     assert [finding.split(":")[0] for finding in found.findings] == ["leg 5"]
 
 
+@pytest.mark.parametrize("kept", [[], [5], [1, 5]])
+def test_legs_are_drawn_among_all_whatever_states_the_run_keeps(copied: Path, kept: list[int]) -> None:
+    rewritten(copied, lambda number, content: content.update({"return": 99.0}) if number == 3 else None)
+    for path in (copied / "states").iterdir():
+        if int(path.stem) not in kept:
+            path.unlink()
+    found = verified(copied, 100)
+    assert (found.verdict, found.again) == ("broken", LEGS) and "leg 3: return is 99.0" in found.findings[0]
+
+
 def test_a_genome_that_is_not_the_best_of_the_run_is_found_and_written_anew(copied: Path, whole: LearningRun) -> None:
     (copied / "genome.json").write_bytes(orjson.dumps(Genome.load("walker").document))
     found = verified(copied)
