@@ -19,11 +19,16 @@ __all__ = ["check_output", "whole_file", "whole_folder"]
 def check_output(output: Path | None, *inputs: str | os.PathLike[str]) -> None:
     """Refuses an output that is one of the inputs: the same file, whatever the two are called; None is none.
 
+    An input may be one that is not there yet, and is written before the output.
+
     Raises:
         UsageError: It is one.
     """
     for path in inputs:
-        if output is not None and output.exists() and os.path.exists(path) and os.path.samefile(output, path):
+        if output is not None and (
+            os.path.realpath(output) == os.path.realpath(path)
+            or (output.exists() and os.path.exists(path) and os.path.samefile(output, path))
+        ):
             raise click.UsageError(f"{output} is what is read ({path}): write to another file")
 
 

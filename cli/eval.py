@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Sequence
@@ -145,10 +146,20 @@ def _check_usage(context: click.Context) -> None:
             options["plot_to"] is not None and not recordings and options["record"] is None,
             "--plot is drawn from recordings: give --record, or --from-recording",
         ),
+        (
+            options["plot_to"] is not None and options["record"] is not None and _among_recordings(**options),
+            "--plot would be among the recordings: name an .svg or a .png",
+        ),
         (options["jobs"] is not None and options["ray"] is not None, "either --jobs or --ray"),
     ):
         if wrong:
             raise click.UsageError(message)
+
+
+def _among_recordings(plot_to: Path, record: Path, **_: object) -> bool:
+    """Tells whether a plot would have a name that recordings in their folder have."""
+    plot = Path(os.path.realpath(plot_to))
+    return plot.suffix == ".mcap" and plot.parent == Path(os.path.realpath(record))
 
 
 def _task(name: str) -> Task | MatchTask:

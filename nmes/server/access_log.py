@@ -9,10 +9,12 @@ make it grow by no more than `STRANGERS` lines, and the next line says how many 
 
 from __future__ import annotations
 
+import errno
 import logging
 from datetime import UTC, datetime
 from pathlib import Path
 from time import monotonic
+from typing import Final
 
 import orjson
 
@@ -22,6 +24,7 @@ __all__ = ["AccessLog", "Visit"]
 
 logger = logging.getLogger(__name__)
 
+_BEGIN: Final = b'{"time":"'  # of every line
 STRANGERS = (100, 1.0)  # lines at once about connections that were never let in, and so many a second
 
 
@@ -32,8 +35,14 @@ class AccessLog:
         """Makes the file if need be.
 
         Raises:
-            OSError: It cannot be written.
+            OSError: It cannot be written, or is a file of something else.
         """
+        if path.is_file():
+            with path.open("rb") as file:
+                begin = file.read(len(_BEGIN))
+            if begin not in (b"", _BEGIN):
+                what = "it is no access log, and stays as it is: name another file"
+                raise FileExistsError(errno.EEXIST, what, str(path))
         self._path = path
         self._strangers = Bucket(*STRANGERS)
         self._left_out = 0

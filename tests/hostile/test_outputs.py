@@ -16,6 +16,7 @@ from nmes.errors import RecordingError
 from nmes.evaluation import Task
 from nmes.evaluation.evaluator import recorded
 from nmes.genome import Genome
+from nmes.server.access_log import AccessLog
 from nmes.world import World
 
 
@@ -68,6 +69,31 @@ def test_a_genome_with_an_odd_brain_is_compared(tmp_path: Path) -> None:
     (odd := tmp_path / "odd.json").write_text(json.dumps(document))
     result = run("genome", "diff", str(odd), "walker")
     assert result.exit_code == 1 and "0.5" in result.output
+
+
+def test_a_plot_does_not_take_the_place_of_what_the_same_evaluation_writes(tmp_path: Path) -> None:
+    (genome := tmp_path / "snake.json").write_text(json.dumps(snake()))
+    (task := tmp_path / "task.json").write_text(json.dumps(DASH))
+    asked: list[str | Path] = ["eval", genome, "--task", task, "--jobs", "1", "--record", tmp_path / "r"]
+    results = tmp_path / "results.svg"
+    assert run(*asked, "--resume", results, "--plot", results).exit_code == 2 and not results.exists()
+    assert run(*asked, "--resume", results).exit_code == 0
+    recording = next((tmp_path / "r").iterdir())
+    (link := tmp_path / "plot.svg").symlink_to(recording)
+    before = recording.read_bytes(), results.read_bytes()
+    for plot in (results, recording, link):
+        assert run(*asked, "--resume", results, "--plot", plot).exit_code == 2
+        assert (recording.read_bytes(), results.read_bytes()) == before
+
+
+def test_an_access_log_is_not_appended_to_something_else(tmp_path: Path) -> None:
+    AccessLog(log := tmp_path / "access.log").write("listed", stranger=False)
+    AccessLog(log).write("listed", stranger=False)
+    assert len(log.read_bytes().splitlines()) == 2
+    (config := tmp_path / "config.json").write_text('{"backend": "ballistic"}')
+    with pytest.raises(OSError, match="it is no access log"):
+        AccessLog(config)
+    assert config.read_text() == '{"backend": "ballistic"}'
 
 
 def test_a_recording_that_is_signed_is_not_replaced(tmp_path: Path) -> None:
