@@ -9,9 +9,9 @@ from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING
 
 from nmes.cli._json import print_json
+from nmes.cli._tasks import borrowed_names
 from nmes.errors import visible
 from nmes.evaluation import Evaluation
-from nmes.evaluation.identity import borrows_name
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -54,11 +54,11 @@ def print_table(evaluations: Sequence[Evaluation]) -> None:
 
     console = Console(markup=False, highlight=False)
     console.print(_table(evaluations))
-    borrowed = {each.task_hash: each.task for each in evaluations if borrows_name(each.task, each.task_hash)}
+    borrowed = borrowed_names({each.task_hash: each.task for each in evaluations})
     if borrowed or any(each.error is not None or each.faults for each in evaluations):
         console.print()
-    for digest, task in borrowed.items():
-        console.print(f"{task} is not the task of that name that ships: its hash is {digest[:16]}", soft_wrap=True)
+    for line in borrowed:
+        console.print(line, soft_wrap=True)
     for each in evaluations:
         if each.error is not None:
             reason = visible(each.error, keep="\n").replace("\n", "\n  ")

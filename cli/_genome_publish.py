@@ -12,6 +12,7 @@ import orjson
 
 from nmes.cli._output import whole_folder
 from nmes.cli._progress import progress_bars
+from nmes.cli._tasks import require_own_name
 from nmes.errors import DocumentError, MissingPackage, WorldError, visible
 from nmes.genome import Genome
 
@@ -77,12 +78,10 @@ def command(source: str, task_name: str, output: Path) -> None:
         nmes genome publish mine.json --task walk -o mine
     """
     from nmes.evaluation import Task, evaluate
-    from nmes.evaluation.identity import borrows_name, shipped_hash
+    from nmes.evaluation.identity import shipped_hash
 
     genome, task = _read(source, Genome), _read(task_name, Task)
-    if borrows_name(task.name, task.hash):
-        message = f"{visible(task_name)} is another task than the {task.name} that ships: give it a name of its own"
-        raise click.BadParameter(message, param_hint="--task")
+    require_own_name(task, task_name)
     documents = {"genome.json": genome.document}
     if task.hash != shipped_hash(task.name):
         documents["task.json"] = task.document

@@ -20,6 +20,7 @@ from nmes.cli._output import whole_file
 from nmes.cli._pool import JOBS
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._sample import SEED, drawn_by
+from nmes.cli._tasks import borrowed_names
 from nmes.errors import CorpusError, visible
 from nmes.schemas.files import lock_kept
 
@@ -135,6 +136,8 @@ def show(file: Path, task: str | None, top: int | None, as_json: bool) -> None:
         rows.append((corpus.name_of(each), *score, str(each.generation), each.name, each.operator))
     lines = columns([tuple(map(visible, row)) for row in rows], right=(1, 3))
     click.echo("\n".join(lines))
+    for line in borrowed_names({digest: known.task.name for digest, known in corpus.tasks.items()}):
+        click.echo(line)
     click.echo(f"{len(shown):,} of {len(corpus.creatures):,} creatures of {len(corpus.runs):,} runs")
     click.echo(f"digest: {corpus.digest}")
 

@@ -22,9 +22,9 @@ from nmes.cli._pool import JOBS, RAY
 from nmes.cli._progress import QUIET
 from nmes.cli._recording_plot import plot_recordings
 from nmes.cli._seeds import read_seeds
+from nmes.cli._tasks import require_own_name
 from nmes.errors import DocumentError, visible
 from nmes.evaluation import Evaluation, Job, MatchTask, Proof, Task, prove
-from nmes.evaluation.identity import borrows_name
 from nmes.evaluation.match_proof import is_match
 from nmes.evaluation.match_task import load_task
 from nmes.genome.genome import SHIPPED
@@ -168,9 +168,7 @@ def _task(name: str) -> Task | MatchTask:
         asked = load_task(name)
     except DocumentError as error:
         raise click.BadParameter(f"{visible(name)}:\n{error.message}", param_hint="--task") from error
-    if borrows_name(asked.name, asked.hash):
-        message = f"{visible(name)} is another task than the {asked.name} that ships: give it a name of its own"
-        raise click.BadParameter(message, param_hint="--task")
+    require_own_name(asked, name)
     return asked
 
 

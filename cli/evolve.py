@@ -18,6 +18,7 @@ from nmes.cli._options import BeginningGroup, read_values
 from nmes.cli._pool import JOBS, RAY, check_pool
 from nmes.cli._progress import QUIET
 from nmes.cli._seeds import read_seeds
+from nmes.cli._tasks import require_own_name
 from nmes.errors import DocumentError
 
 __all__ = ["command"]
@@ -122,6 +123,7 @@ def begin(context: click.Context, /, settings: Path | None, output: Path | None,
         judged = RunSettings.read(document)
     except DocumentError as error:
         raise click.UsageError(error.message if settings is None else f"{settings}:\n{error.message}") from error
+    require_own_name(judged.task, options["task"] if settings is None else str(settings))
     folder = output or Path("runs", f"{judged.task.name}-{judged.algorithm}-{judged.seed}")
     require_no_run(folder)  # before a cluster is asked for
     go_on(lambda: Run.create(folder, judged), options["jobs"], options["ray"], options["as_json"])

@@ -12,6 +12,7 @@ from nmes.cli import _learn_cube, _learn_resume, _learn_show, _learn_verify
 from nmes.cli._learn_run import JSON, THREADS, go_on
 from nmes.cli._options import BeginningGroup, read_values
 from nmes.cli._progress import QUIET
+from nmes.cli._tasks import require_own_name
 from nmes.errors import DocumentError
 
 if TYPE_CHECKING:
@@ -82,6 +83,7 @@ def begin(output: Path | None, threads: int | None, as_json: bool, **options: An
         settings = _settings(options)
     except DocumentError as error:
         raise click.UsageError(error.message) from error
+    require_own_name(settings.task, options["task"] or "what the recordings are of")
     folder = output or Path("runs", f"{settings.task.name}-{settings.algorithm}-{settings.seed}")
     go_on(LearningRun.create(folder, settings), threads, as_json)
 

@@ -11,6 +11,7 @@ import click
 from nmes.cli._output import check_output
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._size import size_option
+from nmes.cli._tasks import require_own_name
 from nmes.errors import DocumentError, visible
 from nmes.evaluation import Evaluation, Task, evaluate
 from nmes.genome import Genome
@@ -54,6 +55,7 @@ def command(genome: str, task: str, seed: int | None, output: Path | None, size:
         player, asked = Genome.load(genome), Task.load(task)
     except DocumentError as error:
         raise click.UsageError(error.message) from error
+    require_own_name(asked, task)
     seed = asked.seeds[0] if seed is None else seed
     if output is None:
         ending = "mp4" if find_spec("av") else "gif"

@@ -21,6 +21,7 @@ from nmes.cli._pool import JOBS, RAY, advance_in_pool, check_pool, open_pool
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._proof_files import check_place, write_documents
 from nmes.cli._sample import SEED, drawn_by
+from nmes.cli._tasks import require_own_name
 from nmes.errors import DocumentError, RunError, visible
 from nmes.objective.means import mean
 
@@ -115,6 +116,8 @@ def begin(
         settings = SurveySettings.of([Genome.load(name) for name in names], [Task.load(t) for t in tasks], worlds, seed)
     except DocumentError as error:
         raise click.UsageError(error.message) from error
+    for source, task in zip(tasks, settings.tasks, strict=False):  # those of the atlas have no source
+        require_own_name(task, source)
     folder = output or Path("surveys", str(seed))
     require_no_run(folder)
     _go_on(lambda: Survey.create(folder, settings), jobs, ray, as_json)

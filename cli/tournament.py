@@ -20,9 +20,9 @@ from nmes.cli._json import print_json
 from nmes.cli._pool import JOBS
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._seeds import read_seeds
+from nmes.cli._tasks import require_own_name
 from nmes.errors import DocumentError, visible
 from nmes.evaluation import MatchTask
-from nmes.evaluation.identity import borrows_name
 from nmes.evaluation.parallel import open_pool
 from nmes.evaluation.tournament import Standing, Tournament
 from nmes.schemas.documents import JsonObject
@@ -101,9 +101,7 @@ def _task(name: str) -> MatchTask:
         task = MatchTask.load(name)
     except DocumentError as error:
         raise click.BadParameter(f"{visible(name)}:\n{error.message}", param_hint="--task") from error
-    if borrows_name(task.name, task.hash):
-        message = f"{visible(name)} is another task than the {task.name} that ships: give it a name of its own"
-        raise click.BadParameter(message, param_hint="--task")
+    require_own_name(task, name)
     return task
 
 

@@ -14,7 +14,7 @@ from typing import Final
 from nmes.backend.fingerprint import differences
 from nmes.errors import CorpusError, MachineError, NmesError
 from nmes.evaluation.again import MODEL, has_model
-from nmes.evaluation.identity import creature_hash, shipped_hash
+from nmes.evaluation.identity import borrows_name, creature_hash, shipped_hash
 from nmes.evaluation.parallel import Lost, in_processes
 from nmes.evaluation.task import Task
 from nmes.evolution.corpus import Corpus, CorpusCreature, CorpusRun, CorpusTask, mean_score, settings_of
@@ -58,8 +58,9 @@ def add_runs(
         progress: Called with what is being done, how much of it is done, and how much there is.
 
     Raises:
-        CorpusError: A run has roles, or nothing to add (`nothing_to_add`); what is there was computed where other
-            numbers come out, or a run was (`not_comparable`), or a run's log says otherwise (`diverged`).
+        CorpusError: A run has roles, or nothing to add (`nothing_to_add`); its task has the name of one that ships and
+            is another (`borrowed_name`); what is there was computed where other numbers come out, or a run was
+            (`not_comparable`), or a run's log says otherwise (`diverged`).
         RunError: A run cannot be read.
         MachineError: A process was killed (`worker_killed`).
     """
@@ -93,9 +94,12 @@ def _task_of(run: Run) -> Task:
     """Returns the task of a run, as it stands without what the run measures.
 
     Raises:
-        CorpusError: It has roles.
+        CorpusError: It has roles (`nothing_to_add`), or the name of one that ships and is another (`borrowed_name`).
     """
     task = run.settings.task
+    if borrows_name(task.name, task.hash):
+        what = f"{run.folder} is of another task than the {task.name} that ships"
+        raise CorpusError("borrowed_name", f"{what}: begin a run of it under a name of its own")
     if not isinstance(task, Task):
         raise CorpusError("nothing_to_add", f"{run.folder} is of {task.name}, a task with roles: it has no scores")
     return Task(task.document)

@@ -19,6 +19,7 @@ from click.testing import CliRunner
 from boards import DASH, edit, entry, proofs_of, run, verdicts
 from creatures import SINE, WAVE, cpg, mlp, snake
 from journals import write_naming_journal
+from made_up_runs import genomes, make_run, real
 from nmes.cli import main
 from nmes.errors import BackendNotFound, MissingPackage, ProofError, RecordingError
 from nmes.evaluation import Task, leaderboard, leaderboard_entry, prove
@@ -27,6 +28,7 @@ from nmes.evaluation.leaderboard import Leaderboard
 from nmes.evaluation.match_task import MatchTask
 from nmes.evaluation.parallel import Lost
 from nmes.evaluation.setting import MATCHES
+from nmes.evolution.corpus import Corpus, CorpusTask
 from nmes.genome import Genome
 from recordings import rewrite
 
@@ -520,6 +522,44 @@ def test_a_task_with_a_borrowed_name_is_refused(board: Path, tmp_path: Path) -> 
     assert run("add", board, *recorded).exit_code == 1
     rescored = CliRunner().invoke(main, ["eval", "--from-recording", *recorded])
     assert rescored.exit_code == 0 and task.hash[:16] in rescored.stdout
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        ["play", "walker"],
+        ["evolve", "walker", "--algorithm", "ga", "--budget", "1"],
+        ["learn", "walker", "--steps", "1"],
+        ["survey", "walker", "--worlds", "1", "--task", "walk"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_nothing_is_begun_on_a_task_with_a_borrowed_name(command: list[str], tmp_path: Path) -> None:
+    path = borrowed(tmp_path / "mine.json")
+    result = CliRunner().invoke(main, [*command, "--task", str(path), "-o", str(tmp_path / "made.png")])
+    assert result.exit_code == 2 and "mine.json is another task than the walk that ships" in result.stderr
+    assert [each.name for each in tmp_path.iterdir()] == ["mine.json"]
+
+
+def test_settings_and_recordings_with_a_borrowed_name_begin_nothing(tmp_path: Path) -> None:
+    task = json.loads(borrowed(tmp_path / "mine.json").read_bytes())
+    document = {"format": "nmes-run/1", "task": task, "algorithm": "ga", "budget": 1, "starts": ["walker"]}
+    (settings := tmp_path / "settings.json").write_text(json.dumps(document))
+    recorded = proofs_of(tmp_path / "forged", Genome.load("walker").document, task)
+    for words in (["evolve", "--settings", str(settings)], ["learn", "--algorithm", "clone", *recorded]):
+        result = CliRunner().invoke(main, [*words, "-o", str(tmp_path / "run")])
+        assert result.exit_code == 2 and "is another task than the walk that ships" in result.stderr, result.output
+
+
+def test_a_corpus_takes_no_run_on_a_task_with_a_borrowed_name(tmp_path: Path) -> None:
+    task = Task.load(borrowed(tmp_path / "mine.json"))
+    make_run(tmp_path / "run", [real(genomes()[0], task)], task=task.document)
+    refused = CliRunner().invoke(main, ["corpus", "add", str(tmp_path / "mine.jsonl.zst"), str(tmp_path / "run")])
+    assert refused.exit_code == 1 and "another task than the walk that ships" in refused.stderr
+    (corpus := tmp_path / "theirs.jsonl.zst").touch()
+    Corpus({task.hash: CorpusTask(task, task.hash, {})}, (), ()).write(corpus)
+    shown = CliRunner().invoke(main, ["corpus", "show", str(corpus)])
+    assert shown.exit_code == 0 and f"its hash is {task.hash[:16]}" in shown.stdout
 
 
 def test_an_entry_on_another_version_of_a_shipped_task_is_not_judged(
