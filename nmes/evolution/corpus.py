@@ -14,6 +14,7 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
+from io import BytesIO
 from pathlib import Path
 from typing import Any, Final
 
@@ -42,7 +43,10 @@ _CREATURE: Final = compile_schema("corpus_creature.json")
 _RUN: Final = compile_schema("run.json")
 _LARGEST: Final = 64 << 20  # bytes of a file
 _LINE: Final = 4 << 20  # bytes of a creature
+_HEAD_LINE: Final = 16 << 20  # bytes
 _UNPACKED: Final = 256 << 20  # bytes of what is in it
+_PACKED: Final = 64  # times: as much as a file, beyond the bytes that any may have, may be larger unpacked
+_FREE: Final = 8 << 20  # bytes
 _MOST: Final = 100_000  # creatures
 _LEVEL: Final = 19
 _DIGITS: Final = 12  # of a creature's hash in its name
@@ -102,7 +106,7 @@ class CorpusCreature:
     Attributes:
         task: The hash of the task that it was evolved for.
         creature: The hash over its body, sensors and brain.
-        genome: The document.
+        text: The genome's document as JSON: unpacked, many of a stranger's could take gigabytes.
         genome_hash: Its hash.
         score: The mean over the task's seeds, in the task's unit.
         episodes: One for each of the task's seeds.
@@ -114,7 +118,7 @@ class CorpusCreature:
 
     task: str
     creature: str
-    genome: JsonObject
+    text: bytes
     genome_hash: str
     score: float
     episodes: tuple[CorpusEpisode, ...]
@@ -136,7 +140,8 @@ class CorpusCreature:
             CorpusEpisode(Result(**{name: value for name, value in each.items() if name != "digest"}), each["digest"])
             for each in data["episodes"]
         )
-        return cls(**{**data, "episodes": episodes})
+        text = write_json(data.pop("genome"))
+        return cls(**{**data, "episodes": episodes, "text": text})
 
     def to_json(self) -> JsonObject:
         """Returns it as plain data, in the order of the fields of its line."""
@@ -152,6 +157,12 @@ class CorpusCreature:
             "operator": self.operator,
             "genome": self.genome,
         }
+
+    @property
+    def genome(self) -> JsonObject:
+        """The genome's document."""
+        document: JsonObject = parse_document(self.text)
+        return document
 
     @property
     def name(self) -> str:
@@ -188,19 +199,18 @@ class Corpus:
         Raises:
             CorpusError: It is no corpus, or too large, or cannot be read (`no_corpus`).
         """
-        lines = _unpacked(path).split(b"\n")
-        number = 1
+        content = _unpacked(path)
+        lines, number = BytesIO(content), 1
         try:
-            head = parse_document(lines[0])
+            head = parse_document(_line(lines, _HEAD_LINE))
             check(_HEAD, head)
             tasks = [CorpusTask(Task(each["task"]), each["hash"], each["fingerprint"]) for each in head["tasks"]]
             for each in head["runs"]:
                 check(_RUN, each["settings"])
             creatures = []
-            for number, line in enumerate(lines[1:-1], start=2):  # noqa: B007 - where it ends is told
-                if len(line) > _LINE:
-                    raise DocumentError([("", f"it has over {_LINE >> 20} MiB")])
-                creatures.append(CorpusCreature.from_json(parse_document(line)))
+            while lines.tell() < len(content):
+                number += 1
+                creatures.append(CorpusCreature.from_json(parse_document(_line(lines, _LINE))))
         except DocumentError as error:
             raise _refused(path, f"line {number}: {error.message}") from error
         runs = tuple(CorpusRun(each["settings"], each["digest"]) for each in head["runs"])
@@ -264,6 +274,18 @@ def settings_of(document: JsonObject, shipped_task: bool) -> JsonObject:
     return {**document, "task": task, "starts": starts}
 
 
+def _line(lines: BytesIO, most: int) -> bytes:
+    """Reads a line.
+
+    Raises:
+        DocumentError: It is longer than so many bytes.
+    """
+    line = lines.readline(most + 1)
+    if len(line) > most:
+        raise DocumentError([("", f"it has over {most >> 20} MiB")])
+    return line
+
+
 def _unpacked(path: str | os.PathLike[str]) -> bytes:
     """Returns the unpacked content of a file, which ends with a line."""
     try:
@@ -278,6 +300,8 @@ def _unpacked(path: str | os.PathLike[str]) -> bytes:
         size = zstandard.frame_content_size(packed)
         if not 0 < size <= _UNPACKED:
             raise _refused(path, f"it says that it holds {size:,} bytes; 1 to {_UNPACKED:,} are read")
+        if size > _FREE + _PACKED * len(packed):
+            raise _refused(path, f"it has {len(packed):,} bytes, and {size:,} unpacked: such files are not read")
         content = zstandard.ZstdDecompressor().decompress(packed, allow_extra_data=False)
     except zstandard.ZstdError as error:
         raise _refused(path, f"it cannot be unpacked: {error}") from error

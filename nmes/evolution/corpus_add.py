@@ -21,6 +21,7 @@ from nmes.evolution.corpus import Corpus, CorpusCreature, CorpusRun, CorpusTask,
 from nmes.evolution.corpus_verify import Episodes, Work, fingerprint_of, run_episodes
 from nmes.evolution.run import Run
 from nmes.genome import Genome
+from nmes.schemas.documents import write_json
 
 __all__ = ["add_runs"]
 
@@ -179,7 +180,7 @@ def _creature(chosen: _Chosen, episodes: Episodes) -> CorpusCreature | None:
     return CorpusCreature(
         task=chosen.task.hash,
         creature=chosen.creature,
-        genome=chosen.genome.document,
+        text=write_json(chosen.genome.document),
         genome_hash=chosen.genome.hash,
         score=score,
         episodes=episodes,

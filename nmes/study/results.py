@@ -21,13 +21,16 @@ from nmes.backend import load_backend
 from nmes.backend.fingerprint import differences, fingerprint
 from nmes.errors import MissingPackage, StudyError
 from nmes.schemas.documents import JsonObject, canonical_hash
+from nmes.schemas.files import read_regular
 from nmes.study.document import Plan, PlannedRun
 
 __all__ = ["FILE", "GREATEST", "Results", "is_row", "row_of", "write_file"]
 
 FILE: Final = "results.parquet"
 _KEY: Final = b"nmes.study"
-_ROWS: Final = 1_000_000
+_LARGEST: Final = 64 << 20  # bytes of a file
+_PACKED: Final = 32  # times: as much as it may be larger unpacked; snappy, by which it is packed, makes no more of it
+_TEXTS: Final = 64 << 20  # characters in all rows
 GREATEST: Final = 1e100
 """The greatest number in a column, so that sums and squares of many are finite."""
 
@@ -90,22 +93,19 @@ class Results:
         arrow, parquet = _arrow()
         path = plan.folder / FILE
         try:
-            file = parquet.ParquetFile(path)
-            if file.metadata.num_rows > _ROWS:
-                raise StudyError("bad_results", f"{path} has over {_ROWS:,} rows")
-            table = file.read()
-            about = orjson.loads((table.schema.metadata or {})[_KEY])
-            results = cls(_text(about["asked"]), _texts(about["fingerprint"]), table.to_pylist())
-            digest = _text(about["digest"])
+            content = read_regular(path, _LARGEST)
+            about = orjson.loads((parquet.read_schema(arrow.BufferReader(content)).metadata or {})[_KEY])
+            asked, computed, digest = _text(about["asked"]), _texts(about["fingerprint"]), _text(about["digest"])
+            if asked != plan.asked:
+                changed = "study.toml, or a document beside it, is not what these results answer: it was changed since"
+                raise StudyError("bad_results", f"{path}: {changed}")
+            results = cls(asked, computed, _rows(content, len(plan.runs), arrow, parquet))
         except FileNotFoundError:
             hint = f"nmes study run {plan.study.name} --budget {plan.budget}"
             raise StudyError("no_results", f"there are no results in {plan.folder}: {hint}") from None
         except (OSError, KeyError, TypeError, ValueError, arrow.ArrowException) as error:
             raise StudyError("bad_results", f"{path} are no results of a study: {error}") from error
-        if results.asked != plan.asked:
-            changed = "study.toml, or a document beside it, is not what these results answer: it was changed since"
-            raise StudyError("bad_results", f"{path}: {changed}")
-        if len(results.rows) != len(plan.runs) or not all(map(partial(is_row, plan), plan.runs, results.rows)):
+        if not all(map(partial(is_row, plan), plan.runs, results.rows)):
             raise StudyError("bad_results", f"{path}: the rows are not those that the study plans")
         if results.digest != digest:
             raise StudyError("bad_results", f"{path}: the rows do not have the digest that the file names")
@@ -141,6 +141,41 @@ def write_file(path: Path, content: bytes) -> None:
     finally:
         with suppress(OSError):
             part.unlink(missing_ok=True)
+
+
+def _rows(content: bytes, rows: int, arrow: Any, parquet: Any) -> list[JsonObject]:
+    """Returns the rows in a file, which may be of anybody: little may stand for much in it.
+
+    Raises:
+        ValueError: It has other columns, or takes more memory, than results of so many rows.
+        ArrowException: It cannot be read.
+    """
+    file = parquet.ParquetFile(arrow.BufferReader(content))
+    about, schema = file.metadata, file.schema_arrow
+    texts = [field.name for field in schema if field.type == arrow.string()]
+    if not all(field.type in (arrow.string(), arrow.float64(), arrow.int64(), arrow.bool_()) for field in schema):
+        raise ValueError("a column has neither numbers nor texts nor truths")
+    groups = [about.row_group(number) for number in range(about.num_row_groups)]
+    chunks = [group.column(number) for group in groups for number in range(group.num_columns)]
+    if about.num_rows != rows or sum(group.num_rows for group in groups) != rows:
+        raise ValueError(f"it has {about.num_rows:,} rows, and the study plans {rows:,}")
+    if not {chunk.compression for chunk in chunks} <= {"SNAPPY", "UNCOMPRESSED"} or (
+        sum(chunk.total_uncompressed_size for chunk in chunks) > _PACKED * len(content)
+    ):
+        raise ValueError("it is packed in another way than results are")
+    table = parquet.ParquetFile(arrow.BufferReader(content), read_dictionary=texts).read()
+    # What many rows have in common stands once in the file, and so far in memory.
+    lengths = (
+        len(chunk.dictionary[index.as_py()].as_py())
+        for name in texts
+        for chunk in table[name].chunks
+        for index in chunk.indices
+        if index.is_valid
+    )
+    if sum(lengths) > _TEXTS:
+        raise ValueError(f"its texts have over {_TEXTS:,} characters")
+    found: list[JsonObject] = table.to_pylist()
+    return found
 
 
 def _about(run: PlannedRun) -> JsonObject:

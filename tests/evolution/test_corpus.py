@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import fcntl
+import gc
 import json
 import os
 import re
@@ -27,6 +28,7 @@ from nmes.evolution.run import Run
 from nmes.genome import Genome
 from nmes.playback import replay
 from nmes.recording import Recording
+from nmes.schemas import load
 from nmes.world import World
 from processes import NMES
 from runs import begin, finish, forge
@@ -442,6 +444,8 @@ HEAD = '{"format":"nmes-corpus/1","tasks":[],"runs":[]}\n'
         (packed_text(HEAD)[:-3], "it cannot be unpacked"),
         (packed_text(HEAD) + b"more", "it cannot be unpacked"),
         (bomb(), "it says that it holds 268,435,457 bytes"),
+        (packed_text(HEAD + "{}\n" * 3_000_000), "9,000,048 unpacked: such files are not read"),
+        (packed_text(f'{{"format":"{"x" * (16 << 20)}"}}\n'), "unpacked: such files are not read"),
         (unsized(), "it says that it holds"),
         (packed_text(HEAD[:-1]), "its last line is cut"),
         (packed_text("[" * 100_000 + "\n"), "line 1"),
@@ -461,6 +465,16 @@ def test_what_is_no_corpus_is_wrong_usage(content: bytes, words: str, tmp_path: 
         result = run("corpus", *command)
         assert result.exit_code == 2 and words in result.output and "Traceback" not in result.output, result.output
     assert [*tmp_path.iterdir()] == [path]
+
+
+def test_genomes_of_a_corpus_wait_as_text(tmp_path: Path) -> None:
+    row = {**load("corpus_creature.json")["examples"][0], "genome": {"name": "much", "x": [[] for _ in range(60_000)]}}
+    path = packed([json.loads(HEAD), *[row] * 5], tmp_path / "hostile.zst")
+    gc.collect()
+    before = len(gc.get_objects())
+    creatures = Corpus.read(path).creatures
+    assert len(gc.get_objects()) - before < 60_000
+    assert [each.name for each in creatures] == ["much"] * 5
 
 
 def test_names_of_strangers_are_text_on_the_page_and_in_the_table(small: Path, tmp_path: Path) -> None:

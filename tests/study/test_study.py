@@ -173,6 +173,27 @@ def test_a_changed_row_is_found_by_the_digest_of_all_rows(copied: Path) -> None:
     assert run("study", "report", copied).exit_code == 1
 
 
+@pytest.mark.parametrize(
+    ("letters", "count", "packed", "words"),
+    [
+        (12_000_000, 6, "snappy", "its texts have over 67,108,864 characters"),
+        (200_000, 6, "zstd", "it is packed in another way than results are"),
+        (1, 500_000, "snappy", "it has 500,000 rows, and the study plans 6"),
+    ],
+)
+def test_results_in_which_little_stands_for_much_are_not_unpacked(
+    copied: Path, letters: int, count: int, packed: str, words: str
+) -> None:
+    path = copied / "small" / "results.parquet"
+    about = pyarrow.parquet.read_schema(path).metadata
+    text = pyarrow.DictionaryArray.from_arrays(pyarrow.array([0] * count, pyarrow.int32()), ["x" * letters])
+    table = pyarrow.table({"hash": text}).cast(pyarrow.schema([("hash", pyarrow.string())], metadata=about))
+    pyarrow.parquet.write_table(table, path, compression=packed)
+    assert path.stat().st_size < 700_000
+    status, output = verify(copied, "--sample", "0")
+    assert status == 1 and words in output
+
+
 def test_a_row_that_was_forged_with_all_that_follows_is_found_where_its_run_is_done_again(copied: Path) -> None:
     forge(copied, digest=True)
     assert run("study", "report", copied).exit_code == 0
