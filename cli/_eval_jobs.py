@@ -10,6 +10,7 @@ import sys
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import IO
@@ -28,7 +29,7 @@ _BEGIN = re.compile(rb'\{"key":"[0-9a-f]{64}",')  # of a line
 
 
 def run_jobs(work: list[Job], jobs: int | None, ray: str | None, resume: Path | None) -> tuple[list[Evaluation], bool]:
-    """Runs jobs, but for those whose results the file of `--resume` has.
+    """Runs jobs, unless the file of `--resume` has the results, and the recordings are where they belong.
 
     Returns:
         The evaluations in the order of the work, and whether that is all of them.
@@ -79,9 +80,16 @@ def _opened(path: Path | None) -> Iterator[IO[bytes] | None]:
 
 
 def _results(work: Sequence[Job], path: Path) -> dict[int, Evaluation]:
-    """Returns the evaluations that a file has, by the index of their job."""
+    """Returns the evaluations that a file has, by the index of their job; what is to be recorded again it has not."""
     results = _read(path)
-    return {i: results[job.key] for i, job in enumerate(work) if job.key in results}
+    done = {i: results[job.key] for i, job in enumerate(work) if job.key in results}
+    for i, evaluation in [*done.items()]:
+        places = {seed: place for seed, place in work[i].places().items() if place.is_file()}
+        if places:
+            done[i] = replace(evaluation, recordings=tuple(map(str, places.values())))
+        if work[i].record is not None and {each.seed for each in evaluation.results if each.fault is None} - {*places}:
+            del done[i]
+    return done
 
 
 def _line(job: Job, evaluation: Evaluation) -> bytes:

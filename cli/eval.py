@@ -29,6 +29,7 @@ from nmes.evaluation.match_proof import is_match
 from nmes.evaluation.match_task import load_task
 from nmes.genome.genome import SHIPPED
 from nmes.recording import Recording
+from nmes.recording.signed import require_unsigned
 
 __all__ = ["command"]
 
@@ -116,7 +117,7 @@ def command(
         check_output(plot_to, task, *files, *filter(None, [resume]))
         work = _jobs(files, asked, seeds, record if record_best is None else None)
         if record is not None:
-            _open_folder(record, work)
+            _open_folder(record, [] if record_best is None else work)
         evaluations, whole = run_jobs(work, jobs, ray, resume)
         if record_best is not None and whole:
             evaluations, whole = _record_best(work, evaluations, record_best, str(record), jobs, ray)
@@ -187,14 +188,14 @@ def _jobs(files: Sequence[str], asked: Task, seeds: tuple[int, ...] | None, reco
 
 
 def _open_folder(record: Path, work: Sequence[Job]) -> None:
-    """Makes the folder of recordings, unless that of a creature lies there signed: which are the best shows later.
+    """Makes the folder of recordings, unless that of a creature which may be among the best lies there signed.
 
     Raises:
         RecordingError: One does (`signed`).
     """
     record.mkdir(parents=True, exist_ok=True)
-    for job in work:
-        replace(job, record=str(record)).require_unsigned()
+    for place in (place for job in work for place in replace(job, record=str(record)).places().values()):
+        require_unsigned(place)
 
 
 def _record_best(

@@ -89,6 +89,8 @@ def evaluate(
     genome, task = Genome.load(genome), Task.load(task)
     chosen = task.seeds if seeds is None else read_seeds(seeds)
     places = {} if record is None else _places(genome, task, chosen, record)
+    for place in places.values():
+        require_unsigned(place)
     begin = time.perf_counter()
     results: list[Result] = []
     recordings: list[str] = []
@@ -125,15 +127,8 @@ def recording_name(genome: Genome, task: Task, seed: int) -> str:
 
 
 def _places(genome: Genome, task: Task, seeds: Sequence[int], folder: str | os.PathLike[str]) -> dict[int, Path]:
-    """Returns where the episode of each seed is recorded.
-
-    Raises:
-        RecordingError: What is there is signed (`signed`).
-    """
-    places = {seed: Path(folder, recording_name(genome, task, seed)) for seed in seeds}
-    for place in places.values():
-        require_unsigned(place)
-    return places
+    """Returns where the episode of each seed is recorded."""
+    return {seed: Path(folder, recording_name(genome, task, seed)) for seed in seeds}
 
 
 def _recorded(genome: Genome, brain: Brain | None, task: Task, seed: int, path: Path) -> Result:
@@ -238,16 +233,12 @@ class Job:
         except Exception as error:  # a mistake of ours, which this genome has found
             return self.failed(f"{type(error).__name__}: {error}")
 
-    def require_unsigned(self) -> None:
-        """Refuses to replace recordings that are signed.
-
-        Raises:
-            RecordingError: One would be (`signed`).
-        """
-        genome = self.parse() if self.record is not None else None
-        if isinstance(genome, Genome) and self.record is not None:
-            task = self.read_task()
-            _places(genome, task, task.seeds if self.seeds is None else self.seeds, self.record)
+    def places(self) -> dict[int, Path]:
+        """Returns where the episode of each seed is recorded; nothing where none is, or the genome is none."""
+        if self.record is None or not isinstance(genome := self.parse(), Genome):
+            return {}
+        task = self.read_task()
+        return _places(genome, task, task.seeds if self.seeds is None else self.seeds, self.record)
 
     def run(self) -> Evaluation | _Unrecorded:
         """Evaluates the genome on its own; where that cannot be recorded, returns why."""
@@ -368,8 +359,8 @@ class Evaluator:
             RecordingError: A recording cannot be written, or would replace one that is signed (`signed`): nothing has
                 run.
         """
-        for job in work:
-            job.require_unsigned()
+        for place in (place for job in work for place in job.places().values()):
+            require_unsigned(place)
         portions = _cut(work, self._pool.jobs)
         counts = Counter(part.index for portion in portions for part in portion)
         found: dict[int, dict[int, Evaluation]] = {index: {} for index in counts}

@@ -147,6 +147,28 @@ def test_a_line_that_was_cut_off_is_done_again(wave: Path, dash: Path, cut: int)
     assert len(file.read_bytes().splitlines()) == 2
 
 
+def test_what_is_done_is_done_again_where_it_has_no_recording(wave: Path, dash: Path) -> None:
+    file, folder = wave.with_name("kept.jsonl"), wave.with_name("r")
+    arguments = (wave, "--task", dash, "--jobs", "1", "--resume", file)
+    scores = json.loads(run(*arguments, "--json").stdout)[0]["results"]
+
+    def recorded() -> list[int]:
+        (told,) = json.loads(run(*arguments, "--record", folder, "--json").stdout)
+        assert told["results"] == scores and told["recordings"] == sorted(map(str, folder.iterdir()))
+        return [path.stat().st_mtime_ns for path in map(Path, told["recordings"])]
+
+    first = recorded()
+    assert len(first) == 2 and recorded() == first
+    next(folder.iterdir()).unlink()
+    assert len(recorded()) == 2
+    big = wave.with_name("big.json")
+    dash.write_text(json.dumps({**DASH, "limits": {"cubes": 1}}))
+    big.write_text(json.dumps(snake(SINE, name="big")))
+    for _ in range(2):  # what cannot take part has none
+        assert run(big, "--task", dash, "--jobs", "1", "--resume", file, "--record", folder).exit_code == 1
+    assert len(file.read_bytes().splitlines()) == 4
+
+
 def test_two_evaluations_do_not_share_a_file_of_results(wave: Path, dash: Path) -> None:
     file = wave.with_name("kept.jsonl")
     arguments = (wave, "--task", dash, "--jobs", "1", "--resume", file)
