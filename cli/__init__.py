@@ -6,14 +6,17 @@ A subcommand's file exposes a click command named `command`. Exit codes: 0 good,
 
 from __future__ import annotations
 
+import codecs
 import errno
 import gc
 import importlib
+import json
 import os
 import sys
 from collections.abc import Sequence
 from contextlib import suppress
-from typing import Any, cast
+from io import TextIOWrapper
+from typing import Any, Final, cast
 
 try:
     import click
@@ -61,15 +64,35 @@ SUBCOMMANDS = {
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # standard output leads to a disk that is full
 _NO_DESCRIPTORS = (errno.EMFILE, errno.ENFILE)
+_ESCAPED: Final = "nmes.escaped"
 
 
 class _NotComparable(click.ClickException):
     exit_code = 3
 
 
+def _escape(error: UnicodeError) -> tuple[str, int]:
+    """Returns letters that cannot be encoded as JSON has them, which people understand too, and where they end."""
+    assert isinstance(error, UnicodeEncodeError)
+    return json.dumps(error.object[error.start : error.end])[1:-1], error.end
+
+
+def _take_every_letter() -> None:
+    """Lets the output of this process hold every letter: those that its encoding lacks are escaped.
+
+    ASCII becomes UTF-8, as click has it for what it writes itself: it is nearly always a locale that was forgotten.
+    """
+    codecs.register_error(_ESCAPED, _escape)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            ascii_only = codecs.lookup(stream.encoding).name == "ascii"
+            stream.reconfigure(encoding="utf-8" if ascii_only else None, errors=_ESCAPED)
+
+
 class _Group(click.Group):
     def main(self, args: Sequence[str] | None = None, *more: Any, **extra: Any) -> Any:
         if args is None:  # those of the process, which is this command's own
+            _take_every_letter()
             # Most of what a command makes are modules, which stay: they are not to be looked through again and again.
             gc.set_threshold(10_000)
             # MuJoCo would load a library for windows, by a process of its own. Cameras ask for OpenGL in another way.

@@ -20,6 +20,7 @@ import orjson
 
 from nmes.cli._interruptions import interruptions
 from nmes.cli._progress import progress_bars
+from nmes.errors import visible
 from nmes.evaluation import Evaluation, Evaluator, Job
 from nmes.schemas.files import lock_kept, open_kept
 
@@ -137,4 +138,4 @@ def _tell_how_to_resume(work: Sequence[Job], done: dict[int, Evaluation], resume
     with path.open("xb") as file:
         file.writelines(_line(work[i], done[i]) for i in sorted(done))
     arguments = shlex.join(sys.argv[1:])
-    click.echo(f"go on with: nmes {arguments} --resume {path}", err=True)
+    click.echo(visible(f"go on with: nmes {arguments} --resume {path}"), err=True)

@@ -9,6 +9,7 @@ import click
 from nmes.cli._output import check_output
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.cli._size import size_option
+from nmes.errors import visible
 
 __all__ = ["command"]
 
@@ -51,4 +52,4 @@ def command(folder: Path, output: Path, seconds: float, fps: int, size: tuple[in
     check_output(output, *folder.iterdir())
     with progress_bars() as progress:
         shown = film_run(run, output, seconds=seconds, fps=fps, size=size, progress=progress)
-    click.echo(f"wrote {output}: candidates {', '.join(map(str, shown))}")
+    click.echo(visible(f"wrote {output}: candidates {', '.join(map(str, shown))}"))

@@ -46,7 +46,7 @@ def go_on(find: Callable[[], Run], jobs: int | None, ray: str | None, as_json: b
     if stopped:
         click.echo(visible(f"stopped: {len(run):,} of {budget:,} done"), err=True)
         more = "" if run.settings.budget == budget else f" --budget {budget}"  # that was not kept yet
-        click.echo(f"go on with: nmes evolve resume {shlex.quote(str(run.folder))}{more}", err=True)
+        click.echo(visible(f"go on with: nmes evolve resume {shlex.quote(str(run.folder))}{more}"), err=True)
     tell(run, as_json)
     sys.exit(1 if stopped else 0)
 

@@ -46,7 +46,7 @@ def go_on(run: LearningRun, threads: int | None, as_json: bool) -> None:
     if stopped:
         done = run.legs[-1].steps if run.legs else 0
         click.echo(visible(f"stopped: {done:,} of {run.settings.steps:,} steps done"), err=True)
-        click.echo(f"go on with: nmes learn resume {shlex.quote(str(run.folder))}", err=True)
+        click.echo(visible(f"go on with: nmes learn resume {shlex.quote(str(run.folder))}"), err=True)
     tell(run, as_json)
     sys.exit(1 if stopped else 0)
 

@@ -15,7 +15,7 @@ from nmes.conformance import NoCase, Verdict
 from nmes.conformance.clauses import sentence
 from nmes.conformance.clients import CLIENT_CASES, ClientCase, ClientResult, judge, select_client_cases
 from nmes.conformance.report import readable
-from nmes.errors import NmesError
+from nmes.errors import NmesError, visible
 
 __all__ = ["command"]
 
@@ -79,7 +79,7 @@ def command(
     try:
         results = _judge(driver, port, timeout, only, len(cases))
     except NmesError as error:
-        click.echo(f"Error: {error.message}", err=True)
+        click.echo(f"Error: {visible(error.message)}", err=True)
         sys.exit(2)
     status = _status(results)
     if as_json:
@@ -143,10 +143,10 @@ def _print(results: list[ClientResult], status: int) -> None:
         case = result.case
         console.print(f"[{_STYLES[result.verdict]}]{result.verdict:<8}[/] {case.number:<5} {escape(case.title)}")
         if result.reason is not None:
-            console.print(f"  {escape(result.reason)}")
+            console.print(f"  {escape(visible(result.reason))}")
         if result.verdict is Verdict.FAILED:
-            console.print(f"  expected  {escape(result.expected or '')}")
-            console.print(f"  received  {escape(result.received or '')}")
+            console.print(f"  expected  {escape(visible(result.expected or ''))}")
+            console.print(f"  received  {escape(visible(result.received or ''))}")
             console.print(f"  clause    {case.clause}: {escape(sentence(case.clause))}")
             for entry in result.log[-_LINES:]:
                 arrow = {"sent": "->", "received": "<-"}.get(entry.kind, "--")

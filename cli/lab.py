@@ -16,6 +16,7 @@ import click
 
 from nmes.cli import _logs
 from nmes.cli._password import choose_password
+from nmes.errors import visible
 
 if TYPE_CHECKING:
     from nmes.lab.folder import Folder
@@ -95,7 +96,8 @@ async def _run(folder: Folder, address: str, port: int, quiet: bool, as_json: bo
             click.echo(json.dumps({"url": url, "port": port, "host_port": lab.port, "token": token}))
         else:
             click.echo(f"The lab is at {url}")
-            click.echo(f"It keeps what it has in {folder.path}; its worlds are on port {lab.port} too. Ctrl-C stops")
+            kept = f"It keeps what it has in {folder.path}; its worlds are on port {lab.port} too. Ctrl-C stops"
+            click.echo(visible(kept))
         if not quiet:
             webbrowser.open(url)
         await signals.get()

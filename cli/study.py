@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import signal
 import sys
 from collections.abc import Mapping
@@ -69,7 +70,7 @@ def run(name: str, budget: str, jobs: int | None) -> None:
                 run_study(plan, jobs or os.cpu_count() or 1, tell)
         except KeyboardInterrupt:
             click.echo(f"stopped: {count_done(plan):,} of {len(plan.runs):,} runs done", err=True)
-            click.echo(f"go on with: nmes study run {plan.study.name} --budget {budget}", err=True)
+            click.echo(visible(f"go on with: nmes study run {shlex.quote(name)} --budget {budget}"), err=True)
             sys.exit(1)
     _tell(write_report(plan))
     click.echo(visible(f"wrote {plan.folder}"))

@@ -92,7 +92,7 @@ def command(
     if stopped:
         click.echo(f"stopped: {len(tournament.results):,} of {len(tournament.pairings):,} matches played", err=True)
         if output is not None:
-            click.echo(f"go on with: nmes {shlex.join(sys.argv[1:])}", err=True)
+            click.echo(visible(f"go on with: nmes {shlex.join(sys.argv[1:])}"), err=True)
     sys.exit(1 if stopped else 0)
 
 

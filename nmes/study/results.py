@@ -7,6 +7,7 @@ rows in canonical form, so that it is the same after the file was written and re
 from __future__ import annotations
 
 import secrets
+import shlex
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -101,7 +102,7 @@ class Results:
                 raise StudyError("bad_results", f"{path}: {changed}")
             results = cls(asked, computed, _rows(content, len(plan.runs), arrow, parquet))
         except FileNotFoundError:
-            hint = f"nmes study run {plan.study.name} --budget {plan.budget}"
+            hint = f"nmes study run {shlex.quote(str(plan.study.folder))} --budget {plan.budget}"
             raise StudyError("no_results", f"there are no results in {plan.folder}: {hint}") from None
         except (OSError, KeyError, TypeError, ValueError, arrow.ArrowException) as error:
             raise StudyError("bad_results", f"{path} are no results of a study: {error}") from error

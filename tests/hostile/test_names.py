@@ -5,6 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import json
+import os
+import subprocess
 from pathlib import Path
 
 import pytest
@@ -14,11 +16,14 @@ from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption,
 from hypothesis import given
 from hypothesis import strategies as st
 
+from boards import DASH
 from creatures import snake
 from layout import ROOT
+from made_up_runs import make_run
 from nmes.cli import main
 from nmes.errors import DocumentError, visible
 from nmes.genome import Genome
+from processes import NMES
 
 HOSTILE = "walker\n  1  99.9  forged\r\x1b[31m\x9b2J\u202egnp\u2028\u200b\x7f\ufeff"
 SAFE = r"walker\n  1  99.9  forged\r\x1b[31m\x9b2J\u202egnp\u2028\u200b\x7f\ufeff"
@@ -129,3 +134,27 @@ def test_names_of_files_are_escaped(tmp_path: Path) -> None:
     key = Ed25519PrivateKey.generate()
     (file := tmp_path / "key.pem").write_bytes(key.private_bytes(Encoding.PEM, PrivateFormat.PKCS8, NoEncryption()))
     assert r"x\x1b]0;pwn" in output("sign", recording, "--key", file)
+
+
+def test_names_of_films_and_of_drivers_of_clients_are_escaped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    make_run(tmp_path / "run", [])
+    monkeypatch.setattr("nmes.view.run_film.film_run", lambda *_, **__: [1])
+    assert SAFE in output("evolve", "film", tmp_path / "run", "-o", tmp_path / f"{HOSTILE}.gif")
+    assert SAFE in output("conform-client", HOSTILE)
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "cp1251"])
+def test_what_an_encoding_of_output_lacks_is_escaped(tmp_path: Path, encoding: str) -> None:
+    (genome := tmp_path / "snake.json").write_text(json.dumps(snake(name="Zoë 蛇", description="🐍")))
+    (task := tmp_path / "task.json").write_text(json.dumps(DASH))
+
+    def told(*words: str | Path) -> str:
+        environment = {**os.environ, "PYTHONIOENCODING": encoding}
+        done = subprocess.run([NMES, *words], env=environment, capture_output=True, timeout=60)
+        assert (done.returncode, done.stderr) == (0, b"")
+        return done.stdout.decode("utf-8" if encoding == "ascii" else encoding)
+
+    (document,) = json.loads(told("genome", "show", genome, "--json"))
+    assert (document["name"], document["description"]) == ("Zoë 蛇", "🐍")
+    table = told("eval", genome, "--task", task, "--seeds", "1", "--jobs", "1")
+    assert ("Zoë 蛇" if encoding == "ascii" else "\\u86c7") in table

@@ -279,7 +279,7 @@ def test_kills_and_ctrl_c_leave_what_is_done_and_do_not_show(whole: Path, tmp_pa
         assert 0 < before + 1 <= done() < 6
         if number == signal.SIGINT:
             assert child.returncode == 1
-            assert told == f"stopped: {done()} of 6 runs done\ngo on with: nmes study run killed --budget small\n"
+            assert told == f"stopped: {done()} of 6 runs done\ngo on with: nmes study run {folder} --budget small\n"
             assert not list(folder.glob("work/*/under-way/*"))
     kept = {path: path.stat().st_mtime_ns for path in folder.glob("work/*/done/*.json")}
     assert run("study", "run", folder, "--jobs", "2").exit_code == 0
@@ -562,7 +562,7 @@ def test_what_is_not_there_is_told_with_what_to_do(tmp_path: Path) -> None:
     assert result.exit_code == 1 and "there is no study in " in result.output
     folder = make_study(tmp_path / "fresh")
     result = run("study", "verify", folder)
-    assert result.exit_code == 1 and "nmes study run fresh --budget small" in result.output
+    assert result.exit_code == 1 and f"nmes study run {folder} --budget small" in result.output
     assert "fresh has no budget full: there is small" in run("study", "run", folder, "--budget", "full").output
 
 
