@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from collections.abc import Callable
 from dataclasses import asdict
 from importlib.util import find_spec
@@ -9,6 +10,7 @@ from typing import Any
 
 import click
 
+from nmes.cli._interruptions import interruptions
 from nmes.cli._json import print_json
 from nmes.errors import MissingPackage, visible
 
@@ -32,8 +34,10 @@ def _rounds(default: int) -> Callable[[Any], Any]:
 
 
 @click.group("measure")
-def command() -> None:
+@click.pass_context
+def command(context: click.Context) -> None:
     """Measure what things cost on this machine."""
+    context.with_resource(interruptions(signal.SIGTERM))  # a host that was begun is ended then, as at Ctrl-C
 
 
 @command.command("crowd")

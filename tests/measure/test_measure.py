@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
+import subprocess
 import sys
+import time
 from importlib.metadata import distribution, files
 from pathlib import Path
 from typing import Any
@@ -20,6 +24,7 @@ from nmes.measure import encodings, installs, peers
 from nmes.measure.encodings import measure_encodings
 from nmes.measure.installs import measure_installs
 from nmes.measure.turns import in_turns, ratio
+from processes import NMES
 
 
 def measured(*arguments: str) -> Any:
@@ -116,6 +121,19 @@ def test_a_host_that_does_not_begin_is_told(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 # -- encodings --------------------------------------------------------------------------------------------------------
+
+
+def test_a_signal_that_ends_measuring_ends_the_host() -> None:
+    asked = [NMES, "measure", "decisions", "--seconds", "60"]
+    with subprocess.Popen(asked, start_new_session=True, stdout=-1, stderr=-1) as process:
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+        while process.poll() is None and not children.read_text():
+            time.sleep(0.01)
+        process.terminate()
+        _, told = process.communicate(timeout=60)
+    assert process.returncode == 1 and b"Traceback" not in told
+    with pytest.raises(ProcessLookupError):
+        os.killpg(process.pid, signal.SIGKILL)
 
 
 def test_all_channels_lead_to_the_same_states() -> None:
