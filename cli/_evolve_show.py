@@ -9,7 +9,7 @@ import click
 
 from nmes.cli._columns import columns
 from nmes.cli._json import print_json
-from nmes.cli._output import check_output, whole_file
+from nmes.cli._output import whole_file, whole_folder
 from nmes.cli._pictures import write_picture
 from nmes.cli._progress import QUIET, progress_bars
 from nmes.errors import visible
@@ -28,7 +28,7 @@ __all__ = ["command"]
     "--output",
     type=click.Path(path_type=Path),
     metavar="PATH",
-    help="Draw it: as one page, FILE.html, or as a folder with that page and its pictures.",
+    help="Draw it: as one page, FILE.html, or as a new folder with that page and its pictures.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
 @QUIET
@@ -89,15 +89,12 @@ def _draw(run: Run, summary: RunSummary, output: Path) -> None:
     from nmes.view.run_pictures import Portraits, draw_run
 
     single = output.suffix == ".html"
-    page = output if single else output / "index.html"
-    check_output(page, *run.folder.iterdir())
-    with progress_bars() as progress:
+    whole = whole_file(output, *run.folder.iterdir()) if single else whole_folder(output)
+    with whole as made, progress_bars() as progress:
         portraits = Portraits(run)
         pictures = list(draw_run(run, summary, portraits, progress))
         if not single:
-            output.mkdir(parents=True, exist_ok=True)
             for picture in pictures:
-                write_picture(picture, output)
-        with whole_file(page) as file:
-            write_page(summary, file, pictures, portraits)
-    click.echo(visible(f"wrote {page}"), err=True)
+                write_picture(picture, made)
+        write_page(summary, made if single else made / "index.html", pictures, portraits)
+    click.echo(visible(f"wrote {output if single else output / 'index.html'}"), err=True)

@@ -9,7 +9,7 @@ import click
 
 from nmes.cli._columns import columns
 from nmes.cli._json import print_json
-from nmes.cli._output import check_output, whole_file
+from nmes.cli._output import whole_file, whole_folder
 from nmes.cli._pictures import write_picture
 from nmes.errors import visible
 
@@ -26,7 +26,7 @@ __all__ = ["command"]
     "--output",
     type=click.Path(path_type=Path),
     metavar="PATH",
-    help="Draw it: as one page, FILE.html, or as a folder with that page and its pictures.",
+    help="Draw it: as one page, FILE.html, or as a new folder with that page and its pictures.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON, with all legs.")
 def command(folder: Path, output: Path | None, as_json: bool) -> None:
@@ -62,13 +62,10 @@ def _draw(run: LearningRun, output: Path) -> None:
     from nmes.view.learning_page import curves, write_learning_page
 
     single = output.suffix == ".html"
-    page = output if single else output / "index.html"
-    check_output(page, *run.folder.iterdir())
     pictures = list(curves(run))
-    if not single:
-        output.mkdir(parents=True, exist_ok=True)
-        for picture in pictures:
-            write_picture(picture, output)
-    with whole_file(page) as file:
-        write_learning_page(run, file, pictures)
-    click.echo(visible(f"wrote {page}"), err=True)
+    with whole_file(output, *run.folder.iterdir()) if single else whole_folder(output) as made:
+        if not single:
+            for picture in pictures:
+                write_picture(picture, made)
+        write_learning_page(run, made if single else made / "index.html", pictures)
+    click.echo(visible(f"wrote {output if single else output / 'index.html'}"), err=True)

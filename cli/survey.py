@@ -16,6 +16,7 @@ from nmes.cli._columns import columns
 from nmes.cli._genomes import find_genomes
 from nmes.cli._json import print_json
 from nmes.cli._options import BeginningGroup
+from nmes.cli._output import whole_folder
 from nmes.cli._pictures import write_picture
 from nmes.cli._pool import JOBS, RAY, advance_in_pool, check_pool, open_pool
 from nmes.cli._progress import QUIET, progress_bars
@@ -157,7 +158,7 @@ def resume(folder: Path, jobs: int | None, ray: str | None, as_json: bool) -> No
     "--output",
     type=click.Path(file_okay=False, path_type=Path),
     metavar="FOLDER",
-    help="Draw its map into this folder, as map.svg and map.png.",
+    help="Draw its map into this new folder, as map.svg and map.png.",
 )
 @click.option("--json", "as_json", is_flag=True, help="Print it as JSON.")
 def show(folder: Path, output: Path | None, as_json: bool) -> None:
@@ -180,9 +181,8 @@ def show(folder: Path, output: Path | None, as_json: bool) -> None:
     if output is not None:
         units = {task.unit for task in settings.tasks}
         unit = units.pop() if len(units) == 1 else ""
-        picture = survey_map(_by_task(survey), settings.rows, settings.columns, unit)
-        output.mkdir(parents=True, exist_ok=True)
-        write_picture(picture, output)
+        with whole_folder(output) as drawn:
+            write_picture(survey_map(_by_task(survey), settings.rows, settings.columns, unit), drawn)
     if as_json:
         print_json(_summary(survey))
         return

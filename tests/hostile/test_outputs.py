@@ -11,6 +11,7 @@ from boards import DASH, key_in, signed
 from command_line import run
 from creatures import snake
 from disks import full_disk
+from learning_runs import begin
 from made_up_runs import SHORT, genomes, make_run, real
 from nmes.errors import RecordingError
 from nmes.evaluation import Task
@@ -69,6 +70,19 @@ def test_a_genome_with_an_odd_brain_is_compared(tmp_path: Path) -> None:
     (odd := tmp_path / "odd.json").write_text(json.dumps(document))
     result = run("genome", "diff", str(odd), "walker")
     assert result.exit_code == 1 and "0.5" in result.output
+
+
+def test_pictures_are_not_drawn_into_a_folder_that_has_something_in_it(tmp_path: Path) -> None:
+    make_run(tmp_path / "run", [real(genomes()[0], Task(SHORT))])
+    begin(tmp_path / "learning")
+    asked = ("--task", "walk", "--worlds", "1", "-o", tmp_path / "survey", "--jobs", "1")
+    assert run("survey", "walker", *asked).exit_code == 0
+    (theirs := tmp_path / "theirs").mkdir()
+    (theirs / "index.html").write_text("mine")
+    for command, folder in (("evolve", "run"), ("learn", "learning"), ("survey", "survey")):
+        result = run(command, "show", tmp_path / folder, "-o", theirs)
+        assert result.exit_code == 2 and "name a folder that is not there yet" in result.output
+    assert [path.read_text() for path in theirs.iterdir()] == ["mine"]
 
 
 def test_a_plot_does_not_take_the_place_of_what_the_same_evaluation_writes(tmp_path: Path) -> None:
