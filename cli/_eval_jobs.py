@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import IO
 
 import click
-import orjson
 
 from nmes.cli._interruptions import interruptions
 from nmes.cli._progress import progress_bars
 from nmes.errors import visible
 from nmes.evaluation import Evaluation, Evaluator, Job
+from nmes.evaluation.kept_lines import ChangedLine, sealed, unsealed
 from nmes.schemas.files import lock_kept, open_kept
 
 __all__ = ["run_jobs"]
@@ -94,7 +94,7 @@ def _results(work: Sequence[Job], path: Path) -> dict[int, Evaluation]:
 
 
 def _line(job: Job, evaluation: Evaluation) -> bytes:
-    return orjson.dumps({"key": job.key, **evaluation.to_json()}, option=orjson.OPT_APPEND_NEWLINE)
+    return sealed({"key": job.key, **evaluation.to_json()})
 
 
 def _read(path: Path) -> dict[str, Evaluation]:
@@ -104,8 +104,11 @@ def _read(path: Path) -> dict[str, Evaluation]:
     results = {}
     for number, line in enumerate(lines, 1):
         try:
-            fields = orjson.loads(line)
+            fields = unsealed(line)
             results[fields.pop("key")] = Evaluation.from_json(fields)
+        except ChangedLine as error:
+            what = f"{path}, line {number}: not as `nmes eval --resume` wrote it"
+            raise click.UsageError(f"{what}: take the line out, and it is done again") from error
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise _foreign(path, number) from error
     if rest:

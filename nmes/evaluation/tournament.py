@@ -4,7 +4,8 @@ Hides who plays whom, in which order, and which matches of a folder are played a
 line for each match in `matches.jsonl`, and beside it the recordings that prove them.
 
 Invariants: the table is a function of the creatures, the task and its seeds, whatever was played first, where, and how
-often it was stopped. A match counts as played if its line is whole and its recording is still the one that it names.
+often it was stopped. A match counts as played if its line is as it was written and its recording is still the one that
+it names.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ from nmes.errors import NmesError, RunError, WorldError
 from nmes.evaluation.bouts import Bout, play_bouts
 from nmes.evaluation.evaluation import check_types
 from nmes.evaluation.judge import Result
+from nmes.evaluation.kept_lines import ChangedLine, sealed, unsealed
 from nmes.evaluation.match import MatchResult, admit_players
 from nmes.evaluation.match_task import MatchTask
 from nmes.evaluation.parallel import Pool
@@ -184,8 +186,9 @@ class Tournament:
     def _line(self, number: int, result: MatchResult, recording: str) -> bytes:
         results = {role: asdict(each) for role, each in result.results.items()}
         proof = [Path(recording).name, digest(recording)]
-        line = {"key": self._key(number), "results": results, "recording": proof, "seconds": result.wall_seconds}
-        return orjson.dumps(line, option=orjson.OPT_APPEND_NEWLINE)
+        return sealed(
+            {"key": self._key(number), "results": results, "recording": proof, "seconds": result.wall_seconds}
+        )
 
     def _resume(self, log: IO[bytes], folder: Path) -> None:
         """Takes what the log has; a line that was not written to its end is taken out."""
@@ -207,7 +210,7 @@ class Tournament:
     def _read(self, line: bytes, folder: Path, where: str) -> tuple[str, MatchResult | None]:
         """Returns a line's key and what it says; None where its recording is not there any more, or another one."""
         try:
-            fields = orjson.loads(line)
+            fields = unsealed(line)
             results = {str(role): Result(**each) for role, each in fields["results"].items()}
             for result in results.values():
                 check_types(result, asdict(result))
@@ -216,6 +219,9 @@ class Tournament:
             key, seconds = str(fields["key"]), float(fields["seconds"])
             name, expected = fields["recording"]
             path = folder / Path(name).name
+        except ChangedLine as error:
+            what = f"{where}: not as `nmes tournament` wrote it"
+            raise RunError("log_damaged", f"{what}: take the line out, and the match is played again") from error
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise RunError("log_damaged", f"{where}: not what `nmes tournament` writes") from error
         if not (path.is_file() and digest(path) == expected):

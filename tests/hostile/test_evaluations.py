@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ from creatures import SINE, cpg, snake
 from nmes.cli import main
 from nmes.errors import RecordingError
 from nmes.evaluation import Episode, Evaluator, Job, Task, evaluate, evaluator, prove
+from nmes.evaluation.kept_lines import sealed, unsealed
 from nmes.genome import Genome
 from nmes.recording import Recorder
 
@@ -126,10 +128,27 @@ def test_results_that_were_edited_are_refused(wave: Path, dash: Path, change: di
     file = wave.with_name("kept.jsonl")
     arguments = (wave, "--task", dash, "--jobs", "1", "--resume", file)
     assert run(*arguments).exit_code == 0
-    file.write_text(json.dumps({**json.loads(file.read_bytes()), **change}) + "\n")
-    before = file.read_bytes()
-    result = run(*arguments)
-    assert result.exit_code == 2 and "line 1" in result.stderr and file.read_bytes() == before
+    changed = {**unsealed(file.read_bytes()), **change}
+    for line in (sealed(changed), json.dumps(changed).encode() + b"\n"):
+        file.write_bytes(line)
+        result = run(*arguments)
+        assert result.exit_code == 2 and "line 1" in result.stderr and file.read_bytes() == line
+
+
+def test_a_score_that_was_edited_is_not_taken_for_one_that_came_out(wave: Path, dash: Path, tmp_path: Path) -> None:
+    kept, cup = tmp_path / "kept.jsonl", tmp_path / "cup"
+    commands: dict[Path, list[str | Path]] = {
+        kept: ["eval", wave, "--task", dash, "--resume", kept],
+        cup / "matches.jsonl": ["tournament", "walker", "roller", "--task", "sumo", "--seeds", "1", "-o", cup],
+    }
+    for file, command in commands.items():
+        words = [*map(str, command), "--jobs", "1"]
+        assert CliRunner().invoke(main, words).exit_code == 0
+        edited = re.sub(rb'"score":[-0-9.e]+', b'"score":999.5', file.read_bytes())
+        file.write_bytes(edited)
+        result = CliRunner().invoke(main, words)
+        assert result.exit_code in (1, 2) and f"{file}, line 1: not as `nmes" in result.output
+        assert file.read_bytes() == edited
 
 
 @pytest.mark.parametrize("cut", [1, 5, 30, 80, 200])
