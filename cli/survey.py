@@ -8,6 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -319,24 +320,26 @@ def best(folder: Path, world: int | None, output: Path | None, as_json: bool) ->
     documents = {"genome.json": genome.document, "task.json": task.document}
     check_place(target, documents)
     target.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(dir=target, prefix=".") as unfinished:
+        found = evaluate(genome, task, seeds=[settings.seed_of(number)], record=unfinished)
+        result = found.results[0] if found.results else None
+        if result != chosen.result or found.error != chosen.error:
+            raise survey.departure(number)
+        recordings = [str(Path(path).replace(target / Path(path).name)) for path in found.recordings]
     files = write_documents(target, documents)
-    found = evaluate(genome, task, seeds=[settings.seed_of(number)], record=target)
-    result = found.results[0] if found.results else None
-    if result != chosen.result or found.error != chosen.error:
-        raise survey.departure(number)
     written = {
         "world": number,
         "seed": settings.seed_of(number),
         "task": task.name,
         "score": chosen.score,
         "files": [str(path) for path in files],
-        "recordings": list(found.recordings),
+        "recordings": recordings,
     }
     if as_json:
         print_json(written)
         return
     click.echo(visible(f"world {number}: {_scored(survey, chosen)}, again as the log says"))
-    for path in (*files, *found.recordings):
+    for path in (*files, *recordings):
         click.echo(visible(f"wrote {path}"))
 
 

@@ -18,7 +18,7 @@ from nmes.evaluation.identity import borrows_name, creature_hash, shipped_hash
 from nmes.evaluation.parallel import Lost, in_processes
 from nmes.evaluation.task import Task
 from nmes.evolution.corpus import Corpus, CorpusCreature, CorpusRun, CorpusTask, mean_score, settings_of
-from nmes.evolution.corpus_verify import Episodes, Work, fingerprint_of, run_episodes
+from nmes.evolution.corpus_verify import Episodes, Refusal, Work, fingerprint_of, run_episodes
 from nmes.evolution.run import Run
 from nmes.genome import Genome
 from nmes.schemas.documents import write_json
@@ -146,11 +146,13 @@ def _played(chosen: _Chosen, found: Episodes | NmesError | Lost) -> Episodes:
 
     Raises:
         CorpusError: They came out otherwise (`diverged`, or `not_comparable` where that may be for the machine).
-        MachineError: A process was killed (`worker_killed`).
+        MachineError: A process was killed (`worker_killed`), or the machine lacks something that they need.
     """
     who = f"{chosen.run.folder}, candidate {chosen.index}"
     if isinstance(found, Lost):
         raise MachineError("worker_killed", f"{who}: {found.reason}")
+    if isinstance(found, Refusal) and found.machine:
+        raise MachineError(found.code, f"{who}: {found.message}")
     if isinstance(found, NmesError):
         raise CorpusError("diverged", f"{who}: {found.message}") from found
     logged = {result.seed: result for result in chosen.run.evaluation(chosen.index).results}

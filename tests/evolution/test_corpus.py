@@ -19,10 +19,11 @@ import corpus as tool
 from command_line import run
 from disks import full_disk
 from modelled import modelled
-from nmes.errors import NmesError
+from nmes.errors import MachineError, MissingPackage, NmesError
 from nmes.evaluation.identity import creature_hash
 from nmes.evaluation.task import Task
 from nmes.evolution.corpus import Corpus, mean_score
+from nmes.evolution.corpus_add import add_runs
 from nmes.evolution.corpus_verify import Work, run_episodes, verify_corpus
 from nmes.evolution.run import Run
 from nmes.genome import Genome
@@ -410,6 +411,16 @@ def test_a_run_that_comes_out_otherwise_is_only_comparable_where_it_was_begun(tm
     (other / "run.json").write_text(json.dumps(document))
     refused = run("corpus", "add", str(tmp_path / "new.zst"), str(other), "--jobs", "1", "--best", "1")
     assert refused.exit_code == 3 and "the run was begun where other numbers come out" in refused.output
+
+
+def test_what_the_machine_lacks_is_no_divergence(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def lacking(*_: object) -> None:
+        raise MissingPackage("the package onnxruntime is not installed")
+
+    finish(begin(folder := tmp_path / "run"))
+    monkeypatch.setattr("nmes.evolution.corpus_verify.admit", lacking)
+    with pytest.raises(MachineError, match=r"candidate \d+: the package onnxruntime is not"):
+        add_runs(Corpus({}, (), ()), [folder], best=1)
 
 
 def test_a_corpus_without_creatures_holds(small: Path, tmp_path: Path) -> None:

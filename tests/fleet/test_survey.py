@@ -216,6 +216,7 @@ def test_a_best_world_that_comes_out_otherwise_is_only_comparable_where_it_was_s
     said = "world .* does not come out again"
     refused = run("survey", "best", folder)
     assert refused.exit_code == 1 and re.search(said, refused.output) and "other numbers" not in refused.output
+    assert [*(folder / f"world-{number}").iterdir()] == []
     document = orjson.loads((folder / "run.json").read_bytes())
     document["fingerprint"]["probe"] = "of another machine"
     (folder / "run.json").write_bytes(orjson.dumps(document))
