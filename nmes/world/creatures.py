@@ -12,7 +12,7 @@ from weakref import ref
 import orjson
 
 from nmes.backend import StaticBox, Vector
-from nmes.backend.rotation import minus, plus
+from nmes.backend.rotation import minus, plus, total
 from nmes.errors import WorldError
 from nmes.genome import Genome
 from nmes.genome.body import Body
@@ -134,7 +134,7 @@ class Creatures:
     def development_cost(self, ticks: float) -> float:
         """Returns about how much longer (s) the next of so many ticks takes since creatures develop in it."""
         works = (each.development.work(ticks) for each in self._developing if each.development is not None)
-        return sum(development_cost(self._entities, *work) for work in works)
+        return total(development_cost(self._entities, *work) for work in works)
 
     def _is_part(self, body: int) -> bool:
         return any(body in creature.bodies for creature in self._creatures.values())

@@ -76,8 +76,7 @@ class Development:
         if not self.begun or self._age % self._period + ticks < self._period:
             return 0, 0
         left = [rule for rule, uses in zip(self._rules, self._uses, strict=True) if uses < rule.times]
-        changes = (len(rule.shed) + len(rule.adopt) + len(rule.grow) + len(rule.resize) for rule in left)
-        return len(left), sum(changes)
+        return len(left), sum(len([*rule.shed, *rule.adopt, *rule.grow, *rule.resize]) for rule in left)
 
     def tick(self, creature: Creature, around: Habitat) -> tuple[bool, list[JsonObject]]:
         """Ends a tick: follows the rules that apply now, in order.
