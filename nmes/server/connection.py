@@ -108,10 +108,11 @@ class Connection(asyncio.BufferedProtocol):
     def get_buffer(self, sizehint: int) -> memoryview:
         """Lends the host's one buffer: it is read into and emptied without anything else happening in between.
 
-        Where its world's slice is over, only a little of it, since what comes is taken apart even so.
+        Where its world's slice is over, only a little of it, since what comes is taken apart even so; but for TLS,
+        which drops what is left at the end of the connection.
         """
         if self._world is not None and (end := self._world.turns.end) and monotonic() >= end[0]:
-            return self._host.buffer[:LITTLE]
+            return self._host.buffer[:LITTLE] if self._transport.can_write_eof() else self._host.buffer
         return self._host.buffer
 
     def buffer_updated(self, nbytes: int) -> None:
@@ -135,9 +136,15 @@ class Connection(asyncio.BufferedProtocol):
         self._leave()  # also where it is ending already
 
     def eof_received(self) -> bool:
-        """Hangs up: everything is answered, or waits for the disk; for while anything else waits nothing is read."""
+        """Hangs up: everything is answered, or waits for the disk; for while anything else waits nothing is read.
+
+        But over TLS: there the rest is executed once the connection is lost.
+        """
         self._ended = True
         self._visit.ends("hung_up")
+        if self._backlog and not self._transport.can_write_eof():
+            self._transport.close()  # so nothing more is written to it
+            return False
         self.hang_up()
         return self._output.waits and self._transport.can_write_eof()  # where it returns False, the socket is closed
 
@@ -159,6 +166,8 @@ class Connection(asyncio.BufferedProtocol):
     def pause_writing(self) -> None:
         """Lets this peer's commands wait until it reads."""
         self._full = True
+        if self._world is not None:
+            self._world.turns.forget_reader(self)
 
     def resume_writing(self) -> None:
         """Goes on with the commands that waited."""
@@ -272,11 +281,13 @@ class Connection(asyncio.BufferedProtocol):
         world, session, backlog, output = self._world, self._session, self._backlog, self._output
         if world is None:
             return
-        now, end = monotonic(), world.turns.end
-        if not end:
-            end.append(now + SLICE)
-            asyncio.get_running_loop().call_soon(end.clear)
-        until = end[0]
+        now, turns = monotonic(), world.turns
+        if not turns.end:  # written here, and not by a function: this is done for every command
+            turns.end.append(now + SLICE)
+            if not turns.called:
+                turns.called = True
+                asyncio.get_running_loop().call_soon(turns.next)
+        until = turns.end[0]
         if messages:
             self._active_at = now
             backlog.extend(cast(Sequence[bytes], messages))
@@ -328,7 +339,7 @@ class Connection(asyncio.BufferedProtocol):
         # Given the future: one that it were to find by itself would keep itself, and with it what was read.
         def go_on(done: Future[Request]) -> None:
             self._reading = None
-            world.end_reading()
+            world.turns.end_reading()
             if self._backlog:  # else the connection was ended meanwhile
                 self._backlog[0] = self._session.redacted(done.result())
             self.resume()
@@ -430,7 +441,7 @@ class Connection(asyncio.BufferedProtocol):
 
     def _end(self) -> None:
         """Closes this side of the socket when all output was handed to it."""
-        if self._output.waits or self._lost:
+        if self._output.waits or self._lost or self._transport.is_closing():  # that of TLS is closed only once
             return
         if self._ended or not self._transport.can_write_eof():
             self._transport.close()

@@ -119,7 +119,6 @@ class HostedWorld:
         self._events: list[tuple[int, bytes]] = []  # of clients
         self._waiting: dict[Peer, None] = {}  # those that are to `resume` when it is back
         self._leavers: list[int] = []  # clients that are to leave then
-        self._reading = False  # a long frame of some client
         self._results: dict[int, Future[bytes]] = {}  # replies to requests that were executed there
         self._loss: RecordingError | None = None  # why its recording ended
         self.onlookers: dict[Callable[[], None], None] = {}  # called when the world is back from a thread
@@ -196,6 +195,7 @@ class HostedWorld:
         self._barrier.forget(client)
         self._results.pop(client, None)
         self._waiting.pop(connection, None)
+        self.turns.forget_reader(connection)
         if self._worker.away:
             self._leavers.append(client)
         elif not self._closing:
@@ -228,22 +228,16 @@ class HostedWorld:
         return reply
 
     def begin_reading(self, client: int) -> bool:
-        """Begins to read a long frame of a client, which `end_reading` ends; returns whether that may be now.
+        """Begins to read a long frame of a client, until `turns.end_reading`; returns whether that may be now.
 
         One is read at a time, and none while the world is in a thread: what was read takes many times the room of its
         bytes, and would only wait. Where it may not be, the connection's `resume` is called when it may.
         """
-        if self._worker.away or self._closing or self._reading:
-            self._waiting[self._peers[client]] = None
+        peer = self._peers[client]
+        if self._worker.away or self._closing:
+            self._waiting[peer] = None
             return False
-        self._reading = True
-        return True
-
-    def end_reading(self) -> None:
-        """Lets others have their long frames read."""
-        self._reading = False
-        if not self._worker.away and not self._closing:
-            self._end_waiting()
+        return self.turns.begin_reading(peer)
 
     def _submit_long(self, client: int, request: Request) -> bytes | None:
         """Executes a request that may take long; returns None if it has to wait."""
@@ -378,7 +372,7 @@ class HostedWorld:
         """Resumes the connections that waited, and lets those clients go that left meanwhile."""
         waiting, self._waiting = self._waiting, {}
         for connection in waiting:
-            asyncio.get_running_loop().call_soon(connection.resume)
+            self.turns.wait(connection)
         leavers, self._leavers = self._leavers, []
         for client in leavers:
             self.world.leave(client)

@@ -1,7 +1,10 @@
-"""Whose commands a world executes next: its connections share one slice in each turn of the event loop.
+"""Whose commands a world executes next, and whose long frame is read next: its connections take turns.
 
-If each had its own, as many slices would follow each other as there are connections with something to do, and whoever
-is in another world would wait for all of them.
+They share one slice of `SLICE` s in each turn of the event loop. If each had its own, as many slices would follow each
+other as there are connections with something to do, and whoever is in another world would wait for all of them.
+
+Invariants: nobody who waits is passed over; `next` is to be called by the loop as long as a slice is open or somebody
+waits for one.
 """
 
 from __future__ import annotations
@@ -19,34 +22,68 @@ class _Waiter(Protocol):
 
 
 class Turns:
-    """The turns of the connections of one world, of which none is passed over.
+    """The turns of the connections of one world.
 
     Attributes:
-        end: When the slice is over that has begun in this turn of the loop (as `monotonic`); empty where none has.
-            Whoever begins one has it emptied with the next turn.
+        end: When the slice is over that is open in this turn of the loop, as `monotonic`; empty where none is. Whoever
+            opens one has `next` called, unless it is `called` already.
+        called: Whether `next` is to be called by the loop.
     """
 
     def __init__(self) -> None:
         self.end: list[float] = []
+        self.called = False
         self._queue: dict[_Waiter, None] = {}  # in the order in which they go on
-        self._called = False  # whether `_go_on` is to be called
+        self._reading = False  # a long frame of somebody
+        self._readers: dict[_Waiter, None] = {}  # those with a long frame, in the order in which these are read
 
     def wait(self, waiter: _Waiter) -> None:
         """Has a connection resumed when those that wait already have had their turn."""
         self._queue.setdefault(waiter)
-        self._go_on_soon()
+        self._call()
 
-    def _go_on_soon(self) -> None:
-        if self._queue and not self._called:
-            self._called = True
-            asyncio.get_running_loop().call_soon(self._go_on)
+    def _call(self) -> None:
+        if self._queue and not self.called:
+            self.called = True
+            asyncio.get_running_loop().call_soon(self.next)
 
-    def _go_on(self) -> None:
-        """Resumes those that wait, for one slice; who is not done by then waits again, behind the others."""
-        self._called = False
+    def next(self) -> None:
+        """Begins a turn of the loop: resumes those that wait, for one slice, of which others have what they leave."""
+        self.called = False
+        self.end.clear()
         for waiter in list(self._queue):
             if self.end and monotonic() >= self.end[0]:
                 break
-            del self._queue[waiter]
-            waiter.resume()
-        self._go_on_soon()
+            if waiter in self._queue:
+                del self._queue[waiter]
+                waiter.resume()
+        self._call()
+
+    # -- long frames -----------------------------------------------------------------------------------------------
+
+    def begin_reading(self, waiter: _Waiter) -> bool:
+        """Begins to read a long frame of a connection, until `end_reading`; returns whether it may: it is next.
+
+        Else it is resumed when it is, and has to begin then, or to be forgotten.
+        """
+        self._readers.setdefault(waiter)
+        if self._reading or next(iter(self._readers)) is not waiter:
+            return False
+        del self._readers[waiter]
+        self._reading = True
+        return True
+
+    def end_reading(self) -> None:
+        """Ends to read a long frame; the next is read then."""
+        self._reading = False
+        self._read_on()
+
+    def forget_reader(self, waiter: _Waiter) -> None:
+        """Lets others pass a connection that cannot go on for now, or is gone."""
+        if waiter in self._readers:
+            del self._readers[waiter]
+            self._read_on()
+
+    def _read_on(self) -> None:
+        if self._readers and not self._reading:
+            self.wait(next(iter(self._readers)))

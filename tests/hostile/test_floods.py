@@ -20,6 +20,7 @@ from browsers import socket_to, web_port
 from nmes.protocol import DELIMITER, Limits, Request, Session
 from nmes.server.reception import Reception
 from nmes.server.threads import SLICE
+from nmes.server.turns import Turns
 from nmes.world import World
 from servers import PATIENCE, served
 
@@ -111,7 +112,10 @@ def test_objectives_about_cubes_that_are_gone_are_forgotten_in_the_end() -> None
     assert len(world.snapshot()) < 20_000
 
 
-def test_connections_of_a_world_share_one_slice_of_each_turn_of_the_loop(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("mode", ["lockstep", "fast"])
+def test_connections_of_a_world_share_one_slice_of_each_turn_of_the_loop(
+    mode: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Each command takes two fifths of a slice by the clock that they are measured with: three fit in."""
     now, turns, handle = 0.0, list[list[int]](), World.handle
 
@@ -125,7 +129,7 @@ def test_connections_of_a_world_share_one_slice_of_each_turn_of_the_loop(monkeyp
         turns.append([])
         asyncio.get_running_loop().call_soon(turn)
 
-    with served() as server, ExitStack() as stack:
+    with served({"mode": mode}) as server, ExitStack() as stack:
         peers = [stack.enter_context(server.peer()) for _ in range(8)]
         for module in ("connection", "turns"):
             monkeypatch.setattr(f"nmes.server.{module}.monotonic", lambda: now)
@@ -146,3 +150,27 @@ def test_connections_of_a_world_share_one_slice_of_each_turn_of_the_loop(monkeyp
     assert last > first + 200
     for place in range(first, last - 48):  # while all of them have something to do
         assert len({*order[place : place + 48]}) == 8, "one of them is passed over"
+
+
+async def test_long_frames_of_a_world_are_read_in_turn() -> None:
+    class Waiter:
+        def __init__(self) -> None:
+            self.resumed = 0
+
+        def resume(self) -> None:
+            self.resumed += 1
+
+    turns, (one, two, three, four) = Turns(), [Waiter() for _ in range(4)]
+    assert [turns.begin_reading(each) for each in (one, two, three, four)] == [True, False, False, False]
+    turns.end_reading()
+    assert not turns.begin_reading(one), "behind those who wait"
+    await asyncio.sleep(0)
+    assert [each.resumed for each in (one, two, three, four)] == [0, 1, 0, 0]
+    turns.forget_reader(two)
+    await asyncio.sleep(0)
+    assert [each.resumed for each in (one, two, three, four)] == [0, 1, 1, 0]
+    assert turns.begin_reading(three)
+    turns.forget_reader(four)
+    turns.end_reading()
+    await asyncio.sleep(0)
+    assert turns.begin_reading(one)

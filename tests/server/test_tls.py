@@ -7,7 +7,8 @@ import json
 import socket
 import ssl
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, cast
@@ -19,7 +20,9 @@ from click.testing import CliRunner
 from nmes import AsyncClient, Client
 from nmes.cli import main
 from nmes.errors import Disconnected
-from nmes.protocol import DELIMITER, Limits
+from nmes.protocol import DELIMITER, Limits, Request
+from nmes.server.threads import SLICE
+from nmes.world import World
 from processes import process, ready
 from servers import PASSWORD, PATIENCE, Served, served, until
 
@@ -182,3 +185,44 @@ def test_nmes_serve_takes_a_certificate(authority: trustme.CA, tmp_path: Path) -
         assert server.wait(PATIENCE) == 0
     assert "go together" in run("serve", "--tls-cert", cert)
     assert "cannot use" in run("serve", "--tls-cert", key, "--tls-key", cert)
+
+
+@pytest.mark.parametrize("notified", [True, False])
+def test_what_is_said_before_a_hang_up_is_executed_and_the_connection_forgotten(
+    notified: bool, identity: ssl.SSLContext, trust: ssl.SSLContext, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each command takes two fifths of a slice by the clock that they are measured with, so that most have to wait."""
+    now, handle = 0.0, World.handle
+
+    def timed(world: World, client: int, request: Request) -> bytes:
+        nonlocal now
+        now += 0.4 * SLICE
+        return handle(world, client, request)
+
+    said = [{"type": "auth", "password": PASSWORD}, *[{"type": "spawn_cube", "list": False}] * 600]
+    with served(tls=identity, limits=Limits(connections=1)) as server:
+        for module in ("connection", "turns"):
+            monkeypatch.setattr(f"nmes.server.{module}.monotonic", lambda: now)
+        monkeypatch.setattr(World, "handle", timed)
+        for total in (600, 1200):  # the second is let in, so the first is forgotten
+            with socket.create_connection(("127.0.0.1", server.port), PATIENCE) as plain:
+                stream = trust.wrap_socket(plain, server_hostname="127.0.0.1", suppress_ragged_eofs=True)
+                stream.sendall(b"".join(json.dumps(each).encode() + DELIMITER for each in said))
+                if notified:
+                    with suppress(OSError):
+                        stream.unwrap()
+                else:
+                    plain_end(stream)
+                until(partial(spawned, server, total))
+                stream.close()
+            until(lambda: server.call(lambda: server.hosted.clients) == 0)
+        server.call(monkeypatch.undo)
+
+
+def spawned(server: Served, count: int) -> bool:
+    return server.call(lambda: len(server.hosted.world.entities.cubes)) == count
+
+
+def plain_end(stream: ssl.SSLSocket) -> None:
+    """Ends what a client says without a word of TLS."""
+    socket.socket.shutdown(stream, socket.SHUT_WR)
