@@ -19,7 +19,6 @@ from nmes.evaluation.setting import Setting
 from nmes.genome.body import Body
 from nmes.schemas.documents import JsonObject
 from nmes.world import World
-from nmes.world.creature import Creature
 
 __all__ = ["ANY_CONTROLS", "Drive", "Rest", "Step", "perform", "settle"]
 
@@ -28,6 +27,7 @@ T = TypeVar("T")
 _REST_TIME = 0.25  # s
 _REST_SPEED = 0.05  # of the body's size in a second: in a whole episode it would not come farther than that size
 _NUDGE = 0.1  # of the body's size: as far as one may be moved that is set down where it touches another
+_CLOSE = 0.05  # m between the balls around two cubes that may have touched within a tick
 
 
 class _AnyControls(Enum):
@@ -90,7 +90,7 @@ def settle(
 ) -> Generator[Step, None, tuple[dict[str, Rest], dict[str, str]]]:
     """Yields the steps that set creatures down, and the ticks until all are at rest, or it takes too long.
 
-    It is over too where one of them comes to another and touches it: nobody may win a match before it begins.
+    It is over too where one of them comes to another and moves it: nobody may win a match before it begins.
 
     Args:
         world: New and empty.
@@ -106,7 +106,7 @@ def settle(
     creatures = [world.creature(name) for name in names]
     rests = {creature.name: Rest(creature.present, setting) for creature in creatures}
     tracks = [world.track([*creature.cubes.values()], [], [], setting.settle_limit_ticks) for creature in creatures]
-    looked, came = 0, None  # rows; and who came to another
+    looked, encounters, came = 0, _Encounters([*rests.values()]), None  # rows; and who came to another
     while world.frame < setting.settle_ticks or not all(rest.reached for rest in rests.values()):
         if world.frame == setting.settle_limit_ticks or came is not None:
             break
@@ -115,31 +115,58 @@ def settle(
             break
         for track in tracks:
             track.note()
-        met = _meeting(world, creatures) if len(creatures) > 1 else ()
-        if world.frame >= setting.settle_ticks or met:  # else the ticks before are looked at all at once
-            for rest, track in zip(rests.values(), tracks, strict=True):
-                rest.look(track.states(looked, track.rows))
+        if world.frame >= setting.settle_ticks:  # the ticks before are looked at all at once
+            blocks = [track.states(looked, track.rows) for track in tracks]
+            for rest, block in zip(rests.values(), blocks, strict=True):
+                rest.look(block)
             looked = tracks[0].rows
-        if met:
-            name = max(met, key=lambda name: rests[name].moved)
-            came = name if rests[name].moved > _NUDGE * rests[name].size else None
+            came = encounters.look(blocks) if len(creatures) > 1 else None
     if came is not None:
-        moved = f"it came {rests[came].moved:.2g} m from where it was set down, and touched another"
-        return rests, {came: f"displaced: before the start {moved}"}
+        return rests, {names[came]: "displaced: before the start a part of it came to the place of another, whom it moved"}
     reasons = {name: rest.why_not(world.frame) for name, rest in rests.items()}
     return rests, {name: reason for name, reason in reasons.items() if reason is not None}
 
 
-def _meeting(world: World, creatures: Sequence[Creature]) -> list[str]:
-    """Returns the names of creatures that touch one another."""
-    contacts, entities = world.simulation.contacts, world.entities
-    owners = {entities.cube(cube).body: each.name for each in creatures for cube in each.cubes.values()}
-    met: list[str] = []
-    for number, owner in owners.items():
-        others = [owners.get(contact.other, owner) for contact in contacts(number) if contact.other is not None]
-        if any(other != owner for other in others):
-            met += [name for name in (owner, *others) if name not in met]
-    return met
+class _Encounters:
+    """Tells who of some creatures has come to another, and moved it, while all come to rest.
+
+    That is whoever first had a part nearer to the place of another than to its own. Contacts do not tell: a limb that
+    strikes may be off again at the end of the tick, and whom it strikes is moved farther than it is.
+
+    Args:
+        rests: Of the creatures.
+    """
+
+    def __init__(self, rests: Sequence[Rest]) -> None:
+        self._rests, self._rows = rests, 0
+        self._crossed: dict[int, int] = {}  # those with such a part, and the row of the first
+        self._near: set[tuple[int, int]] = set()  # pairs of creatures that were near enough to touch
+
+    def look(self, blocks: Sequence[Array]) -> int | None:
+        """Takes the states of the same ticks of each creature, arrays (ticks, n, 13); returns who came to another."""
+        for one, block in enumerate(blocks):
+            ways = [_squares(block[:, :, 0] - rest.place[0], block[:, :, 2] - rest.place[1]) for rest in self._rests]
+            others = np.stack(ways[:one] + ways[one + 1 :]).min(axis=0)
+            rows = np.flatnonzero((others < ways[one]).any(axis=1))
+            if len(rows):
+                self._crossed.setdefault(one, self._rows + int(rows[0]))
+            for other in range(one):
+                gaps = block[:, :, np.newaxis, :3] - blocks[other][:, np.newaxis, :, :3]
+                reach = self._rests[one].arms[:, np.newaxis] + self._rests[other].arms + _CLOSE
+                if (_squares(*np.moveaxis(gaps, 3, 0)) < reach * reach).any():
+                    self._near |= {(one, other), (other, one)}
+        self._rows += len(blocks[0])
+        moved = [rest.moved > _NUDGE * rest.size for rest in self._rests]
+        came = [one for one in self._crossed if any(moved[other] for by, other in self._near if by == one)]
+        return min(came, key=lambda one: (self._crossed[one], one), default=None)
+
+
+def _squares(*lengths: Array) -> Array:
+    """Returns the sums of squares, from left to right."""
+    total = lengths[0] * lengths[0]
+    for length in lengths[1:]:
+        total = total + length * length
+    return total
 
 
 class Rest:
@@ -153,17 +180,20 @@ class Rest:
         states: Of its cubes when it was looked at last, array (n, 13) as `Simulation.states` has them.
         speed: Of the fastest corner, when one was too fast last, m/s.
         size: The longest edge of the box around the body, m.
+        arms: Half the diagonal of each of its cubes, array (n,), m.
+        place: Where its centre of mass was over the ground when it was looked at first, x and z, m.
     """
 
     def __init__(self, body: Body, task: Setting) -> None:
-        self._arms = np.array([math.hypot(*cube.size) / 2.0 for cube in body.cubes])
+        self.arms = np.array([math.hypot(*cube.size) / 2.0 for cube in body.cubes])
         low, high = body.bounds
         self.size = max(b - a for a, b in zip(low, high, strict=True))
         self._limit = _REST_SPEED * self.size
         self._rate, self._still = task.tick_rate, 0
         self._ticks = max(1, round(_REST_TIME * task.tick_rate))
         self._masses = np.array([cube.mass for cube in body.cubes])
-        self._centre: Array | None = None
+        self._looked = False
+        self.place = (0.0, 0.0)
         self.states: Array = np.zeros((len(body.cubes), 13))
         self.speed = 0.0
 
@@ -175,10 +205,8 @@ class Rest:
     @property
     def moved(self) -> float:
         """How far its centre of mass has come over the ground since it was looked at first, m."""
-        if self._centre is None:
-            return 0.0
-        way = self._centre_of(self.states) - self._centre
-        return math.hypot(way[0], way[2])
+        x, z = self._centre_of(self.states)
+        return math.hypot(x - self.place[0], z - self.place[1])
 
     def why_not(self, ticks: int) -> str | None:
         """Returns why it cannot begin as it is after so many ticks, in words; None if it can."""
@@ -189,19 +217,20 @@ class Rest:
             return f"displaced: before the start {way}"
         return None
 
-    def _centre_of(self, states: Array) -> Array:
+    def _centre_of(self, states: Array) -> tuple[float, float]:
         weighed = np.add.accumulate(states[:, :3] * self._masses[:, np.newaxis], axis=0)
-        return np.asarray(weighed[-1] / np.add.accumulate(self._masses)[-1])
+        x, _, z = (weighed[-1] / np.add.accumulate(self._masses)[-1]).tolist()
+        return x, z
 
     def look(self, states: Array) -> None:
         """Takes the states of the tick that has just ended, array (n, 13), or of several, array (ticks, n, 13)."""
-        ticks = states.reshape(-1, len(self._arms), 13)
-        if self._centre is None:
-            self._centre = self._centre_of(ticks[0])
+        ticks = states.reshape(-1, len(self.arms), 13)
+        if not self._looked:
+            self._looked, self.place = True, self._centre_of(ticks[0])
         self.states = ticks[-1]
         squares = ticks[:, :, 7:13] * ticks[:, :, 7:13]
         speeds, spins = (np.sqrt(squares[:, :, i] + squares[:, :, i + 1] + squares[:, :, i + 2]) for i in (0, 3))
-        for speed in (speeds + spins * self._arms).max(axis=1).tolist():
+        for speed in (speeds + spins * self.arms).max(axis=1).tolist():
             if speed <= self._limit:
                 self._still += 1
             else:
