@@ -122,7 +122,8 @@ def settle(
             looked = tracks[0].rows
             came = encounters.look(blocks) if len(creatures) > 1 else None
     if came is not None:
-        return rests, {names[came]: "displaced: before the start a part of it came to the place of another, whom it moved"}
+        reason = "before the start a part of it came to the place of another, whom it moved"
+        return rests, {names[came]: f"displaced: {reason}"}
     reasons = {name: rest.why_not(world.frame) for name, rest in rests.items()}
     return rests, {name: reason for name, reason in reasons.items() if reason is not None}
 

@@ -15,11 +15,11 @@ import numpy.typing as npt
 
 from nmes.backend import Array
 from nmes.objective.quantities import Quantity
-from nmes.objective.trajectory import Block, ObservedBodies, Trajectory, beyond
+from nmes.objective.trajectory import Block, ObservedBodies, Trajectory, beyond, in_order
 
 __all__ = ["ChangingTrajectory"]
 
-_OF_NO_CUBES = ("energy", "time", "time_upright")  # quantities that are the same whatever is there
+_OF_NO_CUBES = ("energy", "work", "time", "time_upright")  # quantities that are the same whatever is there
 
 
 @dataclass(eq=False, slots=True)
@@ -71,6 +71,8 @@ class ChangingTrajectory(Trajectory):
     def series(self, quantity: Quantity, begin: int = 0, end: int | None = None) -> Array:
         """As `Rows.series`; of a cube that is not there it is no number."""
         end = self.rows if end is None else end
+        if quantity.name == "work":
+            return in_order(self.work[begin:end, :-1])
         if quantity.name in _OF_NO_CUBES:
             return super().series(quantity, begin, end)
         parts = [self._series(number, quantity, first, last) for number, first, last in self._pieces(begin, end)]

@@ -40,6 +40,7 @@ QUANTITIES: Final[Mapping[str, tuple[str, str]]] = {
         "work of its motors since the start: the size of effort times velocity, over time",
         "J",
     ),
+    "work": ("the same, without what parts that came since have brought along of motion and height", "J"),
     "cubes": ("how many cubes it has", ""),
     "mass": ("of all its cubes", "kg"),
 }

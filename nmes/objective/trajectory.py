@@ -38,6 +38,7 @@ __all__ = [
     "Trajectory",
     "beyond",
     "duty_of",
+    "in_order",
     "touches",
 ]
 
@@ -209,7 +210,7 @@ class Trajectory(Rows):
         if quantity.name == "time_upright":
             upright = self.series(Quantity("uprightness"), 1, end) >= UPRIGHT
             return np.concatenate([[0.0], np.cumsum(upright) / self.bodies.tick_rate])[begin:end]
-        work = _in_order(self.work[begin:end])
+        work = in_order(self.work[begin:end])
         rows = self.states[begin:end], work, self.touches[begin:end]
         block = Block(self.bodies, self.states[:1], self.bodies.target, begin, *rows)
         return block.series(quantity)
@@ -295,7 +296,7 @@ class RunningQuantities:
         return values
 
     def _row(self, states: Array, work: Array, touches: Flags) -> Block:
-        rows = states[np.newaxis], _in_order(work[np.newaxis]), touches[np.newaxis]
+        rows = states[np.newaxis], in_order(work[np.newaxis]), touches[np.newaxis]
         return Block(self.bodies, self._start[np.newaxis], self.bodies.target, self.ticks, *rows)
 
     def _now(self, quantity: Quantity, row: Block) -> float:
@@ -373,7 +374,7 @@ class QuantityRows:
             touches: Array (count, n, 2), or (count, 0, 2); as in `Trajectory`.
         """
         self._ticks += 1.0
-        rows = states, _in_order(work), touches
+        rows = states, in_order(work), touches
         block = Block(self.bodies, self._starts, self._targets, self._ticks, *rows, self._origins)
         if any(quantity.name == "time_upright" for quantity in self._quantities):
             self._upright += block.series(Quantity("uprightness")) >= UPRIGHT
@@ -436,7 +437,7 @@ def beyond(
         spin: Of each of its cubes, rad/s.
     """
     body = bodies.columns(None)
-    flags: dict[str, Flags] = {"energy": np.asarray(_in_order(work) > energy)}
+    flags: dict[str, Flags] = {"energy": np.asarray(in_order(work) > energy)}
     for name, limit, first in (("speed", speed, 7), ("spin", spin, 10)):
         # What is no number is beyond every limit.
         flags[name] = np.asarray(~(_length(states[:, body, first : first + 3]) <= limit).all(axis=1))
@@ -446,7 +447,7 @@ def beyond(
 # -- formulas ---------------------------------------------------------------------------------------------------------
 
 
-def _in_order(values: Array) -> Array:
+def in_order(values: Array) -> Array:
     """Sums over the last axis from left to right: how numpy's own sum is grouped depends on the array's shape."""
     if not values.shape[-1]:
         return np.zeros(values.shape[:-1])
@@ -486,11 +487,11 @@ class Block:
                 first = self.number
                 numbers = np.arange(first, first + len(self.states)) if isinstance(first, int) else first
                 return numbers / self.bodies.tick_rate
-            case "energy":
+            case "energy" | "work":
                 return self.work
             case "cubes" | "mass":
                 masses = self.bodies.masses[columns]
-                value = float(len(masses)) if name == "cubes" else float(_in_order(masses))
+                value = float(len(masses)) if name == "cubes" else float(in_order(masses))
                 return np.full(len(self.states), value)
             case "contacts":
                 count: Array = self.touches[:, columns, 0 if quantity.cube is not None else 1].sum(
@@ -532,7 +533,7 @@ class Block:
         vectors, masses = states[:, columns, first : first + 3], self.bodies.masses[columns]
         if len(masses) == 1:
             return vectors[:, 0]
-        weights = masses / _in_order(masses)
+        weights = masses / in_order(masses)
         sums: Array = np.add.accumulate(vectors * weights[:, np.newaxis], axis=1)
         return sums[:, -1]
 

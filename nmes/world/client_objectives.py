@@ -32,7 +32,7 @@ __all__ = ["ClientObjectives", "metric"]
 logger = logging.getLogger(__name__)
 
 _MOST_OBJECTIVES = 16  # objectives of one client: each may cost something at every tick
-_ANYWHERE = frozenset({"cubes", "energy", "mass", "time"})  # quantities that are the same wherever the cubes are
+_ANYWHERE = frozenset({"cubes", "energy", "mass", "time", "work"})  # quantities of no place
 
 
 class _ClientObjective:
@@ -68,7 +68,7 @@ class _ClientObjective:
         self._observed = ObservedBodies((*cubes, *others), len(cubes), sizes, masses, entities.tick_rate, aim, shapes)
         self._uses_contacts = any(quantity.name == "contacts" for quantity in objective.needs)
         self._uses_states = any(quantity.name not in _ANYWHERE for quantity in objective.needs)
-        self._uses_energy = any(quantity.name == "energy" for quantity in objective.needs)
+        self._uses_energy = any(quantity.name in ("energy", "work") for quantity in objective.needs)
         # The motors of its body, also those that came later or are gone, and the sums of their powers.
         self._motors: list[int] = []
         self._watts: Array = np.zeros(0)

@@ -153,6 +153,29 @@ def test_who_rolls_down_a_limb_that_is_cut_off_has_not_walked() -> None:
     assert min(result.distance for result in evaluation.results) > 10.0
 
 
+def test_what_grew_and_is_cut_off_has_not_worked() -> None:
+    """A lump grows high on the marble's leg, whose weight counts as energy of the creature; then both are cut off."""
+    document = marble().document
+    leg = document["body"]["cubes"][2]
+    x, y, _ = leg["position"]
+    top, foot = [x, 2 * y - 0.2, 0.9], [x - 0.15, 0.05, 0]
+    lump: Json = {"id": "lump", "size": 0.3, "mass": 60, "position": [x, top[1], 1.17]}
+    nub: Json = {"id": "nub", "size": 0.1, "mass": 1, "position": [foot[0] - 0.06, 0.05, 0]}
+    motor = {"mode": "velocity", "range": [-1, 1], "max_effort": 0}  # only who has a motor has a brain, and develops
+    document["body"]["cubes"] += [lump, nub]
+    document["body"]["joints"] += [
+        {"id": "l", "cube1": "leg", "cube2": "lump", "type": "fixed", "anchor": top},
+        {"id": "m", "cube1": "leg", "cube2": "nub", "type": "hinge", "anchor": foot, "motor": motor},
+    ]
+    rules = [{"when": "cubes > 0", "grow": ["lump"]}]
+    brain = {"kind": "sine", "oscillators": [{"motor": "*", "amplitude": 0}]}
+    ripe = Genome({**document, "later": ["lump"], "development": rules, "brain": brain})
+    evaluation = evaluate(ripe, Task.load("injury"))
+    assert evaluation.error is None
+    assert [result.score for result in evaluation.results] == [0.0] * 3
+    assert min(result.energy for result in evaluation.results) > 500.0
+
+
 @pytest.mark.parametrize("overlap", [0.1, 0.2, 0.28])
 def test_who_is_flung_by_a_limb_that_is_cut_off_has_not_walked(overlap: float) -> None:
     """The root lies in the limb it hangs on: once they are apart the heavy one throws it."""

@@ -366,6 +366,7 @@ def reckon(trajectory: Trajectory, row: int, quantity: Quantity) -> float:
         "uprightness": lambda: rotate(tuple(trajectory.states[row, who[0], 3:7]), (0.0, 1.0, 0.0))[1],
         "time_upright": lambda: sum(cosine >= 0.5 for cosine in up[1:]) / bodies.tick_rate,
         "energy": lambda: trajectory.work[row].sum(),
+        "work": lambda: trajectory.work[row].sum(),
         "contacts": lambda: sum(trajectory.touches[row, i, 0 if quantity.cube else 1] for i in who),
         "cubes": lambda: len(who),
         "mass": lambda: mass,
