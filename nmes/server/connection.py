@@ -299,7 +299,7 @@ class Connection(asyncio.BufferedProtocol):
             if isinstance(first, Request):
                 request = first
             elif len(first) > LONG:
-                if world.begin_reading(self._client):
+                if world.turns.begin_reading(self):
                     self._read_in_thread(first, world)
                 waits = True
                 break

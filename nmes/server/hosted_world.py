@@ -93,7 +93,7 @@ class HostedWorld:
         self._recorder = _begin(self.world, record_to, flush_interval, origin, maker)
         self.durable = self._recorder is not None and flush_interval == 0  # whether output waits for the disk
         self._peers = Peers()
-        self.turns = Turns()  # of its connections
+        self.turns = Turns(lambda: self._worker.away or self._closing)  # of its connections
         self.world.emit = self._peers.send
         self._settling: asyncio.Handle | None = None  # where `_settle` is to be called
         self._uncommitted: dict[Outbox, None] = {}  # output that is to be on disk first
@@ -226,18 +226,6 @@ class HostedWorld:
         if self._peers.unsent or self._barrier.waiting or self.world.fault is not self._fault:
             self._settle_soon()
         return reply
-
-    def begin_reading(self, client: int) -> bool:
-        """Begins to read a long frame of a client, until `turns.end_reading`; returns whether that may be now.
-
-        One is read at a time, and none while the world is in a thread: what was read takes many times the room of its
-        bytes, and would only wait. Where it may not be, the connection's `resume` is called when it may.
-        """
-        peer = self._peers[client]
-        if self._worker.away or self._closing:
-            self._waiting[peer] = None
-            return False
-        return self.turns.begin_reading(peer)
 
     def _submit_long(self, client: int, request: Request) -> bytes | None:
         """Executes a request that may take long; returns None if it has to wait."""
@@ -373,6 +361,7 @@ class HostedWorld:
         waiting, self._waiting = self._waiting, {}
         for connection in waiting:
             self.turns.wait(connection)
+        self.turns.read_on()
         leavers, self._leavers = self._leavers, []
         for client in leavers:
             self.world.leave(client)

@@ -10,6 +10,7 @@ waits for one.
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Callable
 from time import monotonic
 from typing import Protocol
 
@@ -24,13 +25,17 @@ class _Waiter(Protocol):
 class Turns:
     """The turns of the connections of one world.
 
+    Args:
+        busy: Tells whether the world is in a thread or closes; `read_on` is to be called when it is back.
+
     Attributes:
         end: When the slice is over that is open in this turn of the loop, as `monotonic`; empty where none is. Whoever
             opens one has `next` called, unless it is `called` already.
         called: Whether `next` is to be called by the loop.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, busy: Callable[[], bool]) -> None:
+        self._busy = busy
         self.end: list[float] = []
         self.called = False
         self._queue: dict[_Waiter, None] = {}  # in the order in which they go on
@@ -64,10 +69,11 @@ class Turns:
     def begin_reading(self, waiter: _Waiter) -> bool:
         """Begins to read a long frame of a connection, until `end_reading`; returns whether it may: it is next.
 
-        Else it is resumed when it is, and has to begin then, or to be forgotten.
+        One is read at a time, and none while the world is busy: what was read takes many times the room of its bytes,
+        and would only wait. Who may not is resumed when it is next, and has to begin then, or to be forgotten.
         """
         self._readers.setdefault(waiter)
-        if self._reading or next(iter(self._readers)) is not waiter:
+        if self._reading or self._busy() or next(iter(self._readers)) is not waiter:
             return False
         del self._readers[waiter]
         self._reading = True
@@ -76,14 +82,15 @@ class Turns:
     def end_reading(self) -> None:
         """Ends to read a long frame; the next is read then."""
         self._reading = False
-        self._read_on()
+        self.read_on()
 
     def forget_reader(self, waiter: _Waiter) -> None:
         """Lets others pass a connection that cannot go on for now, or is gone."""
         if waiter in self._readers:
             del self._readers[waiter]
-            self._read_on()
+            self.read_on()
 
-    def _read_on(self) -> None:
+    def read_on(self) -> None:
+        """Resumes whose long frame is next."""
         if self._readers and not self._reading:
             self.wait(next(iter(self._readers)))

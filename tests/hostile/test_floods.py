@@ -160,7 +160,7 @@ async def test_long_frames_of_a_world_are_read_in_turn() -> None:
         def resume(self) -> None:
             self.resumed += 1
 
-    turns, (one, two, three, four) = Turns(), [Waiter() for _ in range(4)]
+    turns, (one, two, three, four) = Turns(lambda: False), [Waiter() for _ in range(4)]
     assert [turns.begin_reading(each) for each in (one, two, three, four)] == [True, False, False, False]
     turns.end_reading()
     assert not turns.begin_reading(one), "behind those who wait"
