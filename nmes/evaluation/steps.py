@@ -152,14 +152,21 @@ class _Encounters:
             if len(rows):
                 self._crossed.setdefault(one, self._rows + int(rows[0]))
             for other in range(one):
-                gaps = block[:, :, np.newaxis, :3] - blocks[other][:, np.newaxis, :, :3]
-                reach = self._rests[one].arms[:, np.newaxis] + self._rests[other].arms + _CLOSE
-                if (_squares(*np.moveaxis(gaps, 3, 0)) < reach * reach).any():
+                if (one, other) not in self._near and self._come_near(one, other, blocks):
                     self._near |= {(one, other), (other, one)}
         self._rows += len(blocks[0])
         moved = [rest.moved > _NUDGE * rest.size for rest in self._rests]
         came = [one for one in self._crossed if any(moved[other] for by, other in self._near if by == one)]
         return min(came, key=lambda one: (self._crossed[one], one), default=None)
+
+    def _come_near(self, one: int, other: int, blocks: Sequence[Array]) -> bool:
+        reach = self._rests[one].arms[:, np.newaxis] + self._rests[other].arms + _CLOSE
+        # A tick at a time: how many ticks and cubes there are is for tasks and genomes to say.
+        for here, there in zip(blocks[one], blocks[other], strict=True):
+            gaps = here[:, np.newaxis, :3] - there[:, :3]
+            if (_squares(*np.moveaxis(gaps, 2, 0)) < reach * reach).any():
+                return True
+        return False
 
 
 def _squares(*lengths: Array) -> Array:

@@ -53,7 +53,7 @@ class Turns:
             asyncio.get_running_loop().call_soon(self.next)
 
     def next(self) -> None:
-        """Begins a turn of the loop: resumes those that wait, for one slice, of which others have what they leave."""
+        """Begins a turn of the loop: resumes those that wait, until a slice is over."""
         self.called = False
         self.end.clear()
         for waiter in list(self._queue):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tracemalloc
 from random import Random
 from typing import Any
 
@@ -116,6 +117,23 @@ def test_who_is_moved_before_the_match_has_not_lost_it(role: str, other: str) ->
     for match in play("sumo", {role: genome({"cubes": cubes, "joints": joints}), other: "walker"}):
         assert "came to the place of another" in str(match.results[role].fault)
         assert match.results[other].fault is None
+
+
+def test_to_look_for_who_comes_to_another_takes_little_memory() -> None:
+    places = [[0.3 * (n % 16), 0.1, 0.3 * (n // 16)] for n in range(128)]
+    cubes = [{"id": f"c{n}", "size": 0.2, "mass": 1, "position": place} for n, place in enumerate(places)]
+    hangs = {"cube1": "c0", "type": "fixed", "anchor": [0, 0.1, 0]}
+    many = genome({"cubes": cubes, "joints": [{"id": f"j{n}", "cube2": f"c{n}", **hangs} for n in range(1, 128)]})
+    document = MatchTask.load("sumo").document
+    roles = [{**role, "limits": {}} for role in document["roles"]]
+    task = MatchTask({**document, "name": "crowds", "settle": 5, "duration": 0.1, "limits": {}, "roles": roles})
+    tracemalloc.start()
+    try:
+        play(task, {"red": many, "blue": many}, seeds=[1])
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 60e6  # 300 ticks of 16,384 pairs of cubes are 118 MB
 
 
 def test_who_comes_to_its_target_before_the_start_has_no_score() -> None:
