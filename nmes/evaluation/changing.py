@@ -39,13 +39,13 @@ class _Change:
     Attributes:
         came: The energy of what came, and the columns of that.
         went: The same of what went.
-        stopped: The columns of the motors that went.
+        stopped: The columns of the motors that went, and what each gave in the tick at whose end that was, (2, k), W.
         sprung: The columns of the joints with springs that came: where lost parts are taken up again, bent ones may.
     """
 
     came: tuple[Balance, Columns]
     went: tuple[Balance, Columns]
-    stopped: Columns
+    stopped: tuple[Columns, Array]
     sprung: Columns
 
 
@@ -92,8 +92,8 @@ class ChangingJudge(Judge):
             came = max(came, 0.0) + total(bent.tolist()) / 2.0
             rate = self.trajectory.bodies.tick_rate
             powers[0, 0, -1], powers[0, 1, -1] = (came - went) * rate, (came + max(-went, 0.0)) * rate
-            # What a motor gave in the tick at whose end it went is not known: about what it gave before.
-            powers[0][:, change.stopped] = self._powers[begin - 1][:, change.stopped]
+            stopped, given = change.stopped
+            powers[0][:, stopped] = given
             self._change = None
         self._energies[begin:end] = self._now.energy(states[:, self.trajectory.there], positions)
         return super().take(states, powers, positions)
@@ -172,7 +172,7 @@ class ChangingObserver(Observer):
             change = _Change(
                 (Balance.of(self._bodies(came), world.config, ()), np.array(came, np.intp)),
                 (Balance.of(gone, world.config, ()), np.array(went, np.intp)),
-                np.setdiff1d(self._driven, motors),
+                self._stopped(motors),
                 np.setdiff1d(springs, self._moved),
             )
         self.judge.change(balance, np.array(columns, np.intp), change)
@@ -182,6 +182,12 @@ class ChangingObserver(Observer):
         joints = [[entities.joint(creature.joints[each[at].id]).number for at in some] for each, some in kinds]
         self.watched = Watched([*numbers.values()], *joints)
         self._track = world.simulation.track(*self.watched, self._room - self._seen)
+
+    def _stopped(self, motors: Columns) -> tuple[Columns, Array]:
+        """Returns which motors went, and what they gave in the tick that has just ended, as a change has it."""
+        went, meter = ~np.isin(self._driven, motors), self._world.entities.meter
+        given = [meter.latest(joint) for joint in np.array(self.watched.motors, np.intp)[went].tolist()]
+        return self._driven[went], np.array(given, float).reshape(-1, 2).T
 
     def _note(self) -> None:
         """Keeps a row, after each tick that counts and at the start, for `look`."""

@@ -26,6 +26,7 @@ class EnergyMeter:
         self._watts: dict[int, float] = {}  # the sums by joint, in the order in which they came, but for what is kept
         self._numbers: tuple[int, ...] | None = ()  # None while joints come and go: nothing is kept then
         self._track = simulation.track([], [], [], 0)
+        self._latest: dict[int, Array] = {}  # the last row that was summed, if no tick came after it
 
     @property
     def numbers(self) -> tuple[int, ...]:
@@ -38,6 +39,14 @@ class EnergyMeter:
     def powers(self) -> Array:
         """Returns the size of the power of each of `numbers`, array (m,), W; to be asked right after `tick`."""
         return self._track.powers(self._track.rows - 1, self._track.rows)[0, 1] if self.numbers else np.zeros(0)
+
+    def latest(self, joint: int) -> Array:
+        """Returns the power of a motor in the tick that ended last, and its size, array (2,), W.
+
+        A joint that was cut at the end of that tick has it too; one that was cut before it, or is not metered, has 0.
+        """
+        self._settle()
+        return self._latest.get(joint, np.zeros(2))
 
     def add(self, joint: int, watts: float = 0.0) -> None:
         """Meters a joint from now on, if it is not yet; `watts` is the sum that it has."""
@@ -66,11 +75,13 @@ class EnergyMeter:
             if self._track.rows == _ROWS:
                 self._settle()
             self._track.note()
+        self._latest = {}
 
     def _settle(self) -> None:
         """Adds what is kept to the sums, tick by tick."""
         if self._track.rows:
-            rows = self._track.powers(0, self._track.rows)[:, 1]
-            sums = np.add.accumulate(np.vstack([list(self._watts.values()), rows]))[-1]
+            rows = self._track.powers(0, self._track.rows)
+            sums = np.add.accumulate(np.vstack([list(self._watts.values()), rows[:, 1]]))[-1]
+            self._latest = dict(zip(self._watts, rows[-1].T, strict=True))
             self._watts = dict(zip(self._watts, sums.tolist(), strict=True))
             self._track = self._simulation.track([], [], self._numbers or (), _ROWS)

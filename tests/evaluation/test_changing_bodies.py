@@ -129,6 +129,29 @@ def test_without_that_payment_it_is_energy_of_nothing(monkeypatch: MonkeyPatch) 
     assert result.fault is not None and result.fault.startswith("energy: ")
 
 
+def settling(genome: Json, asked: Task) -> tuple[int, float]:
+    """Runs a creature; returns how many joints it has then, and by how much the world's sum of work is more, J."""
+    ran = run(genome, asked)
+    assert ran._observer is not None
+    entities, told = ran._world.entities, ran._observer.judge.trajectory.work[-1].sum()
+    metered = [entities.work(entities.cube(name)) for name in entities.cubes]  # of each motor twice: it joins two cubes
+    return len(ran._observer.creature.joints), sum(metered) / 2 - told
+
+
+def test_a_motor_that_goes_has_worked_up_to_its_last_tick_and_no_longer() -> None:
+    """Rules cut at the end of a tick, a task before it begins."""
+    rule = {"when": "age >= 1", "shed": ["c1"]}
+    joints, before = settling(snake(segments=2), task())
+    shed, injured = growing(rule, segments=2), task(injury={"time": [0.9, 1.1]})
+    cut = settling(shed, task()), settling(snake(segments=2), injured)
+    assert joints == 1 and [joints for joints, _ in cut] == [0, 0]
+    assert [work for _, work in cut] == pytest.approx([before] * 2, rel=1e-9)
+
+
+def test_who_is_cut_in_the_middle_of_a_jump_has_got_no_energy_of_nothing() -> None:
+    assert [result.fault for result in evaluate("jumper", "injury").results] == [None] * 3
+
+
 def test_springs_that_are_taken_up_bent_are_paid_too() -> None:
     rules = [
         {"when": "age > 1", "stage": 1, "shed": ["c2"], "enter": 2},
