@@ -30,6 +30,7 @@ from nmes.protocol import DELIMITER
 
 SECONDS = 4.0  # of each attack
 AUTH = json.dumps({"type": "auth", "password": PASSWORD, "world": "victim"}).encode() + DELIMITER
+RAW = PASSWORD.encode() + DELIMITER  # of the raw dialect, for the first world, which is the victim
 
 
 class Attack:
@@ -66,11 +67,11 @@ class Attack:
         """Returns the client's side of a TLS connection that has not begun."""
         return Tls(self._trust)
 
-    def again(self, *frames: bytes) -> None:
+    def again(self, *frames: bytes, auth: bytes = AUTH) -> None:
         """Sends frames to the attacked world, one after another, and each time waits for the answer."""
         with socket.create_connection(("127.0.0.1", self.port)) as peer:
             peer.settimeout(0.2)
-            peer.sendall(AUTH)
+            peer.sendall(auth)
             self._hear(peer)
             while self.going:
                 for frame in frames:
@@ -152,6 +153,19 @@ def _spawned(attack: Attack, count: int, gap: float) -> None:
     with attack.victim() as client, client.pipeline() as many:
         for n in range(count):
             many.spawn_cube(position=[gap * (n % 80), 0.5, gap * (n // 80)], list=False)
+
+
+def translations(attack: Attack) -> None:
+    """Batches of the raw dialect with replies of 8 MiB, of which one is told in the original's words."""
+    _spawned(attack, 5000, 3.0)
+    joint = {"type": "get_joint_info", "joint_name": "none"}
+    attack.again(say(type="batch", commands=[joint, *[{"type": "get_world_state"}] * 9]), auth=RAW)
+
+
+def renamings(attack: Attack) -> None:
+    """Batches of the raw dialect of 10,000 commands whose replies are all told in the original's words."""
+    joint = {"type": "get_joint_info", "joint_name": "none"}
+    attack.again(say(type="batch", commands=[joint] * 10_000), auth=RAW)
 
 
 def big_build(attack: Attack) -> None:
@@ -389,6 +403,8 @@ ATTACKS: dict[str, Callable[[Attack], None]] = {
     "1,200 joints in a row": joints,
     "330,000 empty objects": empty_objects,
     "batches of 10,000": pings,
+    "great batches of the raw dialect": translations,
+    "batches of 10,000 of the raw dialect": renamings,
     "a step after 3,000 spawns": big_build,
     "300 cubes on one spot": pile,
     "the state of 5,000 cubes": big_state,

@@ -11,13 +11,14 @@ from collections import deque
 from collections.abc import Callable
 from concurrent.futures import Future
 from contextlib import ExitStack, suppress
+from typing import Any
 
 import pytest
 from websockets.exceptions import ConnectionClosed
 from websockets.frames import Frame, Opcode
 
 from browsers import socket_to, web_port
-from nmes.protocol import DELIMITER, Limits, Request, Session
+from nmes.protocol import DELIMITER, Limits, Request, Session, messages, original
 from nmes.server.reception import Reception
 from nmes.server.threads import SLICE
 from nmes.server.turns import Turns
@@ -95,6 +96,33 @@ def test_long_frames_wait_unread_while_their_world_is_busy(monkeypatch: pytest.M
         assert peers[0].hear()["type"] == "stepped"
         assert [peer.hear() for peer in peers[1:]] == [{"type": "pong", "ignored": ["x"]}] * 5
     assert len(reads) == 5
+
+
+def test_of_a_great_batch_of_the_raw_dialect_a_thread_translates_what_is_told_otherwise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    decode, read = messages.decode, list[tuple[str, int]]()
+
+    def noted(message: bytes) -> dict[str, Any]:
+        read.append((threading.current_thread().name, len(message)))
+        return decode(message)
+
+    monkeypatch.setattr(original, "decode", noted)
+    with served() as server, server.peer("raw") as peer:
+        for number in range(100):
+            peer.send(b'{"type":"spawn_cube","cube_name":"c%d","position":[%d,1,0]}' % (number, 2 * number) + DELIMITER)
+        rename = {"type": "set_joint_param", "joint_name": "none", "param_name": "limit_lower", "value": 1}
+        states = [{"type": "get_world_state"}] * 50
+        answer = peer.ask({"type": "batch", "commands": [rename, *states, rename], "id": 1 << 70})
+        assert peer.ask({"type": "ping"}) == {"type": "pong"}
+        loop = server.call(lambda: threading.current_thread().name)
+        peer.send(b'{"type":"batch","commands":[%b]}' % b",".join([b'{"type":"get_world_state"}'] * 50) + DELIMITER)
+    errors = [answer["results"][0], answer["results"][-1]]
+    assert [(error["code"], error["command"]) for error in errors] == [("joint_not_found", "set_joint_param")] * 2
+    assert answer["id"] == 1 << 70
+    assert [len(state["cubes"]) for state in answer["results"][1:-1]] == [100] * 50
+    assert len(read) == 2 and max(size for _, size in read) < 500
+    assert loop not in {name for name, _ in read}
 
 
 def test_objectives_about_cubes_that_are_gone_are_forgotten_in_the_end() -> None:

@@ -309,7 +309,7 @@ def raw_means_silent(patch: MonkeyPatch) -> None:
 @defect("3.14")
 def planets_with_a_type(patch: MonkeyPatch) -> None:
     """It answers get_planets in the raw dialect with a type, as in the other."""
-    patch.setitem(original._ANSWERS, "planets", lambda said, reply: reply)
+    patch.setitem(original._ANSWERS, b"planets", lambda said, reply: reply)
 
 
 @defect("3.1")

@@ -10,8 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from nmes.protocol import DELIMITER, REDACTED, Session, parse
+from nmes.protocol import DELIMITER, REDACTED, Session, encode, original, parse
 from nmes.world import World
 
 Message = dict[str, Any]
@@ -85,6 +87,30 @@ def test_a_force_in_a_batch_of_the_original_means_the_same(raw: RawClient) -> No
     assert raw.ask("batch", commands=[{"type": "apply_force", "force": [3, 0, 0]}])["results"][0]["type"] != "error"
     raw.world.tick()
     assert raw.velocity("mine") == pytest.approx([3, 0, 0], abs=1e-9)
+
+
+JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text('{}[]\\"<a'),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text('{}\\"a', max_size=3), inner, max_size=3),
+    max_leaves=6,
+)
+
+
+@given(st.lists(st.tuples(st.booleans(), JSON), min_size=1, max_size=5), JSON)
+def test_of_a_batch_what_the_original_told_alike_is_told_as_it_is(results: list[tuple[bool, Any]], number: Any) -> None:
+    told = {"type": "batch_result", "results": [], "id": number}
+    before, after = (
+        encode({**told, "results": list(_results(results, name))}) for name in ("apply_physics", "apply_force")
+    )
+    commands = [{"type": "apply_force", "force": [0, 1, 0]}] * len(results)
+    request = parse(json.dumps({"type": "batch", "commands": commands}).encode(), translate=original.command)
+    assert original.answer(request, before) == after
+
+
+def _results(results: list[tuple[bool, Any]], command: str) -> Iterator[Message]:
+    for refused, value in results:
+        error = {"type": "error", "code": "invalid", "message": "no", "command": command}
+        yield {**error, "id": value} if refused else {"type": "physics_applied", "id": value, "x": {"type": "error"}}
 
 
 def test_a_force_of_the_json_dialect_acts_throughout_one_tick() -> None:
