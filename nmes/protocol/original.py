@@ -207,14 +207,18 @@ def _results(reply: bytes, count: int) -> list[slice]:
     They may have 8 MiB, most of which is told as it is. To read them as objects would take 0.1 s, in which nothing else
     can run; numpy lets others run.
     """
-    begin = len(_RESULTS)
-    unescaped = reply[begin:].replace(rb"\\", b"__").replace(rb"\"", b"__")
-    text = np.frombuffer(unescaped, np.uint8)
-    places = np.flatnonzero((text == ord('"')) | (text == ord("{")) | (text == ord("}")))
+    text = np.frombuffer(reply, np.uint8)[len(_RESULTS) :]
+    signs = (text == ord('"')) | (text == ord("{")) | (text == ord("}"))
+    backslashes = np.flatnonzero(text == ord("\\"))
+    if len(backslashes):  # of some in a row, each second one is itself meant, and of the others what comes after
+        begins = np.diff(backslashes, prepend=-2) != 1
+        begun = np.maximum.accumulate(np.where(begins, backslashes, 0))
+        signs[backslashes[(backslashes - begun) % 2 == 0] + 1] = False
+    places = np.flatnonzero(signs)
     found = text[places]
     quotes = found == ord('"')
-    braces = ~quotes & (np.cumsum(quotes) % 2 == 0)
-    places, opens = places[braces] + begin, found[braces] == ord("{")
+    braces = ~quotes & ~np.logical_xor.accumulate(quotes)
+    places, opens = places[braces] + len(_RESULTS), found[braces] == ord("{")
     depth = np.cumsum(np.where(opens, 1, -1))
     starts, ends = places[opens & (depth == 1)][:count].tolist(), places[~opens & (depth == 0)][:count].tolist()
     return [slice(start, end + 1) for start, end in zip(starts, ends, strict=True)]

@@ -6,7 +6,7 @@ Invariants:
   nothing more is read from that socket meanwhile.
 - All replies to what one read brought leave in one write, in the order of the requests; events keep their place.
 - Nobody waits for long: commands are read and run in slices of `SLICE` s, which the connections of a world share (see
-  `Turns`), then others have their turn; a long frame is read in a thread, and the reply to a long batch translated.
+  `Turns`), then others have their turn; a long frame is read in a thread.
 - What has to be on disk is on it before it is handed to the socket: the `Outbox` is the only way out. What this socket
   asks next waits with it.
 - What a peer does not read is bounded: over half the limit its commands wait, over the limit it is cut.
@@ -20,7 +20,6 @@ import logging
 from collections import deque
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future
-from functools import partial
 from math import ceil
 from time import monotonic
 from typing import TYPE_CHECKING, Any, cast
@@ -76,8 +75,7 @@ class Connection(asyncio.BufferedProtocol):
         self._client = 0
         self._timer: asyncio.TimerHandle | None = None  # the deadline that applies: auth, its answer, hanging up
         self._backlog: deque[bytes | Request] = deque()  # yet to be read and executed; the socket waits meanwhile
-        # The first of them, where it is read in a thread, or its reply is translated in one.
-        self._reading: Future[Request] | Future[bytes] | None = None
+        self._reading: Future[Request] | None = None  # the first of them, where it is read in a thread
         self._full = False  # the peer does not read: its commands wait
         self._overflowed = False  # it did not read for so long that events were dropped: it must go
         self._ended = False  # the peer sends nothing more
@@ -273,7 +271,7 @@ class Connection(asyncio.BufferedProtocol):
                 self._end()
             elif self._world is None:
                 self._join()
-            elif self._backlog or self._output.queue:
+            elif self._backlog:
                 self._work()
         except Exception:
             self._failed()
@@ -309,17 +307,12 @@ class Connection(asyncio.BufferedProtocol):
                 request = session.read(backlog, LONG)
             if request.ignored or request.said is not None:
                 _log_without_effect(session, request, self._peer)
-            encoded = world.submit(self._client, request)
-            waits = encoded is None
-            if encoded is None or not backlog:  # it waits, or its connection was ended meanwhile
-                break
-            if request.type == "batch" and len(encoded) > LONG and session.dialect == "raw":
-                self._tell_in_thread(request, encoded)
-                waits = True
+            reply = world.submit(self._client, request, session.reply)
+            waits = reply is None
+            if reply is None or not backlog:  # it waits, or its connection was ended meanwhile
                 break
             backlog.popleft()
             self._visit.commands += 1
-            reply = session.reply(request, encoded)
             if reply:
                 output.queue.append(reply)
                 output.size += len(reply)
@@ -332,19 +325,15 @@ class Connection(asyncio.BufferedProtocol):
         output.flush()
         if self._overflowed:
             self._cut()
-        if backlog:
-            self._transport.pause_reading()
-            if self._world is not None and not (self._full or waits or output.waits):
-                self._world.turns.wait(self)  # the rest is executed when others have had their turn
-        elif self._lost:
-            self._leave()
+        if backlog or self._lost:
+            self._wait_or_leave(waits or output.waits)
         else:
             self._transport.resume_reading()
 
     def _read_in_thread(self, frame: bytes, world: HostedWorld) -> None:
         """Reads the first frame of the backlog in a thread; what came behind it waits."""
         loop = asyncio.get_running_loop()
-        self._reading = reading = self._host.read(self._session.parse, frame)
+        self._reading = self._host.read(self._session.parse, frame)
 
         # Given the future: one that it were to find by itself would keep itself, and with it what was read.
         def go_on(done: Future[Request]) -> None:
@@ -354,22 +343,16 @@ class Connection(asyncio.BufferedProtocol):
                 self._backlog[0] = self._session.redacted(done.result())
             self.resume()
 
-        reading.add_done_callback(lambda done: loop.call_soon_threadsafe(go_on, done))
+        self._reading.add_done_callback(lambda done: loop.call_soon_threadsafe(go_on, done))
 
-    def _tell_in_thread(self, request: Request, encoded: bytes) -> None:
-        """Has the reply to the first of the backlog translated in a thread; what came behind it waits."""
-        loop = asyncio.get_running_loop()
-        self._reading = telling = self._host.read(partial(self._session.reply, request), encoded)
-
-        def go_on(done: Future[bytes]) -> None:
-            self._reading = None
-            if self._backlog:  # else the connection was ended meanwhile
-                self._backlog.popleft()
-                self._visit.commands += 1
-                self._output.put(done.result())
-            self.resume()
-
-        telling.add_done_callback(lambda done: loop.call_soon_threadsafe(go_on, done))
+    def _wait_or_leave(self, waits: bool) -> None:
+        """Has the rest executed when others have had their turn, or after `resume`; leaves if none is left."""
+        if not self._backlog:
+            self._leave()
+            return
+        self._transport.pause_reading()
+        if self._world is not None and not self._full and not waits:
+            self._world.turns.wait(self)
 
     def _queue_violation(self, violation: RejectedMessage) -> None:
         """Queues a frame that ends the session, once.

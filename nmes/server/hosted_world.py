@@ -39,7 +39,7 @@ from nmes.server.hibernation import Hibernation
 from nmes.server.metrics import Metrics, Spent, WorldFigures
 from nmes.server.outbox import Outbox
 from nmes.server.peers import Peer, Peers
-from nmes.server.threads import LONG_COMMANDS, Worker, WorkerPool
+from nmes.server.threads import LONG_COMMANDS, Tell, Worker, WorkerPool
 from nmes.server.turns import Turns
 from nmes.server.world_recorder import Origin, WorldRecorder
 from nmes.world import Fault, World
@@ -203,11 +203,16 @@ class HostedWorld:
             self._settle_soon()
         self.hibernation.put_off()
 
-    def submit(self, client: int, request: Request) -> bytes | None:
+    def submit(self, client: int, request: Request, tell: Tell) -> bytes | None:
         """Executes a client's request.
 
+        Args:
+            client: Whose it is.
+            request: What is asked.
+            tell: Makes what is sent of the request and the encoded reply to it; called where the request is executed.
+
         Returns:
-            The encoded reply, without delimiter; or None if the request has to wait: the connection's `resume` is
+            What `tell` returned; or None if the request has to wait: the connection's `resume` is
             called when it may be submitted again, before any other request of that client. It waits while the world is
             in a thread, also for its own sake; and where there is a barrier, a `step` waits for those of all others who
             control the world.
@@ -216,33 +221,33 @@ class HostedWorld:
             self._waiting[self._peers[client]] = None
             return None
         if request.type in LONG_COMMANDS:
-            reply = self._submit_long(client, request)
+            reply = self._submit_long(client, request, tell)
             if reply is None:
                 return None
         else:
-            reply = self.world.handle(client, request)
+            reply = tell(request, self.world.handle(client, request))
         if request.type in _STEERING:
             self._clock.adjust()  # at once: its next turn may come before all else
         if self._peers.unsent or self._barrier.waiting or self.world.fault is not self._fault:
             self._settle_soon()
         return reply
 
-    def _submit_long(self, client: int, request: Request) -> bytes | None:
+    def _submit_long(self, client: int, request: Request, tell: Tell) -> bytes | None:
         """Executes a request that may take long; returns None if it has to wait."""
         command, world = request.command, self.world
         if (result := self._results.pop(client, None)) is not None:
             return result.result()
         if command is None or world.fault is not None:
-            return world.handle(client, request)
+            return tell(request, world.handle(client, request))
         if world.barrier is not None and request.type == "step" and world.may(client, "step"):
             waits = self._barrier.arrive(client, command.get("ticks", 1))
-            return None if waits else world.handle(client, request)
+            return None if waits else tell(request, world.handle(client, request))
         worker = self._worker
         if worker.takes_long(command):
-            execute = partial(worker.execute, client, request)
+            execute = partial(worker.execute, client, request, tell)
             if worker.run(execute, partial(self._executed, client)):
                 return None
-        return worker.execute(client, request)
+        return worker.execute(client, request, tell)
 
     def _executed(self, client: int, reply: Future[bytes]) -> None:
         """Keeps a reply from a thread until the client submits its request again."""

@@ -21,13 +21,13 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from functools import partial
 from time import monotonic, thread_time
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeAlias, TypeVar
 
 from nmes.protocol import Request
 from nmes.world import World
 from nmes.world.costs import BUILDING
 
-__all__ = ["LONG_COMMANDS", "SLICE", "Worker", "WorkerPool"]
+__all__ = ["LONG_COMMANDS", "SLICE", "Tell", "Worker", "WorkerPool"]
 
 SLICE = 0.005  # s: how long one world's commands or its ticks may keep the others waiting
 BRIEF = 0.0005  # s: what is not worth the way to another thread and back
@@ -70,6 +70,9 @@ LONG_COMMANDS = frozenset(  # those that may take long: of these the world is as
 )
 
 _TUNING = frozenset({"set_joint_param", "set_joint_params"})
+
+Tell: TypeAlias = Callable[[Request, bytes], bytes]
+"""Makes what is sent to a client of a request and the encoded reply to it."""
 
 T = TypeVar("T")
 
@@ -215,14 +218,14 @@ class Worker:
 
     # -- the work --------------------------------------------------------------------------------------------------
 
-    def execute(self, client: int, request: Request) -> bytes:
-        """Executes a request and measures its ticks, in the thread in which the world is; returns the reply."""
+    def execute(self, client: int, request: Request, tell: Tell) -> bytes:
+        """Executes a request and measures its ticks, in the thread in which the world is; returns what `tell` does."""
         if request.type != "step":
-            return self._world.handle(client, request)
+            return tell(request, self._world.handle(client, request))
         start, frame = thread_time(), self._world.frame
         reply = self._world.handle(client, request)
         self._measure(self._world.frame - frame, thread_time() - start)
-        return reply
+        return tell(request, reply)
 
     def advance(self, most: float, then: Callable[[int], None]) -> None:
         """Ticks for one slice, in the loop or in a thread.

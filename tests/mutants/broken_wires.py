@@ -33,6 +33,7 @@ from nmes.server import Host
 from nmes.server.connection import Connection
 from nmes.server.hosted_world import HostedWorld
 from nmes.server.keys import Keys
+from nmes.server.threads import Tell
 from servers import PASSWORD
 
 # -- framing ----------------------------------------------------------------------------------------------------------
@@ -607,16 +608,16 @@ def _told_to_all(patch: MonkeyPatch, mark: bytes) -> None:
     """Has replies with a mark sent to all clients of a world."""
     submit = HostedWorld.submit
 
-    def tell(hosted: HostedWorld, client: int, request: Request) -> bytes | None:
-        reply = submit(hosted, client, request)
+    def tell_all(hosted: HostedWorld, client: int, request: Request, tell: Tell) -> bytes | None:
+        reply = submit(hosted, client, request, tell)
         if reply is not None and mark in reply:
             for other in hosted._peers:
                 if other != client:
-                    hosted._peers.send(other, reply)
+                    hosted._peers.send(other, reply.removesuffix(DELIMITER))
             hosted._settle_soon()
         return reply
 
-    patch.setattr(HostedWorld, "submit", tell)
+    patch.setattr(HostedWorld, "submit", tell_all)
 
 
 @defect("9.3")
