@@ -8,7 +8,7 @@ that is cut off.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -38,13 +38,13 @@ class _Change:
 
     Attributes:
         came: The energy of what came, and the columns of that.
-        went: The same of what went.
+        went: The energy of what went, when it went, J.
         stopped: The columns of the motors that went, and what each gave in the tick at whose end that was, (2, k), W.
         sprung: The columns of the joints with springs that came: where lost parts are taken up again, bent ones may.
     """
 
     came: tuple[Balance, Columns]
-    went: tuple[Balance, Columns]
+    went: float
     stopped: tuple[Columns, Array]
     sprung: Columns
 
@@ -86,8 +86,7 @@ class ChangingJudge(Judge):
             return None
         powers = np.concatenate([powers, np.zeros((len(states), 2, 1))], axis=2)
         if change is not None:
-            came = _energy(change.came, states[0])
-            went = _energy(change.went, self.trajectory.states[begin - 1])
+            came, went = _energy(change.came, states[0]), change.went
             bent = self.balance.stiffnesses[change.sprung] * positions[0, change.sprung] * positions[0, change.sprung]
             came = max(came, 0.0) + total(bent.tolist()) / 2.0
             rate = self.trajectory.bodies.tick_rate
@@ -121,6 +120,9 @@ class ChangingObserver(Observer):
         self._balance = start = Balance.of(self._bodies(columns), world.config, self._stiffnesses)
         self.judge = ChangingJudge(task, seed, start, trajectory)
         self._numbers: dict[int, int] = {}  # in the engine, of what is there, by the columns
+        self._cubes: list[str] = []
+        self._lost: set[int] = set()  # the columns of what went since the last row, and its energy, J
+        self._went = 0.0
         self._driven = self._moved = np.zeros(0, np.intp)
         self.note = self._note
         self._follow()
@@ -156,9 +158,11 @@ class ChangingObserver(Observer):
     def _follow(self) -> None:
         """Begins to keep the rows of what is there now."""
         creature, world, entities = self.creature, self._world, self._world.entities
-        columns, old = self._columns(), self._numbers
+        old, numbers = self._numbers, self._there()
+        columns = [*numbers]
+        if old:
+            self._lose(numbers)
         self._cubes = self._names(columns)
-        numbers = {each: entities.cube(name).body for each, name in zip(columns, self._cubes, strict=True)}
         springs, motors = (
             np.array([at for at, joint in enumerate(joints) if joint.id in creature.joints], np.intp)
             for joints in (self._springs, self._motors)
@@ -167,14 +171,13 @@ class ChangingObserver(Observer):
         change = None
         if old:
             came = [each for each, number in numbers.items() if old.get(each) != number]
-            went = [each for each, number in old.items() if numbers.get(each) != number]
-            gone = _some(self._balance.bodies, [[*old].index(each) for each in went])
             change = _Change(
                 (Balance.of(self._bodies(came), world.config, ()), np.array(came, np.intp)),
-                (Balance.of(gone, world.config, ()), np.array(went, np.intp)),
-                self._stopped(motors),
+                self._went,
+                self._stopped({entities.joint(name).number for name in creature.joints.values()}),
                 np.setdiff1d(springs, self._moved),
             )
+            self._lost, self._went = set(), 0.0
         self.judge.change(balance, np.array(columns, np.intp), change)
         self._numbers, self._balance, self._layout = numbers, balance, creature.layout
         self._moved, self._driven, self._seen = springs, motors, self.judge.trajectory.rows
@@ -183,11 +186,33 @@ class ChangingObserver(Observer):
         self.watched = Watched([*numbers.values()], *joints)
         self._track = world.simulation.track(*self.watched, self._room - self._seen)
 
-    def _stopped(self, motors: Columns) -> tuple[Columns, Array]:
+    def cut(self) -> None:
+        """Takes note of what was cut off after the last row, before it moves."""
+        self._lose(self._there())
+
+    def _there(self) -> dict[int, int]:
+        """Returns the numbers in the engine of what is there now, by the columns."""
+        columns, entities = self._columns(), self._world.entities
+        return {each: entities.cube(name).body for each, name in zip(columns, self._names(columns), strict=True)}
+
+    def _lose(self, there: Mapping[int, int]) -> None:
+        """Adds what went since the last row or `cut`: what it has now, or had in that row if it is nowhere any more."""
+        for row, ((column, number), name) in enumerate(zip(self._numbers.items(), self._cubes, strict=True)):
+            if column in self._lost or there.get(column) == number:
+                continue
+            cube, trajectory = self._world.entities.cubes.get(name), self.judge.trajectory
+            state = trajectory.states[trajectory.rows - 1, column]
+            if cube is not None and cube.body == number:
+                state = self._world.simulation.states([number])[0]
+            one = Balance.of(_some(self._balance.bodies, [row]), self._world.config, ())
+            self._lost.add(column)
+            self._went += float(one.energy(state[np.newaxis, np.newaxis], np.zeros((1, 0)))[0])
+
+    def _stopped(self, joints: Collection[int]) -> tuple[Columns, Array]:
         """Returns which motors went, and what they gave in the tick that has just ended, as a change has it."""
-        went, meter = ~np.isin(self._driven, motors), self._world.entities.meter
-        given = [meter.latest(joint) for joint in np.array(self.watched.motors, np.intp)[went].tolist()]
-        return self._driven[went], np.array(given, float).reshape(-1, 2).T
+        meter, motors = self._world.entities.meter, zip(self._driven.tolist(), self.watched.motors, strict=True)
+        went = {column: meter.latest(number) for column, number in motors if number not in joints}
+        return np.array([*went], np.intp), np.array([*went.values()], float).reshape(-1, 2).T
 
     def _note(self) -> None:
         """Keeps a row, after each tick that counts and at the start, for `look`."""

@@ -116,7 +116,9 @@ class Episode:
             if self._leaves and tick and self._leave(tick):
                 return
             if tick == cut:
+                assert isinstance(observer, ChangingObserver)
                 yield from self._injure(observer.creature)
+                observer.cut()
             if controls is not None:
                 yield Drive(CREATURE, controls[tick])
             elif brain is not None:

@@ -27,6 +27,7 @@ from nmes.objective import QUANTITIES, Quantity
 from nmes.objective.changing import ChangingTrajectory
 from nmes.objective.trajectory import ObservedBodies, Trajectory
 from nmes.playback import replay
+from nmes.world.energy import EnergyMeter
 
 Json = dict[str, Any]
 FREE: Json = {"gravity": [0, 0, 0]}
@@ -146,6 +147,37 @@ def test_a_motor_that_goes_has_worked_up_to_its_last_tick_and_no_longer() -> Non
     cut = settling(shed, task()), settling(snake(segments=2), injured)
     assert joints == 1 and [joints for joints, _ in cut] == [0, 0]
     assert [work for _, work in cut] == pytest.approx([before] * 2, rel=1e-9)
+
+
+def test_motors_work_on_while_parts_become_larger_and_smaller(monkeypatch: MonkeyPatch) -> None:
+    """Each time the joint is another one in the engine, and what the last one gave in its last tick counts too."""
+    rules = [
+        {"when": f"stage == {stage}", "resize": [{"part": "c1", "scale": scale}], "enter": 3 - stage}
+        for stage, scale in ((1, 1.02), (2, 1.0))
+    ]
+    metered, tick = list[float](), EnergyMeter.tick
+
+    def noted(meter: EnergyMeter) -> None:
+        tick(meter)
+        metered.append(float(meter.powers().sum()))
+
+    monkeypatch.setattr(EnergyMeter, "tick", noted)
+    ran = run(growing(*({**rule, "every": 0.1, "times": 64} for rule in rules), segments=2), task())
+    assert ran._observer is not None
+    assert ran._observer.judge.trajectory.work[-1, 0] == pytest.approx(sum(metered) / 60, rel=1e-9)
+
+
+def test_who_sheds_a_part_that_its_motor_brakes_has_no_energy_of_nothing() -> None:
+    """The part has what it has at the end of the tick, and not what it had before the motor braked it."""
+    brain = {"kind": "sine", "oscillators": [{"motor": "*", "frequency": 5, "amplitude": 1}]}
+    shaker = growing({"when": "age >= 0.85", "shed": ["c1"]}, segments=2, brain=brain)
+    shaker["body"]["cubes"][0]["mass"] = 1.0
+    shaker["body"]["joints"][0] |= {
+        "limits": [-1.4, 1.4],
+        "motor": {"mode": "velocity", "range": [-40, 40], "max_effort": 100},
+    }
+    (result, *_) = evaluate(shaker, task(world=FREE, duration=1.5)).results
+    assert result.fault is None
 
 
 def test_who_is_cut_in_the_middle_of_a_jump_has_got_no_energy_of_nothing() -> None:
