@@ -207,6 +207,22 @@ def test_who_is_flung_by_a_limb_that_is_cut_off_has_not_walked(overlap: float) -
     assert result.score is None or result.distance < 5.0
 
 
+def test_who_throws_a_sea_anchor_back_has_not_swum() -> None:
+    """A heavy bar pushes itself off from a plate, by 14 m and once, and glides: 10 m in ten seconds."""
+    cubes: list[Json] = [
+        {"id": "bar", "size": [3.2, 0.08, 0.3], "mass": 200, "position": [0, 0.04, 0]},
+        {"id": "plate", "size": [0.05, 0.9, 0.9], "mass": 4, "position": [0, 0.53, 0]},
+    ]
+    motor = {"mode": "velocity", "range": [-30, 0], "max_effort": 1200}
+    slide = {"type": "slide", "anchor": [0, 0.08, 0], "axis": [1, 0, 0], "limits": [-14, 0.1], "motor": motor}
+    joint = {"id": "push", "cube1": "bar", "cube2": "plate", **slide}
+    brain = {"kind": "sine", "oscillators": [{"motor": "push", "amplitude": 0, "offset": -1}]}
+    evaluation = evaluate(genome({"cubes": cubes, "joints": [joint]}, brain=brain), Task.load("swim"))
+    assert evaluation.error is None and [result.fault for result in evaluation.results] == [None] * 3
+    assert min(result.distance for result in evaluation.results) > 5.0
+    assert [result.score for result in evaluation.results] == [0.0] * 3
+
+
 def test_who_stands_up_and_draws_its_leg_in_has_not_jumped() -> None:
     """Its lowest point rises by 1.5 m while it falls; its centre had risen by as much before, and slowly."""
     cubes: list[Json] = [
