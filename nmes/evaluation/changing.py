@@ -170,7 +170,8 @@ class ChangingObserver(Observer):
         balance = Balance.of(self._bodies(columns), world.config, self._stiffnesses)
         change = None
         if old:
-            came = [each for each, number in numbers.items() if old.get(each) != number]
+            # Also what a task cut off and a rule took up again within a tick: it is the same cube.
+            came = [each for each, number in numbers.items() if old.get(each) != number or each in self._lost]
             change = _Change(
                 (Balance.of(self._bodies(came), world.config, ()), np.array(came, np.intp)),
                 self._went,

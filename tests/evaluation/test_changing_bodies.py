@@ -180,6 +180,20 @@ def test_who_sheds_a_part_that_its_motor_brakes_has_no_energy_of_nothing() -> No
     assert result.fault is None
 
 
+@pytest.mark.parametrize("tick", range(60, 66))  # rules are looked at every six ticks
+def test_a_limb_that_is_cut_off_and_taken_up_again_in_one_tick_is_no_energy_of_nothing(tick: int) -> None:
+    table = snake(segments=2)
+    table["body"]["cubes"][0] |= {"size": [0.6, 0.6, 0.6], "mass": 30.0, "position": [0, 0.3, 0]}
+    table["body"]["cubes"][1] |= {"size": [0.3, 0.3, 0.3], "mass": 30.0, "position": [0, 0.75, 0]}
+    table["body"]["joints"][0] |= {"anchor": [0.0, 0.6, 0]}
+    still = {**SINE, "oscillators": [{"motor": "*", "amplitude": 0}]}
+    table |= {"later": [], "brain": still, "development": [{"when": "cubes < 2", "adopt": ["c1"]}]}
+    ran = run(table, task(injury={"time": [tick / 60, tick / 60]}))
+    assert ran.result().fault is None
+    cubes = series(ran, "cubes")
+    assert cubes[-1] == 2
+
+
 def test_who_is_cut_in_the_middle_of_a_jump_has_got_no_energy_of_nothing() -> None:
     assert [result.fault for result in evaluate("jumper", "injury").results] == [None] * 3
 
