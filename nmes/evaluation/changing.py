@@ -119,8 +119,7 @@ class ChangingObserver(Observer):
         columns = self._columns()
         self._balance = start = Balance.of(self._bodies(columns), world.config, self._stiffnesses)
         self.judge = ChangingJudge(task, seed, start, trajectory)
-        self._numbers: dict[int, int] = {}  # in the engine, of what is there, by the columns
-        self._cubes: list[str] = []
+        self._parts: dict[int, tuple[str, int]] = {}  # the names and numbers of what is there, by the columns
         self._lost: set[int] = set()  # the columns of what went since the last row, and its energy, J
         self._went = 0.0
         self._driven = self._moved = np.zeros(0, np.intp)
@@ -149,20 +148,21 @@ class ChangingObserver(Observer):
         there = [column for column, cube in enumerate(cubes) if cube.id in self.creature.cubes]
         return there + [len(cubes) + number for number in range(len(self._props))]
 
-    def _names(self, columns: Sequence[int]) -> list[str]:
-        """Returns the names in the world of what is in some columns."""
-        creature, cubes = self.creature, self.creature.form.cubes
+    def _there(self) -> dict[int, tuple[str, int]]:
+        """Returns the names in the world, and the numbers in the engine, of what is there now, by the columns."""
+        creature, cubes, entities = self.creature, self.creature.form.cubes, self._world.entities
         props = [self._place.prop(prop["id"]) for prop in self._props]
-        return [creature.cubes[cubes[each].id] if each < len(cubes) else props[each - len(cubes)] for each in columns]
+        columns = self._columns()
+        names = [creature.cubes[cubes[each].id] if each < len(cubes) else props[each - len(cubes)] for each in columns]
+        return {each: (name, entities.cube(name).body) for each, name in zip(columns, names, strict=True)}
 
     def _follow(self) -> None:
         """Begins to keep the rows of what is there now."""
         creature, world, entities = self.creature, self._world, self._world.entities
-        old, numbers = self._numbers, self._there()
-        columns = [*numbers]
+        old, parts = self._parts, self._there()
+        columns = [*parts]
         if old:
-            self._lose(numbers)
-        self._cubes = self._names(columns)
+            self._lose(parts)
         springs, motors = (
             np.array([at for at, joint in enumerate(joints) if joint.id in creature.joints], np.intp)
             for joints in (self._springs, self._motors)
@@ -171,7 +171,7 @@ class ChangingObserver(Observer):
         change = None
         if old:
             # Also what a task cut off and a rule took up again within a tick: it is the same cube.
-            came = [each for each, number in numbers.items() if old.get(each) != number or each in self._lost]
+            came = [each for each, part in parts.items() if old.get(each) != part or each in self._lost]
             change = _Change(
                 (Balance.of(self._bodies(came), world.config, ()), np.array(came, np.intp)),
                 self._went,
@@ -180,34 +180,34 @@ class ChangingObserver(Observer):
             )
             self._lost, self._went = set(), 0.0
         self.judge.change(balance, np.array(columns, np.intp), change)
-        self._numbers, self._balance, self._layout = numbers, balance, creature.layout
+        self._parts, self._balance, self._layout = parts, balance, creature.layout
         self._moved, self._driven, self._seen = springs, motors, self.judge.trajectory.rows
         kinds = (self._springs, springs), (self._motors, motors)
         joints = [[entities.joint(creature.joints[each[at].id]).number for at in some] for each, some in kinds]
-        self.watched = Watched([*numbers.values()], *joints)
+        self._cubes = [name for name, _ in parts.values()]
+        self.watched = Watched([number for _, number in parts.values()], *joints)
         self._track = world.simulation.track(*self.watched, self._room - self._seen)
 
     def cut(self) -> None:
-        """Takes note of what was cut off after the last row, before it moves."""
+        """Takes note of what was cut off after the last row, before it moves; it is still in the world."""
         self._lose(self._there())
 
-    def _there(self) -> dict[int, int]:
-        """Returns the numbers in the engine of what is there now, by the columns."""
-        columns, entities = self._columns(), self._world.entities
-        return {each: entities.cube(name).body for each, name in zip(columns, self._names(columns), strict=True)}
-
-    def _lose(self, there: Mapping[int, int]) -> None:
+    def _lose(self, there: Mapping[int, tuple[str, int]]) -> None:
         """Adds what went since the last row or `cut`: what it has now, or had in that row if it is nowhere any more."""
-        for row, ((column, number), name) in enumerate(zip(self._numbers.items(), self._cubes, strict=True)):
-            if column in self._lost or there.get(column) == number:
-                continue
-            cube, trajectory = self._world.entities.cubes.get(name), self.judge.trajectory
-            state = trajectory.states[trajectory.rows - 1, column]
-            if cube is not None and cube.body == number:
-                state = self._world.simulation.states([number])[0]
-            one = Balance.of(_some(self._balance.bodies, [row]), self._world.config, ())
-            self._lost.add(column)
-            self._went += float(one.energy(state[np.newaxis, np.newaxis], np.zeros((1, 0)))[0])
+        lost = {
+            column: row
+            for row, (column, part) in enumerate(self._parts.items())
+            if column not in self._lost and there.get(column) != part
+        }
+        trajectory, cubes = self.judge.trajectory, self._world.entities.cubes
+        states = trajectory.states[trajectory.rows - 1].copy()
+        for column in lost:
+            name, number = self._parts[column]
+            if name in cubes and cubes[name].body == number:
+                states[column] = self._world.simulation.states([number])[0]
+        bodies = _some(self._balance.bodies, [*lost.values()])
+        self._went += _energy((Balance.of(bodies, self._world.config, ()), np.array([*lost], np.intp)), states)
+        self._lost |= {*lost}
 
     def _stopped(self, joints: Collection[int]) -> tuple[Columns, Array]:
         """Returns which motors went, and what they gave in the tick that has just ended, as a change has it."""

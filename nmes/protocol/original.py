@@ -225,8 +225,7 @@ def _results(reply: bytes, count: int) -> list[slice]:
 
 
 def _answer(said: Message, reply: bytes) -> bytes:
-    kind = reply[len(_TYPE) : reply.index(b'"', len(_TYPE))] if reply.startswith(_TYPE) else b""
-    translate = _ANSWERS.get(kind)
+    translate = _ANSWERS.get(reply[len(_TYPE) : reply.find(b'"', len(_TYPE))])
     return reply if translate is None else encode(translate(said, decode(reply)))
 
 

@@ -116,7 +116,6 @@ def test_of_a_great_batch_of_the_raw_dialect_a_thread_translates_what_is_told_ot
         answer = peer.ask({"type": "batch", "commands": [rename, *states, rename], "id": 1 << 70})
         assert peer.ask({"type": "ping"}) == {"type": "pong"}
         loop = server.call(lambda: threading.current_thread().name)
-        peer.send(b'{"type":"batch","commands":[%b]}' % b",".join([b'{"type":"get_world_state"}'] * 50) + DELIMITER)
     errors = [answer["results"][0], answer["results"][-1]]
     assert [(error["code"], error["command"]) for error in errors] == [("joint_not_found", "set_joint_param")] * 2
     assert answer["id"] == 1 << 70
