@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from nmes.backend import Array
-from nmes.backends.mujoco3d.model import GROUP_BITS, CompiledModel, inner_radii
+from nmes.backends.mujoco3d.model import GROUP_BITS, CompiledModel, inner_radii, kept_masks
 from nmes.backends.mujoco3d.scenery import Scenery
 
 __all__ = ["Crowds"]
@@ -69,19 +69,14 @@ class Crowds:
             yield
             return
         model = compiled.model
-        masks = [model.geom_contype, model.geom_conaffinity, model.body_contype, model.body_conaffinity]
-        saved = [mask.copy() for mask in masks]
         trees = model.body_treeid
         theirs = trees[[compiled.body_index[body] for body in gliding]]
-        for (kind, affinity), tree in ((masks[:2], trees[model.geom_bodyid]), (masks[2:], trees)):
-            fixed, glides = (kind != 0) & (tree < 0), np.isin(tree, theirs)
-            affinity[fixed] |= affinity[fixed] << _GLIDING
-            kind[glides], affinity[glides] = kind[glides] << _GLIDING, 0
-        try:
+        with kept_masks(model) as masks:
+            for (kind, affinity), tree in ((masks[:2], trees[model.geom_bodyid]), (masks[2:], trees)):
+                fixed, glides = (kind != 0) & (tree < 0), np.isin(tree, theirs)
+                affinity[fixed] |= affinity[fixed] << _GLIDING
+                kind[glides], affinity[glides] = kind[glides] << _GLIDING, 0
             yield
-        finally:
-            for mask, values in zip(masks, saved, strict=True):
-                mask[:] = values
 
     def _crowded(self, compiled: CompiledModel, data: mujoco.MjData, edited: Iterable[int]) -> set[int]:
         """Returns the gliding bodies, and the edited bodies that share a place with one before them.

@@ -8,7 +8,8 @@ the joined boxes, shares its mass and is welded to it (see `compiler`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import sin, sqrt
 
@@ -24,6 +25,7 @@ __all__ = [
     "CompiledModel",
     "Slot",
     "inner_radii",
+    "kept_masks",
     "occupy",
     "park",
     "set_mean_inertia",
@@ -171,6 +173,21 @@ def park(model: mujoco.MjModel, index: int) -> None:
     for name in ("contype", "conaffinity"):
         getattr(model, f"geom_{name}")[model.body_geomadr[index]] = 0
         getattr(model, f"body_{name}")[index] = 0
+
+
+@contextmanager
+def kept_masks(model: mujoco.MjModel) -> Iterator[list[npt.NDArray[np.int32]]]:
+    """Yields the masks by which things collide: of geoms, then of bodies, `contype` before `conaffinity`.
+
+    They may be changed; afterwards they are as before.
+    """
+    masks = [model.geom_contype, model.geom_conaffinity, model.body_contype, model.body_conaffinity]
+    saved = [mask.copy() for mask in masks]
+    try:
+        yield masks
+    finally:
+        for mask, values in zip(masks, saved, strict=True):
+            mask[:] = values
 
 
 def set_mean_inertia(compiled: CompiledModel) -> None:

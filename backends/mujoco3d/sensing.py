@@ -18,7 +18,7 @@ import numpy as np
 
 from nmes.backend import Array, Contact, Hit, Vector
 from nmes.backend.rotation import total
-from nmes.backends.mujoco3d.model import CompiledModel
+from nmes.backends.mujoco3d.model import CompiledModel, kept_masks
 from nmes.backends.mujoco3d.scenery import Scenery
 from nmes.backends.mujoco3d.sleep import AWAKE, count_awake
 
@@ -203,7 +203,11 @@ class Senses:
         if self._scenery.attracts:
             self._scenery.pull(model, scratch)
             scratch.xfrc_applied[[tree not in awake for tree in self._trees]] = 0.0  # a force would wake the others
-        mujoco.mj_forward(model, scratch)
+        others = (model.body_treeid >= 0) & ~np.isin(model.body_treeid, list(awake))
+        with kept_masks(model) as masks:
+            for mask, theirs in zip(masks, (others[model.geom_bodyid],) * 2 + (others,) * 2, strict=True):
+                mask[theirs] = 0  # what is not of the islands may be within them: it glides, or has just been put there
+            mujoco.mj_forward(model, scratch)
         computed = _Contacts(self._owners, scratch, self._edges)
         for island in islands:
             entry = self._coordinates(island), computed

@@ -53,6 +53,27 @@ def closest(simulation: MujocoSimulation, count: int) -> float:
     return float((np.linalg.norm(places[:, None] - places, axis=2) + 9.0 * np.eye(count)).min())
 
 
+def test_what_sleeps_feels_only_its_own_island_while_cubes_glide_through_it() -> None:
+    world, say = world_of()
+    places = [(x, z) for x in (-1.5, 0.0, 1.5) for z in (-1.5, 0.0, 1.5) if x or z]
+    sleepers = [say("spawn_cube", position=[x, 0.5, z], list=False)["spawned"] for x, z in places]
+    while not all(say("get_cube_info", cube_name=name)["sleeping"] for name in sleepers):
+        say("step")
+    for _ in range(40):
+        say("spawn_cube", position=[0, 0.5, 0], list=False)
+    asked = 0
+    for tick in range(60):
+        say("spawn_cube", position=[50.0 + 2.0 * tick, 0.5, 0], list=False)  # after which all is computed anew
+        say("step")
+        infos = [say("get_cube_info", cube_name=name) for name in sleepers]
+        for contacts in (info["contacts"] for info in infos if info["sleeping"]):
+            assert {(contact["cube_name"], contact["face"]) for contact in contacts} == {(None, "-y")}
+            assert sum(contact["force"] for contact in contacts) == pytest.approx(9.81, rel=0.01)
+            asked += 1
+    assert asked > 100
+    assert world.fault is None
+
+
 @pytest.mark.parametrize(("count", "ticks", "each"), [(40, 240, False), (40, 240, True), (300, 4, False)])
 def test_cubes_in_one_place_part_in_bounded_steps(count: int, ticks: int, each: bool) -> None:
     simulation = heap_in_one_place(count, ticks, each=each)
