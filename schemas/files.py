@@ -9,6 +9,7 @@ import errno
 import fcntl
 import os
 import stat
+import time
 from pathlib import Path
 from typing import BinaryIO, Final
 
@@ -17,6 +18,8 @@ __all__ = ["lock_kept", "names_another_file", "open_kept", "open_regular", "read
 _KEPT: Final = os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK
 
 _HELD: Final = (errno.EWOULDBLOCK, errno.EAGAIN, errno.EACCES)  # what a lock says that another process has
+_MOMENT: Final = 1.0  # s for which a child that a killed process was about to begin may have its lock
+_LOOK: Final = 0.01  # s between looks at whether it is free
 _PIECE = 1 << 20  # bytes
 _SUPER_JOURNAL: Final = bytes.fromhex("d9d505f920a163d7")  # what a journal that names another one ends with
 
@@ -56,7 +59,7 @@ def open_kept(path: Path) -> int:
 
 
 def lock_kept(file: int, path: Path) -> None:
-    """Locks an open file for this process alone, until it is closed.
+    """Locks an open file for this process alone, until it is closed; waits a moment for one that has just been killed.
 
     Args:
         file: Its descriptor.
@@ -66,13 +69,19 @@ def lock_kept(file: int, path: Path) -> None:
         BlockingIOError: Another process has the lock.
         OSError: It cannot be locked: not every disk of a network knows locks.
     """
-    try:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError as error:
-        if error.errno in _HELD:
-            raise BlockingIOError(errno.EWOULDBLOCK, "another process has locked it", str(path)) from error
-        advice = "where a disk knows no locks, keep it on another"
-        raise OSError(error.errno, f"it cannot be locked: {error.strerror}; {advice}", str(path)) from error
+    until = time.monotonic() + _MOMENT
+    while True:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError as error:
+            if error.errno not in _HELD:
+                advice = "where a disk knows no locks, keep it on another"
+                raise OSError(error.errno, f"it cannot be locked: {error.strerror}; {advice}", str(path)) from error
+            if time.monotonic() >= until:
+                raise BlockingIOError(errno.EWOULDBLOCK, "another process has locked it", str(path)) from error
+            time.sleep(_LOOK)
+        else:
+            return
 
 
 def _irregular(path: Path) -> OSError:
