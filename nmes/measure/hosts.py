@@ -9,6 +9,7 @@ import asyncio
 import json
 import os
 import secrets
+import signal
 import subprocess
 import sys
 import time
@@ -37,6 +38,7 @@ __all__ = [
 ]
 
 _PATIENCE: Final = 30.0  # s that a host is given to end
+_ENDING: Final = (signal.SIGINT, signal.SIGTERM)
 _APART: Final = 3.0  # m between agents, which never meet
 _PUSH: Final = 4.0  # N at most
 _SPREAD: Final = 2.0  # m between cubes that are spawned
@@ -133,16 +135,34 @@ def running_host(mode: str, rate: float = 1.0) -> Iterator[RunningHost]:
     ticks = ["--mode", mode, "--rate", f"{rate:g}"]
     command = [sys.executable, "-m", "nmes", "serve", "--port", "0", "--no-record", *ticks, "--json"]
     environment = {**os.environ, "NMES_PASSWORD": password}
-    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as process:
-        try:
-            assert process.stdout is not None
-            line = process.stdout.readline()
-            if not line:
-                raise MachineError("cannot_measure", "a host does not begin here: see what `nmes serve` says")
-            yield RunningHost(process, json.loads(line)["port"], password)
-        finally:
-            process.terminate()
-            process.wait(_PATIENCE)
+    process: subprocess.Popen[bytes] | None = None
+    try:
+        with _signals_deferred():
+            process = subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
+        assert process.stdout is not None
+        line = process.stdout.readline()
+        if not line:
+            raise MachineError("cannot_measure", "a host does not begin here: see what `nmes serve` says")
+        yield RunningHost(process, json.loads(line)["port"], password)
+    finally:
+        if process is not None:
+            with process:
+                process.terminate()
+                process.wait(_PATIENCE)
+
+
+@contextmanager
+def _signals_deferred() -> Iterator[None]:
+    """Keeps Ctrl-C and SIGTERM until the end of the block: within `Popen` they would leave a child nobody knows of."""
+    came: list[int] = []
+    before = {number: signal.signal(number, lambda number, _: came.append(number)) for number in _ENDING}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for late in came:
+            signal.raise_signal(late)
 
 
 # -- agents -----------------------------------------------------------------------------------------------------------

@@ -22,6 +22,7 @@ from nmes.genome import Genome
 from nmes.learning.environment import TaskEnv
 from nmes.measure import encodings, installs, peers
 from nmes.measure.encodings import measure_encodings
+from nmes.measure.hosts import running_host
 from nmes.measure.installs import measure_installs
 from nmes.measure.turns import in_turns, ratio
 from processes import NMES
@@ -134,6 +135,22 @@ def test_a_signal_that_ends_measuring_ends_the_host() -> None:
     assert process.returncode == 1 and b"Traceback" not in told
     with pytest.raises(ProcessLookupError):
         os.killpg(process.pid, signal.SIGKILL)
+
+
+def test_a_signal_that_comes_while_a_host_is_begun_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun: list[subprocess.Popen[bytes]] = []
+    popen = subprocess.Popen
+
+    def interrupted(*arguments: Any, **options: Any) -> subprocess.Popen[bytes]:
+        begun.append(popen(*arguments, **options))
+        signal.raise_signal(signal.SIGINT)
+        return begun[0]
+
+    monkeypatch.setattr("nmes.measure.hosts.subprocess.Popen", interrupted)
+    with pytest.raises(KeyboardInterrupt), running_host("lockstep"):
+        pytest.fail("a host runs, and nobody wants it")
+    (process,) = begun
+    assert process.poll() is not None
 
 
 def test_all_channels_lead_to_the_same_states() -> None:
