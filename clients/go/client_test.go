@@ -67,6 +67,9 @@ func lockstep(t testing.TB, client *nmes.Client) {
 	if _, err := client.SetMode(within(t), nmes.SetMode{Mode: "lockstep"}); err != nil {
 		t.Fatal(err)
 	}
+	if reset, err := client.Reset(within(t), nmes.Reset{}); err != nil { // it may have ticked by the clock
+		t.Fatal(reset, err)
+	}
 }
 
 func TestACubeIsSpawnedPushedAndRead(t *testing.T) {

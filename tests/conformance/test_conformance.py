@@ -36,7 +36,7 @@ BAD = {Verdict.FAILED, Verdict.FAULT, Verdict.NON_STRICT}
 
 
 def judge(server: Served, *only: str, **options: Any) -> Report:
-    return run(Target("127.0.0.1", server.port, PASSWORD), Options(only=only, **options))
+    return run(Target("127.0.0.1", server.port, PASSWORD, PATIENCE), Options(only=only, **options))
 
 
 def bad(report: Report) -> list[tuple[str, Any, Any, Any]]:

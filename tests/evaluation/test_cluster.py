@@ -17,6 +17,7 @@ from nmes.evaluation.evaluation import Evaluation
 from nmes.evaluation.parallel import Cluster, Here, Lost, Pool
 from nmes.evaluation.queue import EvaluationQueue
 from nmes.genome import Genome
+from servers import PATIENCE
 
 pytest.importorskip("ray")
 
@@ -68,9 +69,14 @@ def cluster() -> Iterator[Cluster]:
 
 
 def actors(cluster: Cluster) -> set[int]:
-    results = dict(cluster.run(actor_and_process, range(3 * cluster.jobs))).values()
-    assert {result[2] for result in results if not isinstance(result, Lost)} == {"1"}
-    return {result[0] for result in results if not isinstance(result, Lost)}
+    """Returns the processes of the actors, when all have begun."""
+    until = time.monotonic() + PATIENCE
+    while True:
+        results = dict(cluster.run(actor_and_process, range(3 * cluster.jobs))).values()
+        assert {result[2] for result in results if not isinstance(result, Lost)} == {"1"}
+        found = {result[0] for result in results if not isinstance(result, Lost)}
+        if len(found) >= cluster.jobs or time.monotonic() > until:
+            return found
 
 
 def test_there_is_one_actor_a_core_and_it_stays(cluster: Cluster) -> None:

@@ -282,7 +282,8 @@ def test_kills_and_ctrl_c_leave_what_is_done_and_do_not_show(whole: Path, tmp_pa
             assert told == f"stopped: {done()} of 6 runs done\ngo on with: nmes study run {folder} --budget small\n"
             assert not list(folder.glob("work/*/under-way/*"))
     kept = {path: path.stat().st_mtime_ns for path in folder.glob("work/*/done/*.json")}
-    assert run("study", "run", folder, "--jobs", "2").exit_code == 0
+    outcome = run("study", "run", folder, "--jobs", "2")
+    assert outcome.exit_code == 0, outcome.output
     assert {path: path.stat().st_mtime_ns for path in kept} == kept  # not done again
     assert rows(folder) == rows(whole)
     for name in ("REPORT.md", "scores.svg"):
