@@ -22,6 +22,7 @@ try:
     import click
 
     from nmes.cli._completion import complete_arguments, is_completing
+    from nmes.cli._interruptions import keep_in_mind
     from nmes.errors import NmesError, visible
 except KeyboardInterrupt:  # later ones are click's to tell, in the same words
     sys.exit("Aborted!")
@@ -92,6 +93,7 @@ def _take_every_letter() -> None:
 class _Group(click.Group):
     def main(self, args: Sequence[str] | None = None, *more: Any, **extra: Any) -> Any:
         if args is None:  # those of the process, which is this command's own
+            keep_in_mind()
             _take_every_letter()
             # Most of what a command makes are modules, which stay: they are not to be looked through again and again.
             gc.set_threshold(10_000)

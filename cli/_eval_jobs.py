@@ -11,7 +11,6 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import IO
 
@@ -44,14 +43,17 @@ def run_jobs(work: list[Job], jobs: int | None, ray: str | None, resume: Path | 
                 interruptions(signal.SIGINT, signal.SIGTERM) as interrupted,
                 Evaluator(jobs, ray=ray) as evaluator,
             ):
-                show = partial(progress, "evaluating")
+
+                def show(count: int, total: int) -> None:
+                    progress("evaluating", count, total)
+                    if interrupted():
+                        raise KeyboardInterrupt
+
                 for place, evaluation in evaluator.run([work[i] for i in left], progress=show):
                     if file is not None:
                         file.write(_line(work[left[place]], evaluation))
                         file.flush()
                     done[left[place]] = evaluation
-                    if interrupted():
-                        raise KeyboardInterrupt
         except KeyboardInterrupt:
             if file is not None and resume is not None:
                 file.close()

@@ -7,7 +7,20 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import NoReturn
 
-__all__ = ["interruptions"]
+__all__ = ["interruptions", "keep_in_mind"]
+
+_kept: list[int] = []  # what came before somebody asked for interruptions
+
+
+def keep_in_mind() -> None:
+    """Lets `interruptions` know of a Ctrl-C that came before: the exception may be dropped as a module is loaded."""
+
+    def interrupt(number: int, _: object) -> NoReturn:
+        _kept.append(number)
+        raise KeyboardInterrupt
+
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else it is ignored, as `nohup ... &` has it
+        signal.signal(signal.SIGINT, interrupt)
 
 
 @contextmanager
@@ -19,7 +32,12 @@ def interruptions(*signals: signal.Signals) -> Iterator[Callable[[], bool]]:
 
     Args:
         signals: Which.
+
+    Raises:
+        KeyboardInterrupt: One came already, and was lost.
     """
+    if _kept:
+        raise KeyboardInterrupt
     came = False
 
     def interrupt(*_: object) -> NoReturn:

@@ -8,7 +8,8 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import click
@@ -212,6 +213,43 @@ def test_ctrl_c_during_an_import_is_told_in_a_word(imported: str, tmp_path: Path
 
 
 # -- nmes serve -------------------------------------------------------------------------------------------------------
+
+
+_DROPPING = """
+import signal, sys
+
+class Finder:
+    @staticmethod
+    def find_spec(name, *_):
+        if name == "nmes.evaluation":
+            try:
+                signal.raise_signal(signal.SIGINT)
+            except KeyboardInterrupt:
+                pass
+
+sys.meta_path.insert(0, Finder)
+"""
+
+
+def test_ctrl_c_that_a_module_drops_as_it_is_loaded_ends_a_command(tmp_path: Path) -> None:
+    (tmp_path / "sitecustomize.py").write_text(_DROPPING)
+    with process("eval", "walker", "--task", "walk", PYTHONPATH=str(tmp_path)) as running:
+        _, told = running.communicate(timeout=PATIENCE)
+    assert (running.returncode, told) == (1, "stopped: 0 of 1 done\n")
+
+
+def test_ctrl_c_that_a_library_drops_ends_an_evaluation_before_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # where an evaluation keeps what it has done
+
+    @contextmanager
+    def dropped(*_: signal.Signals) -> Iterator[Callable[[], bool]]:
+        yield lambda: True
+
+    monkeypatch.setattr("nmes.cli._eval_jobs.interruptions", dropped)
+    result = CliRunner().invoke(main, ["eval", "walker", "--task", "walk"])
+    assert result.exit_code == 1 and "stopped: 0 of 1 done" in result.stderr
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
