@@ -332,11 +332,11 @@ class Leaderboard:
 
     def mark(self, verdicts: Iterable[Verdict]) -> None:
         """Writes down which entries are broken, and that others hold again; what was not judged stays as it is."""
-        marks = [(each.reason, each.id) for each in verdicts if each.verdict != "not_judged"]
+        marks = [(each.reason, each.id, each.reason) for each in verdicts if each.verdict != "not_judged"]
         with self._transaction():
             for mark in marks:
                 with suppress(sqlite3.DataError):  # a row that is too long to be read, and so is never listed
-                    self._db.execute("UPDATE entries SET broken = ?1 WHERE id = ?2 AND broken IS NOT ?1", mark)
+                    self._db.execute("UPDATE entries SET broken = ? WHERE id = ? AND broken IS NOT ?", mark)
 
     def __len__(self) -> int:
         with self._trouble():
