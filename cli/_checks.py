@@ -140,9 +140,10 @@ def _probes(names: list[str]) -> Iterator[Finding]:
 
 
 def _arenas(mujoco: Backend) -> Finding:
-    if "scene.arena" in mujoco.capabilities:
+    why = mujoco.lacking.get("scene.arena")
+    if why is None:
         return Finding("arenas", "ok", "dm-control is installed")
-    return Finding("arenas", "note", "none: they need dm-control", "use Python 3.11 or 3.12 for worlds with arenas")
+    return Finding("arenas", "note", f"none: {why}")
 
 
 def _graphics() -> Finding:

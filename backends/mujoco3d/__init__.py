@@ -16,10 +16,15 @@ from typing import ClassVar
 import mujoco
 
 from nmes.backend import Backend, SceneSpec, Simulation
-from nmes.backends.mujoco3d import arenas
+from nmes.backends.mujoco3d import arenas, rendering
 from nmes.backends.mujoco3d.simulation import MujocoSimulation
 
 __all__ = ["MujocoBackend", "MujocoSimulation"]
+
+
+def _lacking() -> dict[str, str]:
+    missing = {"camera": rendering.missing(), "scene.arena": arenas.missing()}
+    return {capability: why for capability, why in missing.items() if why is not None}
 
 
 class MujocoBackend(Backend):
@@ -27,6 +32,7 @@ class MujocoBackend(Backend):
 
     name = "mujoco"
     dims = 3
+    lacking = _lacking()
     capabilities = frozenset(
         {
             "joint.fixed",
@@ -48,6 +54,7 @@ class MujocoBackend(Backend):
             "sensors.inertial",
             "sensors.range",
             "camera",
+            "scene.arena",
             "scene.damping",
             "scene.heightfield",
             "scene.obstacles",
@@ -57,9 +64,8 @@ class MujocoBackend(Backend):
             "shape.cylinder",
             "shape.sphere",
             "snapshot",
-            *(["scene.arena"] if arenas.installed() else []),
         }
-    )
+    ).difference(lacking)
 
     known_defects: ClassVar = {
         "4.0.0": "with a sparse constraint Jacobian (from 60 degrees of freedom on) its Newton solver goes wrong where "

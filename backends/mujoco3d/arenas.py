@@ -27,7 +27,7 @@ from nmes.backend import Arena, Array, Quaternion, Vector
 from nmes.backend.rotation import multiply
 from nmes.errors import WorldError
 
-__all__ = ["Part", "installed", "parts"]
+__all__ = ["Part", "missing", "parts"]
 
 _UP = (-sqrt(0.5), 0.0, 0.0, sqrt(0.5))  # from their frame (Z up) to ours: (x, y, z) becomes (x, z, -y)
 _CELL = 2.0  # m: a cell of a maze
@@ -46,9 +46,11 @@ class Part:
     heights: Array | None = None
 
 
-def installed() -> bool:
-    """Returns whether this installation can make arenas: not all that they need has wheels for every Python."""
-    return all(find_spec(name) is not None for name in ("dm_control", "labmaze"))
+def missing() -> str | None:
+    """Returns why this installation cannot make arenas: not all that they need has wheels for every Python."""
+    if all(find_spec(name) is not None for name in ("dm_control", "labmaze")):
+        return None
+    return "dm-control is not installed; use Python 3.11 or 3.12 for worlds with arenas"
 
 
 @functools.lru_cache(maxsize=16)

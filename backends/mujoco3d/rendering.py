@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import atexit
 import copy
+import ctypes
 import importlib
 import logging
 import os
@@ -31,7 +32,7 @@ from nmes.backends.mujoco3d.model import CompiledModel
 from nmes.backends.mujoco3d.scenery import Scenery
 from nmes.errors import WorldError
 
-__all__ = ["Renderer", "opengl_context"]
+__all__ = ["Renderer", "missing", "opengl_context"]
 
 Color = tuple[float, float, float]
 Colors = Mapping[int, tuple[float, float, float, float]]
@@ -60,9 +61,12 @@ _SHADOWLESS = 0.98  # opacity of outlines: what is seen through, if hardly so, c
 _TINY = 5.0  # pixels: half the longest edge of a box, below which outlines would hide it
 _NEARER = 0.004  # of the way to the eye: how far outlines are before what they belong to
 _ON_PLANE, _ON_REST, _ON_FIELDS = range(3)  # materials: tiles of the plane, of what gaps leave, of the first landscape
-_REMEDY = "install libegl1 or libosmesa6 (Debian's names), or a graphics driver"
+_NO_OPENGL = (
+    "this machine has no OpenGL that works without a display; install libegl1 or libosmesa6 (Debian's names), or a "
+    "graphics driver"
+)
 # Headless ones, and without a graphics card: a window system's would need a display.
-_PLATFORMS = ("egl", "osmesa")
+_PLATFORMS = {"egl": "libEGL.so", "osmesa": "libOSMesa.so"}
 
 _thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="nmes-mujoco-drawing")
 
@@ -95,7 +99,7 @@ class Renderer:
     def _draw(self, camera: CameraSpec, compiled: CompiledModel, qpos: Array, colors: Colors) -> Image:
         gl = opengl_context()
         if gl is None:
-            raise WorldError("unsupported", f"this machine has no OpenGL that works without a display; {_REMEDY}")
+            raise WorldError("unsupported", _NO_OPENGL)
         gl.make_current()
         model = copy.copy(compiled.model)
         for index, number in compiled.body_number.items():
@@ -253,12 +257,32 @@ def _sky(zenith: Color, horizon: Color, nadir: Color) -> Image:
     return faces
 
 
+def _platforms() -> list[str]:
+    """Returns through what OpenGL may draw, the best first."""
+    chosen = os.environ.get("MUJOCO_GL", "").lower()
+    return [chosen] if chosen in _PLATFORMS else list(_PLATFORMS)
+
+
+def missing() -> str | None:
+    """Returns why no pictures can be drawn on this machine; None if it has a library that may.
+
+    To load one takes a millisecond. Whether it works, which takes a hundred, is seen with the first picture.
+    """
+    for platform in _platforms():
+        for version in ("", *(f".{number}" for number in range(10))):  # PyOpenGL takes whichever there is
+            try:
+                ctypes.CDLL(f"{_PLATFORMS[platform]}{version}")
+                return None
+            except OSError:
+                pass
+    return _NO_OPENGL
+
+
 @cache
 def opengl_context() -> Any:
     """Returns this thread's OpenGL context, or None if the machine has none; called on the drawing thread."""
     logging.getLogger("OpenGL.acceleratesupport").setLevel(logging.WARNING)  # tells everybody what it could do without
-    chosen = os.environ.get("MUJOCO_GL", "").lower()
-    for platform in (chosen,) if chosen in _PLATFORMS else _PLATFORMS:
+    for platform in _platforms():
         before = os.environ.get("PYOPENGL_PLATFORM")
         try:
             context = importlib.import_module(f"mujoco.{platform}").GLContext(1, 1)

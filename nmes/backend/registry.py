@@ -31,6 +31,7 @@ class Backend(ABC):
         name: What users call it (`mujoco`).
         dims: 3, or 2 for an engine of the XY plane.
         capabilities: Of `CAPABILITIES`, what it can do. The World answers everything else with `unsupported`.
+        lacking: Capabilities that the engine has elsewhere and not on this machine, each with why and what to install.
         known_defects: Versions of the engine that are known to compute wrongly, each with what is wrong and what to
             install instead.
         most_joined: How many bodies joints may connect with each other; None where the engine has no limit.
@@ -39,6 +40,7 @@ class Backend(ABC):
     name: str
     dims: int = 3
     capabilities: frozenset[str] = frozenset()
+    lacking: ClassVar[Mapping[str, str]] = {}
     known_defects: ClassVar[Mapping[str, str]] = {}
     most_joined: int | None = None
 
@@ -54,6 +56,11 @@ class Backend(ABC):
     def defect(self) -> str | None:
         """What is known to be wrong with this version of the engine, and what to install; None where nothing is."""
         return self.known_defects.get(self.version())
+
+    def refusal(self, capability: str, what: str) -> str:
+        """Returns the message for somebody who asks for `what`, which takes a capability that is not there."""
+        message = f"the {self.name} backend has no {what}"
+        return f"{message} here: {self.lacking[capability]}" if capability in self.lacking else message
 
     @abstractmethod
     def create(self, scene: SceneSpec) -> Simulation:

@@ -41,15 +41,15 @@ def _modes(mode: str | None, task: Task) -> list[str]:
 
     Raises:
         ValueError: There is no such mode.
-        WorldError: `unsupported`: the task's engine draws no pictures.
+        WorldError: `unsupported`: the task's engine draws no pictures, or not on this machine.
     """
     if mode is not None and mode not in _MODES:
         raise ValueError(f"render_mode is None or one of {', '.join(_MODES)}, not {mode!r}")
-    engine = task.world_config(0)["backend"]
-    if "camera" in load_backend(engine).capabilities:
+    engine = load_backend(task.world_config(0)["backend"])
+    if "camera" in engine.capabilities:
         return list(_MODES)
     if mode is not None:
-        raise WorldError("unsupported", f"the {engine} backend has no cameras: leave render_mode out", "render_mode")
+        raise WorldError("unsupported", f"{engine.refusal('camera', 'cameras')}; leave render_mode out", "render_mode")
     return []
 
 

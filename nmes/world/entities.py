@@ -243,7 +243,7 @@ class Entities:
     def require(self, capability: str, what: str, path: str | None = None) -> None:
         """Raises `unsupported` unless the engine has the capability; `path` is the field that asks for it."""
         if capability not in self._backend.capabilities:
-            raise WorldError("unsupported", f"the {self._backend.name} backend has no {what}", path)
+            raise WorldError("unsupported", self._backend.refusal(capability, what), path)
 
     # -- cubes ---------------------------------------------------------------------------------------------------
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import math
 import struct
+import subprocess
+import sys
 import zlib
 from itertools import pairwise
 from pathlib import Path
@@ -204,6 +206,30 @@ def test_a_machine_without_a_renderer_says_so(monkeypatch: pytest.MonkeyPatch) -
     assert place.refused("get_camera", cube_name="a") == ("unsupported", None)
     assert place.refused("get_camera", cube_name="b") == ("cube_not_found", "cube_name")
     assert place.world.fault is None
+
+
+def test_cameras_are_claimed_only_where_a_library_may_draw() -> None:
+    program = """
+import ctypes
+load = ctypes.CDLL
+def hidden(name, *rest, **more):
+    if name and ("EGL" in name or "OSMesa" in name):
+        raise OSError(f"{name}: cannot open shared object file")
+    return load(name, *rest, **more)
+ctypes.CDLL = hidden
+from nmes import World
+world = World({"backend": "mujoco"})
+client = world.join()
+print({"camera", "get_camera"} & set(world.execute(client, {"type": "get_world_info"})["capabilities"]))
+world.execute(client, {"type": "spawn_cube", "cube_name": "a"})
+reply = world.execute(client, {"type": "get_camera", "cube_name": "a"})
+print(reply["code"], reply["message"])
+"""
+    result = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    claimed, answer = result.stdout.splitlines()
+    assert claimed == "set()"
+    assert answer.startswith("unsupported the mujoco backend has no cameras here: this machine has no OpenGL")
+    assert "libegl1" in answer
 
 
 # -- replay ----------------------------------------------------------------------------------------------------------

@@ -236,6 +236,10 @@ class InventsACapability(Planted):
     capabilities = BallisticBackend.capabilities | {"telepathy"}
 
 
+class PromisesWhatItLacks(Planted):
+    lacking: ClassVar = {"joint.fixed": "install glue"}
+
+
 class SavesWithoutForces(Planted):
     class Defect(BallisticSimulation):
         def restore(self, snapshot: bytes) -> None:
@@ -428,6 +432,7 @@ CAUGHT = {
     AcceptsEveryJoint: "refuses_the_joints_it_does_not_promise",
     PromisesSleep: "sleeps_only_if_it_says_so",
     InventsACapability: "introduces_itself",
+    PromisesWhatItLacks: "introduces_itself",
     SavesWithoutForces: "restores_snapshots",
     SavesRounded: "restores_snapshots",
     NeverFaults: "faults_when_it_diverges",

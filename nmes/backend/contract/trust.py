@@ -30,8 +30,10 @@ class TrustChecks(Checks):
         first, second = self.backend(), self.backend()
         assert first.name and first.name.split() == [first.name], f"name: {first.name!r}"
         assert first.dims in (2, 3), f"dims: {first.dims}"
-        unknown = first.capabilities - CAPABILITIES
+        unknown = (first.capabilities | first.lacking.keys()) - CAPABILITIES
         assert not unknown, f"unknown capabilities: {sorted(unknown)}"
+        both = first.capabilities & first.lacking.keys()
+        assert not both, f"promised and lacking: {sorted(both)}"
         assert first.version()
         fingerprint = first.fingerprint()
         assert fingerprint, "an empty fingerprint makes every two runs comparable"
