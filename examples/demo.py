@@ -124,13 +124,15 @@ def reproduce_all(record_to: Path, console: Console) -> list[tuple[Any, Path, An
         return list(pool.map(lambda example: reproduce(example, record_to, progress), EXAMPLES))
 
 
-def draw(recording: Path, picture: Path) -> Path:
-    """Draws the last moment of a recording; returns where the picture is."""
+def draw(recording: Path, picture: Path) -> str:
+    """Draws the last moment of a recording; tells where the picture is, or why there is none on this machine."""
     command = [*NMES, "render", str(recording), "-o", str(picture), "--size", "800x450"]
     process = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT, check=False)
+    if "no OpenGL" in process.stderr:
+        return f"Here no picture is drawn. {process.stderr.strip()}"
     if process.returncode:
         raise failure(process)
-    return picture
+    return f"The creature at its end: {os.path.relpath(picture)}"
 
 
 def next_steps(recording: Path) -> list[str]:
@@ -164,7 +166,7 @@ def main() -> int:
     picture = draw(creature, options.record / "creature.png")
     console.print(f"{time.monotonic() - began:.1f} s. The recordings are in {os.path.relpath(options.record)}.")
     # As they are, not wrapped: they are to be copied.
-    print(f"The creature at its end: {os.path.relpath(picture)}", "A film of it, a score, and evolution:", sep="\n\n")
+    print(picture, "A film of it, a score, and evolution:", sep="\n\n")
     print(*(f"    {step}" for step in next_steps(creature)), sep="\n")
     good = all(figures["ok"] and report["verdict"] == "reproduced" for figures, _, report in results)
     return 0 if good else 1
