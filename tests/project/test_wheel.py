@@ -13,7 +13,7 @@ import sys
 import tarfile
 import venv
 from email import message_from_string
-from importlib.metadata import distribution
+from importlib.metadata import distribution, distributions
 from pathlib import Path
 
 import pytest
@@ -126,6 +126,12 @@ def test_a_source_distribution_has_every_file(unpacked: Path) -> None:
     assert [name for name in files if not (unpacked / name).is_file()] == []
 
 
+def test_a_source_distribution_knows_its_version(unpacked: Path) -> None:
+    (found,) = distributions(name="nmes", path=[str(unpacked)])
+    assert found.version == PROJECT["project"]["version"]
+    assert "nmes" in {entry.name for entry in found.entry_points}
+
+
 def test_tests_of_a_source_distribution_run_in_it(unpacked: Path) -> None:
     result = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests/schemas/test_documents.py"],
@@ -175,8 +181,9 @@ def test_every_module_is_in_the_wheel_and_can_be_imported(environment: Path, tmp
             parts = file.relative_to(ROOT / folder).with_suffix("").parts
             expected.add(".".join((package, *(part for part in parts if part != "__init__"))))
     assert set(installed["modules"]) == expected
-    # Classes of environments are those of packages that an extra brings; nothing else may miss anything.
-    assert set(installed["without"].values()) <= {"gymnasium", "pettingzoo"}
+    # Classes of environments are those of packages that an extra brings, dm_env with dm-control too where there are
+    # wheels of that; nothing else may miss anything.
+    assert set(installed["without"].values()) <= {"gymnasium", "pettingzoo", "dm_env"}
     assert all(name.startswith(("nmes.learning.", "nmes.measure.")) for name in installed["without"])
     assert "nmes.learning.run" not in installed["without"]
 
