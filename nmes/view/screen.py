@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 __all__ = ["LOCAL", "Screen", "has_display", "lay_out", "screen"]
 
 LOCAL = "127.0.0.1"
-_LISTENS = 30.0  # s that Rerun has to begin to listen
+_LISTENS = 30.0  # s that Rerun has to begin to listen, or to end
 _BEGINS = 64 << 10  # bytes: more than Rerun writes before it says that it can
 _ENDS = b"RRF2FOOT\x01\0\0\0"  # how a whole file of Rerun ends
 _WRITES = 600.0  # s that it has to write what waits: on a full disk it may wait for ever
@@ -197,9 +197,10 @@ def screen(
     finally:
         stream.disconnect()
         if web:
-            # The program is a child of the one that was started.
+            # The program is a child of the one that was started, so that only its port tells when it is gone.
             os.killpg(process.pid, signal.SIGKILL)
             process.wait()
+            _await_end(host, http)
 
 
 def _check_end(path: Path) -> None:
@@ -212,6 +213,16 @@ def _check_end(path: Path) -> None:
 def _free_port(host: str) -> int:
     with socket.create_server((host, 0)) as server:
         return int(server.getsockname()[1])
+
+
+def _await_end(host: str, port: int) -> None:
+    until = time.monotonic() + _LISTENS
+    while time.monotonic() < until:
+        try:
+            socket.create_connection((host, port), timeout=1.0).close()
+        except OSError:
+            return
+        time.sleep(0.01)
 
 
 def _await(process: subprocess.Popen[bytes], host: str, ports: Sequence[int]) -> None:
